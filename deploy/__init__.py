@@ -1,0 +1,1 @@
+"""Starts the services: process table, launcher, command line, reports, compose files."""

@@ -1,0 +1,1 @@
+"""Owns the depth camera and where the robot is: cameras, scan reduction, registration."""

@@ -1,0 +1,1 @@
+"""Owns where the feet go: gait, foothold search, body motion."""

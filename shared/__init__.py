@@ -1,0 +1,1 @@
+"""The language the services speak: messages, topics, transport, robot model. Imports no service."""

@@ -1,0 +1,60 @@
+"""The pinhole depth camera: intrinsics, range, noise figures, and the rays of its pixels.
+
+The camera frame is optical: x right, y down, z forward; depth is the z of a point, not its distance.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """Pinhole projection: u = fx * x / z + cx, v = fy * y / z + cy, pixel centres at whole u and v."""
+
+    width: int  # [px]
+    height: int  # [px]
+    fx: float  # [px]
+    fy: float  # [px]
+    cx: float  # [px]
+    cy: float  # [px]
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"image of at least 1x1 pixels expected, found {self.width}x{self.height}")
+        if not (self.fx > 0 and self.fy > 0):
+            raise ValueError(f"positive focal lengths expected, found fx = {self.fx}, fy = {self.fy}")
+
+    def points(self, depth: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Points (h, w, 3) [m] {camera} of a depth image (h, w) [m]; NaN stays NaN (Lotriet 2024, eq. 4.6-4.8)."""
+        if depth.shape != (self.height, self.width):
+            raise ValueError(f"depth image {(self.height, self.width)} expected, found {depth.shape}")
+        u = (np.arange(self.width) - self.cx) / self.fx
+        v = (np.arange(self.height) - self.cy) / self.fy
+        return np.stack([depth * u, depth * v[:, None], depth], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class DepthSensor:
+    """What a depth camera can measure, and how well.
+
+    Triangulating cameras err by sigma = z^2 * disparity_sigma / (fx * baseline); PrimeSense devices quantise disparity too.
+    """
+
+    rate_hz: float = 30.0
+    min_range: float = 0.5  # [m] nearer surfaces give no return
+    max_range: float = 3.5  # [m]
+    baseline: float = 0.075  # [m] projector to sensor
+    disparity_sigma: float = 0.05  # [px] Gaussian
+    disparity_step: float = 0.125  # [px] quantisation, 0 for none
+    depth_scale: float = 1000.0  # raw units per metre: 1000 counts millimetres
+
+    def __post_init__(self) -> None:
+        if not 0 < self.min_range < self.max_range:
+            raise ValueError(f"0 < min_range < max_range expected, found {self.min_range} and {self.max_range} m")
+
+    def sigma(self, z: NDArray[np.float64], fx: float) -> NDArray[np.float64]:
+        """One-sigma depth noise [m] at depth z [m], Gaussian and quantisation together."""
+        disparity = np.hypot(self.disparity_sigma, self.disparity_step / np.sqrt(12.0))
+        return np.asarray(z**2 * disparity / (fx * self.baseline))

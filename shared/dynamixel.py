@@ -1,0 +1,419 @@
+"""The language of a Dynamixel Protocol 1.0 bus: registers, packets and units. Bytes in, values out; no port, no clock.
+
+Sources: ROBOTIS e-manual, AX-12A and RX-64 control tables and Protocol 1.0; AX-12 user's manual 2006 for the ranges.
+"""
+
+import math
+import struct
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag, StrEnum
+from types import MappingProxyType
+
+HEADER = b"\xff\xff"
+BROADCAST_ID = 0xFE
+MAX_ID = 0xFD
+OVERHEAD = 6  # bytes of a packet around its parameters: header, id, length, instruction or error, checksum
+MAX_PARAMETERS = 0xFD  # the length byte counts the parameters and two more bytes
+BITS_PER_BYTE = 10  # start, eight data, stop
+
+TICK_CENTRE = 512  # position register at servo angle 0
+TICK_MAX = 1023
+TICK_RAD = math.radians(300.0) / TICK_MAX  # [rad] per position tick
+SPEED_RAD_S = 0.111 * 2.0 * math.pi / 60.0  # [rad/s] per tick of a speed register
+LOAD_UNIT = 0.001  # fraction of the stall torque per tick of the load register (0.1 %)
+VOLT_UNIT = 0.1  # [V] per tick of the voltage register
+RETURN_DELAY_NS = 2_000  # [ns] per tick of the return delay register
+DIRECTION_CW = 1 << 10  # direction bit of the speed and load registers
+
+
+# --------------------------------------------------------------------------------------------------- registers
+
+
+class Access(StrEnum):
+    """Who may change a register."""
+
+    READ = "R"
+    READ_WRITE = "RW"
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """One item of a control table; little-endian, one or two bytes."""
+
+    name: str
+    address: int
+    size: int  # [bytes]
+    access: Access
+    default: int  # value after a factory reset; 0 where the servo measures it
+    min: int  # least and greatest value that may be written
+    max: int
+    eeprom: bool  # kept without power, locked by the Lock register
+
+    def encode(self, value: int) -> bytes:
+        """Bytes of a value.
+
+        Raises:
+            ValueError: The value is outside the register's range.
+        """
+        if not self.min <= value <= self.max:
+            raise ValueError(f"{self.name} takes {self.min} to {self.max}, found {value}")
+        return value.to_bytes(self.size, "little")
+
+
+def _r(name: str, address: int, size: int, default: int, *, eeprom: bool = False) -> Register:
+    return Register(name, address, size, Access.READ, default, 0, (1 << 8 * size) - 1, eeprom)
+
+
+def _rw(name: str, address: int, size: int, default: int, low: int, high: int, *, eeprom: bool = False) -> Register:
+    return Register(name, address, size, Access.READ_WRITE, default, low, high, eeprom)
+
+
+MODEL_NUMBER = _r("model number", 0, 2, 12, eeprom=True)
+FIRMWARE = _r("firmware version", 2, 1, 24, eeprom=True)
+ID = _rw("id", 3, 1, 1, 0, MAX_ID, eeprom=True)
+BAUD_RATE = _rw("baud rate", 4, 1, 1, 0, 254, eeprom=True)
+RETURN_DELAY = _rw("return delay", 5, 1, 250, 0, 254, eeprom=True)
+CW_ANGLE_LIMIT = _rw("cw angle limit", 6, 2, 0, 0, TICK_MAX, eeprom=True)
+CCW_ANGLE_LIMIT = _rw("ccw angle limit", 8, 2, TICK_MAX, 0, TICK_MAX, eeprom=True)
+TEMPERATURE_LIMIT = _rw("temperature limit", 11, 1, 70, 0, 150, eeprom=True)
+MIN_VOLTAGE = _rw("min voltage", 12, 1, 60, 50, 250, eeprom=True)
+MAX_VOLTAGE = _rw("max voltage", 13, 1, 140, 50, 250, eeprom=True)
+MAX_TORQUE = _rw("max torque", 14, 2, 1023, 0, 1023, eeprom=True)
+STATUS_RETURN_LEVEL = _rw("status return level", 16, 1, 2, 0, 2, eeprom=True)
+ALARM_LED = _rw("alarm led", 17, 1, 0x24, 0, 0x7F, eeprom=True)
+SHUTDOWN = _rw("shutdown", 18, 1, 0x24, 0, 0x7F, eeprom=True)
+TORQUE_ENABLE = _rw("torque enable", 24, 1, 0, 0, 1)
+LED = _rw("led", 25, 1, 0, 0, 1)
+CW_COMPLIANCE_MARGIN = _rw("cw compliance margin", 26, 1, 1, 0, 254)
+CCW_COMPLIANCE_MARGIN = _rw("ccw compliance margin", 27, 1, 1, 0, 254)
+CW_COMPLIANCE_SLOPE = _rw("cw compliance slope", 28, 1, 32, 1, 254)
+CCW_COMPLIANCE_SLOPE = _rw("ccw compliance slope", 29, 1, 32, 1, 254)
+GOAL_POSITION = _rw("goal position", 30, 2, TICK_CENTRE, 0, TICK_MAX)
+MOVING_SPEED = _rw("moving speed", 32, 2, 0, 0, 1023)
+TORQUE_LIMIT = _rw("torque limit", 34, 2, 1023, 0, 1023)
+PRESENT_POSITION = _r("present position", 36, 2, 0)
+PRESENT_SPEED = _r("present speed", 38, 2, 0)
+PRESENT_LOAD = _r("present load", 40, 2, 0)
+PRESENT_VOLTAGE = _r("present voltage", 42, 1, 0)
+PRESENT_TEMPERATURE = _r("present temperature", 43, 1, 0)
+REGISTERED = _r("registered", 44, 1, 0)
+MOVING = _r("moving", 46, 1, 0)
+LOCK = _rw("lock", 47, 1, 0, 0, 1)
+PUNCH = _rw("punch", 48, 2, 32, 0, 1023)
+
+TABLE_SIZE = 50  # [bytes] of a control table
+# fmt: off
+REGISTERS = (
+    MODEL_NUMBER, FIRMWARE, ID, BAUD_RATE, RETURN_DELAY, CW_ANGLE_LIMIT, CCW_ANGLE_LIMIT, TEMPERATURE_LIMIT,
+    MIN_VOLTAGE, MAX_VOLTAGE, MAX_TORQUE, STATUS_RETURN_LEVEL, ALARM_LED, SHUTDOWN, TORQUE_ENABLE, LED,
+    CW_COMPLIANCE_MARGIN, CCW_COMPLIANCE_MARGIN, CW_COMPLIANCE_SLOPE, CCW_COMPLIANCE_SLOPE, GOAL_POSITION,
+    MOVING_SPEED, TORQUE_LIMIT, PRESENT_POSITION, PRESENT_SPEED, PRESENT_LOAD, PRESENT_VOLTAGE, PRESENT_TEMPERATURE,
+    REGISTERED, MOVING, LOCK, PUNCH,
+)
+# fmt: on
+
+
+@dataclass(frozen=True, slots=True)
+class ServoModel:
+    """A servo type: the common control table with the factory values that differ."""
+
+    name: str
+    number: int  # value of the model number register
+    overrides: Mapping[str, int]  # register name -> factory value, where it is not the AX-12A's
+
+    def default(self, register: Register) -> int:
+        """Factory value of a register."""
+        if register is MODEL_NUMBER:
+            return self.number
+        return self.overrides.get(register.name, register.default)
+
+    def factory_table(self) -> bytes:
+        """The (50,) bytes of a control table as it leaves the factory."""
+        table = bytearray(TABLE_SIZE)
+        for register in REGISTERS:
+            value = self.default(register)
+            table[register.address : register.address + register.size] = value.to_bytes(register.size, "little")
+        return bytes(table)
+
+
+AX_12A = ServoModel("AX-12A", 12, MappingProxyType({}))
+RX_64 = ServoModel("RX-64", 64, MappingProxyType({"baud rate": 34, "temperature limit": 80, "max voltage": 190}))
+MODELS = (AX_12A, RX_64)
+
+
+def baud_rate(value: int) -> int:
+    """Bit rate [1/s] of a baud rate register: 2e6 / (value + 1), to the nearest bit per second."""
+    return round(2_000_000 / (value + 1))
+
+
+# --------------------------------------------------------------------------------------------------- units
+
+
+def angle_from_ticks(ticks: float) -> float:
+    """Servo angle [rad] of a position register: 0 at the centre tick, counterclockwise positive, 300 deg over 1023."""
+    return (ticks - TICK_CENTRE) * TICK_RAD
+
+
+def ticks_from_angle(angle: float) -> int:
+    """Nearest position register of a servo angle [rad]; not limited to 0..1023, callers check the range."""
+    return round(angle / TICK_RAD) + TICK_CENTRE
+
+
+def signed_magnitude(value: int) -> int:
+    """Signed ticks of a speed or load register: bit 10 set means clockwise, negative here."""
+    magnitude = value & 0x3FF
+    return -magnitude if value & DIRECTION_CW else magnitude
+
+
+def direction_magnitude(value: int) -> int:
+    """The inverse of `signed_magnitude`, saturated at 1023."""
+    magnitude = min(abs(value), 0x3FF)
+    return magnitude | DIRECTION_CW if value < 0 and magnitude else magnitude
+
+
+def speed_from_register(value: int) -> float:
+    """Speed [rad/s] of a present speed register, counterclockwise positive."""
+    return signed_magnitude(value) * SPEED_RAD_S
+
+
+def register_from_speed(speed: float) -> int:
+    """Present speed register of a speed [rad/s], counterclockwise positive."""
+    return direction_magnitude(round(speed / SPEED_RAD_S))
+
+
+def moving_speed_from(speed: float) -> int:
+    """Moving speed register of a speed [rad/s] > 0; at least 1, for 0 would mean as fast as the servo can.
+
+    Raises:
+        ValueError: The speed is not positive.
+    """
+    if not speed > 0.0:
+        raise ValueError(f"a moving speed greater than 0 rad/s expected, found {speed}; write 0 for uncontrolled speed")
+    return min(max(round(speed / SPEED_RAD_S), 1), MOVING_SPEED.max)
+
+
+def load_from_register(value: int) -> float:
+    """Load as a fraction of the stall torque, in [-1.023, 1.023], counterclockwise positive."""
+    return signed_magnitude(value) * LOAD_UNIT
+
+
+def register_from_load(load: float) -> int:
+    """Present load register of a fraction of the stall torque, counterclockwise positive."""
+    return direction_magnitude(round(load / LOAD_UNIT))
+
+
+# --------------------------------------------------------------------------------------------------- packets
+
+
+class Instruction(IntEnum):
+    """What a host asks of a servo."""
+
+    PING = 1
+    READ = 2
+    WRITE = 3
+    REG_WRITE = 4
+    ACTION = 5
+    RESET = 6
+    SYNC_WRITE = 0x83
+
+
+class ServoError(IntFlag):
+    """The error byte of a status packet, also the bits of the alarm and shutdown registers."""
+
+    NONE = 0
+    INPUT_VOLTAGE = 1 << 0
+    ANGLE_LIMIT = 1 << 1
+    OVERHEATING = 1 << 2
+    RANGE = 1 << 3
+    CHECKSUM = 1 << 4
+    OVERLOAD = 1 << 5
+    INSTRUCTION = 1 << 6
+
+
+_ERROR_WORDS = {
+    ServoError.INPUT_VOLTAGE: "input voltage outside its limits",
+    ServoError.ANGLE_LIMIT: "goal outside the angle limits",
+    ServoError.OVERHEATING: "overheating",
+    ServoError.RANGE: "value out of range",
+    ServoError.CHECKSUM: "checksum of the instruction was wrong",
+    ServoError.OVERLOAD: "overload",
+    ServoError.INSTRUCTION: "undefined instruction, or action without registered write",
+}
+
+
+def error_words(error: int) -> str:
+    """An error byte in words, empty when no bit is set."""
+    return ", ".join(words for bit, words in _ERROR_WORDS.items() if error & bit)
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """One packet of the wire, instruction or status: they have the same shape."""
+
+    servo_id: int
+    code: int  # instruction, or error bits of a status packet
+    parameters: bytes
+    end: int = 0  # bytes of the stream up to and with its checksum, counted since the parser was made
+    intact: bool = True  # False only from a parser that keeps packets with a wrong checksum
+
+
+def encode(servo_id: int, code: int, parameters: bytes = b"") -> bytes:
+    """Bytes of a packet: FF FF ID LEN CODE parameters CHECKSUM.
+
+    Raises:
+        ValueError: The id is not 0 to 254 or there are more than 253 parameters.
+    """
+    if not 0 <= servo_id <= BROADCAST_ID:
+        raise ValueError(f"servo id 0 to 253, or 254 for all, expected, found {servo_id}")
+    if len(parameters) > MAX_PARAMETERS:
+        raise ValueError(f"at most {MAX_PARAMETERS} parameter bytes fit a packet, found {len(parameters)}; split it")
+    body = bytes((servo_id, len(parameters) + 2, code)) + parameters
+    return HEADER + body + bytes((~sum(body) & 0xFF,))
+
+
+def ping(servo_id: int) -> bytes:
+    """Ask a servo whether it is there."""
+    return encode(servo_id, Instruction.PING)
+
+
+def read(servo_id: int, address: int, size: int) -> bytes:
+    """Ask a servo for `size` bytes from an address."""
+    return encode(servo_id, Instruction.READ, bytes((address, size)))
+
+
+def write(servo_id: int, address: int, data: bytes) -> bytes:
+    """Write bytes from an address on."""
+    return encode(servo_id, Instruction.WRITE, bytes((address,)) + data)
+
+
+def reg_write(servo_id: int, address: int, data: bytes) -> bytes:
+    """Register a write that waits for `action`."""
+    return encode(servo_id, Instruction.REG_WRITE, bytes((address,)) + data)
+
+
+def action(servo_id: int = BROADCAST_ID) -> bytes:
+    """Carry out the registered writes."""
+    return encode(servo_id, Instruction.ACTION)
+
+
+def reset(servo_id: int) -> bytes:
+    """Return a servo to its factory values, id and baud rate included."""
+    return encode(servo_id, Instruction.RESET)
+
+
+def sync_write(address: int, size: int, rows: Iterable[tuple[int, bytes]]) -> bytes:
+    """Write `size` bytes at one address of several servos in one packet; nobody answers.
+
+    Raises:
+        ValueError: A row is not `size` bytes long, or the rows do not fit one packet.
+    """
+    body = bytearray((address, size))
+    for servo_id, data in rows:
+        if len(data) != size:
+            raise ValueError(f"servo {servo_id}: {size} bytes expected, found {len(data)}")
+        body.append(servo_id)
+        body += data
+    return encode(BROADCAST_ID, Instruction.SYNC_WRITE, bytes(body))
+
+
+def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
+    """A servo's answer."""
+    return encode(servo_id, error, parameters)
+
+
+PRESENT_STATE = struct.Struct("<HHHBB")  # position, speed, load, voltage, temperature: the 8 bytes from address 36
+
+
+class Dropped(StrEnum):
+    """Why a parser threw bytes away."""
+
+    NOISE = "noise"  # bytes, not packets: they belong to no header
+    LENGTH = "bad length"
+    CHECKSUM = "bad checksum"
+    TRUNCATED = "truncated"
+
+
+class PacketParser:
+    """Packets out of a byte stream that may hold noise, broken packets and packets cut anywhere.
+
+    After a broken packet the search goes on right behind its header, so an intact packet that noise had swallowed is
+    found. A packet that noise announced longer than what follows is given up by `flush`.
+    """
+
+    def __init__(self, max_length: int = 0xFF, *, keep_broken: bool = False) -> None:
+        """Start at stream offset 0.
+
+        Args:
+            max_length: Greatest length byte believed; a bus whose packets are known to be short recovers sooner.
+            keep_broken: Return packets with a wrong checksum too, with `intact` False: a servo answers those.
+        """
+        self.dropped: Counter[str] = Counter()  # by `Dropped`; bytes for NOISE, else packets
+        self._max_length = max_length
+        self._keep_broken = keep_broken
+        self._buffer = bytearray()
+        self._offset = 0  # stream offset of the buffer's first byte
+
+    @property
+    def pending(self) -> int:
+        """Bytes held back because their packet is not complete."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Take the next bytes of the stream and return the packets they complete."""
+        self._buffer += data
+        return self._parse()
+
+    def flush(self) -> list[Packet]:
+        """Give up on an incomplete packet; return the intact packets that its claimed length had hidden."""
+        found: list[Packet] = []
+        while len(self._buffer) > 1:
+            if len(self._buffer) >= 4:
+                self.dropped[Dropped.TRUNCATED] += 1
+            self._drop(1)
+            found += self._parse()
+        self._skip(len(self._buffer))
+        return found
+
+    def _parse(self) -> list[Packet]:
+        buffer = self._buffer
+        found: list[Packet] = []
+        while True:
+            start = buffer.find(HEADER)
+            if start:
+                # All noise; but a last FF may be the first half of a header.
+                self._skip(start if start > 0 else len(buffer) - buffer.endswith(b"\xff"))
+                if start < 0:
+                    return found
+            if len(buffer) < 4:
+                if len(buffer) == 3 and buffer[2] == 0xFF:
+                    self._skip(1)
+                return found
+            servo_id, length = buffer[2], buffer[3]
+            if servo_id == 0xFF:  # a run of FF: the header is its last two
+                self._skip(1)
+                continue
+            if not 2 <= length <= self._max_length:
+                self.dropped[Dropped.LENGTH] += 1
+                self._drop(1)
+                continue
+            size = length + 4
+            if len(buffer) < size:
+                return found
+            intact = (sum(buffer[2:size]) & 0xFF) == 0xFF  # the checksum is the complement of the rest
+            if not intact:
+                self.dropped[Dropped.CHECKSUM] += 1
+            if intact or self._keep_broken:
+                parameters = bytes(buffer[5 : size - 1])
+                found.append(Packet(servo_id, buffer[4], parameters, self._offset + size, intact))
+            self._drop(size if intact else 1)
+
+    def _skip(self, count: int) -> None:
+        if count:
+            self.dropped[Dropped.NOISE] += count
+            self._drop(count)
+
+    def _drop(self, count: int) -> None:
+        del self._buffer[:count]
+        self._offset += count

@@ -1,0 +1,211 @@
+"""Rotations and rigid transforms as plain arrays, all batched over leading axes.
+
+`T_world_body` is a (4, 4) matrix that takes body coordinates to world coordinates, so neighbouring names cancel:
+`T_world_body @ T_body_camera`. A twist is (6,): linear part first, then angular.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+_SMALL_ANGLE = 1e-8  # [rad] below it the series replaces sin(x)/x
+
+
+def skew(v: ArrayLike) -> Array:
+    """Return the (..., 3, 3) matrix whose product with w is the cross product v x w, for (..., 3) v."""
+    v = np.asarray(v, dtype=np.float64)
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def rotation_z(angle: ArrayLike) -> Array:
+    """Rotation by an angle [rad] about z: (...,) -> (..., 3, 3)."""
+    angle = np.asarray(angle, dtype=np.float64)
+    out = np.zeros((*angle.shape, 3, 3))
+    c, s = np.cos(angle), np.sin(angle)
+    out[..., 0, 0], out[..., 0, 1] = c, -s
+    out[..., 1, 0], out[..., 1, 1] = s, c
+    out[..., 2, 2] = 1.0
+    return out
+
+
+def rotation_from_rpy(rpy: ArrayLike) -> Array:
+    """Rotation R = Rz(yaw) Ry(pitch) Rx(roll): (..., 3) [rad] roll, pitch, yaw -> (..., 3, 3)."""
+    rpy = np.asarray(rpy, dtype=np.float64)
+    cr, cp, cy = (np.cos(rpy[..., i]) for i in range(3))
+    sr, sp, sy = (np.sin(rpy[..., i]) for i in range(3))
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rpy_from_rotation(R: Array) -> Array:
+    """Roll, pitch, yaw (..., 3) [rad] of (..., 3, 3) rotations; pitch in [-pi/2, pi/2]."""
+    pitch = -np.arcsin(np.clip(R[..., 2, 0], -1.0, 1.0))
+    roll = np.arctan2(R[..., 2, 1], R[..., 2, 2])
+    yaw = np.arctan2(R[..., 1, 0], R[..., 0, 0])
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def exp_so3(rotvec: ArrayLike) -> Array:
+    """Rotation of a rotation vector (Rodrigues): (..., 3) [rad] -> (..., 3, 3)."""
+    rotvec = np.asarray(rotvec, dtype=np.float64)
+    angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
+    K = skew(rotvec)
+    small = angle < _SMALL_ANGLE
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1.0, np.sin(safe) / safe)
+    b = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    return np.eye(3) + a * K + b * (K @ K)
+
+
+def log_so3(R: Array) -> Array:
+    """Rotation vector (..., 3) [rad] of (..., 3, 3) rotations, of length at most pi."""
+    q = quaternion_from_rotation(R)
+    norm = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(norm, q[..., :1])
+    small = norm < _SMALL_ANGLE
+    scale = np.where(small, 2.0, angle / np.where(small, 1.0, norm))
+    return np.asarray(scale * q[..., 1:])
+
+
+def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
+    """Rotation of a quaternion, scalar first and of any length but zero: (..., 4) -> (..., 3, 3)."""
+    q = np.asarray(wxyz, dtype=np.float64)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    K = skew(q[..., 1:])
+    return np.asarray(np.eye(3) + 2.0 * (q[..., :1, None] * K + K @ K))
+
+
+def quaternion_from_rotation(R: Array) -> Array:
+    """Unit quaternion (..., 4), scalar first and not negative, of (..., 3, 3) rotations."""
+    trace = np.trace(R, axis1=-2, axis2=-1)
+    # K's dominant eigenvector would do; the four closed forms are cheaper, and the largest pivot is always well scaled.
+    squares = np.stack([trace, R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
+    pivot = np.argmax(squares, axis=-1)
+    m = R
+    candidates = np.stack(
+        [
+            np.stack([1 + trace, m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], -1),
+            np.stack(
+                [
+                    m[..., 2, 1] - m[..., 1, 2],
+                    1 + 2 * m[..., 0, 0] - trace,
+                    m[..., 0, 1] + m[..., 1, 0],
+                    m[..., 0, 2] + m[..., 2, 0],
+                ],
+                -1,
+            ),
+            np.stack(
+                [
+                    m[..., 0, 2] - m[..., 2, 0],
+                    m[..., 0, 1] + m[..., 1, 0],
+                    1 + 2 * m[..., 1, 1] - trace,
+                    m[..., 1, 2] + m[..., 2, 1],
+                ],
+                -1,
+            ),
+            np.stack(
+                [
+                    m[..., 1, 0] - m[..., 0, 1],
+                    m[..., 0, 2] + m[..., 2, 0],
+                    m[..., 1, 2] + m[..., 2, 1],
+                    1 + 2 * m[..., 2, 2] - trace,
+                ],
+                -1,
+            ),
+        ],
+        axis=-2,
+    )
+    q = np.take_along_axis(candidates, pivot[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.asarray(np.where(q[..., :1] < 0, -q, q))
+
+
+def transform(R: ArrayLike, p: ArrayLike) -> Array:
+    """Rigid transform (..., 4, 4) of a rotation (..., 3, 3) and a translation (..., 3) [m]."""
+    R, p = np.asarray(R, dtype=np.float64), np.asarray(p, dtype=np.float64)
+    out = np.zeros((*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
+    out[..., :3, :3] = R
+    out[..., :3, 3] = p
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike) -> Array:
+    """Rigid transform of a position [m] and roll, pitch, yaw [rad]."""
+    return transform(rotation_from_rpy(rpy), xyz)
+
+
+def inverse(T: Array) -> Array:
+    """Inverse of rigid transforms (..., 4, 4), by transposing the rotation."""
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    return transform(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
+
+
+def apply(T: Array, points: ArrayLike) -> Array:
+    """Points (n, 3) [m] of one frame in the frame that a (4, 4) transform leads to; any shape (..., 3) is kept."""
+    return np.asarray(np.asarray(points, dtype=np.float64) @ T[:3, :3].T + T[:3, 3])
+
+
+def exp_se3(twist: ArrayLike) -> Array:
+    """Rigid transform of a twist (..., 6): translation [m] and rotation vector [rad] of one screw motion."""
+    twist = np.asarray(twist, dtype=np.float64)
+    return transform(exp_so3(twist[..., 3:]), (_left_jacobian(twist[..., 3:]) @ twist[..., :3, None])[..., 0])
+
+
+def log_se3(T: Array) -> Array:
+    """Twist (..., 6) whose exponential is the transform (..., 4, 4)."""
+    rotvec = log_so3(T[..., :3, :3])
+    v = np.linalg.solve(_left_jacobian(rotvec), T[..., :3, 3, None])[..., 0]
+    return np.concatenate([v, rotvec], axis=-1)
+
+
+def interpolate(T0: Array, T1: Array, s: float) -> Array:
+    """Transform at the fraction s in [0, 1] from T0 to T1: straight in position, shortest in rotation."""
+    R0, R1 = T0[:3, :3], T1[:3, :3]
+    return transform(R0 @ exp_so3(s * log_so3(R0.T @ R1)), (1.0 - s) * T0[:3, 3] + s * T1[:3, 3])
+
+
+def yaw_of(T: Array) -> float:
+    """Heading [rad] of a (4, 4) transform."""
+    return float(np.arctan2(T[1, 0], T[0, 0]))
+
+
+def orthonormal(T: Array) -> Array:
+    """The rigid transform nearest to a (4, 4) matrix that has drifted by rounding."""
+    u, _, vt = np.linalg.svd(T[:3, :3])
+    return transform(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, T[:3, 3])
+
+
+def align_rigid(source: Array, target: Array, weights: Array | None = None) -> Array:
+    """The rigid transform that takes (n, 3) source points nearest to (n, 3) target points (Kabsch, weighted).
+
+    Raises:
+        ValueError: Fewer than three points, or shapes that differ.
+    """
+    if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
+        raise ValueError(f"two (n, 3) point sets with n >= 3 expected, found {source.shape} and {target.shape}")
+    w = np.ones(len(source)) if weights is None else weights
+    w = (w / w.sum())[:, None]
+    source_mean, target_mean = (w * source).sum(axis=0), (w * target).sum(axis=0)
+    u, _, vt = np.linalg.svd((w * (source - source_mean)).T @ (target - target_mean))
+    R = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
+    return transform(R, target_mean - R @ source_mean)
+
+
+def _left_jacobian(rotvec: Array) -> Array:
+    angle = np.linalg.norm(rotvec, axis=-1)[..., None, None]
+    K = skew(rotvec)
+    small = angle < 1e-4  # the closed form loses digits long before it divides by zero
+    safe = np.where(small, 1.0, angle)
+    b = np.where(small, 0.5 - angle**2 / 24, (1.0 - np.cos(safe)) / safe**2)
+    c = np.where(small, 1.0 / 6.0 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
+    return np.asarray(np.eye(3) + b * K + c * (K @ K))

@@ -1,0 +1,313 @@
+"""Every message on the wire: frozen dataclasses and nothing else.
+
+A field's annotation is its contract: `Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]` is a float32 array whose
+two lengths agree wherever the same names stand in the message. Construction checks it, so a message that exists is well
+formed, on the sending side as on the receiving one.
+
+Poses are (4, 4) [m]; {world} is fixed where the robot started, {odom} is what the legs alone believe, {body} moves along.
+"""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_TEXT = 2000  # characters of a text field
+MAX_ITEMS = 256  # entries of a tuple field
+MAX_LENGTH = 4_000_000  # elements along an array
+
+
+@dataclass(frozen=True, slots=True)
+class Dims:
+    """Shape of an array field: numbers are exact lengths, names are free lengths that agree within one message."""
+
+    shape: tuple[int | str, ...]
+    finite: bool
+
+    def __init__(self, *shape: int | str, finite: bool = True):
+        object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "finite", finite)
+
+
+Pose: TypeAlias = Annotated[NDArray[np.float64], Dims(4, 4)]
+Vector3: TypeAlias = Annotated[NDArray[np.float64], Dims(3)]
+PerLeg: TypeAlias = Annotated[NDArray[np.float64], Dims(6)]
+PerJoint: TypeAlias = Annotated[NDArray[np.float64], Dims(6, 3)]
+LegFlags: TypeAlias = Annotated[NDArray[np.bool_], Dims(6)]
+
+
+class Mode(StrEnum):
+    """What the actuator is doing; it alone decides."""
+
+    OFF = "off"  # no torque; only an operator's act leads out
+    STAND = "stand"  # moving to, or holding, the resting stance
+    WALK = "walk"  # executing an accepted plan
+    HOLD = "hold"  # standing where the last step ended, torque on, ready for the next plan
+    FAULT = "fault"  # something is broken; holding as far as it can
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Base of all messages: what is checked is what the annotations say."""
+
+    stamp_ns: int  # [ns] when the world was as described; copied through every stage
+
+    def __post_init__(self) -> None:
+        lengths: dict[str, int] = {}
+        for name, kind, args in schema(type(self)):
+            problem = _misfit(getattr(self, name), kind, args, lengths)
+            if problem:
+                raise ValueError(f"{type(self).__name__}.{name}: {problem}")
+
+
+@dataclass(frozen=True, slots=True)
+class Tick(Message):
+    """The beat of a service that is paced by its own clock; never on the wire."""
+
+
+@dataclass(frozen=True, slots=True)
+class DepthImage(Message):
+    """One frame of the depth camera; camera -> perception. The intrinsics are the profile's."""
+
+    depth: Annotated[NDArray[np.uint16], Dims("h", "w")]  # raw units of the sensor's depth_scale, 0 = no return
+
+
+@dataclass(frozen=True, slots=True)
+class ColorImage(Message):
+    """One colour frame, pixel for pixel over the depth; camera -> console."""
+
+    rgb: Annotated[NDArray[np.uint8], Dims("h", "w", 3)]
+
+
+@dataclass(frozen=True, slots=True)
+class Imu(Message):
+    """Angular rate and specific force; imu -> actuator, perception."""
+
+    gyro: Vector3  # [rad/s] {body}
+    specific_force: Vector3  # [m/s^2] {body}, +g up at rest
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry(Message):
+    """How the body moved by the measured joints of its stance legs; actuator -> perception, planner."""
+
+    T_odom_body: Pose
+    travelled: float  # [m] path length so far
+    turned: float  # [rad] summed absolute heading change so far
+    stance: LegFlags  # legs it stood on
+    reliable: bool  # False while fewer than three legs carry
+
+
+@dataclass(frozen=True, slots=True)
+class ActuatorState(Message):
+    """What the legs do and how far the plan is; actuator -> planner, console."""
+
+    mode: Mode
+    reason: str  # why this mode, in words
+    refused: str  # why the last plan was refused, in words; empty when the last was accepted
+    step: int  # number of the step being walked, or of the last one finished
+    phase: float  # [1] 0 to 1 through the step, 1 when it is done
+    swing: LegFlags  # legs in the air by plan
+    contact: LegFlags  # legs that carry by their measured load
+    q: PerJoint  # [rad] measured
+    load_nm: PerJoint  # [N m] motor torque behind present load
+    feet: PerJoint  # (6, 3) [m] {body} measured foot centres
+    T_odom_body: Pose  # measured, the same as the odometry's
+    body_ref: Pose  # {odom} where the body should be now
+    voltage: float  # [V] lowest seen
+    temperature: float  # [deg C] highest seen
+    warnings: tuple[str, ...]  # in words: servos by leg and joint
+
+
+@dataclass(frozen=True, slots=True)
+class BodyPose(Message):
+    """Where the body is; perception -> mapper, planner, operator."""
+
+    T_world_body: Pose
+    T_world_odom: Pose  # correction: world pose of the body = T_world_odom @ T_odom_body at any time near the stamp
+    covariance: Annotated[NDArray[np.float64], Dims(6, 6)]  # [m^2, m rad, rad^2] position, then rotation, {world}
+    overlap: float  # [1] share of the scan that met the reference
+    ok: bool  # False: registration failed and odometry alone stands behind the pose
+    reason: str  # what is wrong, in words; empty when nothing is
+
+
+@dataclass(frozen=True, slots=True)
+class Scan(Message):
+    """The ground as one frame saw it, a point per map cell; perception -> mapper."""
+
+    origin: Vector3  # [m] {world}
+    points_mm: Annotated[NDArray[np.int16], Dims("n", 3)]  # [mm] from the origin
+    count: Annotated[NDArray[np.uint8], Dims("n")]  # pixels behind a point, 255 for more
+    spread_mm: Annotated[NDArray[np.uint8], Dims("n")]  # [mm] standard deviation of their heights
+    p_world_camera: Vector3  # [m] where the camera was
+    pose_variance_z: float  # [m^2] of the pose the points were placed by
+    pose_ok: bool  # False: placed by odometry alone
+
+
+@dataclass(frozen=True, slots=True)
+class TerrainMap(Message):
+    """Terrain around the robot; mapper -> planner, console. Cell (i, j) is centred at origin + resolution * (i, j)."""
+
+    resolution: float  # [m] cell edge
+    origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} centre of cell (0, 0)
+    elevation: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m] {world}, NaN where never seen
+    variance: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m^2] of elevation, NaN where never seen
+    score: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # 0 best, above 1 no foothold, NaN unknown
+    assumed: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # filled in at the start, not measured
+
+
+@dataclass(frozen=True, slots=True)
+class StepPlan(Message):
+    """One step: which legs swing where, and where the body goes meanwhile; planner -> actuator.
+
+    It ends in a statically stable stance, so the actuator can always finish it alone. A higher revision of the running step
+    moves its touchdowns; the next step number queues behind it.
+    """
+
+    step: int  # counts up by one
+    revision: int  # counts up within a step
+    T_world_odom: Pose  # the correction the planner planned under; ties {world} to what the legs know
+    swing: LegFlags
+    touchdown: Annotated[
+        NDArray[np.float64], Dims(6, 3)
+    ]  # [m] {world} foot centres; for legs that do not swing, where they stand
+    clearance: PerLeg  # [m] of a swinging foot over both its ends
+    body_goal: Pose  # {world} body at the end of the step
+    duration: float  # [s]
+    stop: bool  # True: come to rest at its end
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerStatus(Message):
+    """What the planner is doing and why it does not go on; planner -> operator, console."""
+
+    state: Literal["waiting", "resting", "stepping", "blocked"]
+    reason: str  # in words
+    step: int
+    moved_footholds: int  # touchdowns of the newest plan that are not at their nominal place
+    blocked_leg: int  # index of the leg without a foothold, -1 for none
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityCommand(Message):
+    """What the operator asks of the walk, repeated while it holds; operator -> planner."""
+
+    velocity: Annotated[NDArray[np.float64], Dims(2)]  # [m/s] {body} forward, left
+    yaw_rate: float  # [rad/s]
+    body_height: float  # [m] over the floor
+    lift: float  # [m] clearance of swinging feet
+
+
+@dataclass(frozen=True, slots=True)
+class ModeCommand(Message):
+    """What the operator orders of the legs; operator -> actuator."""
+
+    mode: Literal["off", "stand", "walk"]
+    sequence: int  # counts up: an order counts once
+
+
+@dataclass(frozen=True, slots=True)
+class GroundTruth(Message):
+    """What the simulator knows; simulator -> scorer and nobody else."""
+
+    T_world_body: Pose
+    q: PerJoint  # [rad]
+    torque: PerJoint  # [N m] of the motors
+    feet: PerJoint  # (6, 3) [m] {world} foot centres
+    contact: LegFlags
+    shutdown: Annotated[NDArray[np.bool_], Dims(6, 3)]  # servos that have latched an error
+    voltage: float  # [V]
+    temperature: float  # [deg C] hottest servo
+
+
+@dataclass(frozen=True, slots=True)
+class Health(Message):
+    """How one service fares, once a second; every service -> launcher, console."""
+
+    service: str
+    doing: str  # in words
+    steps: int
+    refused: int  # messages that did not decode
+    dropped: int  # messages that came faster than they were read
+    last_refusal: str
+    stages: tuple[str, ...]  # names of the timed stages and streams
+    stage_p50_ms: Annotated[NDArray[np.float64], Dims("stage")]
+    stage_p99_ms: Annotated[NDArray[np.float64], Dims("stage")]
+
+
+FieldSchema: TypeAlias = tuple[str, Any, Any]
+
+
+_SCHEMAS: dict[type[Message], tuple[FieldSchema, ...]] = {}
+
+
+def schema(kind: type[Message]) -> tuple[FieldSchema, ...]:
+    """Fields of a message class as (name, type, detail): an array's type is np.ndarray and its detail (dtype, Dims)."""
+    known = _SCHEMAS.get(kind)
+    if known is None:
+        known = _SCHEMAS[kind] = _schema(kind)
+    return known
+
+
+def _schema(kind: type[Message]) -> tuple[FieldSchema, ...]:
+    hints = get_type_hints(kind, include_extras=True)
+    fields: list[FieldSchema] = []
+    for field in dataclasses.fields(kind):
+        hint = hints[field.name]
+        origin, args = get_origin(hint), get_args(hint)
+        if origin is Annotated:
+            dtype = np.dtype(get_args(get_args(args[0])[1])[0])
+            fields.append((field.name, np.ndarray, (dtype, args[1])))
+        elif origin is Literal:
+            fields.append((field.name, Literal, args))
+        elif origin is tuple:
+            fields.append((field.name, tuple, None))
+        else:
+            fields.append((field.name, hint, None))
+    return tuple(fields)
+
+
+def _misfit(value: object, kind: Any, detail: Any, lengths: dict[str, int]) -> str:
+    """Say what is wrong with a field's value, or nothing."""
+    if kind is np.ndarray:
+        dtype, dims = detail
+        return _array_misfit(value, dtype, dims, lengths)
+    if kind is Literal:
+        return "" if value in detail else f"one of {detail} expected, found {str(value)[:40]!r}"
+    if kind is tuple:
+        if not isinstance(value, tuple) or len(value) > MAX_ITEMS:
+            return f"a tuple of at most {MAX_ITEMS} texts expected"
+        return "" if all(isinstance(v, str) and len(v) <= MAX_TEXT for v in value) else "texts expected"
+    if kind is float:
+        return "" if isinstance(value, float) and math.isfinite(value) else f"a finite number expected, found {value!r:.40}"
+    if kind is bool:
+        return "" if isinstance(value, bool) else f"true or false expected, found {value!r:.40}"
+    if kind is int:
+        return (
+            ""
+            if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 63
+            else (f"a 64-bit whole number expected, found {value!r:.40}")
+        )
+    if kind is str:
+        return "" if isinstance(value, str) and len(value) <= MAX_TEXT else f"a text of at most {MAX_TEXT} characters expected"
+    return "" if isinstance(value, kind) else f"{kind.__name__} expected, found {value!r:.40}"
+
+
+def _array_misfit(value: object, dtype: np.dtype[Any], dims: Dims, lengths: dict[str, int]) -> str:
+    if not isinstance(value, np.ndarray):
+        return f"an array of {dtype} expected, found {type(value).__name__}"
+    if value.dtype != dtype:
+        return f"an array of {dtype} expected, found {value.dtype}"
+    if value.ndim != len(dims.shape):
+        return f"shape {dims.shape} expected, found {value.shape}"
+    for expected, found in zip(dims.shape, value.shape, strict=True):
+        known = lengths.setdefault(expected, found) if isinstance(expected, str) else expected
+        if found != known or found > MAX_LENGTH:
+            return f"shape {dims.shape} expected with {expected} = {known}, found {value.shape}"
+    if dims.finite and dtype.kind == "f" and not np.isfinite(value).all():
+        return "finite numbers expected, found NaN or infinity"
+    return ""

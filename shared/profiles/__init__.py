@@ -1,0 +1,1 @@
+"""Robot profiles that come with Sextant, one TOML file each."""

@@ -1,0 +1,204 @@
+"""What a run is about, read from TOML: terrain, start, goal, robot, walk, camera, faults.
+
+Services that steer the robot never see a scenario; the simulator builds the world from it, the scorer judges by it, and the
+launcher hands its goal and speed to the planner as an operator would.
+"""
+
+from dataclasses import dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+from shared import config
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """Level ground everywhere."""
+
+    kind: Literal["plane"] = "plane"
+    height: float = 0.0  # [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A block standing on the ground, its top level."""
+
+    xy: tuple[float, float]  # [m] centre
+    size: tuple[float, float]  # [m] along its own x and y
+    top: float  # [m] height of its top
+    kind: Literal["box"] = "box"
+    yaw_deg: float = 0.0  # [deg]
+    depth: float = 0.5  # [m] how far it reaches down from its top
+
+
+@dataclass(frozen=True, slots=True)
+class Stairs:
+    """Steps that rise along their own x (or fall, for a negative riser), the last tread as long as `landing`."""
+
+    xy: tuple[float, float]  # [m] middle of the first riser's edge
+    riser: float  # [m]
+    tread: float  # [m]
+    count: int
+    width: float  # [m]
+    kind: Literal["stairs"] = "stairs"
+    landing: float = 1.0  # [m]
+    yaw_deg: float = 0.0
+    base: float = 0.0  # [m] height of the ground before the first riser
+
+
+@dataclass(frozen=True, slots=True)
+class Pillars:
+    """Square pillars, the only places that carry a foot where there is no other ground."""
+
+    xy: tuple[tuple[float, float], ...]  # [m] centres
+    size: float  # [m] edge of the square top
+    top: float  # [m]
+    kind: Literal["pillars"] = "pillars"
+    depth: float = 0.5  # [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """A ramp that rises along its own x to a level landing."""
+
+    xy: tuple[float, float]  # [m] middle of its lower edge
+    angle_deg: float
+    length: float  # [m] horizontal
+    width: float  # [m]
+    kind: Literal["slope"] = "slope"
+    yaw_deg: float = 0.0
+    landing: float = 1.0  # [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Rubble:
+    """Blocks of random size, height and heading, placed by the run's seed, `gap` apart and none overlapping."""
+
+    x: tuple[float, float]  # [m] region
+    y: tuple[float, float]  # [m]
+    count: int
+    size: tuple[float, float]  # [m] shortest and longest edge
+    top: tuple[float, float]  # [m] lowest and highest
+    kind: Literal["rubble"] = "rubble"
+    gap: float = 0.02  # [m]
+    yaw_deg: float = 180.0  # [deg] headings are uniform within +- this
+    base: float = 0.0  # [m] ground they stand on
+
+
+@dataclass(frozen=True, slots=True)
+class HeightMap:
+    """Measured ground from a .npy file (metres, NaN unknown, filled with the lowest) or a .png (grey value times scale)."""
+
+    file: str  # beside the scenario file, or absolute
+    resolution: float  # [m] cell edge
+    xy: tuple[float, float]  # [m] where cell (0, 0) lies; rows run along x
+    kind: Literal["height_map"] = "height_map"
+    scale: float = 1.0  # heights are multiplied by it
+
+
+Terrain = Plane | Box | Stairs | Pillars | Slope | Rubble | HeightMap
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where the robot stands at the beginning."""
+
+    xy: tuple[float, float] = (0.0, 0.0)  # [m]
+    yaw_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """Where it shall arrive, along its starting direction: the body's centre past this line, within the corridor."""
+
+    distance: float  # [m] straight ahead from the start
+    corridor: float = 0.25  # [m] how far to the side it may be
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """What the operator asks for."""
+
+    gait: Literal["tripod"] = "tripod"
+    speed: float = 0.10  # [m/s]
+    body_height: float = 0.10  # [m]
+    lift: float = 0.04  # [m] clearance of a swinging foot over start and touchdown
+    blind: bool = False  # the baseline: the planner gets no map and walks as on flat ground
+
+
+@dataclass(frozen=True, slots=True)
+class CameraOptions:
+    """How the simulated depth camera behaves."""
+
+    noise: bool = True
+    dropouts: bool = True
+    wide_field: bool = False  # a 120 x 100 deg scanner in place of the profile's camera
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """How far the physics of a run strays from the profile by its seed: factors are uniform in 1/x to x."""
+
+    armature: float = 1.5
+    friction: float = 1.15
+    imu: bool = False
+    registration: Literal["projective", "kiss-icp"] = "projective"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something that goes wrong at a time."""
+
+    at_s: float  # [s] simulated
+    service: Literal["perception", "mapper", "planner", "actuator"]
+    kind: Literal["kill", "hang"] = "kill"
+    for_s: float = 2.0  # [s] until it is back; a live run restarts a killed process by itself
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One course and the way to walk it."""
+
+    name: str
+    terrain: tuple[Terrain, ...]
+    goal: Goal
+    start: Start = field(default_factory=Start)
+    robot: str = "phantomx_mk2"
+    walk: Walk = field(default_factory=Walk)
+    camera: CameraOptions = field(default_factory=CameraOptions)
+    variation: Variation = field(default_factory=Variation)
+    faults: tuple[Fault, ...] = ()
+    time_limit_s: float = 90.0  # [s] simulated
+    folder: str = "."  # where files named in the scenario are looked for; set on loading
+
+    def __post_init__(self) -> None:
+        if not self.terrain:
+            raise ValueError('at least one terrain primitive expected, found none; add [[terrain]] with kind = "plane"')
+
+
+def load_scenario(name_or_path: str) -> Scenario:
+    """Read a scenario that comes with Sextant by its name, or any other by the path of its TOML file.
+
+    Raises:
+        ConfigError: No such scenario, or what is wrong in it, all at once.
+    """
+    if name_or_path.endswith(".toml"):
+        return _with_folder(config.load(Path(name_or_path), Scenario), Path(name_or_path).parent)
+    known = scenario_names()
+    if name_or_path not in known:
+        raise config.ConfigError(
+            "scenario", [f"no scenario {name_or_path!r}; known: {', '.join(known)}; or give a path that ends in .toml"]
+        )
+    with resources.as_file(resources.files("shared.scenarios") / f"{name_or_path}.toml") as path:
+        return _with_folder(config.load(path, Scenario), path.parent)
+
+
+def scenario_names() -> list[str]:
+    """Names of the scenarios that come with Sextant."""
+    files = resources.files("shared.scenarios").iterdir()
+    return sorted(p.name.removesuffix(".toml") for p in files if p.name.endswith(".toml"))
+
+
+def _with_folder(scenario: Scenario, folder: Path) -> Scenario:
+    return replace(scenario, folder=str(folder.resolve()))

@@ -1,0 +1,362 @@
+"""What a service is, and the two ways to run a set of them: on Zenoh at real time, or in lockstep on simulated time.
+
+A service is a plain object. It says what paces it, what it reads and writes, and makes messages out of messages in `step`;
+somebody else moves them. Both ways of running use the same objects and the same encoded frames.
+"""
+
+import heapq
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar, cast
+
+import numpy as np
+
+from shared import codec, topics
+from shared.messages import Health, Message, Tick
+from shared.topics import Delivery, Topic
+
+M = TypeVar("M", bound=Message)
+AnyTopic = Topic[Any]
+
+HEALTH_PERIOD_NS = 1_000_000_000
+QUEUE_LENGTH = 512  # frames of an EVERY topic that may wait; more are dropped and counted
+_SAMPLES = 4096  # timings kept per stage
+
+
+@dataclass(frozen=True, slots=True)
+class Every:
+    """Paces a service by its own clock."""
+
+    period_ns: int
+
+    @classmethod
+    def hz(cls, rate_hz: float) -> "Every":
+        """Pace at a rate."""
+        return cls(round(1e9 / rate_hz))
+
+
+class Stages:
+    """Durations of the named stages of a service's work, the newest few thousand of each."""
+
+    def __init__(self) -> None:
+        self._samples: dict[str, deque[float]] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Time a block as one run of a stage."""
+        began = time.perf_counter_ns()
+        try:
+            yield
+        finally:
+            self.add(name, (time.perf_counter_ns() - began) * 1e-6)
+
+    def add(self, name: str, duration_ms: float) -> None:
+        """Record one duration [ms] of a stage."""
+        self._samples.setdefault(name, deque(maxlen=_SAMPLES)).append(duration_ms)
+
+    def percentiles(self) -> dict[str, tuple[float, float]]:
+        """Stage -> 50th and 99th percentile [ms]."""
+        return {
+            name: (float(np.percentile(list(samples), 50)), float(np.percentile(list(samples), 99)))
+            for name, samples in self._samples.items()
+        }
+
+
+class Inbox:
+    """What has arrived for one service. Frames are decoded when they are looked at; those that do not decode are refused,
+    counted and reported, and the last good message of their topic stays."""
+
+    def __init__(self, reads: Sequence[AnyTopic], stages: Stages, wanted: Callable[[AnyTopic], bool] = lambda _: True):
+        self.now_ns = 0
+        self.refused = 0
+        self.dropped = 0
+        self.last_refusal = ""
+        self.wanted = wanted  # whether anybody listens to a topic: what nobody wants need not be made
+        self._stages = stages
+        self._reads = {topic.key: topic for topic in reads}
+        self._frames: dict[str, deque[tuple[bytes, int]]] = {}
+        for topic in reads:
+            length = 1 if topic.delivery is Delivery.LATEST else QUEUE_LENGTH
+            self._frames[topic.key] = deque(maxlen=length)
+        self._newest: dict[str, tuple[Message, int]] = {}
+        self._lock = threading.Lock()
+
+    def receive(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        """Take in a frame; called by whoever moves messages, from any thread."""
+        with self._lock:
+            queue = self._frames[topic.key]
+            if len(queue) == queue.maxlen:
+                self.dropped += topic.delivery is Delivery.EVERY
+            queue.append((frame, at_ns))
+
+    def waiting(self, topic: AnyTopic) -> bool:
+        """Whether a frame has come that nobody has looked at."""
+        return bool(self._frames[topic.key])
+
+    def latest(self, topic: Topic[M]) -> M | None:
+        """The newest good message of a topic, however old."""
+        self.drain(topic)
+        found = self._newest.get(topic.key)
+        return cast(M, found[0]) if found else None
+
+    def fresh(self, topic: Topic[M]) -> M | None:
+        """The newest message, or None once it came longer ago than three of its periods."""
+        self.drain(topic)
+        found = self._newest.get(topic.key)
+        if found is None or self.now_ns - found[1] > topic.fresh_for_ns:
+            return None
+        return cast(M, found[0])
+
+    def drain(self, topic: Topic[M]) -> list[M]:
+        """All messages that have come since the last look, in order."""
+        with self._lock:
+            queue = self._frames[topic.key]
+            frames = list(queue)
+            queue.clear()
+        messages: list[M] = []
+        for frame, at_ns in frames:
+            try:
+                message, timing = codec.decode(frame, topic.type, topic.max_bytes)
+            except codec.DecodeError as error:
+                self.refused += 1
+                self.last_refusal = f"{topic.key}: {error}"[:500]
+                continue
+            if timing.began_ns > 0:
+                self._stages.add(f"latency {topic.key}", (at_ns - timing.began_ns) * 1e-6)
+            self._newest[topic.key] = (message, at_ns)
+            messages.append(message)
+        return messages
+
+
+class Service(Protocol):
+    """One of the processes, as a plain object."""
+
+    name: str
+    paced_by: AnyTopic | Every
+    reads: tuple[AnyTopic, ...]  # sampled; the pacing topic need not be repeated
+    writes: tuple[AnyTopic, ...]
+    stages: Stages
+
+    def step(self, message: Any, inbox: Inbox) -> Iterable[Message]:
+        """Make messages out of the pacing message (or a Tick) and what the inbox holds."""
+        ...
+
+    def doing(self) -> str:
+        """What the service is about, in words, for the operator."""
+        ...
+
+
+class Worker:
+    """Runs one service's steps and sends what they make; the part that both ways of running share."""
+
+    def __init__(
+        self,
+        service: Service,
+        send: Callable[[AnyTopic, bytes, int], None],
+        clock: Callable[[], int],
+        wanted: Callable[[AnyTopic], bool] = lambda _: True,
+    ):
+        self.service = service
+        self.reads = tuple(
+            dict.fromkeys([*([] if isinstance(service.paced_by, Every) else [service.paced_by]), *service.reads])
+        )
+        self.inbox = Inbox(self.reads, service.stages, wanted)
+        self._send = send
+        self._clock = clock
+        self._writes = set(service.writes)
+        self._steps = 0
+        self._health_due_ns = 0
+
+    def tick(self) -> None:
+        """One beat of a service paced by its own clock."""
+        self._step(Tick(self._clock()))
+
+    def arrived(self) -> None:
+        """Steps for every pacing message that waits."""
+        pace = self.service.paced_by
+        if not isinstance(pace, Every):
+            self.inbox.now_ns = self._clock()
+            for message in self.inbox.drain(pace):
+                self._step(message)
+
+    def _step(self, message: Message) -> None:
+        began_ns = self.inbox.now_ns = self._clock()
+        with self.service.stages(self.service.name):
+            for made in self.service.step(message, self.inbox):
+                topic = topics.OF_TYPE[type(made)]
+                if topic not in self._writes:
+                    raise ValueError(f"{self.service.name} made a {type(made).__name__}, which its `writes` does not name")
+                self._send(topic, codec.encode(made, codec.Timing(began_ns, self._clock())), began_ns)
+        self._steps += 1
+        if began_ns >= self._health_due_ns:
+            self.report_health(began_ns)
+
+    def report_health(self, now_ns: int) -> None:
+        """Send how the service fares."""
+        self._health_due_ns = now_ns + HEALTH_PERIOD_NS
+        timings = self.service.stages.percentiles()
+        health = Health(
+            stamp_ns=now_ns,
+            service=self.service.name,
+            doing=self.service.doing()[:500],
+            steps=self._steps,
+            refused=self.inbox.refused,
+            dropped=self.inbox.dropped,
+            last_refusal=self.inbox.last_refusal,
+            stages=tuple(timings),
+            stage_p50_ms=np.array([p50 for p50, _ in timings.values()], dtype=np.float64),
+            stage_p99_ms=np.array([p99 for _, p99 in timings.values()], dtype=np.float64),
+        )
+        self._send(topics.HEALTH, codec.encode(health, codec.Timing(now_ns, self._clock())), now_ns)
+
+
+class Link(Protocol):
+    """What moves frames between processes; `shared.transport` has the one for Zenoh."""
+
+    def send(self, topic: AnyTopic, frame: bytes) -> None:
+        """Publish a frame, never blocking."""
+        ...
+
+    def subscribe(self, topic: AnyTopic, receive: Callable[[AnyTopic, bytes], None]) -> None:
+        """Have every frame of a topic handed over, from a thread of the link."""
+        ...
+
+    def wanted(self, topic: AnyTopic) -> bool:
+        """Whether anybody is subscribed to a topic."""
+        ...
+
+
+def run_live(service: Service, link: Link, stop: threading.Event) -> None:
+    """Run one service in this process at real time until `stop` is set; stamps are this machine's monotonic clock."""
+    clock = time.monotonic_ns
+    arrived = threading.Event()
+    worker = Worker(service, lambda topic, frame, _: link.send(topic, frame), clock, link.wanted)
+    pace = service.paced_by
+
+    def receive(topic: AnyTopic, frame: bytes) -> None:
+        worker.inbox.receive(topic, frame, clock())
+        if topic is pace:
+            arrived.set()
+
+    for topic in worker.reads:
+        link.subscribe(topic, receive)
+    due_ns = clock()
+    while not stop.is_set():
+        if isinstance(pace, Every):
+            due_ns = max(due_ns + pace.period_ns, clock() - pace.period_ns)  # after a stall skip beats, do not race
+            stop.wait(max(0, due_ns - clock()) * 1e-9)
+            worker.tick()
+        elif arrived.wait(0.2):
+            arrived.clear()
+            worker.arrived()
+        else:
+            worker.report_health(clock())  # alive, though nothing comes in
+
+
+@dataclass(frozen=True, slots=True)
+class Outage:
+    """A service that is away between two times: killed (a new object comes back) or hung (the same one goes on)."""
+
+    service: str
+    from_ns: int
+    until_ns: int
+    kill: bool
+
+
+class Lockstep:
+    """A set of services in one process on simulated time, deterministic and as fast as the machine allows.
+
+    Each message reaches its readers after its topic's latency. Beats fall on multiples of their period; at the same instant
+    deliveries come first, then beats in the order in which the services were given.
+    """
+
+    def __init__(
+        self,
+        makers: Mapping[str, Callable[[], Service]],
+        tap: Callable[[AnyTopic, bytes, int], None] = lambda _topic, _frame, _at_ns: None,
+        latency_s: Mapping[str, float] | None = None,
+        outages: Sequence[Outage] = (),
+    ):
+        """Make the services.
+
+        Args:
+            makers: Name -> maker of the service.
+            tap: Sees every frame as it is sent, with the time; what a recorder or a test listens at.
+            latency_s: Topic key -> delay [s], for topics whose delay differs from the table's.
+            outages: What goes away, and when.
+        """
+        self.now_ns = 0
+        self._makers = makers
+        self._tap = tap
+        self._latency_ns = {t.key: round(1e9 * (latency_s or {}).get(t.key, t.latency_s)) for t in topics.TOPICS}
+        self._outages = tuple(outages)
+        self._events: list[tuple[int, int, int, Callable[[], None]]] = []
+        self._sequence = 0
+        self._workers: dict[str, Worker] = {}
+        self._readers: dict[str, list[str]] = {}
+        for order, name in enumerate(makers):
+            self._start(name)
+            pace = self._workers[name].service.paced_by
+            if isinstance(pace, Every):
+                self._schedule_beat(name, 0, pace.period_ns, order)
+        for outage in self._outages:
+            if outage.kill:
+                self._schedule(outage.until_ns, -2, lambda name=outage.service: self._start(name))  # type: ignore[misc]
+
+    def service(self, name: str) -> Service:
+        """The object that runs now under a name."""
+        return self._workers[name].service
+
+    def run(self, until_ns: int) -> None:
+        """Let simulated time pass up to and including an instant."""
+        while self._events and self._events[0][0] <= until_ns:
+            at_ns, _, _, act = heapq.heappop(self._events)
+            self.now_ns = at_ns
+            act()
+        self.now_ns = max(self.now_ns, until_ns)
+
+    def _start(self, name: str) -> None:
+        service = self._makers[name]()
+        worker = Worker(service, self._send, lambda: self.now_ns, self._wanted)
+        self._workers[name] = worker
+        for topic in worker.reads:
+            readers = self._readers.setdefault(topic.key, [])
+            if name not in readers:
+                readers.append(name)
+
+    def _wanted(self, topic: AnyTopic) -> bool:
+        return bool(self._readers.get(topic.key))
+
+    def _away(self, name: str) -> bool:
+        return any(o.service == name and o.from_ns <= self.now_ns < o.until_ns for o in self._outages)
+
+    def _schedule(self, at_ns: int, rank: int, act: Callable[[], None]) -> None:
+        self._sequence += 1
+        heapq.heappush(self._events, (at_ns, rank, self._sequence, act))
+
+    def _schedule_beat(self, name: str, at_ns: int, period_ns: int, order: int) -> None:
+        def beat() -> None:
+            if not self._away(name):
+                self._workers[name].tick()
+            self._schedule_beat(name, at_ns + period_ns, period_ns, order)
+
+        self._schedule(at_ns, order, beat)
+
+    def _send(self, topic: AnyTopic, frame: bytes, began_ns: int) -> None:
+        self._tap(topic, frame, self.now_ns)
+        readers = self._readers.get(topic.key)
+        if readers:
+            self._schedule(self.now_ns + self._latency_ns[topic.key], -1, lambda: self._deliver(topic, frame))
+
+    def _deliver(self, topic: AnyTopic, frame: bytes) -> None:
+        for name in self._readers[topic.key]:
+            if self._away(name):
+                continue
+            worker = self._workers[name]
+            worker.inbox.receive(topic, frame, self.now_ns)
+            if worker.service.paced_by is topic:
+                worker.arrived()

@@ -1,0 +1,81 @@
+"""The topic table: what travels under which key, how often, how it is delivered, and how long it takes.
+
+`latency_s` is what lockstep delays a message by: from the start of the step that makes it to its receipt, computing included.
+The defaults are the 99th percentiles of a live run on two cores (`sextant run steps --json` prints them under stages_ms).
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, TypeVar
+
+from shared import messages as m
+
+M = TypeVar("M", bound=m.Message)
+
+
+class Delivery(Enum):
+    """LATEST keeps one message and drops the old (state); EVERY keeps all in order (events, increments)."""
+
+    LATEST = "latest"
+    EVERY = "every"
+
+
+class Lane(Enum):
+    """BULK and CONTROL travel in sessions of their own, so that a large frame never delays a command."""
+
+    BULK = "bulk"
+    CONTROL = "control"
+
+
+@dataclass(frozen=True, slots=True)
+class Topic(Generic[M]):
+    """One row of the table."""
+
+    key: str
+    type: type[M]
+    rate_hz: float
+    delivery: Delivery
+    lane: Lane
+    max_bytes: int  # larger frames are refused unread
+    latency_s: float
+
+    @property
+    def fresh_for_ns(self) -> int:
+        """A message older than three periods is stale."""
+        return int(3e9 / self.rate_hz)
+
+
+_KIB = 1024
+
+DEPTH = Topic("camera/depth", m.DepthImage, 30.0, Delivery.LATEST, Lane.BULK, 4096 * _KIB, 0.012)
+COLOR = Topic("camera/color", m.ColorImage, 5.0, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.015)
+IMU = Topic("imu", m.Imu, 100.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.003)
+ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CONTROL, 4 * _KIB, 0.008)
+ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 50.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.008)
+BODY_POSE = Topic("perception/pose", m.BodyPose, 30.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.025)
+SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.025)
+TERRAIN = Topic("mapper/terrain", m.TerrainMap, 7.5, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.030)
+STEP_PLAN = Topic("planner/step", m.StepPlan, 20.0, Delivery.EVERY, Lane.CONTROL, 8 * _KIB, 0.010)
+PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.010)
+VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.003)
+MODE = Topic("operator/mode", m.ModeCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
+TRUTH = Topic("simulator/truth", m.GroundTruth, 100.0, Delivery.EVERY, Lane.BULK, 8 * _KIB, 0.003)
+HEALTH = Topic("health", m.Health, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003)
+
+TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
+    DEPTH,
+    COLOR,
+    IMU,
+    ODOMETRY,
+    ACTUATOR_STATE,
+    BODY_POSE,
+    SCAN,
+    TERRAIN,
+    STEP_PLAN,
+    PLANNER_STATUS,
+    VELOCITY,
+    MODE,
+    TRUTH,
+    HEALTH,
+)
+OF_TYPE = {topic.type: topic for topic in TOPICS}  # a message type belongs to one topic

@@ -1,0 +1,164 @@
+"""Frames over Zenoh; the only file that imports zenoh.
+
+Bulk and control travel in two sessions: a session whose subscriber falls behind stalls as a whole. Every subscription has a
+ring or a bounded queue and a thread that empties it at once; nothing is put with blocking congestion control, since a put to
+a frozen peer would block for seconds. Sessions are closed under all circumstances: a process that ends without it hangs.
+"""
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+
+from shared.topics import Delivery, Lane, Topic
+
+CLOSE_TIMEOUT_S = 1.5  # closing waits for peers, a frozen one would hold it for 13 s
+LEASE_MS = 1000  # a frozen process is noticed after this
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoints:
+    """How a service finds the others: through the router it connects to, or by scouting.
+
+    With `scouting` off only `connect` counts, so parallel runs on one machine do not meet; with it on, processes of one
+    `namespace` find each other by multicast.
+    """
+
+    connect: tuple[str, ...] = ()  # e.g. tcp/127.0.0.1:7447
+    scouting: bool = False
+    namespace: str = "sextant"
+
+    def __post_init__(self) -> None:
+        if not self.scouting and not self.connect:
+            raise ValueError("with scouting off an endpoint to connect to is needed, e.g. tcp/127.0.0.1:7447")
+
+    def zenoh_config(self) -> dict[str, Any]:
+        """The Zenoh configuration, complete: defaults would listen everywhere and scout."""
+        return _config(
+            mode="peer" if self.scouting else "client",
+            connect=self.connect,
+            listen=("tcp/0.0.0.0:0",) if self.scouting else (),
+            scouting=self.scouting,
+            namespace=self.namespace,
+        )
+
+
+def _config(
+    mode: str, connect: tuple[str, ...], listen: tuple[str, ...], scouting: bool, namespace: str | None
+) -> dict[str, Any]:
+    config: dict[str, Any] = {
+        "mode": mode,
+        "connect": {"endpoints": list(connect), "timeout_ms": 10_000, "exit_on_failure": True},
+        "listen": {"endpoints": list(listen)},
+        "scouting": {"multicast": {"enabled": scouting}, "gossip": {"enabled": scouting}},
+        "transport": {"link": {"tx": {"lease": LEASE_MS}}, "shared_memory": {"enabled": False}},
+    }
+    if namespace is not None:
+        config["namespace"] = namespace
+    return config
+
+
+class TransportError(RuntimeError):
+    """The network could not be opened, with what was tried and what to do."""
+
+
+def _open(config: dict[str, Any]) -> zenoh.Session:
+    try:
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    except zenoh.ZError as error:
+        raise TransportError(
+            f"could not open Zenoh as {config['mode']} (connect {config['connect']['endpoints']}, "
+            f"listen {config['listen']['endpoints']}): {error}. Is the router running, and is the port free to listen on?"
+        ) from None
+
+
+def _close(sessions: list[zenoh.Session]) -> None:
+    """Close sessions in bounded time: with a frozen peer closing would take 13 s."""
+
+    def close() -> None:
+        for session in sessions:
+            session.close()  # type: ignore[no-untyped-call]
+
+    closing = threading.Thread(target=close, name="close zenoh", daemon=True)
+    closing.start()
+    closing.join(CLOSE_TIMEOUT_S)
+
+
+class Router:
+    """Hosts the router in this process, so that no zenohd binary is needed; a context manager."""
+
+    def __init__(self, listen: tuple[str, ...]):
+        self._config = _config(mode="router", connect=(), listen=listen, scouting=False, namespace=None)
+
+    def __enter__(self) -> Self:
+        self._session = _open(self._config)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        _close([self._session])
+
+
+class ZenohLink:
+    """A process's connection to the others; a context manager."""
+
+    def __init__(self, endpoints: Endpoints):
+        self._endpoints = endpoints
+        self._sessions: dict[Lane, zenoh.Session] = {}
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._threads: list[threading.Thread] = []
+
+    def __enter__(self) -> Self:
+        config = self._endpoints.zenoh_config()
+        try:
+            for lane in Lane:
+                self._sessions[lane] = _open(config)
+        except TransportError:
+            _close(list(self._sessions.values()))
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        _close(list(self._sessions.values()))
+
+    def send(self, topic: Topic[Any], frame: bytes) -> None:
+        """Publish a frame; under congestion it is dropped, never waited for."""
+        publisher = self._publishers.get(topic.key)
+        if publisher is None:
+            publisher = self._publishers[topic.key] = self._sessions[topic.lane].declare_publisher(
+                topic.key,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME if topic.lane is Lane.CONTROL else zenoh.Priority.DATA,
+                express=topic.lane is Lane.CONTROL,
+            )
+        publisher.put(frame)
+
+    def wanted(self, topic: Topic[Any]) -> bool:
+        """Whether anybody is subscribed to a topic."""
+        publisher = self._publishers.get(topic.key)
+        if publisher is None:
+            self._publishers[topic.key] = publisher = self._sessions[topic.lane].declare_publisher(
+                topic.key, congestion_control=zenoh.CongestionControl.DROP
+            )
+        return bool(publisher.matching_status)
+
+    def subscribe(self, topic: Topic[Any], receive: Callable[[Topic[Any], bytes], None]) -> None:
+        """Hand every frame of a topic to `receive` from a thread of this link."""
+        latest = topic.delivery is Delivery.LATEST
+        channel: Any = zenoh.handlers.RingChannel(1) if latest else zenoh.handlers.FifoChannel(256)
+        subscriber = self._sessions[topic.lane].declare_subscriber(topic.key, channel)
+
+        def pump() -> None:
+            while True:
+                try:
+                    sample = subscriber.recv()
+                except zenoh.ZError:
+                    return  # the session has been closed
+                receive(topic, sample.payload.to_bytes())
+
+        thread = threading.Thread(target=pump, name=f"receive {topic.key}", daemon=True)
+        thread.start()
+        self._threads.append(thread)
