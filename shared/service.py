@@ -136,10 +136,22 @@ class Service(Protocol):
     """One of the processes, as a plain object."""
 
     name: str
-    paced_by: AnyTopic | Every
-    reads: tuple[AnyTopic, ...]  # sampled; the pacing topic need not be repeated
-    writes: tuple[AnyTopic, ...]
     stages: Stages
+
+    @property
+    def paced_by(self) -> AnyTopic | Every:
+        """What makes it step: a topic's messages, or its own clock."""
+        ...
+
+    @property
+    def reads(self) -> tuple[AnyTopic, ...]:
+        """Topics that it samples; the pacing topic need not be repeated."""
+        ...
+
+    @property
+    def writes(self) -> tuple[AnyTopic, ...]:
+        """Topics whose messages it makes."""
+        ...
 
     def step(self, message: Any, inbox: Inbox) -> Iterable[Message]:
         """Make messages out of the pacing message (or a Tick) and what the inbox holds."""

@@ -1,0 +1,26 @@
+"""Settings of the actuator."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How the servos are reached and how the legs move; defaults walk."""
+
+    port: str = "/dev/ttyUSB0"  # a serial device, or socket://host:port
+    rate_hz: float = 50.0  # of the control cycle
+    read_budget_ms: float = 14.0  # [ms] of each cycle spent on reading servos
+    unload_s: float = 0.08  # [s] before a swing in which its legs hand over their load
+    load_s: float = 0.12  # [s] at the end of a step in which landed legs take up theirs
+    level_gain: float = 1.5  # [1/s] of the integrator that holds height, roll and pitch
+    brake_s: float = 0.10  # [s] time constant in which the body stops when no plan follows
+    stand_s: float = 2.5  # [s] for standing up
+    plan_age_s: float = 0.6  # [s] older plans are refused
+
+    def __post_init__(self) -> None:
+        if not 20.0 <= self.rate_hz <= 200.0:
+            raise ValueError(f"rate_hz of 20 to 200 expected, found {self.rate_hz}")
+        if not 0 < self.read_budget_ms < 1e3 / self.rate_hz:
+            raise ValueError(
+                f"read_budget_ms within a cycle of {1e3 / self.rate_hz:.1f} ms expected, found {self.read_budget_ms}"
+            )

@@ -1,0 +1,31 @@
+"""Which feet carry, by the load that their servos feel; no force sensor."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.geometry import Array
+from shared.kinematics import leg_jacobian
+from shared.robot import RobotProfile
+
+_TOUCH_N = 1.5  # [N] and more is contact
+_LIFT_N = 0.8  # [N] and less is none
+_SMOOTHING = 0.4  # share of the newest estimate
+
+
+class ContactEstimate:
+    """Vertical ground force per foot from the motor torques, with hysteresis against the servos' friction."""
+
+    def __init__(self, profile: RobotProfile):
+        """Begin with no contact."""
+        self._profile = profile
+        self._force = np.zeros(6)
+        self._contact = np.zeros(6, dtype=bool)
+
+    def update(self, q: Array, torque: Array) -> NDArray[np.bool_]:
+        """Take in joint angles (6, 3) [rad] and motor torques (6, 3) [N m]; returns (6,) contact."""
+        # The motors hold against the ground's force f by tau = -J^T f; damped, for a stretched leg feels little.
+        Jt = np.swapaxes(leg_jacobian(q, self._profile.links), -1, -2)
+        force = -np.linalg.solve(Jt + 1e-5 * np.eye(3), torque[..., None])[:, 2, 0]
+        self._force += _SMOOTHING * (force - self._force)
+        self._contact = np.where(self._contact, self._force > _LIFT_N, self._force > _TOUCH_N)
+        return self._contact.copy()

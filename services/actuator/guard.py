@@ -1,0 +1,122 @@
+"""The last gate: what a plan and a cycle's goals must satisfy before they reach the servos. Pure: time comes in.
+
+A plan is accepted whole or refused whole, with its reason. Whatever is accepted ends with six feet on the ground and the
+robot stable, so the actuator can always finish it alone.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.geometry import Array, apply, inverse, rpy_from_rotation
+from shared.kinematics import body_inverse, within_limits
+from shared.messages import StepPlan
+from shared.robot import JOINTS, LEGS, RobotProfile
+from shared.stability import support_margin
+
+MAX_TRAVEL = 0.20  # [m] of the body in one step
+MAX_TILT = np.radians(15.0)
+MAX_TURN = np.radians(25.0)
+DURATION = (0.3, 4.0)  # [s]
+MAX_CLEARANCE = 0.12  # [m]
+MIN_MARGIN = 0.005  # [m] of the body's centre inside the standing feet
+
+
+class Guard:
+    """Judges plans and goals; keeps what it needs to know order and speed."""
+
+    def __init__(self, profile: RobotProfile, plan_age_s: float):
+        """Begin with nothing accepted.
+
+        Args:
+            profile: The robot.
+            plan_age_s: [s] older plans are refused.
+        """
+        self._profile = profile
+        self._plan_age_ns = round(plan_age_s * 1e9)
+        self._last_stamp_ns = -1
+
+    def refusal(self, plan: StepPlan, now_ns: int, running: int, resting: bool, T_odom_body: Array, feet: Array) -> str:
+        """Why a plan must not be walked, in words; empty when it may, and then it counts as the newest.
+
+        Args:
+            plan: The plan.
+            now_ns: [ns] this process's monotonic time.
+            running: Number of the running or last step.
+            resting: Whether no step is running.
+            T_odom_body: (4, 4) where the body should be now.
+            feet: (6, 3) [m] {odom} where the feet are.
+        """
+        reason = (
+            self._out_of_order(plan, now_ns, running, resting)
+            or _out_of_bounds(plan, T_odom_body)
+            or self._unstable(plan, T_odom_body, feet)
+            or self._out_of_reach(plan)
+        )
+        if not reason:
+            self._last_stamp_ns = plan.stamp_ns
+        return reason
+
+    def _out_of_order(self, plan: StepPlan, now_ns: int, running: int, resting: bool) -> str:
+        age_ns = now_ns - plan.stamp_ns
+        if age_ns > self._plan_age_ns:
+            return f"plan of step {plan.step} is {age_ns * 1e-9:.2f} s old, at most {self._plan_age_ns * 1e-9:.2f} s allowed"
+        if plan.stamp_ns <= self._last_stamp_ns:
+            return f"plan of step {plan.step} is not newer than the last accepted one"
+        if plan.step != running + 1 and (resting or plan.step != running):
+            return f"plan of step {plan.step} does not follow step {running}"
+        return ""
+
+    def _unstable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
+        """Whether the standing legs carry the body where it is and where it goes."""
+        T_odom_world = inverse(plan.T_world_odom)
+        standing = feet[~plan.swing]
+        if len(standing) < 3:
+            return f"only {len(standing)} legs would stand, three are needed"
+        for where, body in (("at the start", T_odom_body), ("at the end", T_odom_world @ plan.body_goal)):
+            margin = support_margin(standing[:, :2], body[:2, 3])
+            if margin < MIN_MARGIN:
+                inside = f"{margin * 1e3:.0f} mm inside its standing feet {where}"
+                return f"the body would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
+        return ""
+
+    def _out_of_reach(self, plan: StepPlan) -> str:
+        q = body_inverse(self._profile, apply(inverse(plan.body_goal), plan.touchdown))
+        bad: NDArray[np.bool_] = plan.swing[:, None] & ~within_limits(self._profile, q)
+        if bad.any():
+            leg, joint = np.argwhere(bad)[0]
+            return f"the touchdown of the {LEGS[leg]} leg is out of reach of its {JOINTS[joint]}"
+        return ""
+
+    def safe_goals(self, q_goal: Array, q_last: Array, dt: float) -> tuple[Array, str]:
+        """Joint goals that are finite, within limits and not faster than the servos, with what had to be withheld.
+
+        Args:
+            q_goal: (6, 3) [rad] wanted goals, NaN where a foot is out of reach.
+            q_last: (6, 3) [rad] goals sent last.
+            dt: [s] since then.
+
+        Returns:
+            (6, 3) [rad], and a warning in words or nothing. A leg out of reach keeps its last goals.
+        """
+        lost = np.asarray(~np.isfinite(q_goal).all(axis=1))
+        q = np.where(lost[:, None], q_last, q_goal)
+        limits = self._profile.joint_limits
+        reach = self._profile.servo.no_load_speed * dt
+        q = np.clip(np.clip(q, q_last - reach, q_last + reach), limits[..., 0], limits[..., 1])
+        names = [LEGS[leg] for leg in np.flatnonzero(lost)]
+        return q, f"foot out of reach, held: {', '.join(names)}" if names else ""
+
+
+def _out_of_bounds(plan: StepPlan, T_odom_body: Array) -> str:
+    """Whether the plan asks for more than a step may."""
+    move = inverse(T_odom_body) @ inverse(plan.T_world_odom) @ plan.body_goal
+    travel, (roll, pitch, yaw) = float(np.linalg.norm(move[:3, 3])), rpy_from_rotation(move[:3, :3])
+    if travel > MAX_TRAVEL:
+        return f"the body would travel {travel:.2f} m in one step, at most {MAX_TRAVEL} m allowed"
+    if max(abs(roll), abs(pitch)) > MAX_TILT or abs(yaw) > MAX_TURN:
+        return f"the body would turn by {np.degrees([roll, pitch, yaw]).round(1).tolist()} deg in one step"
+    if not DURATION[0] <= plan.duration <= DURATION[1]:
+        return f"a step of {DURATION[0]} to {DURATION[1]} s expected, found {plan.duration:.2f} s"
+    if plan.clearance.min() < 0 or plan.clearance.max() > MAX_CLEARANCE:
+        return f"clearances of 0 to {MAX_CLEARANCE} m expected, found {plan.clearance.max():.3f} m"
+    return ""

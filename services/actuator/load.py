@@ -1,0 +1,53 @@
+"""Which leg carries how much, and what the servos need to hold it without sagging.
+
+An AX-12A is a spring of about 9 N m/rad around its goal: a femur that carries 1 N m gives way by 6 degrees, 13 mm at the foot.
+The load of each leg is known from statics, so the goal is set beyond the wanted angle by torque over stiffness, and legs take
+up and hand over their share gradually.
+"""
+
+import numpy as np
+
+from shared.geometry import Array
+from shared.kinematics import joint_torques
+from shared.robot import RobotProfile
+
+GRAVITY = 9.81  # [m/s^2]
+
+
+def foot_forces(feet: Array, share: Array, weight: float, p_com: Array) -> Array:
+    """Vertical forces of the ground on the feet that balance the robot: the least-squares solution, weighted by share.
+
+    Args:
+        feet: (6, 3) [m] {body, level} feet.
+        share: (6,) how far each leg may carry, 0 to 1.
+        weight: [N] of the robot.
+        p_com: (3,) [m] {body, level} centre of mass.
+
+    Returns:
+        (6,) [N], zero where the share is zero. Where fewer than three legs may carry the balance is only approximate.
+    """
+    A = np.stack([np.ones(6), feet[:, 0] - p_com[0], feet[:, 1] - p_com[1]])
+    AW = A * share
+    # The small diagonal keeps the solution bounded while a tripod degenerates; it is 1e-6 of what a standing leg gives.
+    forces = share * (A.T @ np.linalg.solve(AW @ A.T + np.diag([1e-6, 1e-8, 1e-8]), np.array([weight, 0.0, 0.0])))
+    return np.asarray(np.maximum(forces, 0.0))
+
+
+def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array, R_level_body: Array) -> Array:
+    """What to add to joint angles so that the loaded servos come to rest at them.
+
+    Args:
+        profile: The robot.
+        q: (6, 3) [rad] wanted joint angles.
+        feet: (6, 3) [m] {body} wanted feet.
+        share: (6,) how far each leg carries, 0 to 1.
+        R_level_body: (3, 3) attitude of the body towards gravity.
+
+    Returns:
+        (6, 3) [rad], at most what the servo's full torque gives.
+    """
+    forces = np.zeros((6, 3))
+    forces[:, 2] = foot_forces(feet @ R_level_body.T, share, profile.body.total_mass * GRAVITY, np.zeros(3))
+    torques = joint_torques(profile, q, forces @ R_level_body)
+    limit = profile.servo.stall_torque
+    return np.asarray(np.clip(torques, -limit, limit) / profile.servo.stiffness)

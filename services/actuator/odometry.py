@@ -1,0 +1,76 @@
+"""How the body moves by its standing legs: the expected motion of Masri 2016 (section 4), measured instead of assumed."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.geometry import Array, align_rigid, apply, log_so3, orthonormal
+from shared.kinematics import leg_points
+from shared.robot import RobotProfile
+
+_MIN_LEGS = 3
+
+
+class LegOdometry:
+    """The pose of the body over feet that do not slip.
+
+    Each standing foot is an anchor in {odom}. A foot is a sphere, so it rolls: as the shank turns by a small angle its centre
+    moves by that angle times the radius, and the anchor with it. Without that a stride comes out several per cent short.
+    """
+
+    def __init__(self, profile: RobotProfile, q: Array, T_odom_body: Array):
+        """Start with all feet standing.
+
+        Args:
+            profile: The robot.
+            q: (6, 3) [rad] measured joint angles.
+            T_odom_body: (4, 4) where the body is said to be.
+        """
+        self.T_odom_body = T_odom_body.copy()
+        self.travelled = 0.0  # [m]
+        self.turned = 0.0  # [rad]
+        self.reliable = True
+        self._profile = profile
+        self._standing = np.ones(6, dtype=bool)
+        self._shanks = self._shanks_in_odom(q)
+        self.anchors = apply(T_odom_body, self.feet)
+
+    def update(self, q: Array, standing: NDArray[np.bool_], ground: Array) -> Array:
+        """Follow the measured joints.
+
+        Args:
+            q: (6, 3) [rad] measured joint angles.
+            standing: (6,) legs that carry.
+            ground: (6,) [m] {odom} heights at which the feet were set down. Heights are taken from there, since what the
+                joints measure while a leg takes up its load would add up to a drift of millimetres a step.
+
+        Returns:
+            (4, 4) T_odom_body. With fewer than three standing legs it stays, and `reliable` says so.
+        """
+        before = self._shanks
+        self._shanks = self._shanks_in_odom(q)
+        self.anchors[:, :2] += self._profile.foot.radius * _rolled(before, self._shanks)
+        held = standing & self._standing
+        self.anchors[:, 2] = ground
+        self.reliable = bool(held.sum() >= _MIN_LEGS)
+        if self.reliable:
+            previous = self.T_odom_body
+            self.T_odom_body = orthonormal(align_rigid(self.feet[held], self.anchors[held]))
+            self.travelled += float(np.linalg.norm(self.T_odom_body[:2, 3] - previous[:2, 3]))
+            self.turned += float(abs(log_so3(previous[:3, :3].T @ self.T_odom_body[:3, :3])[2]))
+        fresh = standing & ~self._standing
+        self.anchors[fresh] = apply(self.T_odom_body, self.feet[fresh])
+        self._standing = standing.copy()
+        return self.T_odom_body
+
+    def _shanks_in_odom(self, q: Array) -> Array:
+        """Unit vectors (6, 3) from the foot's centre up the shank; keeps the feet (6, 3) [m] {body} by the way."""
+        points = leg_points(self._profile, q)
+        self.feet = points[:, 3]
+        shank = points[:, 2] - points[:, 3]
+        return np.asarray(shank @ self.T_odom_body[:3, :3].T / np.linalg.norm(shank, axis=1, keepdims=True))
+
+
+def _rolled(before: Array, after: Array) -> Array:
+    """How far (6, 2) spheres of radius one roll when their shanks turn from one direction to another."""
+    turn = np.cross(before, after)  # rotation vector of a small turn, without the spin about the shank
+    return np.stack([turn[:, 1], -turn[:, 0]], axis=-1)  # turn x up

@@ -1,0 +1,264 @@
+"""The actuator: plans in, servo goals out, fifty times a second, and what the legs measure back to everybody."""
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.actuator.bus import Port, ServoBus, ServoReading, open_port
+from services.actuator.config import Settings
+from services.actuator.contact import ContactEstimate
+from services.actuator.guard import Guard
+from services.actuator.load import sag_feed_forward
+from services.actuator.odometry import LegOdometry
+from services.actuator.stand_up import StandUp
+from services.actuator.walker import Targets, Walker
+from shared import dynamixel as dxl
+from shared import topics
+from shared.geometry import Array, from_xyz_rpy
+from shared.kinematics import body_forward, body_inverse
+from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StepPlan, Tick
+from shared.robot import JOINTS, LEGS, RobotProfile
+from shared.service import AnyTopic, Every, Inbox, Stages
+
+_MODELS = {model.name: model for model in dxl.MODELS}
+_STANDS = 0.5  # share of its load from which a leg counts as standing
+_ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
+
+
+class Actuator:
+    """Owns the servos. Every cycle: read, see where the body is, take plans through the guard, move on, write."""
+
+    name = "actuator"
+    reads: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.MODE)
+    writes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE)
+
+    def __init__(
+        self,
+        profile: RobotProfile,
+        settings: Settings,
+        port: Port | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ):
+        """Open the bus and take the servos over as they stand: torque that is on stays on, torque that is off stays off.
+
+        Args:
+            profile: The robot.
+            settings: Of this service.
+            port: An open port in place of the one that the settings name.
+            clock: [ns] what the port's timing goes by.
+
+        Raises:
+            BusSetupError: Servos are missing or wrong, all named.
+            BusGone: The port cannot be opened.
+        """
+        self.paced_by = Every.hz(settings.rate_hz)
+        self.stages = Stages()
+        self._profile = profile
+        self._settings = settings
+        self._clock = clock
+        self._port = port if port is not None else open_port(settings.port)
+        self._bus = ServoBus(self._port, profile.servo_ids.ravel().tolist(), clock, model=_MODELS[profile.servo.model])
+        self._bus.setup()
+        self._guard = Guard(profile, settings.plan_age_s)
+        self._contact = ContactEstimate(profile)
+        self._q = self._read_all(dxl.PRESENT_POSITION)
+        self._q_goal = self._first_goals()
+        self._q_wanted = self._q_goal.copy()  # goals less the feed-forward: where the joints are to come to rest
+        self._q_wanted_when_read = self._q_wanted.copy()
+        self._load = np.zeros((6, 3))
+        self._voltage = np.full(18, np.nan)
+        self._temperature = np.full(18, np.nan)
+        self._last_ns = -1
+        self._refused = ""
+        self._warning = ""
+        self._last_order = -1
+        torque = all(self._bus.read(i, dxl.TORQUE_ENABLE) for i in self._bus.servo_ids)
+        self._mode = Mode.HOLD if torque else Mode.OFF
+        self._reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
+        self._may_walk = False
+        self._stand_up: StandUp | None = None
+        self._stand_on(self._q)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the port: the servos keep their torque and their goals, so the robot stays standing."""
+        self._bus.close()
+
+    def doing(self) -> str:
+        """Mode and why, for the operator."""
+        refused = f"; refused: {self._refused}" if self._refused else ""
+        return f"{self._mode}: {self._reason}{refused}"
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """One control cycle."""
+        dt = self._cycle_time(tick.stamp_ns)
+        with self.stages("bus read"):
+            self._read()
+        now_ns = self._clock()
+        T_odom_body = self._odometry.update(self._measured(), self._standing(), self._walker.ground)
+        for order in inbox.drain(topics.MODE):
+            self._obey(order)
+        for plan in inbox.drain(topics.STEP_PLAN):
+            self._consider(plan, tick.stamp_ns)
+        if self._mode is not Mode.OFF:
+            self._move(dt, T_odom_body)
+        yield self._odometry_message(now_ns)
+        yield self._state_message(now_ns)
+
+    # ---------------------------------------------------------------------------------------------------------- inputs
+
+    def _cycle_time(self, stamp_ns: int) -> float:
+        period = self.paced_by.period_ns
+        elapsed = period if self._last_ns < 0 else min(stamp_ns - self._last_ns, 2 * period)
+        self._last_ns = stamp_ns
+        return elapsed * 1e-9
+
+    def _read(self) -> None:
+        """Read the next servos of the rotation and note what they say."""
+        for reading in self._bus.poll(round(self._settings.read_budget_ms * 1e6)):
+            leg, joint = divmod(reading.index, 3)
+            sign = self._profile.servo_signs[leg, joint]
+            self._q[leg, joint] = sign * reading.position - self._profile.horn_offsets[joint]
+            self._q_wanted_when_read[leg, joint] = self._q_wanted[leg, joint]
+            self._load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
+            self._voltage[reading.index] = reading.voltage
+            self._temperature[reading.index] = reading.temperature
+            self._notice(reading)
+
+    def _notice(self, reading: ServoReading) -> None:
+        if reading.error and self._mode is not Mode.OFF:
+            leg, joint = divmod(reading.index, 3)
+            words = f"the {JOINTS[joint]} servo of the {LEGS[leg]} leg (id {reading.servo_id}) reports {reading.error.name}"
+            self._mode, self._reason = Mode.FAULT, words.lower().replace("_", " ")
+            self._walker.halt()
+
+    def _measured(self) -> Array:
+        """Joint angles now (6, 3) [rad]: the last readings, moved on by what was wanted of the joints since."""
+        return np.asarray(self._q + (self._q_wanted - self._q_wanted_when_read))
+
+    def _standing(self) -> NDArray[np.bool_]:
+        return np.asarray(~self._walker.swing | (self._walker.load_share > _STANDS))
+
+    def _read_all(self, register: dxl.Register) -> Array:
+        """Every servo's register of an angle as joint angles (6, 3) [rad]; asked until all have answered."""
+        ticks = np.zeros(18)
+        for index, servo_id in enumerate(self._bus.servo_ids):
+            value = next((v for v in (self._bus.read(servo_id, register) for _ in range(10)) if v is not None), None)
+            if value is None:
+                raise ConnectionError(f"servo {servo_id} stopped answering while its {register.name} was read")
+            ticks[index] = value
+        return self._profile.joint_angles(np.vectorize(dxl.angle_from_ticks)(ticks).reshape(6, 3))
+
+    def _first_goals(self) -> Array:
+        """The goals that stand in the servos where the joints are near them, else the measured angles."""
+        goals = self._read_all(dxl.GOAL_POSITION)
+        return np.where(np.abs(goals - self._q) < _ADOPT_WITHIN, goals, self._q)
+
+    def _obey(self, order: ModeCommand) -> None:
+        if order.sequence <= self._last_order:
+            return
+        self._last_order = order.sequence
+        if order.mode == "off":
+            self._bus.set_torque(False)
+            self._mode, self._reason, self._may_walk = Mode.OFF, "ordered off", False
+        elif order.mode == "stand" and self._mode is not Mode.FAULT:
+            if self._mode is Mode.OFF:
+                self._q_goal = self._measured()
+                self._write(self._q_goal)
+                self._bus.set_torque(True)
+            self._stand_up = StandUp(self._profile, body_forward(self._profile, self._q_goal), self._settings.stand_s)
+            self._mode, self._reason, self._may_walk = Mode.STAND, "standing up", False
+        elif order.mode == "walk" and self._mode in (Mode.HOLD, Mode.STAND):
+            self._may_walk = True
+
+    def _consider(self, plan: StepPlan, now_ns: int) -> None:
+        """Pass a plan on to the walker, or keep the reason why not."""
+        if not self._may_walk or self._mode not in (Mode.HOLD, Mode.WALK):
+            self._refused = f"plan of step {plan.step} refused: the mode is {self._mode}, not ordered to walk"
+            return
+        walker = self._walker
+        self._refused = self._guard.refusal(plan, now_ns, walker.step, walker.resting, walker.body_ref, walker.feet_odom)
+        if not self._refused:
+            walker.accept(plan)
+            self._mode, self._reason = Mode.WALK, "walking"
+
+    # ------------------------------------------------------------------------------------------------------------ moves
+
+    def _move(self, dt: float, T_odom_body: Array) -> None:
+        if self._stand_up is not None:
+            targets = self._stand_up.update(dt)
+        else:
+            targets = self._walker.update(dt, T_odom_body)
+        self._reach_for(targets, dt)
+        if self._stand_up is not None and self._stand_up.done:
+            self._stand_up = None
+            self._stand_on(self._measured(), targets.feet)
+            self._mode, self._reason = Mode.HOLD, "standing"
+        elif self._walker.resting and self._mode is Mode.WALK:
+            self._mode, self._reason = Mode.HOLD, "the last accepted step is finished and no new plan came"
+
+    def _reach_for(self, targets: Targets, dt: float) -> None:
+        """Send the goals that bring the feet where they shall be, under their load."""
+        q = body_inverse(self._profile, targets.feet)
+        sag = sag_feed_forward(self._profile, np.nan_to_num(q), targets.feet, targets.share, targets.R_level_body)
+        goal, self._warning = self._guard.safe_goals(q + sag, self._q_goal, dt)
+        self._q_wanted = np.where(np.isfinite(q), q, self._q_wanted)
+        self._write(goal)
+
+    def _stand_on(self, q: Array, feet: Array | None = None) -> None:
+        """Begin odometry and walk anew: the ground is level at z = 0 under the feet, the body over their middle."""
+        measured = body_forward(self._profile, q)
+        height = self._profile.foot.radius - float(measured[:, 2].mean())
+        T_odom_body = from_xyz_rpy((0.0, 0.0, height), np.zeros(3))
+        self._odometry = LegOdometry(self._profile, q, T_odom_body)
+        self._walker = Walker(self._settings, measured if feet is None else feet, T_odom_body)
+
+    def _write(self, q_goal: Array) -> None:
+        servo = self._profile.servo_angles(q_goal).ravel()
+        self._bus.sync_write_goals(_ticks(servo))
+        self._q_goal = q_goal
+
+    # ---------------------------------------------------------------------------------------------------------- outputs
+
+    def _odometry_message(self, stamp_ns: int) -> Odometry:
+        odometry = self._odometry
+        return Odometry(
+            stamp_ns=stamp_ns,
+            T_odom_body=odometry.T_odom_body.copy(),
+            travelled=odometry.travelled,
+            turned=odometry.turned,
+            stance=self._standing(),
+            reliable=odometry.reliable,
+        )
+
+    def _state_message(self, stamp_ns: int) -> ActuatorState:
+        walker = self._walker
+        feet = body_forward(self._profile, self._measured())
+        return ActuatorState(
+            stamp_ns=stamp_ns,
+            mode=self._mode,
+            reason=self._reason,
+            refused=self._refused,
+            step=walker.step,
+            phase=float(walker.phase),
+            swing=walker.swing.copy(),
+            contact=self._contact.update(self._measured(), self._load),
+            q=self._measured(),
+            load_nm=self._load.copy(),
+            feet=feet,
+            T_odom_body=self._odometry.T_odom_body.copy(),
+            body_ref=walker.body_ref,
+            voltage=float(np.nanmin(self._voltage)) if np.isfinite(self._voltage).any() else 0.0,
+            temperature=float(np.nanmax(self._temperature)) if np.isfinite(self._temperature).any() else 0.0,
+            warnings=tuple(w for w in (self._warning,) if w),
+        )
+
+
+def _ticks(servo: Array) -> NDArray[np.int64]:
+    """Goal registers (18,) of servo angles (18,) [rad]."""
+    return np.clip(np.rint(dxl.TICK_CENTRE + servo / dxl.TICK_RAD), 0, dxl.TICK_MAX).astype(np.int64)

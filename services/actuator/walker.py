@@ -1,0 +1,209 @@
+"""Walks accepted plans: where every foot shall be in the body frame at each moment, and where the body.
+
+A step has three parts. Its legs hand over their load; they swing along the flow while the body moves on over the others, on
+a path that joins the last step's speed; they take up their load again. What is commanded stays apart from what is measured:
+
+    body_ref        where the body should be {odom}
+    correction      slow integral of (body_ref - measured) in height, roll and pitch, so that sag does not stay
+    body_cmd        body_ref + correction; all feet are placed against it
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.actuator.config import Settings
+from services.actuator.swing import Swing
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from shared.messages import StepPlan
+
+_LEVELLED = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of x, y, z, roll, pitch, yaw: those that a load bends
+_CORRECTION_LIMIT = np.array([0.0, 0.0, 0.025, np.radians(4), np.radians(4), 0.0])  # [m] and [rad]
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """What the legs shall do in this cycle."""
+
+    feet: Array  # (6, 3) [m] {body}
+    share: Array  # (6,) of the load that each leg may carry, 0 to 1
+    R_level_body: Array  # (3, 3) commanded attitude
+
+
+class Walker:
+    """Turns step plans into foot targets, one cycle after another; all state of the walk is here."""
+
+    def __init__(self, settings: Settings, feet: Array, T_odom_body: Array):
+        """Begin at rest.
+
+        Args:
+            settings: Of the actuator.
+            feet: (6, 3) [m] {body} feet, all standing.
+            T_odom_body: (4, 4) where the body is.
+        """
+        self.step = 0
+        self.phase = 1.0
+        self.swing: NDArray[np.bool_] = np.zeros(6, dtype=bool)
+        self.moving = False
+        self._settings = settings
+        self._ref = _coordinates(T_odom_body)
+        self._velocity = np.zeros(6)
+        self._correction = np.zeros(6)
+        self._anchors = apply(T_odom_body, feet)  # (6, 3) {odom} feet, by body_cmd
+        self._ground = self._anchors[:, 2].copy()
+        self._share = np.ones(6)
+        self._plan: StepPlan | None = None
+        self._next: StepPlan | None = None
+        self._elapsed = 0.0
+        self._start_ref, self._start_velocity = self._ref, self._velocity
+        self._goal = self._ref
+        self._flight: Swing | None = None
+        self._targets_odom = np.zeros((6, 3))
+
+    @property
+    def body_ref(self) -> Array:
+        """(4, 4) {odom} where the body should be now."""
+        return _pose(self._ref)
+
+    @property
+    def feet_odom(self) -> Array:
+        """(6, 3) [m] {odom} where the feet should be now."""
+        return apply(self.body_ref, self._feet_standing())
+
+    @property
+    def ground(self) -> Array:
+        """(6,) [m] {odom} heights at which the standing feet were set down, by the plan."""
+        return self._ground
+
+    @property
+    def load_share(self) -> Array:
+        """(6,) of the load that each leg may carry now, 0 to 1."""
+        return self._share.copy()
+
+    @property
+    def resting(self) -> bool:
+        """Whether no step is going on."""
+        return self._plan is None
+
+    def accept(self, plan: StepPlan) -> None:
+        """Take over a plan that the guard has passed: a revision of the running step, or the next one."""
+        if self._plan is not None and plan.step == self._plan.step:
+            self._retarget(plan)
+        else:
+            self._next = plan
+
+    def update(self, dt: float, T_odom_body: Array) -> Targets:
+        """Move on by one cycle.
+
+        Args:
+            dt: [s] since the last cycle.
+            T_odom_body: (4, 4) where the body is by the measured joints.
+
+        Returns:
+            What the legs shall do.
+        """
+        if self._plan is None and self._next is not None:
+            self._begin(self._next)
+        self._correct(dt, T_odom_body)
+        if self._plan is None:
+            self._brake(dt)
+        else:
+            self._advance(dt, self._plan)
+        return self._targets()
+
+    def halt(self) -> None:
+        """Forget the plan that waits; the running step is finished, then the robot holds."""
+        self._next = None
+
+    def _begin(self, plan: StepPlan) -> None:
+        self._plan, self._next = plan, None
+        self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
+        self._start_ref, self._start_velocity = self._ref.copy(), self._velocity.copy()
+        self._flight = None
+        self._retarget(plan)
+
+    def _retarget(self, plan: StepPlan) -> None:
+        T_odom_world = inverse(plan.T_world_odom)
+        self._plan = plan
+        self._targets_odom = apply(T_odom_world, plan.touchdown)
+        goal = _coordinates(T_odom_world @ plan.body_goal)
+        goal[3:] = self._start_ref[3:] + _wrapped(goal[3:] - self._start_ref[3:])
+        self._goal = goal
+
+    def _advance(self, dt: float, plan: StepPlan) -> None:
+        before = self._elapsed
+        self._elapsed = min(before + dt, plan.duration)
+        self.phase = self._elapsed / plan.duration
+        end_velocity = np.zeros(6) if plan.stop else (self._goal - self._start_ref) / plan.duration
+        ref = _hermite(self._start_ref, self._start_velocity, self._goal, end_velocity, plan.duration, self._elapsed)
+        self._velocity = (ref - self._ref) / dt
+        self._ref = ref
+        self._swing_feet(before, plan)
+        if self._elapsed >= plan.duration:
+            self._land()
+
+    def _swing_feet(self, before: float, plan: StepPlan) -> None:
+        begin, end = self._settings.unload_s, plan.duration - self._settings.load_s
+        legs = plan.swing
+        if self._elapsed <= begin:
+            self._share[legs] = 1.0 - self._elapsed / begin
+            return
+        if self._flight is None:
+            self._flight = Swing(self._anchors[legs], self._targets_odom[legs], plan.clearance[legs])
+        self._share[legs] = max(0.0, (self._elapsed - end) / self._settings.load_s) if self._elapsed > end else 0.0
+        since, until = (np.clip((t - begin) / (end - begin), 0.0, 1.0) for t in (before, self._elapsed))
+        if since < 1.0:
+            self._flight.update(self._targets_odom[legs], float(since), float(until - since))
+            self._anchors[legs] = self._flight.foot
+
+    def _land(self) -> None:
+        self._share[:] = 1.0
+        self.swing = np.zeros(6, dtype=bool)
+        self._plan, self._flight = None, None
+        if self._next is not None:
+            self._begin(self._next)
+
+    def _brake(self, dt: float) -> None:
+        self._velocity = self._velocity * np.exp(-dt / self._settings.brake_s)
+        self._ref = self._ref + self._velocity * dt
+        self.moving = bool(np.abs(self._velocity[:3]).max() > 1e-3)
+
+    def _correct(self, dt: float, T_odom_body: Array) -> None:
+        error = self._ref - _coordinates(T_odom_body)
+        error[3:] = _wrapped(error[3:])
+        step = _LEVELLED * self._settings.level_gain * error * dt
+        self._correction = np.clip(self._correction + step, -_CORRECTION_LIMIT, _CORRECTION_LIMIT)
+
+    @property
+    def _body_cmd(self) -> Array:
+        return _pose(self._ref + self._correction)
+
+    def _feet_standing(self) -> Array:
+        return apply(inverse(self._body_cmd), self._anchors)
+
+    def _targets(self) -> Targets:
+        return Targets(
+            self._feet_standing(), self._share.copy(), from_xyz_rpy(np.zeros(3), self._ref[3:] * [1.0, 1.0, 0.0])[:3, :3]
+        )
+
+
+def _coordinates(T: Array) -> Array:
+    """Position and roll, pitch, yaw (6,) of a pose; the body never pitches far enough for them to be singular."""
+    return np.concatenate([T[:3, 3], rpy_from_rotation(T[:3, :3])])
+
+
+def _pose(coordinates: Array) -> Array:
+    return from_xyz_rpy(coordinates[:3], coordinates[3:])
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _hermite(p0: Array, v0: Array, p1: Array, v1: Array, duration: float, t: float) -> Array:
+    """Cubic from p0 at speed v0 to p1 at speed v1: a straight line where both speeds are that of the way."""
+    s = t / duration
+    h00, h10 = 2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s
+    h01, h11 = -2 * s**3 + 3 * s**2, s**3 - s**2
+    return np.asarray(h00 * p0 + h10 * duration * v0 + h01 * p1 + h11 * duration * v1)

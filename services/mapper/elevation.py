@@ -1,0 +1,504 @@
+"""The height map around the robot: a circular buffer in the world frame, one Kalman filter per cell.
+
+The window follows the robot, its memory never shifts: a cell's place is its world index modulo the size (Lotriet 2024,
+eq. 4.11). Each cell holds the height it believes in and one rival. A measurement that fails the gate never drags the
+height; it votes for the rival, and a rival that persists takes the cell over, upward and downward alike. So an object
+that moved away is cleared in time, and symmetric noise leaves no bias, however badly its size was guessed.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Self, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from shared.camera import DepthSensor
+from shared.compiled import compiled
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+FAR = 1e6  # [m] coordinates beyond this are refused: a cell index must stay exact
+
+
+@dataclass(frozen=True, slots=True)
+class FusionModel:
+    """How far a measured height is off, and when a cell changes its mind.
+
+    A depth error e moves a point along its ray, so on ground of slope s seen at grazing angle g the height is off by
+    e * (sin g + s * cos g); s is unknown and taken as `terrain_slope`.
+    """
+
+    depth_sigma: float = 1.27e-3  # [m] of one pixel at 1 m, grows with the square of the distance; averages away
+    quantisation_sigma: float = 0.92e-3  # [m] of a scan's cell at 1 m, grows likewise; pixels of a cell share it
+    range_sigma: float = 0.0  # [m] noise of one pixel at any distance (scanners)
+    floor_sigma: float = 1.0e-3  # [m] error that no number of measurements averages away
+    terrain_slope: float = 0.27  # [m/m] steepest ground to be mapped well
+    independent_pixels: int = 8  # pixels of a cell beyond this many add nothing: their noise is correlated
+    gate: float = 3.0  # [sigma] measurements further off vote for the rival
+    edge_step: float = 0.01  # [m] points of one scan in one cell, further apart than this, are an edge: the upper wins
+    patience: int = 5  # [scans] of disagreement until a well-established height is replaced
+
+    def __post_init__(self) -> None:
+        for name in ("depth_sigma", "quantisation_sigma", "range_sigma", "terrain_slope", "edge_step"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} of at least 0 expected, found {getattr(self, name)}")
+        for name in ("floor_sigma", "gate"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"positive {name} expected, found {getattr(self, name)}")
+        if self.independent_pixels < 1:
+            raise ValueError(f"independent_pixels of at least 1 expected, found {self.independent_pixels}")
+        if not 1 <= self.patience <= 200:
+            raise ValueError(f"patience of 1 to 200 scans expected, found {self.patience}")
+
+    @classmethod
+    def of_sensor(cls, sensor: DepthSensor, fx: float) -> Self:
+        """The model of a triangulating camera with focal length fx [px]; the other fields keep their defaults."""
+        if not 0 < fx < math.inf:
+            raise ValueError(f"positive focal length expected, found fx = {fx}")
+        per_pixel = 1.0 / (fx * sensor.baseline)
+        return cls(
+            depth_sigma=sensor.disparity_sigma * per_pixel,
+            quantisation_sigma=sensor.disparity_step / math.sqrt(12.0) * per_pixel,
+        )
+
+    def height_variance(
+        self,
+        points: NDArray[np.float64],
+        count: NDArray[np.float64],
+        spread: NDArray[np.float64],
+        p_world_camera: NDArray[np.float64],
+        pose_variance_z: float = 0.0,
+        pose_variance_tilt: float = 0.0,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Variance of measured heights: the part that repeated measurement averages away, and the part it does not.
+
+        The distance stands for the depth, which overstates the noise by at most 1/cos of the angle off the axis. A
+        spread beyond the noise of a pixel is the ground's own: a foot may meet any of it, so it does not average away,
+        and a scan that saw a cell's face and top together yields to one that saw the top alone.
+
+        Args:
+            points: (n, 3) [m] {world} one point per cell, the mean of its pixels.
+            count: (n,) pixels merged into each point.
+            spread: (n,) [m] standard deviation of the heights merged.
+            p_world_camera: (3,) [m] {world} optical centre.
+            pose_variance_z: [m^2] of the camera's height.
+            pose_variance_tilt: [rad^2] of the camera's roll and pitch.
+
+        Returns:
+            random, systematic: (n,) [m^2] each.
+        """
+        ray = points - p_world_camera
+        flat2 = ray[:, 0] ** 2 + ray[:, 1] ** 2
+        range2 = np.maximum(flat2 + ray[:, 2] ** 2, 1e-12)
+        leverage2 = (np.abs(ray[:, 2]) + self.terrain_slope * np.sqrt(flat2)) ** 2 / range2
+        pixel = (self.depth_sigma * range2 + self.range_sigma) ** 2 * leverage2
+        random = pixel / np.minimum(count, self.independent_pixels)
+        systematic = (
+            self.floor_sigma**2
+            + (self.quantisation_sigma * range2) ** 2 * leverage2
+            + pose_variance_z
+            + pose_variance_tilt * flat2
+            + np.maximum(spread**2 - pixel, 0.0)
+        )
+        return random, systematic
+
+
+@dataclass(frozen=True, slots=True)
+class FusionCount:
+    """What became of the points of one scan."""
+
+    updated: int  # cells whose height took a measurement in
+    disputed: int  # cells whose measurement failed the gate and went to the rival
+    replaced: int  # cells taken over by their rival
+    outside: int  # points beyond the window
+
+
+@dataclass(frozen=True, slots=True)
+class ElevationSnapshot:
+    """The map in world order, detached from the grid. Cell (i, j) is centred at origin + resolution * (i, j)."""
+
+    resolution: float  # [m] cell edge
+    origin: NDArray[np.float64]  # (2,) [m] {world} centre of cell (0, 0)
+    elevation: NDArray[np.float32]  # (nx, ny) [m] {world} height, NaN where never seen
+    variance: NDArray[np.float32]  # (nx, ny) [m^2] of elevation, NaN where never seen
+    assumed: NDArray[np.uint8]  # (nx, ny) 1 where the height is a seeded plane and nothing was measured yet
+
+
+class ElevationGrid:
+    """Height, variance and rival of size x size cells around the robot, aligned with the world axes.
+
+    The window spans the cells [c - size // 2, c + size - size // 2) around the robot's cell c in x and y. It starts
+    around the world's origin with every cell unseen.
+
+    Source: Lotriet 2024, section 4.3.
+    """
+
+    def __init__(self, size: int = 256, resolution: float = 0.01, model: FusionModel | None = None) -> None:
+        """Take size [cells], resolution [m] and the noise model; ValueError if size < 8 or resolution is not positive."""
+        if size < 8:
+            raise ValueError(f"at least 8 cells a side expected, found {size}")
+        if not 1e-4 <= resolution <= 1.0:
+            raise ValueError(f"resolution from 0.0001 to 1 m expected, found {resolution}")
+        self.size = size
+        self.resolution = resolution
+        self.model = model or FusionModel()
+        self._low = np.full(2, -(size // 2), dtype=np.int64)  # world index of the window's lowest cell
+        # np.full, not np.zeros: pages that are touched for the first time inside the hot loop are slow.
+        self._height = np.full((size, size), np.nan, dtype=np.float32)
+        self._variance = np.full((size, size), np.nan, dtype=np.float32)
+        self._support = np.full((size, size), 0, dtype=np.uint8)  # scans behind the height, at most 255
+        self._assumed = np.full((size, size), 0, dtype=np.uint8)
+        self._rival = np.full((size, size), np.nan, dtype=np.float32)
+        self._rival_variance = np.full((size, size), np.nan, dtype=np.float32)
+        self._votes = np.full((size, size), 0, dtype=np.uint8)  # scans for the rival less scans against it
+        self._slot = np.full(size * size, -1, dtype=np.int32)  # the scan's entry for a cell, -1 outside fuse()
+
+    @property
+    def origin(self) -> NDArray[np.float64]:
+        """(2,) [m] {world} centre of the window's lowest cell."""
+        return np.asarray((self._low + 0.5) * self.resolution)
+
+    def move_to(self, p_world_xy: ArrayLike) -> None:
+        """Centre the window on the cell of p_world_xy (2,) [m] {world}; cells that leave it are forgotten, only those.
+
+        Raises:
+            ValueError: Not two finite coordinates within 1000 km.
+        """
+        centre = np.asarray(p_world_xy, dtype=np.float64)
+        if centre.shape != (2,) or not (np.abs(centre) < FAR).all():
+            raise ValueError(f"two coordinates within {FAR:g} m expected, found {p_world_xy!r}")
+        low = np.floor(centre / self.resolution).astype(np.int64) - self.size // 2
+        for axis in range(2):
+            shift = int(low[axis] - self._low[axis])
+            if shift == 0:
+                continue
+            leaving = min(abs(shift), self.size)
+            first = self._low[axis] if shift > 0 else self._low[axis] + self.size - leaving
+            lines = np.arange(first, first + leaving) % self.size
+            self._forget((lines,) if axis == 0 else (slice(None), lines))
+        self._low = low
+
+    def fuse(
+        self,
+        points: NDArray[np.floating],
+        count: NDArray[np.integer | np.floating],
+        spread: NDArray[np.floating],
+        p_world_camera: ArrayLike,
+        *,
+        pose_variance_z: float = 0.0,
+        pose_variance_tilt: float = 0.0,
+    ) -> FusionCount:
+        """Take one reduced scan into the map; a cell counts at most once per scan.
+
+        1. Each point gets a variance from the sensor model; the part that does not average away is its floor.
+        2. Points of one cell are merged; across an edge the upper one stands (Masri 2016, section 4.4).
+        3. Each cell: an unseen or assumed cell takes the measurement outright; one within the gate is filtered in,
+           its variance never below the floor; one outside votes for the rival (see the module).
+
+        Args:
+            points: (n, 3) [m] {world} one point per cell seen, of the upper surface where a cell holds two.
+            count: (n,) pixels merged into each point, at least 1.
+            spread: (n,) [m] standard deviation of the merged heights, at least 0.
+            p_world_camera: (3,) [m] {world} optical centre.
+            pose_variance_z: [m^2] of the scan's height.
+            pose_variance_tilt: [rad^2] of the scan's roll and pitch.
+
+        Raises:
+            ValueError: A shape is wrong, or a value is not finite or out of its range; the map is then unchanged.
+        """
+        p, n, s, c = _checked_scan(points, count, spread, p_world_camera)
+        if not (0 <= pose_variance_z < math.inf and 0 <= pose_variance_tilt < math.inf):
+            raise ValueError(f"pose variances of at least 0 expected, found {pose_variance_z} and {pose_variance_tilt}")
+        cell, inside = self._cells(p[:, :2])
+        random, systematic = self.model.height_variance(p, n, s, c, pose_variance_z, pose_variance_tilt)
+        touched, z, random, systematic = _merge_scan(
+            cell, p[:, 2], random, systematic, self._slot, self.model.gate, self.model.edge_step
+        )
+        updated, disputed, replaced = _update_cells(
+            touched, z, random, systematic,
+            self._height.ravel(), self._variance.ravel(), self._support.ravel(), self._assumed.ravel(),
+            self._rival.ravel(), self._rival_variance.ravel(), self._votes.ravel(),
+            self.model.gate, self.model.patience,
+        )  # fmt: skip
+        return FusionCount(updated, disputed, replaced, len(p) - int(np.count_nonzero(inside)))
+
+    def seed_plane(self, polygon: ArrayLike, plane: ArrayLike, sigma: float = 0.02) -> int:
+        """Fill the unseen cells of a region with a plane, marked as assumed; the first measurement replaces each.
+
+        Args:
+            polygon: (k, 2) [m] {world} corners in order, k >= 3; cells whose centre lies inside (even-odd) are filled.
+            plane: (3,) height is plane[0] + plane[1] * x + plane[2] * y, [m], [m/m], [m/m].
+            sigma: [m] standard deviation given to the assumed heights.
+
+        Returns:
+            The number of cells filled.
+
+        Raises:
+            ValueError: A shape is wrong, or a value is not finite or out of its range.
+
+        Source: Masri 2016, section 4.7 (the ground under the robot is modelled as a plane until it is measured).
+        """
+        corners = np.asarray(polygon, dtype=np.float64)
+        coefficients = np.asarray(plane, dtype=np.float64)
+        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not (np.abs(corners) < FAR).all():
+            raise ValueError(f"polygon of at least 3 finite corners (k, 2) expected, found {polygon!r}")
+        if coefficients.shape != (3,) or not np.isfinite(coefficients).all():
+            raise ValueError(f"plane of 3 finite coefficients expected, found {plane!r}")
+        if not 0 < sigma < math.inf:
+            raise ValueError(f"positive sigma expected, found {sigma}")
+        low = np.maximum(np.floor(corners.min(axis=0) / self.resolution).astype(np.int64), self._low)
+        high = np.minimum(np.floor(corners.max(axis=0) / self.resolution).astype(np.int64), self._low + self.size - 1)
+        if (low > high).any():
+            return 0
+        i, j = (np.arange(low[axis], high[axis] + 1) for axis in range(2))
+        x, y = ((i + 0.5) * self.resolution)[:, None], ((j + 0.5) * self.resolution)[None, :]
+        box = np.ix_(i % self.size, j % self.size)
+        fill = _inside_polygon(x, y, corners) & np.isnan(self._height[box])
+        rows, columns = np.nonzero(fill)
+        cells = i[rows] % self.size, j[columns] % self.size
+        self._height[cells] = (coefficients[0] + coefficients[1] * x + coefficients[2] * y)[rows, columns]
+        self._variance[cells] = sigma**2
+        self._assumed[cells] = 1
+        return len(rows)
+
+    def heights(self, p_world_xy: ArrayLike) -> NDArray[np.float64]:
+        """Heights (...) [m] {world} of the cells at p_world_xy (..., 2) [m]; NaN where unseen or outside the window.
+
+        Raises:
+            ValueError: The last axis is not 2.
+        """
+        p = np.asarray(p_world_xy, dtype=np.float64)
+        if p.ndim == 0 or p.shape[-1] != 2:
+            raise ValueError(f"points (..., 2) expected, found shape {p.shape}")
+        near = np.where(np.abs(p) < FAR, p, 2 * FAR).reshape(-1, 2)  # NaN too lies outside
+        cell, inside = self._cells(near)
+        height = np.where(inside, self._height.ravel()[cell], np.nan)  # cell -1 is masked by inside
+        return np.asarray(height.reshape(p.shape[:-1]), dtype=np.float64)
+
+    def snapshot(self) -> ElevationSnapshot:
+        """Copy the map in world order."""
+        return ElevationSnapshot(
+            resolution=self.resolution,
+            origin=self.origin,
+            elevation=self._unrolled(self._height),
+            variance=self._unrolled(self._variance),
+            assumed=self._unrolled(self._assumed),
+        )
+
+    def _cells(self, p_world_xy: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Flat buffer index (n,), -1 outside the window, and whether inside (n,) (Lotriet 2024, eq. 4.11)."""
+        cell = _cell_indices(p_world_xy, self.resolution, int(self._low[0]), int(self._low[1]), self.size)
+        return cell, cell >= 0
+
+    def _forget(self, lines: tuple[slice | NDArray[np.int64], ...]) -> None:
+        """Make whole rows or columns of the buffer unseen."""
+        for layer in (self._height, self._variance, self._rival, self._rival_variance):
+            layer[lines] = np.nan
+        for counter in (self._support, self._assumed, self._votes):
+            counter[lines] = 0
+
+    def _unrolled(self, layer: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Copy of a layer with the window's lowest cell first."""
+        i, j = (int(low % self.size) for low in self._low)
+        out = np.empty_like(layer)
+        m, n = self.size - i, self.size - j
+        out[:m, :n], out[:m, n:] = layer[i:, j:], layer[i:, :j]
+        out[m:, :n], out[m:, n:] = layer[:i, j:], layer[:i, :j]
+        return out
+
+
+def fill_small_holes(elevation: NDArray[np.float32], max_relief: float = 0.015) -> NDArray[np.float32]:
+    """Copy of a map with its small holes bridged, for the scorer; the map itself keeps unknown unknown.
+
+    An unseen cell with at least five seen ones among its eight neighbours, all within max_relief of each other, gets
+    the mean over the opposite pairs both seen: five of eight hold at least one such pair, so the value is interpolated,
+    exact on a plane, never extrapolated. So single cells, lines one cell wide (skipped at grazing angles) and blocks
+    of 2x2 are bridged; wider holes, the frontier and holes across an edge stay NaN.
+
+    Args:
+        elevation: (nx, ny) [m], NaN where unseen.
+        max_relief: [m] largest difference between the seen neighbours.
+
+    Raises:
+        ValueError: The map is not two-dimensional or max_relief is negative.
+    """
+    if elevation.ndim != 2:
+        raise ValueError(f"map (nx, ny) expected, found shape {elevation.shape}")
+    if not max_relief >= 0:
+        raise ValueError(f"max_relief of at least 0 expected, found {max_relief}")
+    filled = np.array(elevation, dtype=np.float32, order="C")
+    _bridge_holes(np.ascontiguousarray(elevation, dtype=np.float32), max_relief, filled)
+    return filled
+
+
+def _checked_scan(
+    points: NDArray[np.floating],
+    count: NDArray[np.integer | np.floating],
+    spread: NDArray[np.floating],
+    p_world_camera: ArrayLike,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """The scan as contiguous float64 arrays; ValueError where a shape or value is wrong."""
+    p = np.ascontiguousarray(points, dtype=np.float64)
+    n = np.ascontiguousarray(count, dtype=np.float64)
+    s = np.ascontiguousarray(spread, dtype=np.float64)
+    c = np.asarray(p_world_camera, dtype=np.float64)
+    if p.ndim != 2 or p.shape[1] != 3:
+        raise ValueError(f"points (n, 3) expected, found shape {p.shape}")
+    if n.shape != (len(p),) or s.shape != (len(p),):
+        raise ValueError(f"count and spread of shape {(len(p),)} expected, found {n.shape} and {s.shape}")
+    if c.shape != (3,) or not (np.abs(c) < FAR).all():
+        raise ValueError(f"camera position of 3 coordinates within {FAR:g} m expected, found {p_world_camera!r}")
+    if not (np.abs(p) < FAR).all():
+        raise ValueError(f"points finite and within {FAR:g} m expected: drop invalid pixels before fusing")
+    if not ((n >= 1) & (n < math.inf)).all():
+        raise ValueError("counts of at least 1 expected: drop empty cells before fusing")
+    if not ((s >= 0) & (s < FAR)).all():
+        raise ValueError("finite spreads of at least 0 m expected")
+    return p, n, s, c
+
+
+def _inside_polygon(x: NDArray[np.float64], y: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Even-odd rule on the grid x (nx, 1), y (1, ny)."""
+    inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), dtype=np.bool_)
+    for (ax, ay), (bx, by) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if ay == by:
+            continue
+        crosses = (y < ay) != (y < by)
+        inside ^= crosses & (x < ax + (y - ay) * ((bx - ax) / (by - ay)))
+    return inside
+
+
+@compiled
+def _cell_indices(p_world_xy: NDArray[np.float64], resolution: float, low_i: int, low_j: int, size: int) -> NDArray[np.int64]:
+    """Flat buffer index (n,) of each point, -1 outside the window that starts at cell (low_i, low_j)."""
+    cell = np.empty(len(p_world_xy), dtype=np.int64)
+    wrap_i, wrap_j = low_i % size, low_j % size
+    for k in range(len(p_world_xy)):
+        i = math.floor(p_world_xy[k, 0] / resolution) - low_i
+        j = math.floor(p_world_xy[k, 1] / resolution) - low_j
+        if 0 <= i < size and 0 <= j < size:
+            i, j = i + wrap_i, j + wrap_j  # the remainder by size, without dividing
+            cell[k] = (i if i < size else i - size) * size + (j if j < size else j - size)
+        else:
+            cell[k] = -1
+    return cell
+
+
+@compiled
+def _merge_scan(
+    cell: NDArray[np.int64],
+    z: NDArray[np.float64],
+    random: NDArray[np.float64],
+    systematic: NDArray[np.float64],
+    slot: NDArray[np.int32],
+    gate: float,
+    edge_step: float,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """One measurement per cell: cells (m,), heights, random and systematic variances; slot is -1 before and after."""
+    n = len(cell)
+    cells = np.empty(n, dtype=np.int64)
+    out_z, out_random, out_systematic = np.empty(n), np.empty(n), np.empty(n)
+    m = 0
+    for k in range(n):
+        c = cell[k]
+        if c < 0:
+            continue
+        e = slot[c]
+        if e < 0:
+            slot[c] = m
+            cells[m], out_z[m], out_random[m], out_systematic[m] = c, z[k], random[k], systematic[k]
+            m += 1
+            continue
+        step = z[k] - out_z[e]
+        if abs(step) > edge_step and step * step > gate * gate * (random[k] + out_random[e] + systematic[k]):
+            if step > 0:
+                out_z[e], out_random[e], out_systematic[e] = z[k], random[k], systematic[k]
+            continue
+        gain = (out_random[e] + 1e-12) / (out_random[e] + random[k] + 2e-12)
+        out_z[e] += gain * step
+        out_random[e] *= 1.0 - gain
+        out_systematic[e] = max(out_systematic[e], systematic[k])
+    for e in range(m):
+        slot[cells[e]] = -1
+    return cells[:m], out_z[:m], out_random[:m], out_systematic[:m]
+
+
+@compiled
+def _update_cells(
+    cells: NDArray[np.int64],
+    z: NDArray[np.float64],
+    random: NDArray[np.float64],
+    systematic: NDArray[np.float64],
+    height: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    support: NDArray[np.uint8],
+    assumed: NDArray[np.uint8],
+    rival: NDArray[np.float32],
+    rival_variance: NDArray[np.float32],
+    votes: NDArray[np.uint8],
+    gate: float,
+    patience: int,
+) -> tuple[int, int, int]:
+    """Filter one measurement into each cell; counts of cells updated, disputed and replaced."""
+    updated = disputed = replaced = 0
+    for k in range(len(cells)):
+        c = cells[k]
+        noise = random[k] + systematic[k]
+        if assumed[c] or np.isnan(height[c]):
+            height[c], variance[c], support[c], assumed[c], votes[c] = z[k], noise, 1, 0, 0
+            updated += 1
+            continue
+        believed = float(variance[c])
+        off = z[k] - height[c]
+        if off * off <= gate * gate * (believed + noise):
+            height[c] += believed / (believed + noise) * off
+            variance[c] = max(believed * noise / (believed + noise), min(believed, systematic[k]))
+            support[c] = min(support[c] + 1, 255)
+            votes[c] = max(votes[c] - 1, 0)
+            updated += 1
+            continue
+        disputed += 1
+        rivalry = float(rival_variance[c])
+        off = z[k] - rival[c]
+        if votes[c] > 0 and off * off <= gate * gate * (rivalry + noise):
+            rival[c] += rivalry / (rivalry + noise) * off
+            rival_variance[c] = max(rivalry * noise / (rivalry + noise), min(rivalry, systematic[k]))
+            votes[c] = min(votes[c] + 1, 255)
+        elif votes[c] > 1:
+            votes[c] -= 1
+        else:
+            rival[c], rival_variance[c], votes[c] = z[k], noise, 1
+        # A height seen once is no better than a rival seen twice; an established one waits for `patience` scans.
+        if votes[c] >= min(patience, support[c] + 1):
+            height[c], variance[c], support[c], votes[c] = rival[c], rival_variance[c], votes[c], 0
+            replaced += 1
+    return updated, disputed, replaced
+
+
+@compiled
+def _bridge_holes(elevation: NDArray[np.float32], max_relief: float, filled: NDArray[np.float32]) -> None:
+    """Write the interpolated heights of small holes into filled."""
+    nx, ny = elevation.shape
+    for i in range(1, nx - 1):
+        for j in range(1, ny - 1):
+            if not np.isnan(elevation[i, j]):
+                continue
+            row_unseen = np.isnan(elevation[i, j - 1]) and np.isnan(elevation[i, j + 1])
+            if row_unseen and np.isnan(elevation[i - 1, j]) and np.isnan(elevation[i + 1, j]):
+                continue  # at most the four diagonal neighbours are left
+            seen, pairs = 0, 0
+            total, lowest, highest = 0.0, np.inf, -np.inf
+            for di, dj in ((0, 1), (1, -1), (1, 0), (1, 1)):
+                a, b = elevation[i + di, j + dj], elevation[i - di, j - dj]
+                if not np.isnan(a):
+                    seen += 1
+                    lowest, highest = min(lowest, a), max(highest, a)
+                if not np.isnan(b):
+                    seen += 1
+                    lowest, highest = min(lowest, b), max(highest, b)
+                if not (np.isnan(a) or np.isnan(b)):
+                    pairs += 1
+                    total += 0.5 * (a + b)
+            if seen >= 5 and highest - lowest <= max_relief:
+                filled[i, j] = total / pairs

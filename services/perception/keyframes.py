@@ -1,0 +1,428 @@
+"""Depth frames as images of planes, kept with their poses, and how a new frame fits them.
+
+Everything is done on inverse depth, which is linear over the image of a plane: the mean over a block of pixels lies on
+the plane, its gradient is the plane, and a triangulating camera errs by the same amount everywhere. A pixel's plane is
+pi = (A, B, C), the normal over the distance, and a point p [m] of the camera frame lies on it when pi . p = 1.
+
+A grid of blocks replaces the voxel grid of Masri 2016, section 4.3, and organised normals those of his eq. (4.3).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.camera import DepthSensor, Intrinsics
+from shared.compiled import compiled
+from shared.geometry import inverse, skew
+
+_BLOCKS_ACROSS = 160  # block columns that an image is reduced to
+_MODEL_SIGMA = 0.0005  # [m] what a plane leaves unexplained of a real surface
+_CORRELATION = 4.0  # neighbouring pixels share their disparity error: so many of a block count as one
+_MIN_FILLED = 0.5  # share of a block's pixels that must be measured
+_CAUCHY = 2.5  # [sigma] where the weight of a match has fallen to a half
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """Normal equations of a frame against keyframes, by the error twist in world axes at the camera, and its quality."""
+
+    H: NDArray[np.float64]  # (6, 6) information
+    g: NDArray[np.float64]  # (6,) gradient
+    N: NDArray[np.float64]  # (6, 6) what H would hold from the noise of the planes alone
+    keyframes: int  # how many were matched with
+    overlap: float  # 0..1 share of the frame's points that found a plane, in the best keyframe
+    agreement: float  # 0..1 share of the points facing a plane that lie on it, over all keyframes
+    rmse: float  # [m] point-to-plane distance of the matches, NaN when there are none
+
+
+class BlockFrame:
+    """One depth frame reduced to block means of inverse depth."""
+
+    def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor) -> None:
+        self._intrinsics = intrinsics
+        self.block = max(1, round(intrinsics.width / _BLOCKS_ACROSS))
+        self.shape = (intrinsics.height // self.block, intrinsics.width // self.block)
+        if min(self.shape) < 8:
+            raise ValueError(f"an image of at least 8x8 pixels expected, found {intrinsics.width}x{intrinsics.height}")
+        middle = (self.block - 1) / 2
+        self.x = (self.block * np.arange(self.shape[1]) + middle - intrinsics.cx) / intrinsics.fx
+        self.y = (self.block * np.arange(self.shape[0]) + middle - intrinsics.cy) / intrinsics.fy
+        self.table, self.pixel_sigma = inverse_depth_table(intrinsics, sensor)
+        self.sigma = self.pixel_sigma / math.sqrt(max(1.0, self.block**2 / _CORRELATION))
+        self.inverse_depth = np.zeros(self.shape)
+        self._points = np.zeros((self.shape[0] * self.shape[1], 3))
+        self.valid = 0
+
+    def load(self, depth_raw: NDArray[np.uint16]) -> None:
+        """Reduce a frame (h, w); a block that straddles an edge, or is less than half measured, is left out.
+
+        Raises:
+            ValueError: Another shape or type than (h, w) uint16.
+        """
+        check_depth(depth_raw, self._intrinsics)
+        max_variance = (3.0 * self.pixel_sigma) ** 2
+        self.valid = _reduce_blocks(
+            depth_raw, self.table, self.block, _MIN_FILLED, max_variance, self.x, self.y, self.inverse_depth, self._points
+        )
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Block means as points (n, 3) [m] {camera}, row by row; overwritten by the next frame."""
+        return self._points[: self.valid]
+
+
+class Keyframes:
+    """Images of planes at fixed poses; the farthest is forgotten when there are too many."""
+
+    def __init__(self, frame: BlockFrame, stored: int, active: int, distance: float, angle: float) -> None:
+        """Share a frame with its owner.
+
+        Args:
+            frame: What is matched and stored, as last loaded.
+            stored: How many are kept.
+            active: How many a frame is matched with.
+            distance: [m] from every keyframe after which a frame is news.
+            angle: [rad] likewise.
+
+        Raises:
+            ValueError: Not 1 <= active <= stored, or a distance or angle that is not positive.
+        """
+        if not 1 <= active <= stored:
+            raise ValueError(f"1 <= active <= stored keyframes expected, found {active} and {stored}")
+        if not (distance > 0 and angle > 0):
+            raise ValueError(f"positive keyframe distance and angle expected, found {distance} m and {angle} rad")
+        self._frame, self._active, self._distance, self._angle = frame, active, distance, angle
+        self._planes = np.zeros((stored, *frame.shape, 4), dtype=np.float32)
+        self._poses = np.tile(np.eye(4), (stored, 1, 1))
+        self._age = np.zeros(stored, dtype=np.int64)
+        self._count = 0
+        self._stored = 0
+        self._sums = np.zeros(82)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """Poses (n, 4, 4) of the keyframes."""
+        return self._poses[: self._count].copy()
+
+    def clear(self) -> None:
+        """Forget all keyframes."""
+        self._count = 0
+
+    def add(self, T_world_camera: NDArray[np.float64]) -> None:
+        """Store the frame as last loaded at a pose."""
+        if self._count < len(self._planes):
+            slot = self._count
+            self._count += 1
+        else:
+            slot = int(np.argmax(np.linalg.norm(self._poses[:, :3, 3] - T_world_camera[:3, 3], axis=-1)))
+        frame = self._frame
+        _fit_planes(frame.inverse_depth, frame.x, frame.y, frame.sigma, 1.5 * frame.pixel_sigma, self._planes[slot])
+        self._poses[slot] = T_world_camera
+        self._stored += 1
+        self._age[slot] = self._stored
+
+    def is_news(self, T_world_camera: NDArray[np.float64]) -> bool:
+        """Whether a pose is farther, or turned more, than allowed from every keyframe."""
+        poses = self._poses[: self._count]
+        near = np.linalg.norm(poses[:, :3, 3] - T_world_camera[:3, 3], axis=-1) < self._distance
+        cosine = (np.einsum("kij,ij->k", poses[:, :3, :3], T_world_camera[:3, :3]) - 1.0) / 2.0
+        return not bool(np.any(near & (cosine > math.cos(self._angle))))
+
+    def select(self, T_world_camera: NDArray[np.float64], min_share: float = 0.35) -> NDArray[np.int64]:
+        """Keyframes to match a frame at a pose with: the oldest that still sees enough of it, then those that see most.
+
+        The oldest first holds the drift down. When none sees `min_share` of the frame, the one that sees most.
+        """
+        frame = self._frame
+        shares = _shares_seen(frame.points, frame.x, frame.y, inverse(self._poses[: self._count]) @ T_world_camera)
+        order = np.argsort(-shares, kind="stable")
+        enough = order[shares[order] >= min_share]
+        if len(enough) <= 1:
+            return order[:1]
+        oldest = enough[np.argmin(self._age[enough])]
+        return np.concatenate([[oldest], enough[enough != oldest][: self._active - 1]])
+
+    def match(self, T_world_camera: NDArray[np.float64], chosen: NDArray[np.int64], gate: float, stride: int = 1) -> Match:
+        """Match the frame as last loaded, at a pose, with some keyframes.
+
+        Args:
+            T_world_camera: (4, 4) pose at which the normal equations are linearised.
+            chosen: (k,) keyframes, of `select`.
+            gate: [m] farthest plane that a point is matched with.
+            stride: Every how many points.
+        """
+        frame, sums = self._frame, self._sums
+        H, g, N = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
+        matched, facing, squares, best = 0.0, 0.0, 0.0, 0.0
+        for phase, (k, T) in enumerate(zip(chosen, inverse(self._poses[chosen]) @ T_world_camera, strict=True)):
+            # Each keyframe is matched with other points, so that together they use most of them.
+            _accumulate(frame.points, phase % stride, stride, frame.x, frame.y, self._planes[k], T, frame.sigma, gate, sums)
+            # From the keyframe's axes and origin to world axes at the camera.
+            R = self._poses[k, :3, :3]
+            M = np.zeros((6, 6))
+            M[:3, :3] = M[3:, 3:] = R
+            M[3:, :3] = -skew(T_world_camera[:3, 3] - self._poses[k, :3, 3]) @ R
+            H += M @ sums[:36].reshape(6, 6) @ M.T
+            N += M @ sums[36:72].reshape(6, 6) @ M.T
+            g += M @ sums[72:78]
+            best = max(best, sums[78] / max(sums[81], 1.0))
+            matched, facing, squares = matched + sums[78], facing + sums[79], squares + sums[80]
+        rmse = math.sqrt(squares / matched) if matched else math.nan
+        return Match(H, g, N, len(chosen), best, matched / max(facing, 1.0), rmse)
+
+
+def check_depth(depth_raw: NDArray[np.uint16], intrinsics: Intrinsics) -> None:
+    """Refuse a depth image of another shape or type than (h, w) uint16.
+
+    Raises:
+        ValueError: It is.
+    """
+    if depth_raw.shape != (intrinsics.height, intrinsics.width) or depth_raw.dtype != np.uint16:
+        raise ValueError(
+            f"uint16 depth image {(intrinsics.height, intrinsics.width)} expected, found {depth_raw.dtype} {depth_raw.shape}"
+        )
+
+
+def inverse_depth_table(intrinsics: Intrinsics, sensor: DepthSensor) -> tuple[NDArray[np.float32], float]:
+    """Inverse depth (65536,) [1/m] by raw value, 0 where invalid or out of range, and its one-sigma noise [1/m]."""
+    z = np.arange(65536) / sensor.depth_scale
+    inside = (z >= sensor.min_range) & (z <= sensor.max_range)
+    table = np.where(inside, 1.0 / np.where(inside, z, 1.0), 0.0).astype(np.float32)
+    disparity_sigma = float(sensor.sigma(np.array(1.0), intrinsics.fx))
+    rounding = 1.0 / (sensor.depth_scale * math.sqrt(12.0))
+    return table, math.hypot(disparity_sigma, rounding)
+
+
+@compiled
+def _reduce_blocks(raw, table, block, min_filled, max_variance, x, y, out, points):  # type: ignore[no-untyped-def]
+    """Inverse depth at the centre of each block from the plane through its pixels, 0 where there is none, and points."""
+    rows, columns = out.shape
+    middle = (block - 1) / 2.0
+    whole = block * block
+    needed = max(1, int(math.ceil(min_filled * whole)))
+    valid = 0
+    for i in range(rows):
+        for j in range(columns):
+            out[i, j] = 0.0
+            n = 0
+            s = ss = swu = swv = 0.0
+            first = table[raw[i * block + block // 2, j * block + block // 2]]
+            for a in range(block):
+                for b in range(block):
+                    w = table[raw[i * block + a, j * block + b]]
+                    if w != 0.0:
+                        d = w - first  # small numbers keep their digits in the squares below
+                        n += 1
+                        s += d
+                        ss += d * d
+                        swu += d * (b - middle)
+                        swv += d * (a - middle)
+            if n < needed:
+                continue
+            su = sv = suv = 0.0
+            suu = svv = whole * (whole - 1.0) / 12.0
+            if n < whole:
+                suu = svv = 0.0
+                for a in range(block):
+                    for b in range(block):
+                        if table[raw[i * block + a, j * block + b]] != 0.0:
+                            u, v = b - middle, a - middle
+                            su += u
+                            sv += v
+                            suu += u * u
+                            svv += v * v
+                            suv += u * v
+            mean = s / n
+            if n >= 4:  # enough for a plane and its residual
+                cuu, cvv, cuv = suu - su * su / n, svv - sv * sv / n, suv - su * sv / n
+                cwu, cwv = swu - s * su / n, swv - s * sv / n
+                det = cuu * cvv - cuv * cuv
+                if det < 1e-9:
+                    continue
+                gu, gv = (cwu * cvv - cwv * cuv) / det, (cwv * cuu - cwu * cuv) / det
+                if ss - s * mean - gu * cwu - gv * cwv > max_variance * (n - 3):
+                    continue
+                mean -= (gu * su + gv * sv) / n
+            out[i, j] = first + mean
+            z = 1.0 / out[i, j]
+            points[valid, 0] = x[j] * z
+            points[valid, 1] = y[i] * z
+            points[valid, 2] = z
+            valid += 1
+    return valid
+
+
+@compiled
+def _fit_planes(inverse_depth, x, y, sigma, limit, out):  # type: ignore[no-untyped-def]
+    """Plane (A, B, C) and gradient variance of each block, from 5x5 blocks where flat, else 3x3, else all zero."""
+    rows, columns = inverse_depth.shape
+    dx = x[1] - x[0]
+    dy = y[1] - y[0]
+    for i in range(rows):
+        for j in range(columns):
+            out[i, j, 0] = out[i, j, 1] = out[i, j, 2] = out[i, j, 3] = 0.0
+            centre = inverse_depth[i, j]
+            if centre == 0.0:
+                continue
+            for half in (2, 1):
+                if i < half or j < half or i >= rows - half or j >= columns - half:
+                    continue
+                s = ss = sa = sb = 0.0
+                whole = True
+                for a in range(-half, half + 1):
+                    for b in range(-half, half + 1):
+                        w = inverse_depth[i + a, j + b]
+                        whole = whole and w != 0.0
+                        d = w - centre
+                        s += d
+                        ss += d * d
+                        sa += d * a
+                        sb += d * b
+                if not whole:
+                    continue
+                n = (2.0 * half + 1.0) ** 2
+                m = n * half * (half + 1.0) / 3.0  # sum of a * a, and of b * b
+                residual = (ss - s * s / n - (sa * sa + sb * sb) / m) / (n - 3.0)
+                if residual > limit * limit:
+                    continue
+                A = sb / (m * dx)
+                B = sa / (m * dy)
+                out[i, j, 0] = A
+                out[i, j, 1] = B
+                out[i, j, 2] = centre + s / n - A * x[j] - B * y[i]
+                out[i, j, 3] = sigma * sigma / (m * dx * dy)
+                break
+
+
+@compiled
+def _shares_seen(points, x, y, transforms):  # type: ignore[no-untyped-def]
+    """Share of some 150 points of a frame that fall inside the image of each keyframe."""
+    shares = np.zeros(len(transforms))
+    step = max(1, len(points) // 150)
+    for k in range(len(transforms)):
+        T = transforms[k]
+        count, seen = 0, 0
+        for n in range(0, len(points), step):
+            qx, qy, qz = points[n, 0], points[n, 1], points[n, 2]
+            count += 1
+            px = T[0, 0] * qx + T[0, 1] * qy + T[0, 2] * qz + T[0, 3]
+            py = T[1, 0] * qx + T[1, 1] * qy + T[1, 2] * qz + T[1, 3]
+            pz = T[2, 0] * qx + T[2, 1] * qy + T[2, 2] * qz + T[2, 3]
+            if pz > 0.0 and x[0] * pz <= px <= x[-1] * pz and y[0] * pz <= py <= y[-1] * pz:
+                seen += 1
+        shares[k] = seen / max(count, 1)
+    return shares
+
+
+@compiled
+def _accumulate(points, start, stride, x, y, planes, T, sigma, gate, sums):  # type: ignore[no-untyped-def]
+    """Match a frame with one keyframe by projection and sum, by the twist at the keyframe, the Jacobian [pi, p x pi].
+
+    sums: H (36), N (36), g (6), points matched, points facing a plane, squared distances, points tried.
+    """
+    rows, columns = planes.shape[0], planes.shape[1]
+    to_column, to_row = 1.0 / (x[1] - x[0]), 1.0 / (y[1] - y[0])
+    column0, row0 = 0.5 - x[0] * to_column, 0.5 - y[0] * to_row
+    T00, T01, T02, T03 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
+    T10, T11, T12, T13 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
+    T20, T21, T22, T23 = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+    h00 = h01 = h02 = h03 = h04 = h05 = h11 = h12 = h13 = h14 = h15 = 0.0
+    h22 = h23 = h24 = h25 = h33 = h34 = h35 = h44 = h45 = h55 = 0.0
+    g0 = g1 = g2 = g3 = g4 = g5 = 0.0
+    matched = facing = tried = 0
+    squares = 0.0
+    scale = 1.0 / (_CAUCHY * _CAUCHY)
+    gate2, sigma2, model2 = gate * gate, sigma * sigma, _MODEL_SIGMA * _MODEL_SIGMA
+    N = np.zeros((6, 6))
+    jacobian = np.empty(6)
+    for n in range(start, len(points), stride):
+        tried += 1
+        qx, qy, qz = points[n, 0], points[n, 1], points[n, 2]
+        pz = T20 * qx + T21 * qy + T22 * qz + T23
+        if pz < 0.05:
+            continue
+        px = T00 * qx + T01 * qy + T02 * qz + T03
+        py = T10 * qx + T11 * qy + T12 * qz + T13
+        along = 1.0 / pz
+        u = px * along * to_column + column0
+        v = py * along * to_row + row0
+        if not (u >= 0.0 and v >= 0.0 and u < columns and v < rows):
+            continue
+        column, row = int(u), int(v)
+        A = np.float64(planes[row, column, 0])
+        B = np.float64(planes[row, column, 1])
+        C = np.float64(planes[row, column, 2])
+        length2 = A * A + B * B + C * C
+        if length2 == 0.0:
+            continue
+        facing += 1
+        f = A * px + B * py + C * pz - 1.0
+        f2 = f * f
+        if f2 > gate2 * length2:
+            continue
+        matched += 1
+        squares += f2 / length2
+        weight = 1.0 / (sigma2 * pz * pz + model2 * length2 + f2 * scale)  # Cauchy's
+        j3 = py * C - pz * B
+        j4 = pz * A - px * C
+        j5 = px * B - py * A
+        a0, a1, a2, a3, a4, a5 = weight * A, weight * B, weight * C, weight * j3, weight * j4, weight * j5
+        h00 += a0 * A
+        h01 += a0 * B
+        h02 += a0 * C
+        h03 += a0 * j3
+        h04 += a0 * j4
+        h05 += a0 * j5
+        h11 += a1 * B
+        h12 += a1 * C
+        h13 += a1 * j3
+        h14 += a1 * j4
+        h15 += a1 * j5
+        h22 += a2 * C
+        h23 += a2 * j3
+        h24 += a2 * j4
+        h25 += a2 * j5
+        h33 += a3 * j3
+        h34 += a3 * j4
+        h35 += a3 * j5
+        h44 += a4 * j4
+        h45 += a4 * j5
+        h55 += a5 * j5
+        g0 += a0 * f
+        g1 += a1 * f
+        g2 += a2 * f
+        g3 += a3 * f
+        g4 += a4 * f
+        g5 += a5 * f
+        if matched % 16 == 0:
+            # Gradient noise turns pi by e = (1, 0, -x) and (0, 1, -y): what it adds to H, from every 16th match.
+            noise = 16.0 * weight * planes[row, column, 3]
+            for axis in range(2):
+                if axis == 0:
+                    ex, ey, ez = 1.0, 0.0, -x[column]
+                else:
+                    ex, ey, ez = 0.0, 1.0, -y[row]
+                jacobian[0], jacobian[1], jacobian[2] = ex, ey, ez
+                jacobian[3], jacobian[4], jacobian[5] = py * ez - pz * ey, pz * ex - px * ez, px * ey - py * ex
+                for a in range(6):
+                    for b in range(6):
+                        N[a, b] += noise * jacobian[a] * jacobian[b]
+    upper = (
+        (h00, h01, h02, h03, h04, h05),
+        (h01, h11, h12, h13, h14, h15),
+        (h02, h12, h22, h23, h24, h25),
+        (h03, h13, h23, h33, h34, h35),
+        (h04, h14, h24, h34, h44, h45),
+        (h05, h15, h25, h35, h45, h55),
+    )
+    for a in range(6):
+        for b in range(6):
+            sums[6 * a + b] = upper[a][b]
+            sums[36 + 6 * a + b] = N[a, b]
+    sums[72], sums[73], sums[74], sums[75], sums[76], sums[77] = g0, g1, g2, g3, g4, g5
+    sums[78], sums[79], sums[80], sums[81] = matched, facing, squares, tried

@@ -1,0 +1,258 @@
+"""Where the camera is: projective point-to-plane registration of depth frames, with the motion prior inside the cost.
+
+Masri 2016, section 4.2, aligns scans by points and normals and lets the expected motion only start the iteration
+(4.2.1). Here it is a term of the cost, so that what the scene does not constrain, as a flat floor does not constrain
+x, y and yaw, stays as expected.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.perception.keyframes import BlockFrame, Keyframes, Match
+from shared.camera import DepthSensor, Intrinsics
+from shared.geometry import exp_so3, orthonormal, transform
+
+_GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the farthest plane a point is matched with
+_MAX_ITERATIONS = 10
+_STRIDE = 4  # every how many points are matched with one keyframe
+_CONVERGED = 1e-4  # [m] and [rad] step that ends the iteration
+_INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors: ten count as one
+_SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise alone: below nothing is believed, above all
+_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registered:
+    """Where one depth frame was taken, how well that is known, and whether it may be used.
+
+    Covariance and directions are of the error twist in world axes at the camera: (p + v, exp(w) R) for (v, w).
+    """
+
+    stamp_ns: int  # [ns] capture time of the frame
+    T_world_camera: NDArray[np.float64]  # (4, 4), the prior where ok is False
+    covariance: NDArray[np.float64]  # (6, 6) [m, rad], the prior's where ok is False
+    overlap: float  # 0..1 share of the frame's points that found a plane
+    rmse: float  # [m] point-to-plane distance of those, NaN when there are none
+    degenerate: NDArray[np.float64]  # (k, 6) unit twists that the scene leaves to the prior
+    ok: bool
+    reason: str  # in words, empty when ok
+
+
+@dataclass(frozen=True, slots=True)
+class Acceptance:
+    """When a registration is refused."""
+
+    min_measured: float = 0.02  # share of the image's blocks that carry a depth
+    min_overlap: float = 0.3  # share of points that found a plane
+    min_agreement: float = 0.5  # share of points facing a plane that lie on it
+    max_rmse: float = 0.010  # [m] point-to-plane
+    jump_distance: float = 0.02  # [m] departure from the prior allowed on top of four sigma
+    jump_angle: float = 0.02  # [rad] likewise
+    patience: int = 15  # failed frames in a row after which the map starts anew at the prior
+
+
+class Registration:
+    """Camera poses from depth frames, each registered against the keyframes that see the same place.
+
+    Keyframes keep the pose they were taken at, so standing still or coming back adds no drift.
+    """
+
+    def __init__(
+        self,
+        intrinsics: Intrinsics,
+        sensor: DepthSensor,
+        acceptance: Acceptance | None = None,
+        *,
+        active_keyframes: int = 4,
+        stored_keyframes: int = 32,
+        keyframe_distance: float = 0.12,
+        keyframe_angle: float = 0.12,
+    ) -> None:
+        """Set up for one camera; see `Keyframes` for the numbers."""
+        self._acceptance = acceptance or Acceptance()
+        self._frame = BlockFrame(intrinsics, sensor)
+        self._keyframes = Keyframes(self._frame, stored_keyframes, active_keyframes, keyframe_distance, keyframe_angle)
+        self._failures = 0
+
+    @property
+    def keyframe_poses(self) -> NDArray[np.float64]:
+        """Poses (n, 4, 4) of the keyframes kept now."""
+        return self._keyframes.poses
+
+    def update(
+        self,
+        depth_raw: NDArray[np.uint16],
+        stamp_ns: int,
+        T_world_camera_prior: NDArray[np.float64],
+        prior_covariance: NDArray[np.float64],
+    ) -> Registered:
+        """Register one frame; the first is believed to be where its prior says.
+
+        Args:
+            depth_raw: (h, w) raw depth, 0 = no return.
+            stamp_ns: [ns] capture time, copied to the result.
+            T_world_camera_prior: (4, 4) expected pose, e.g. the last one composed with the odometry since.
+            prior_covariance: (6, 6) [m, rad] of its error twist, as in `Registered`.
+
+        Returns:
+            The pose; on failure the prior and the reason.
+
+        Raises:
+            ValueError: A shape or type that differs, or a covariance that is not positive definite.
+        """
+        information = prior_information(T_world_camera_prior, prior_covariance)
+        self._frame.load(depth_raw)
+        reason = too_little(self._frame, self._acceptance)
+        if reason:
+            return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, None, reason)
+        if len(self._keyframes) == 0:
+            self._keyframes.add(T_world_camera_prior)
+            return first(stamp_ns, T_world_camera_prior, prior_covariance)
+
+        T, covariance, degenerate, match = self._align(T_world_camera_prior, information)
+
+        reason = objection(match, self._acceptance) or jump(T, T_world_camera_prior, prior_covariance, self._acceptance)
+        if reason:
+            return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
+        self._failures = 0
+        if self._keyframes.is_news(T):
+            self._keyframes.add(T)
+        return Registered(stamp_ns, T, covariance, match.overlap, match.rmse, degenerate, True, "")
+
+    def _align(
+        self, T_prior: NDArray[np.float64], information: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Match]:
+        """Gauss-Newton on matches and prior together: (H + P) step = -(g + P error)."""
+        chosen = self._keyframes.select(T_prior)
+        T, step = T_prior, 3.0 * np.sqrt(np.diag(np.linalg.inv(information)))
+        for _ in range(_MAX_ITERATIONS):
+            gate = min(max(_GATE_NEAR, 2.0 * float(np.abs(step[:3]).max())), _GATE_FAR)
+            match = self._keyframes.match(T, chosen, gate, _STRIDE)
+            if T is T_prior or gate == _GATE_NEAR:
+                believed, degenerate = belief(match)
+            H, g = believed @ match.H, believed @ match.g
+            step = -np.linalg.solve(H + information, g + information @ error_twist(T, T_prior))
+            T = moved(T, step)
+            if float(np.abs(step).max()) < _CONVERGED:
+                break
+        covariance = np.linalg.inv(H + information)
+        return orthonormal(T), (covariance + covariance.T) / 2.0, degenerate, match
+
+    def _refuse(
+        self,
+        stamp_ns: int,
+        T_prior: NDArray[np.float64],
+        prior_covariance: NDArray[np.float64],
+        match: Match | None,
+        reason: str,
+    ) -> Registered:
+        self._failures += 1
+        if self._failures >= self._acceptance.patience and match is not None:
+            # The prior has drifted too far to find the way back: start a map of its own there.
+            self._keyframes.clear()
+            self._keyframes.add(T_prior)
+            reason = f"{reason}; {self._failures} frames in a row failed, the map starts anew at the prior"
+            self._failures = 0
+        return refused(stamp_ns, T_prior, prior_covariance, match, reason)
+
+
+def belief(match: Match) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How much to believe of a match, by direction.
+
+    Noisy normals make a flat floor seem to constrain x, y and yaw. Against the information N that noise alone would
+    give, H has one generalised eigenvalue per direction, 1 where it holds nothing else; directions are faded in from
+    there. (After Zhang, Kaess and Singh 2016, On degeneracy of optimization-based state estimation problems.)
+
+    Returns:
+        The (6, 6) matrix B of the normal equations to believe, B H and B g, and the unit twists (k, 6) of the
+        directions not believed at all.
+    """
+    scale = np.trace(match.N) / 6.0
+    if scale == 0.0:
+        return np.zeros((6, 6)), np.eye(6)
+    L = np.linalg.cholesky(match.N + 1e-9 * scale * np.eye(6))
+    inverse_L = np.linalg.inv(L)
+    ratio, U = np.linalg.eigh(inverse_L @ match.H @ inverse_L.T)
+    share = np.clip((ratio - _SNR_OPEN) / (_SNR_KNOWN - _SNR_OPEN), 0.0, 1.0)
+    B = _INFORMATION_SHARE / match.keyframes * (L @ (U * share) @ U.T @ inverse_L)
+    directions = (inverse_L.T @ U[:, share == 0.0]).T
+    return B, directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def moved(T: NDArray[np.float64], twist: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A pose moved by an error twist (6,) in world axes at its origin."""
+    return transform(exp_so3(twist[3:]) @ T[:3, :3], T[:3, 3] + twist[:3])
+
+
+def error_twist(T: NDArray[np.float64], T_from: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The error twist (6,) that moves one pose to another, so that moved(T_from, error_twist(T, T_from)) is T."""
+    R = T[:3, :3] @ T_from[:3, :3].T
+    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    length = math.sqrt(sine @ sine)
+    angle = math.atan2(length, (R[0, 0] + R[1, 1] + R[2, 2] - 1.0) / 2.0)
+    return np.concatenate([T[:3, 3] - T_from[:3, 3], (angle / length if length > 1e-9 else 1.0) * sine])
+
+
+def prior_information(T: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The information (6, 6) of a prior.
+
+    Raises:
+        ValueError: Not a finite (4, 4) pose, or not a positive definite (6, 6) covariance.
+    """
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        raise ValueError(f"a finite (4, 4) prior pose expected, found {T.tolist()}")
+    if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+        raise ValueError(f"a finite (6, 6) prior covariance expected, found shape {covariance.shape}")
+    if np.linalg.eigvalsh(covariance)[0] <= 0.0:
+        raise ValueError("a positive definite prior covariance expected: give every direction some variance")
+    return np.asarray(np.linalg.inv(covariance))
+
+
+def too_little(frame: BlockFrame, acceptance: Acceptance) -> str:
+    """Why a frame cannot be registered at all, or nothing."""
+    share = frame.valid / (frame.shape[0] * frame.shape[1])
+    if share < acceptance.min_measured:
+        return f"only {100 * share:.1f} % of the image is measured, {100 * acceptance.min_measured:.0f} % needed"
+    return ""
+
+
+def objection(match: Match, acceptance: Acceptance) -> str:
+    """Why a match is not to be trusted, or nothing."""
+    if match.overlap < acceptance.min_overlap:
+        return f"{100 * match.overlap:.0f} % of the frame overlaps known ground, {100 * acceptance.min_overlap:.0f} % needed"
+    if match.agreement < acceptance.min_agreement:
+        return f"only {100 * match.agreement:.0f} % of the overlap agrees with known ground"
+    if match.rmse > acceptance.max_rmse:
+        return f"surfaces are {1000 * match.rmse:.1f} mm apart, {1000 * acceptance.max_rmse:.1f} mm allowed"
+    return ""
+
+
+def jump(T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArray[np.float64], acceptance: Acceptance) -> str:
+    """Why a pose is too far from its prior to be true, or nothing."""
+    twist = np.abs(error_twist(T, T_prior))
+    margin = np.repeat([acceptance.jump_distance, acceptance.jump_angle], 3)
+    allowed = 4.0 * np.sqrt(np.diag(covariance)) + margin
+    worst = int(np.argmax(twist / allowed))
+    if twist[worst] <= allowed[worst]:
+        return ""
+    unit, factor = ("m", 1.0) if worst < 3 else ("deg", math.degrees(1.0))
+    return (
+        f"jump of {factor * twist[worst]:.3f} {unit} in {_AXES[worst]} from the expected pose, "
+        f"{factor * allowed[worst]:.3f} {unit} believable"
+    )
+
+
+def first(stamp_ns: int, T: NDArray[np.float64], covariance: NDArray[np.float64]) -> Registered:
+    """The result for a frame that starts a map: it is where its prior says."""
+    return Registered(stamp_ns, T.copy(), covariance.copy(), 1.0, 0.0, np.eye(6), True, "")
+
+
+def refused(
+    stamp_ns: int, T: NDArray[np.float64], covariance: NDArray[np.float64], match: Match | None, reason: str
+) -> Registered:
+    """The result for a frame that could not be registered: its prior and why."""
+    overlap, rmse = (0.0, math.nan) if match is None else (match.overlap, match.rmse)
+    return Registered(stamp_ns, T.copy(), covariance.copy(), overlap, rmse, np.eye(6), False, reason)

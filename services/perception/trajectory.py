@@ -1,0 +1,54 @@
+"""How far an estimated trajectory is from the true one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.geometry import align_rigid, inverse, log_so3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrajectoryError:
+    """Absolute trajectory error, after the rigid alignment that makes it smallest."""
+
+    T_truth_estimate: NDArray[np.float64]  # (4, 4) the alignment, or identity
+    distances: NDArray[np.float64]  # (n,) [m] between aligned and true positions
+    angles: NDArray[np.float64]  # (n,) [rad] between aligned and true orientations
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the distances [m]."""
+        return float(np.sqrt(np.mean(self.distances**2)))
+
+    @property
+    def final(self) -> float:
+        """Distance at the last pose [m]."""
+        return float(self.distances[-1])
+
+    @property
+    def worst(self) -> float:
+        """Largest distance [m]."""
+        return float(self.distances.max())
+
+
+def trajectory_error(T_estimate: NDArray[np.float64], T_truth: NDArray[np.float64], *, align: bool = True) -> TrajectoryError:
+    """Compare poses taken at the same times.
+
+    Args:
+        T_estimate: (n, 4, 4) estimated poses.
+        T_truth: (n, 4, 4) true poses.
+        align: Move the estimate rigidly as a whole onto the truth first, by position.
+
+    Raises:
+        ValueError: Shapes that differ, or fewer than three poses to align.
+    """
+    if T_estimate.shape != T_truth.shape or T_estimate.ndim != 3 or T_estimate.shape[1:] != (4, 4):
+        raise ValueError(f"two (n, 4, 4) trajectories expected, found {T_estimate.shape} and {T_truth.shape}")
+    if len(T_truth) == 0:
+        raise ValueError("at least one pose expected, found none")
+    T = align_rigid(T_estimate[:, :3, 3], T_truth[:, :3, 3]) if align else np.eye(4)
+    difference = inverse(T_truth) @ T @ T_estimate
+    return TrajectoryError(
+        T, np.linalg.norm(difference[:, :3, 3], axis=-1), np.linalg.norm(log_so3(difference[:, :3, :3]), axis=-1)
+    )

@@ -1,0 +1,18 @@
+"""Settings of the simulator."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Which course is simulated, and where its servo bus is found."""
+
+    scenario: str = "steps"  # by name, or the path of a TOML file
+    seed: int = 0
+    bus_port: int = 0  # TCP port on 127.0.0.1 on which the servo bus listens, 0 for any
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.bus_port <= 65535:
+            raise ValueError(f"a TCP port of 0 to 65535 expected, found {self.bus_port}")
+        if self.seed < 0:
+            raise ValueError(f"a seed of 0 or more expected, found {self.seed}")

@@ -1,0 +1,203 @@
+"""What a PrimeSense depth camera makes of true depth: noise, quantisation, range, and pixels without a return.
+
+It triangulates between a projector and one sensor: it measures disparity d = fx * baseline / z, and there its errors are
+Gaussian and its steps even. Where the projector's light does not reach, or comes back too weakly, there is nothing.
+
+Every random number is a hash of the camera's key, the frame's number and the pixel, so a frame does not depend on how many
+were taken before or on the machine.
+"""
+
+from math import ceil
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.camera import DepthSensor, Intrinsics
+from shared.compiled import compiled
+from shared.geometry import Array
+
+RANDOM_LOSS = 0.05  # share of pixels that fail for no visible reason
+GRAZING = (0.03, 0.12)  # cosines of incidence below which no pixel returns, and above which all do
+_SHADOW_MARGIN = 0.5  # [px] of disparity, so that a smooth surface does not shadow itself by rounding
+_GAUSS_BITS = 12
+_MAX_RAW = 65535
+
+
+class DepthCamera:
+    """Turns true pictures into what the camera would deliver."""
+
+    def __init__(
+        self,
+        intrinsics: Intrinsics,
+        sensor: DepthSensor,
+        rng: np.random.Generator,
+        noise: bool = True,
+        dropouts: bool = True,
+    ):
+        """Set up a camera.
+
+        Args:
+            intrinsics: Of the picture; the projector sits `sensor.baseline` to the right of the lens.
+            sensor: Range and noise figures.
+            rng: Only drawn from here, once, for the camera's key.
+            noise: Disparity noise and quantisation; without it, depth is only rounded to raw units.
+            dropouts: Pixels without return in shadows, on grazed surfaces, and at random.
+        """
+        self.intrinsics, self.sensor = intrinsics, sensor
+        self._key = np.uint32(rng.integers(1 << 32))
+        self._frames = 0
+        self._dropouts = dropouts
+        self._bf = intrinsics.fx * sensor.baseline  # [px m]
+        quantised = noise and sensor.disparity_step > 0
+        self._counts = 1.0 / sensor.disparity_step if quantised else 0.0  # per pixel of disparity, 0 for no quantisation
+        self._sigma = sensor.disparity_sigma if noise else 0.0
+        self._gauss = _gaussian_table()
+        self._raw_of_count = self._table()
+        self._camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
+
+    def measure(self, inverse_depth: NDArray[np.float32]) -> NDArray[np.uint16]:
+        """The next raw frame (h, w), 0 for no return, of true inverse depth (h, w) [1/m], 0 for nothing there.
+
+        Raises:
+            ValueError: The picture does not have the camera's size.
+        """
+        shape = (self.intrinsics.height, self.intrinsics.width)
+        if inverse_depth.shape != shape or inverse_depth.dtype != np.float32:
+            raise ValueError(f"float32 inverse depth {shape} expected, found {inverse_depth.dtype} {inverse_depth.shape}")
+        raw = np.empty(shape, dtype=np.uint16)
+        frame_key = _mix(np.uint32(self._key ^ np.uint32((self._frames * 0x9E3779B9) & 0xFFFFFFFF)))
+        limits = np.array([self.sensor.min_range, self.sensor.max_range, self.sensor.depth_scale])
+        _disparity_to_raw(
+            inverse_depth, raw, frame_key, self._bf, self._sigma, self._counts, self._gauss, self._raw_of_count, limits
+        )
+        if self._dropouts:
+            _drop(inverse_depth, raw, _mix(np.uint32(frame_key ^ np.uint32(0x5BD1E995))), self._camera, self._bf)
+        self._frames += 1
+        return raw
+
+    def _table(self) -> NDArray[np.uint16]:
+        """Raw depth of every count of quantised disparity within range; empty without quantisation."""
+        if self._counts == 0.0:
+            return np.zeros(0, dtype=np.uint16)
+        sensor = self.sensor
+        count = np.arange(ceil(self._bf / sensor.min_range * self._counts) + 2)
+        z = self._bf * self._counts / np.maximum(count, 1)
+        raw = np.rint(z * sensor.depth_scale)
+        seen = (count > 0) & (z >= sensor.min_range) & (z <= sensor.max_range) & (raw <= _MAX_RAW)
+        return np.where(seen, raw, 0).astype(np.uint16)
+
+
+def _gaussian_table() -> NDArray[np.float32]:
+    """Equally likely values of a normal distribution, scaled to unit variance."""
+    n = 1 << _GAUSS_BITS
+    normal = NormalDist()
+    values = np.array([normal.inv_cdf((i + 0.5) / n) for i in range(n)])
+    return np.asarray(values / np.sqrt(np.mean(values**2)), dtype=np.float32)
+
+
+@compiled
+def _mix(x: np.uint32) -> np.uint32:
+    """Scramble 32 bits: a bijection with an avalanche bias of 0.17 (Wellons 2018, `lowbias32`)."""
+    # Numba widens every product of 32-bit numbers, hence the narrowing at each step.
+    x = np.uint32((x ^ (x >> np.uint32(16))) * np.uint32(0x7FEB352D))
+    x = np.uint32((x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B))
+    return np.uint32(x ^ (x >> np.uint32(16)))
+
+
+@compiled
+def _hash(pixel: np.uint32, key: np.uint32) -> np.uint32:
+    """32 random bits of a pixel."""
+    return _mix(np.uint32(np.uint32(pixel * np.uint32(0x9E3779B1)) ^ key))
+
+
+@compiled
+def _disparity_to_raw(
+    inverse_depth: NDArray[np.float32],
+    raw: NDArray[np.uint16],
+    key: np.uint32,
+    bf: float,
+    sigma: float,
+    counts: float,
+    gauss: NDArray[np.float32],
+    raw_of_count: NDArray[np.uint16],
+    limits: Array,
+) -> None:
+    """Noise in disparity, quantised through a table or else inverted; bf [px m], sigma [px], counts per pixel."""
+    rows, columns = raw.shape
+    nearest, farthest, scale = limits
+    shift = np.uint32(32 - _GAUSS_BITS)
+    to_count, spread = np.float32(bf * counts), np.float32(sigma * counts)
+    top = len(raw_of_count) - 1
+    # What no noise brings back into range: the table ends at 3.7 sigma, and quantisation moves a pixel by half a count.
+    reach = (4.0 * sigma + (1.0 / counts if counts > 0.0 else 0.0)) / bf + 1e-3
+    darkest, brightest = np.float32(max(1.0 / farthest - reach, 1e-9)), np.float32(1.0 / nearest + reach)
+    for row in range(rows):
+        line, out = inverse_depth[row], raw[row]
+        seed = np.uint32(row * columns)
+        for column in range(columns):
+            w = line[column]
+            if w < darkest or w > brightest:
+                out[column] = 0
+                continue
+            noise = np.float32(0.0)
+            if sigma > 0.0:
+                noise = gauss[_hash(np.uint32(seed + np.uint32(column)), key) >> shift]
+            if top >= 0:
+                # Too near lies beyond the table, whose last entry is 0 as is its first.
+                count = int(w * to_count + noise * spread + np.float32(0.5))
+                out[column] = raw_of_count[min(max(count, 0), top)]
+            else:
+                d = w * bf + noise * sigma
+                z = bf / d if d > 0.0 else np.inf
+                value = np.rint(z * scale)
+                out[column] = np.uint16(value) if nearest <= z <= farthest and value <= 65535.0 else np.uint16(0)
+
+
+@compiled
+def _drop(w: NDArray[np.float32], raw: NDArray[np.uint16], key: np.uint32, camera: Array, bf: float) -> None:
+    """Take away pixels in the projector's shadow, on grazed surfaces, and at random."""
+    rows, columns = w.shape
+    fx, fy, cy = np.float32(camera[0]), np.float32(camera[1]), np.float32(camera[3])
+    per_fx, per_fy = np.float32(1.0 / camera[0]), np.float32(1.0 / camera[1])
+    b = np.float32(bf)
+    low, width = np.float32(GRAZING[0]), np.float32((GRAZING[1] - GRAZING[0]) / (1.0 - RANDOM_LOSS))
+    likely = np.float32(1.0 - RANDOM_LOSS)
+    to_unit = np.float32(2.0**-32)
+    one = np.float32(1.0)
+    x_of_column = (np.arange(1, columns - 1) - camera[2]).astype(np.float32)
+    for row in range(rows):
+        # In the projector's picture a point lies at u - d. Right of a pixel, whatever lies further left there hides it.
+        leftmost = np.float32(np.inf)
+        for column in range(columns - 1, -1, -1):
+            if w[row, column] > 0.0:
+                seen_at = np.float32(column) - b * w[row, column]
+                if seen_at > leftmost + np.float32(_SHADOW_MARGIN):
+                    raw[row, column] = 0
+                leftmost = min(leftmost, seen_at)
+        before, after = w[row, : columns - 2], w[row, 2:]
+        above, below = w[max(row - 1, 0), 1:], w[min(row + 1, rows - 1), 1:]
+        line, out = w[row, 1:], raw[row, 1:]
+        y = np.float32(row) - cy
+        seed = np.uint32(row * columns)
+        for k in range(columns - 2):
+            if out[k] == 0:
+                continue
+            here = line[k]
+            # Of both neighbours the one nearer in depth: an edge of a level surface does not make it steep.
+            one_side, other = here - before[k], after[k] - here
+            wu = one_side if abs(one_side) < abs(other) else other
+            one_side, other = here - above[k], below[k] - here
+            wv = one_side if abs(one_side) < abs(other) else other
+            x = x_of_column[k]
+            # On a plane 1/z = w is linear in the pixel; its gradient gives the normal, and w = normal . ray.
+            nx, ny, nz = fx * wu, fy * wv, here - wu * x - wv * y
+            rx, ry = x * per_fx, y * per_fy
+            chance = np.float32(_hash(np.uint32(seed + np.uint32(k)), key)) * to_unit
+            # Kept with a probability that grows linearly with the cosine of incidence, compared squared.
+            needed = low + width * chance
+            squares = (nx * nx + ny * ny + nz * nz) * (one + rx * rx + ry * ry)
+            kept = (chance < likely) & (here * here > needed * needed * squares)
+            if not kept:
+                out[k] = 0
+        raw[row, 0] = raw[row, columns - 1] = 0  # without a neighbour on one side

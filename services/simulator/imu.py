@@ -1,0 +1,42 @@
+"""Inertial sensor: white noise, a bias that differs from run to run, and its slow walk."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.geometry import Array
+
+
+@dataclass(frozen=True, slots=True)
+class ImuNoise:
+    """Noise figures; densities are the MPU-6050's data sheet, biases what is left after calibration at rest (assumed)."""
+
+    gyro_density: float = 8.7e-5  # [rad/s/sqrt(Hz)]
+    force_density: float = 3.9e-3  # [m/s^2/sqrt(Hz)]
+    gyro_bias: float = 2e-3  # [rad/s] one sigma at the start
+    force_bias: float = 5e-2  # [m/s^2]
+    gyro_walk: float = 2e-5  # [rad/s/sqrt(s)]
+    force_walk: float = 5e-4  # [m/s^2/sqrt(s)]
+
+
+class Imu:
+    """Makes readings of true motion."""
+
+    def __init__(self, noise: ImuNoise, rng: np.random.Generator):
+        self._noise, self._rng = noise, rng
+        self._gyro_bias = rng.normal(0.0, noise.gyro_bias, 3)
+        self._force_bias = rng.normal(0.0, noise.force_bias, 3)
+
+    def update(self, rate: Array, force: Array, dt: float) -> tuple[Array, Array]:
+        """The reading after another dt [s] of angular rate (3,) [rad/s] and specific force (3,) [m/s^2], and in these units.
+
+        Raises:
+            ValueError: dt is not positive.
+        """
+        if not dt > 0:
+            raise ValueError(f"a positive interval expected, found {dt} s")
+        n, rng = self._noise, self._rng
+        self._gyro_bias = self._gyro_bias + rng.normal(0.0, n.gyro_walk * np.sqrt(dt), 3)
+        self._force_bias = self._force_bias + rng.normal(0.0, n.force_walk * np.sqrt(dt), 3)
+        gyro = rate + self._gyro_bias + rng.normal(0.0, n.gyro_density / np.sqrt(dt), 3)
+        return gyro, force + self._force_bias + rng.normal(0.0, n.force_density / np.sqrt(dt), 3)

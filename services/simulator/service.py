@@ -1,0 +1,177 @@
+"""The simulator: to everybody else a depth camera and a servo bus; the truth goes to the scorer alone."""
+
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
+from typing import Self
+
+import numpy as np
+
+from services.simulator.bus import ServoBusEmulator
+from services.simulator.config import Settings
+from services.simulator.depth_camera import DepthCamera
+from services.simulator.render import Renderer
+from services.simulator.servos import AX_12A_MOTOR, RX_64_MOTOR, ServoBank
+from services.simulator.tcp_port import TcpBusServer
+from services.simulator.terrain import build_terrain
+from services.simulator.world import TIME_STEP_NS, Factors, World
+from shared import dynamixel as dxl
+from shared import topics
+from shared.dynamixel import ServoError
+from shared.geometry import Array
+from shared.kinematics import body_inverse
+from shared.messages import ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
+from shared.robot import RobotProfile
+from shared.scenario import Scenario, load_scenario
+from shared.service import AnyTopic, Every, Inbox, Stages
+
+_MOTORS = {"AX-12A": AX_12A_MOTOR, "RX-64": RX_64_MOTOR}
+_MODELS = {model.name: model for model in dxl.MODELS}
+_MAX_LAG_NS = 200_000_000  # [ns] a machine that is slower than real time falls behind rather than racing to catch up
+_SHUTDOWN = ServoError.OVERLOAD | ServoError.OVERHEATING
+_DT = TIME_STEP_NS * 1e-9  # [s]
+
+log = logging.getLogger(__name__)
+
+
+class Simulator:
+    """A robot on its course. Time is whoever paces it: the machine's clock live, simulated time in lockstep."""
+
+    name = "simulator"
+    reads: tuple[AnyTopic, ...] = ()
+    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.IMU, topics.TRUTH)
+
+    def __init__(self, profile: RobotProfile, settings: Settings, scenario: Scenario | None = None):
+        """Build the world, the robot standing at its start with torque on, as an operator would have left it.
+
+        Args:
+            profile: The robot.
+            settings: Of this service.
+            scenario: In place of the one that the settings name.
+        """
+        self.paced_by = Every(2 * TIME_STEP_NS)
+        self.stages = Stages()
+        self._profile = profile
+        self._settings = settings
+        scenario = load_scenario(settings.scenario) if scenario is None else scenario
+        self._scenario = scenario
+        seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(4)]
+        terrain = build_terrain(scenario, seeds[0])
+        self.world = World(profile, terrain, Factors.draw(scenario.variation, seeds[1]), imu=scenario.variation.imu)
+        self._renderer = Renderer(terrain, profile.camera.intrinsics)
+        self._camera = DepthCamera(
+            profile.camera.intrinsics,
+            profile.camera.sensor,
+            seeds[2],
+            noise=scenario.camera.noise,
+            dropouts=scenario.camera.dropouts,
+        )
+        self._imu_rng = seeds[3]
+        self._bank = self._switch_on(profile, scenario)
+        self.bus = ServoBusEmulator(self._bank)
+        self._server: TcpBusServer | None = None
+        self._origin_ns: int | None = None  # of simulated time, on the clock that paces
+        self._due_ns = {topic.key: 0 for topic in self.writes}
+        self._behind = 0
+
+    def _switch_on(self, profile: RobotProfile, scenario: Scenario) -> ServoBank:
+        """Put the robot on its feet and give it servos that hold it there."""
+        q = body_inverse(profile, profile.rest_feet(scenario.walk.body_height))
+        self.world.stand(q, scenario.start.xy, np.radians(scenario.start.yaw_deg))
+        servo = profile.servo_angles(q).ravel()
+        ids = profile.servo_ids.ravel().tolist()
+        bank = ServoBank(ids, _MODELS[profile.servo.model], _MOTORS[profile.servo.model], q=servo)
+        for row, angle in enumerate(servo):
+            bank.write(row, dxl.CW_COMPLIANCE_SLOPE.address, bytes([profile.servo.compliance_slope] * 2))
+            bank.write(row, dxl.GOAL_POSITION.address, dxl.GOAL_POSITION.encode(dxl.ticks_from_angle(angle)))
+            bank.write(row, dxl.TORQUE_ENABLE.address, b"\x01")
+        return bank
+
+    def __enter__(self) -> Self:
+        """Open the servo bus to the network, for a live run."""
+        self._server = TcpBusServer(self.bus, port=self._settings.bus_port, clock=time.monotonic_ns)
+        log.info("servo bus on %s", self._server.url)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._server is not None:
+            self._server.close()
+
+    def doing(self) -> str:
+        """How far simulated time is."""
+        late = f", {self._behind} times too slow for real time" if self._behind else ""
+        return f"simulating {self._scenario.name}, {self.world.time_ns * 1e-9:.1f} s{late}"
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """Let physics pass until now; make what falls due on the way."""
+        if self._origin_ns is None:
+            self._origin_ns = tick.stamp_ns - self.world.time_ns
+        if tick.stamp_ns - (self._origin_ns + self.world.time_ns) > _MAX_LAG_NS:
+            self._behind += 1
+            self._origin_ns = tick.stamp_ns - self.world.time_ns - 2 * TIME_STEP_NS
+        while self._origin_ns + self.world.time_ns < tick.stamp_ns:
+            with self._locked():
+                self._physics(self._origin_ns + self.world.time_ns)
+            yield from self._observe(self._origin_ns + self.world.time_ns, inbox)
+
+    def _locked(self) -> AbstractContextManager[object]:
+        return nullcontext() if self._server is None else self._server.lock
+
+    def _physics(self, now_ns: int) -> None:
+        profile, world = self._profile, self.world
+        self.bus.advance(now_ns)
+        signs = profile.servo_signs
+        q, qd, torque = profile.servo_angles(world.q), signs * world.qd, signs * world.torque
+        command = self._bank.step(q.ravel(), qd.ravel(), torque.ravel(), _DT)
+        setpoint = profile.joint_angles(command.setpoint.reshape(6, 3))
+        world.step(setpoint, command.stiffness.reshape(6, 3), command.torque_limit.reshape(6, 3))
+
+    def _observe(self, now_ns: int, inbox: Inbox) -> Iterator[Message]:
+        """What the camera, the IMU and the scorer get at this instant."""
+        if self._due(topics.DEPTH, now_ns):
+            with self.stages("render"):
+                picture = self._renderer.inverse_depth(self._camera_pose(), self.world.robot_solids())
+            with self.stages("depth noise"):
+                depth = self._camera.measure(picture)
+            yield DepthImage(now_ns, depth)
+        if inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
+            yield ColorImage(now_ns, self._renderer.rgb(self._camera_pose(), self.world.robot_solids()))
+        if self._scenario.variation.imu and self._due(topics.IMU, now_ns):
+            yield self._imu(now_ns)
+        if self._due(topics.TRUTH, now_ns):
+            yield self._truth(now_ns)
+
+    def _due(self, topic: AnyTopic, now_ns: int) -> bool:
+        """Whether a topic's next beat has come; beats are even multiples of its period."""
+        due_ns = self._due_ns[topic.key]
+        if now_ns < due_ns:
+            return False
+        period_ns = round(1e9 / topic.rate_hz)
+        self._due_ns[topic.key] = due_ns + period_ns * (1 + (now_ns - due_ns) // period_ns)
+        return True
+
+    def _camera_pose(self) -> Array:
+        return np.asarray(self.world.T_world_body @ self._profile.camera.T_body_camera)
+
+    def _imu(self, now_ns: int) -> Imu:
+        gyro, force = self.world.imu
+        return Imu(
+            now_ns,
+            gyro=gyro + self._imu_rng.normal(0.0, 0.003, 3),  # [rad/s] of a small MEMS device at 100 Hz
+            specific_force=force + self._imu_rng.normal(0.0, 0.05, 3),  # [m/s^2]
+        )
+
+    def _truth(self, now_ns: int) -> GroundTruth:
+        world = self.world
+        return GroundTruth(
+            stamp_ns=now_ns,
+            T_world_body=np.array(world.T_world_body),
+            q=np.array(world.q),
+            torque=np.array(world.torque),
+            feet=np.array(world.p_world_foot),
+            contact=np.array(world.foot_contact),
+            shutdown=np.array([self._bank.error(row) & _SHUTDOWN != 0 for row in range(18)]).reshape(6, 3),
+            voltage=float(self._bank.voltage),
+            temperature=float(self._bank.temperature.max()),
+        )

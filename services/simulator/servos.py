@@ -1,0 +1,355 @@
+"""A bank of emulated Dynamixel servos: control tables, and the electronics, heat and supply around each joint.
+
+The joint itself, its damping and friction belong to the physics engine. Each step it tells the bank where the joints are and
+what torque the motors gave; the bank answers with the position controller that the servos are: setpoint, stiffness, limit.
+
+Not emulated: wheel mode (both angle limits 0; such a servo is limp) and punch, which about cancels the gear's friction.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared import dynamixel as dxl
+from shared.compiled import compiled
+from shared.dynamixel import ServoError, ServoModel
+
+Array = NDArray[np.float64]
+
+_EPS = 1e-9  # rounding: a duty, or a sum of time steps, may fall this much short of the limit it should reach
+
+
+@dataclass(frozen=True, slots=True)
+class Motor:
+    """What one motor gives and takes. Source: ROBOTIS e-manual, AX-12A; standby current from the RX-64 page."""
+
+    stall_torque: float = 1.5  # [N m] at a duty of 1
+    stall_current: float = 1.5  # [A] at a duty of 1
+    standby_current: float = 0.05  # [A] always
+
+
+@dataclass(frozen=True, slots=True)
+class Protection:
+    """When a servo shuts itself down. Duty is |motor torque| / stall torque.
+
+    Assumed, for no public measurement exists; chosen so that one third of the stall torque is the continuous limit.
+    """
+
+    stall_duty: float = 0.95  # overload latches at this duty ...
+    stall_time: float = 1.5  # [s] ... held this long,
+    mean_duty: float = 0.8  # or when the mean duty exceeds this ...
+    mean_time: float = 10.0  # [s] ... over this window
+    ambient: float = 25.0  # [deg C]
+    cooling_time: float = 400.0  # [s] time constant of cooling to ambient
+    heating: float = 1.01  # [K/s] at a duty of 1, in proportion to its square
+
+
+@dataclass(frozen=True, slots=True)
+class Supply:
+    """One battery for all servos and the computer: a 3S lithium polymer pack, its voltage falling straight with charge."""
+
+    full_voltage: float = 12.6  # [V] open circuit
+    empty_voltage: float = 9.9  # [V] open circuit
+    capacity_ah: float = 4.0  # [A h]
+    resistance: float = 0.04  # [ohm]
+    computer_current: float = 1.0  # [A]
+
+
+AX_12A_MOTOR = Motor()
+RX_64_MOTOR = Motor(stall_torque=5.3, stall_current=2.6, standby_current=0.05)  # at 18.5 V
+
+_BUCKETS = 100  # of the sliding window of the mean duty
+_HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
+_LIVE_START = dxl.PRESENT_POSITION.address
+_LIVE_END = dxl.MOVING.address + dxl.MOVING.size
+
+
+@dataclass(frozen=True, slots=True)
+class ServoCommand:
+    """The position controllers of n servos for one physics step: torque = clip(stiffness (setpoint - q), +-limit).
+
+    The arrays belong to the bank and change at its next step.
+    """
+
+    setpoint: Array  # (n,) [rad] servo angle, the compliance margin already taken off
+    stiffness: Array  # (n,) [N m/rad]
+    torque_limit: Array  # (n,) [N m] 0 where the servo is limp
+
+
+@compiled
+def _age(
+    load: Array,
+    temperature: Array,
+    temperature_limit: Array,
+    stalled_for: Array,
+    bucket: Array,
+    duty_sum: Array,
+    tripped: NDArray[np.uint8],
+    dt: float,
+    stall_duty: float,
+    stall_time: float,
+    mean_limit: float,
+    ambient: float,
+    cooling_time: float,
+    heating: float,
+) -> tuple[float, bool]:
+    """One step of heat and overload of n servos, in place; the sum of the duties and whether any servo trips.
+
+    `bucket` is the slice of the duty window being filled and `duty_sum` [s] the rest of it; `mean_limit` [s] is their
+    greatest sum. `tripped` becomes the error bits whose cause is there.
+    """
+    total, any_tripped = 0.0, False
+    for i in range(load.size):
+        duty = abs(load[i])
+        total += duty
+        temperature[i] += dt * ((ambient - temperature[i]) / cooling_time + heating * duty * duty)
+        stalled_for[i] = stalled_for[i] + dt if duty >= stall_duty else 0.0
+        bucket[i] += dt * duty
+        bits = 0
+        if stalled_for[i] >= stall_time or duty_sum[i] + bucket[i] > mean_limit:
+            bits |= _OVERLOAD
+        if temperature[i] > temperature_limit[i]:
+            bits |= _HOT
+        tripped[i] = bits
+        any_tripped = any_tripped or bits != 0
+    return total, any_tripped
+
+
+class ServoBank:
+    """n servos in servo coordinates: 0 rad at tick 512, counterclockwise positive."""
+
+    def __init__(
+        self,
+        servo_ids: Sequence[int],
+        model: ServoModel = dxl.AX_12A,
+        motor: Motor = AX_12A_MOTOR,
+        protection: Protection | None = None,
+        supply: Supply | None = None,
+        *,
+        q: Array | None = None,
+        charge: float = 1.0,
+        temperature: float | None = None,
+    ) -> None:
+        """Switch the servos on with factory values and torque off.
+
+        Args:
+            servo_ids: Ids 0 to 253, all different.
+            model: Register defaults of the servo type.
+            motor: Torque and currents of the servo type.
+            protection: Overload and heat.
+            supply: The battery.
+            q: (n,) [rad] joint angles at the start in servo coordinates; None is all 0.
+            charge: Charge of the battery at the start, 0 to 1.
+            temperature: [deg C] of the motors at the start; None is ambient.
+
+        Raises:
+            ValueError: An id out of range or given twice, or a charge outside 0 to 1.
+        """
+        n = len(servo_ids)
+        if len(set(servo_ids)) != n or not all(0 <= i <= dxl.MAX_ID for i in servo_ids):
+            raise ValueError(f"servo ids 0 to {dxl.MAX_ID}, each once, expected, found {list(servo_ids)}")
+        if not 0.0 <= charge <= 1.0:
+            raise ValueError(f"a battery charge from 0 to 1 expected, found {charge}")
+        self.model = model
+        self.motor = motor
+        self.protection = protection or Protection()
+        self.supply = supply or Supply()
+        self.charge = charge  # of the battery, 0 to 1
+        self.current = 0.0  # [A] drawn in the last step
+
+        self._bytes = bytearray(model.factory_table() * n)
+        self.tables: NDArray[np.uint8] = np.frombuffer(self._bytes, dtype=np.uint8).reshape(n, dxl.TABLE_SIZE)
+        self._words = self.tables.view("<u2")  # every two-byte register lies at an even address
+        self.tables[:, dxl.ID.address] = servo_ids
+        self._torque_limits = self._column(dxl.TORQUE_LIMIT)
+        self._torque_limits[:] = self._column(dxl.MAX_TORQUE)
+        self._goals = self._column(dxl.GOAL_POSITION)
+
+        start = self.protection.ambient if temperature is None else temperature
+        self.temperature: Array = np.full(n, start)  # (n,) [deg C]
+        self.voltage = self._open_circuit()  # [V] at the servos
+        self._faults = np.zeros(n, dtype=np.uint8)  # latched OVERLOAD and OVERHEATING
+        self._tripped = np.zeros(n, dtype=np.uint8)  # those whose cause is there now
+        self._stalled_for = np.zeros(n)  # [s]
+        self._buckets = np.zeros((_BUCKETS, n))  # [s] duty integrated over each slice of the window
+        self._bucket, self._bucket_time = 0, 0.0
+        self._duty_sum = np.zeros(n)  # [s] over the window but for the slice being filled
+
+        self._q = np.zeros(n) if q is None else np.array(q, dtype=np.float64)  # [rad]
+        self._qd, self._load = np.zeros(n), np.zeros(n)  # [rad/s], fraction of stall
+        self._setpoint = self._q.copy()  # [rad] where the ramp to the goal is, margin not considered
+        self._out = ServoCommand(np.zeros(n), np.zeros(n), np.zeros(n))
+        self._dirty = True  # a table changed since the settings below were made
+        self._goal, self._speed, self._limit = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._temperature_limit = np.zeros(n)
+        self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
+        self._symmetric = False
+        self._limp = np.ones(n, dtype=np.bool_)
+        self._ramped = False
+
+    def __len__(self) -> int:
+        """Number of servos."""
+        return len(self._q)
+
+    # ----------------------------------------------------------------------------------------------- the bus side
+
+    def read(self, row: int, address: int, size: int) -> bytes:
+        """Bytes of one servo's control table; measured values are those of the last physics step."""
+        if address < _LIVE_END and address + size > _LIVE_START:
+            self._refresh(row)
+        start = row * dxl.TABLE_SIZE + address
+        return bytes(self._bytes[start : start + size])
+
+    def write(self, row: int, address: int, data: bytes) -> None:
+        """Change one servo's control table; the caller has checked the values.
+
+        Turning torque on makes the present position the goal, so that no servo jumps to a forgotten one (ROBOTIS forum
+        24472, RX-28). Writing a goal does not turn torque on: no source says so of the AX-12A. Writing Torque Limit
+        ends a shutdown, until the next step finds its cause still there.
+        """
+        end = address + len(data)
+        start = row * dxl.TABLE_SIZE
+        enable = start + dxl.TORQUE_ENABLE.address
+        was_on = self._bytes[enable]
+        self._bytes[start + address : start + end] = data
+        turned_on = self._bytes[enable] and not was_on
+        if turned_on and not (address <= dxl.GOAL_POSITION.address < end):
+            self._goals[row] = self._position_ticks(row)
+        if address <= dxl.TORQUE_LIMIT.address < end:
+            self._faults[row] = 0
+        self._dirty = True
+
+    def error(self, row: int) -> int:
+        """Error bits of one servo that belong to its state and not to an instruction."""
+        start = row * dxl.TABLE_SIZE
+        volts = round(self.voltage / dxl.VOLT_UNIT)
+        low, high = self._bytes[start + dxl.MIN_VOLTAGE.address], self._bytes[start + dxl.MAX_VOLTAGE.address]
+        return int(self._faults[row]) | (0 if low <= volts <= high else int(ServoError.INPUT_VOLTAGE))
+
+    # ------------------------------------------------------------------------------------------- the physics side
+
+    def step(self, q: Array, qd: Array, torque: Array, dt: float) -> ServoCommand:
+        """Advance the servos by one physics step.
+
+        Args:
+            q: (n,) [rad] joint angles in servo coordinates.
+            qd: (n,) [rad/s] joint speeds.
+            torque: (n,) [N m] motor torques that acted in the last step.
+            dt: [s] the step.
+
+        Returns:
+            The position controllers for the coming step.
+        """
+        self._q[:] = q
+        self._qd[:] = qd
+        np.divide(torque, self.motor.stall_torque, out=self._load)
+        if self._dirty:
+            self._settings()
+        self._drain(self._protect(dt), dt)
+        if self._dirty:  # a shutdown
+            self._settings()
+        return self._control(dt)
+
+    def _protect(self, dt: float) -> float:
+        """Age overload and heat by one step and shut down what they ask for; return the sum of the duties."""
+        p = self.protection
+        duty_sum, tripped = _age(
+            self._load, self.temperature, self._temperature_limit, self._stalled_for, self._buckets[self._bucket],
+            self._duty_sum, self._tripped, dt, p.stall_duty - _EPS, p.stall_time - _EPS, (p.mean_duty + _EPS) * p.mean_time,
+            p.ambient, p.cooling_time, p.heating,
+        )  # fmt: skip
+        self._bucket_time += dt
+        if self._bucket_time >= p.mean_time / _BUCKETS - _EPS:
+            self._bucket, self._bucket_time = (self._bucket + 1) % _BUCKETS, 0.0
+            self._buckets[self._bucket] = 0.0
+            self._duty_sum = self._buckets.sum(axis=0)
+        if tripped:
+            self._faults |= self._tripped
+            down = (self._tripped & self.tables[:, dxl.SHUTDOWN.address] != 0) & (self._torque_limits != 0)
+            if down.any():
+                self._torque_limits[down] = 0
+                self._dirty = True
+        return float(duty_sum)
+
+    def _drain(self, duty_sum: float, dt: float) -> None:
+        s, m = self.supply, self.motor
+        self.current = s.computer_current + len(self) * m.standby_current + m.stall_current * duty_sum
+        self.charge = max(self.charge - self.current * dt / (3600.0 * s.capacity_ah), 0.0)
+        self.voltage = self._open_circuit() - s.resistance * self.current
+
+    def _open_circuit(self) -> float:
+        return self.supply.empty_voltage + self.charge * (self.supply.full_voltage - self.supply.empty_voltage)
+
+    def _control(self, dt: float) -> ServoCommand:
+        setpoint, q, out = self._setpoint, self._q, self._out
+        if self._ramped:
+            reach = self._speed * dt  # infinite where the speed is uncontrolled
+            setpoint += np.clip(self._goal - setpoint, -reach, reach)
+        else:
+            setpoint[:] = self._goal
+        np.copyto(setpoint, q, where=self._limp)  # and starts from here when torque returns
+
+        error = setpoint - q
+        if self._symmetric:
+            margin = self._margin[0]
+        else:
+            ccw = error > 0.0
+            margin = np.where(ccw, self._margin[1], self._margin[0])
+            out.stiffness[:] = np.where(ccw, self._stiffness[1], self._stiffness[0])
+        # Outside the margin the torque starts from zero at its edge; inside, the setpoint is where the joint is.
+        np.subtract(error, np.clip(error, -margin, margin), out=out.setpoint)
+        np.add(out.setpoint, q, out=out.setpoint)
+        return out
+
+    def _settings(self) -> None:
+        """Physical values of the registers, made only when a table has changed."""
+        self._dirty = False
+        self._goal[:] = (self._goals - float(dxl.TICK_CENTRE)) * dxl.TICK_RAD
+        speed = self._column(dxl.MOVING_SPEED)
+        self._ramped = bool(speed.any())
+        self._speed[:] = np.where(speed == 0, np.inf, speed * dxl.SPEED_RAD_S)
+        self._temperature_limit[:] = self._column(dxl.TEMPERATURE_LIMIT)
+
+        # The AX-12A knows seven slopes, the powers of two; at an error of one slope it gives its full torque.
+        for i, (margin, slope) in enumerate(
+            [
+                (dxl.CW_COMPLIANCE_MARGIN, dxl.CW_COMPLIANCE_SLOPE),
+                (dxl.CCW_COMPLIANCE_MARGIN, dxl.CCW_COMPLIANCE_SLOPE),
+            ]
+        ):
+            self._margin[i] = self._column(margin) * dxl.TICK_RAD
+            steps = np.exp2(np.floor(np.log2(np.maximum(self._column(slope), 2))))
+            self._stiffness[i] = self.motor.stall_torque / (steps * dxl.TICK_RAD)
+        self._symmetric = bool((self._margin[0] == self._margin[1]).all() and (np.ptp(self._stiffness, axis=0) == 0).all())
+        self._out.stiffness[:] = self._stiffness[0]
+
+        wheel_mode = (self._column(dxl.CW_ANGLE_LIMIT) == 0) & (self._column(dxl.CCW_ANGLE_LIMIT) == 0)
+        limit = np.minimum(self._torque_limits, self._column(dxl.MAX_TORQUE)) / float(dxl.TORQUE_LIMIT.max)
+        off = (self._column(dxl.TORQUE_ENABLE) == 0) | wheel_mode
+        self._limit[:] = np.where(off, 0.0, self.motor.stall_torque * limit)
+        self._limp = self._limit == 0.0
+        self._out.torque_limit[:] = self._limit
+
+    def _column(self, register: dxl.Register) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """One register of all servos, a view of the tables."""
+        return self.tables[:, register.address] if register.size == 1 else self._words[:, register.address // 2]
+
+    def _position_ticks(self, row: int) -> int:
+        return min(max(dxl.ticks_from_angle(float(self._q[row])), 0), dxl.TICK_MAX)
+
+    def _refresh(self, row: int) -> None:
+        """Put the measured values of one servo into its table."""
+        start = row * dxl.TABLE_SIZE
+        dxl.PRESENT_STATE.pack_into(
+            self._bytes,
+            start + _LIVE_START,
+            self._position_ticks(row),
+            dxl.register_from_speed(float(self._qd[row])),
+            dxl.register_from_load(float(self._load[row])),
+            min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255),
+            min(max(round(float(self.temperature[row])), 0), 255),
+        )
+        moving = abs(float(self._goal[row] - self._setpoint[row])) > dxl.TICK_RAD and not self._limp[row]
+        self._bytes[start + dxl.MOVING.address] = moving

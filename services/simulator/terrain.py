@@ -1,0 +1,226 @@
+"""Terrain: the primitives of a scenario as solids, and the true height of the ground.
+
+Everything is an oriented box but the level ground (a plane) and measured ground (one height field), so that physics, renderer
+and scorer read the same few numbers.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from services.simulator.solids import Boxes, HeightField
+from shared.geometry import Array, rotation_from_rpy, rotation_z
+from shared.scenario import Box, HeightMap, Pillars, Plane, Rubble, Scenario, Slope, Stairs
+
+DEPTH = 0.5  # [m] how far stairs, slopes, rubble and height fields reach below the ground they join
+_BATCH = 256  # rubble candidates drawn at a time
+_BATCHES = 40  # tried for one block before the heap is begun anew
+_RESTARTS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Terrain:
+    """The solid ground of one run."""
+
+    boxes: Boxes
+    height_field: HeightField | None = None
+    plane: float | None = None  # [m] height of the level ground, None for an abyss
+
+    def height_at(self, xy: Array) -> Array:
+        """True height (n,) [m] of the uppermost surface at (n, 2) [m] {world}; -inf where there is no ground.
+
+        Raises:
+            ValueError: The points are not (n, 2).
+        """
+        xy = np.asarray(xy, dtype=np.float64)
+        if xy.ndim != 2 or xy.shape[1] != 2:
+            raise ValueError(f"points (n, 2) expected, found {xy.shape}")
+        z = np.full(len(xy), -np.inf if self.plane is None else self.plane)
+        if self.height_field is not None:
+            z = np.maximum(z, self.height_field.height_at(xy))
+        boxes = self.boxes
+        reach = np.einsum("nij,nj->ni", np.abs(boxes.R[:, :2]), boxes.half)  # half size of the box's shadow
+        for centre, half, R, r in zip(boxes.centre, boxes.half, boxes.R, reach, strict=True):
+            below = np.flatnonzero(np.all(np.abs(xy - centre[:2]) <= r, axis=1))
+            z[below] = np.maximum(z[below], _box_top(xy[below], centre, half, R))
+        return z
+
+    def raster(self, x0: float, y0: float, nx: int, ny: int, resolution: float) -> Array:
+        """True heights (nx, ny) [m] at the points (x0 + i * resolution, y0 + j * resolution) [m] {world}."""
+        x, y = np.meshgrid(x0 + resolution * np.arange(nx), y0 + resolution * np.arange(ny), indexing="ij")
+        return self.height_at(np.stack([x.ravel(), y.ravel()], axis=1)).reshape(nx, ny)
+
+
+def build_terrain(scenario: Scenario, rng: np.random.Generator) -> Terrain:
+    """The solids of a scenario's primitives; only rubble draws from the generator.
+
+    Raises:
+        ValueError: Two planes or two height maps, rubble that finds no room, a height map that cannot be read.
+    """
+    heap = _Heap()
+    planes: list[float] = []
+    fields: list[HeightField] = []
+    for part in scenario.terrain:
+        match part:
+            case Plane():
+                planes.append(part.height)
+            case Box():
+                heap.add(part.xy, part.size, part.top, part.top - part.depth, np.radians(part.yaw_deg))
+            case Stairs():
+                _stairs(heap, part)
+            case Pillars():
+                for xy in part.xy:
+                    heap.add(xy, (part.size, part.size), part.top, part.top - part.depth)
+            case Slope():
+                _slope(heap, part)
+            case Rubble():
+                _rubble(heap, part, rng)
+            case HeightMap():
+                fields.append(_height_field(part, Path(scenario.folder)))
+    for name, found in (("plane", planes), ("height_map", fields)):
+        if len(found) > 1:
+            raise ValueError(f"at most one {name} in a terrain expected, found {len(found)}; join them")
+    return Terrain(heap.boxes(), fields[0] if fields else None, planes[0] if planes else None)
+
+
+@dataclass(slots=True)
+class _Heap:
+    """Boxes while they are being collected."""
+
+    centre: list[Array] = field(default_factory=list)
+    half: list[Array] = field(default_factory=list)
+    R: list[Array] = field(default_factory=list)
+
+    def add(self, xy: Iterable[float], size: tuple[float, float], top: float, bottom: float, yaw: float = 0.0) -> None:
+        """An upright box."""
+        if not (min(size) > 0 and top > bottom):
+            raise ValueError(f"a box with positive edges expected, found {size[0]} x {size[1]} x {top - bottom} m")
+        self.centre.append(np.array([*xy, (top + bottom) / 2]))
+        self.half.append(np.array([*size, top - bottom]) / 2)
+        self.R.append(rotation_z(yaw))
+
+    def boxes(self) -> Boxes:
+        return Boxes(
+            np.array(self.centre).reshape(-1, 3), np.array(self.half).reshape(-1, 3), np.array(self.R).reshape(-1, 3, 3)
+        )
+
+
+def _stairs(heap: _Heap, stairs: Stairs) -> None:
+    if stairs.count < 1:
+        raise ValueError(f"stairs of at least one step expected, found count = {stairs.count}")
+    yaw = np.radians(stairs.yaw_deg)
+    forward = np.array([np.cos(yaw), np.sin(yaw)])
+    bottom = min(stairs.base, stairs.base + stairs.count * stairs.riser) - DEPTH
+    for step in range(stairs.count):
+        tread = stairs.landing if step == stairs.count - 1 else stairs.tread
+        middle = np.asarray(stairs.xy) + (step * stairs.tread + tread / 2) * forward
+        heap.add(middle, (tread, stairs.width), stairs.base + (step + 1) * stairs.riser, bottom, yaw)
+
+
+def _slope(heap: _Heap, slope: Slope) -> None:
+    if not 0 < abs(slope.angle_deg) < 80:
+        raise ValueError(f"a slope of less than 80 deg, not level, expected, found angle_deg = {slope.angle_deg}")
+    angle, yaw = np.radians(slope.angle_deg), np.radians(slope.yaw_deg)
+    rise = slope.length * np.tan(angle)
+    along = np.array([np.cos(yaw), np.sin(yaw)])
+    R = rotation_from_rpy((0.0, -angle, yaw))
+    half = np.array([slope.length / np.cos(angle), slope.width, (abs(rise) + DEPTH) * np.cos(angle)]) / 2
+    middle_of_top = np.array([*(np.asarray(slope.xy) + slope.length / 2 * along), rise / 2])
+    heap.centre.append(middle_of_top - R[:, 2] * half[2])
+    heap.half.append(half)
+    heap.R.append(R)
+    if slope.landing > 0:
+        middle = np.asarray(slope.xy) + (slope.length + slope.landing / 2) * along
+        heap.add(middle, (slope.landing, slope.width), rise, min(rise, 0.0) - DEPTH, yaw)
+
+
+def _rubble(heap: _Heap, rubble: Rubble, rng: np.random.Generator) -> None:
+    """Place blocks by rejection: size, heading and place are drawn together until the block keeps the gap to all others."""
+    for bounds in (rubble.x, rubble.y, rubble.size, rubble.top):
+        if bounds[0] > bounds[1]:
+            raise ValueError(f"rubble bounds in rising order expected, found {bounds}")
+    for _ in range(_RESTARTS):
+        placed = _place_rectangles(rubble, rng)
+        if len(placed) == rubble.count:
+            break
+    else:
+        raise ValueError(
+            f"room for {rubble.count} blocks of rubble expected, found room for about {len(placed)} of {rubble.size[0]} to "
+            f"{rubble.size[1]} m in {rubble.x[1] - rubble.x[0]:g} x {rubble.y[1] - rubble.y[0]:g} m, {rubble.gap} m apart; "
+            "ask for fewer, smaller or closer ones, or a larger region"
+        )
+    tops = rng.uniform(*rubble.top, rubble.count)
+    for (x, y, length, width, yaw), top in zip(placed, tops, strict=True):
+        heap.add((x, y), (length, width), rubble.base + float(top), rubble.base - DEPTH, yaw)
+
+
+def _place_rectangles(rubble: Rubble, rng: np.random.Generator) -> Array:
+    """Rectangles (n, 5): centre x, y, length, width [m], yaw [rad]; fewer than asked for when the heap jams."""
+    placed = np.zeros((0, 5))
+    lower, upper = np.array([rubble.x[0], rubble.y[0]]), np.array([rubble.x[1], rubble.y[1]])
+    while len(placed) < rubble.count:
+        for _ in range(_BATCHES):
+            size = rng.uniform(*rubble.size, (_BATCH, 2))
+            yaw = np.radians(rng.uniform(-rubble.yaw_deg, rubble.yaw_deg, _BATCH))
+            c, s = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
+            reach = np.stack([c * size[:, 0] + s * size[:, 1], s * size[:, 0] + c * size[:, 1]], axis=1) / 2
+            xy = lower + reach + rng.uniform(0.0, 1.0, (_BATCH, 2)) * (upper - lower - 2 * reach)
+            fits = np.all(upper - lower >= 2 * reach, axis=1)
+            candidates = np.column_stack([xy, size, yaw])
+            free = fits & ~np.any(_closer_than(candidates[:, None], placed[None], rubble.gap), axis=1)
+            if free.any():
+                placed = np.vstack([placed, candidates[np.argmax(free)]])
+                break
+        else:
+            return placed
+    return placed
+
+
+def _closer_than(a: Array, b: Array, gap: float) -> Array:
+    """Whether rectangles (..., 5) lie within a gap [m], by separating axes; between corners the gap kept is a little wider."""
+    d = b[..., :2] - a[..., :2]
+    c, s = np.cos(b[..., 4] - a[..., 4]), np.sin(b[..., 4] - a[..., 4])
+    apart = np.zeros(d.shape[:-1], dtype=bool)
+    for one, other in ((a, b), (b, a)):
+        cos, sin = np.cos(one[..., 4]), np.sin(one[..., 4])
+        along = np.stack([d[..., 0] * cos + d[..., 1] * sin, d[..., 1] * cos - d[..., 0] * sin], axis=-1)
+        length, width = other[..., 2], other[..., 3]
+        shadow = np.stack([np.abs(c) * length + np.abs(s) * width, np.abs(s) * length + np.abs(c) * width], axis=-1)
+        apart |= np.any(np.abs(along) >= (one[..., 2:4] + shadow) / 2 + gap, axis=-1)
+    return ~apart
+
+
+def _height_field(part: HeightMap, folder: Path) -> HeightField:
+    path = folder / part.file
+    if not path.is_file():
+        raise ValueError(f"height map {str(path)!r} expected, found no such file; name it relative to the scenario file")
+    if path.suffix == ".npy":
+        heights = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+    elif path.suffix == ".png":
+        image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            raise ValueError(f"a grey PNG image expected, found something else in {str(path)!r}")
+        heights = np.asarray(image, dtype=np.float64)
+    else:
+        raise ValueError(f"a height map in .npy or .png expected, found {part.file!r}")
+    if not np.any(np.isfinite(heights)):
+        raise ValueError(f"a height map with at least one known height expected, found none in {str(path)!r}")
+    lowest = heights[np.isfinite(heights)].min()
+    return HeightField(np.where(np.isfinite(heights), heights, lowest) * part.scale, part.resolution, part.xy)
+
+
+def _box_top(xy: Array, centre: Array, half: Array, R: Array) -> Array:
+    """Where vertical lines at (n, 2) [m] leave a box (n,) [m]; -inf where they miss it."""
+    origin = (np.column_stack([xy - centre[:2], np.full(len(xy), -centre[2])])) @ R  # lines at z = 0, in the box's frame
+    enter, leave = np.full(len(xy), -np.inf), np.full(len(xy), np.inf)
+    for axis in range(3):
+        rate = R[2, axis]  # how fast a vertical line moves along this axis of the box
+        if abs(rate) < 1e-12:
+            leave = np.where(np.abs(origin[:, axis]) <= half[axis], leave, -np.inf)
+            continue
+        slab = np.stack([-half[axis] - origin[:, axis], half[axis] - origin[:, axis]]) / rate
+        enter, leave = np.maximum(enter, slab.min(axis=0)), np.minimum(leave, slab.max(axis=0))
+    return np.where(enter <= leave, leave, -np.inf)

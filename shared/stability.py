@@ -1,0 +1,36 @@
+"""Static stability: how far the centre of mass is inside its support polygon."""
+
+import numpy as np
+
+from shared.geometry import Array
+
+
+def support_margin(feet: Array, centre: Array) -> float:
+    """Distance of a point to the edge of the convex hull of the standing feet, negative outside.
+
+    Args:
+        feet: (n, 2) [m] standing feet, n >= 3.
+        centre: (2,) [m] projection of the centre of mass.
+
+    Returns:
+        [m]; for a point outside, minus the distance by which the worst edge is crossed.
+
+    Raises:
+        ValueError: Fewer than three feet.
+    """
+    if len(feet) < 3:
+        raise ValueError(f"at least three standing feet expected, found {len(feet)}")
+    middle = feet.mean(axis=0)
+    offsets = feet - middle
+    # Every edge of the hull is a pair with all feet on one side; six feet make fifteen pairs, so all are tried.
+    i, j = np.triu_indices(len(feet), 1)
+    edges = feet[j] - feet[i]
+    length = np.hypot(edges[:, 0], edges[:, 1])
+    long = length > 1e-9
+    normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1)[long] / length[long, None]
+    start = feet[i][long]
+    sides = np.einsum("ek,nk->en", normals, offsets) - np.einsum("ek,ek->e", normals, start - middle)[:, None]
+    towards = np.where(sides.max(axis=1) > -sides.min(axis=1), 1.0, -1.0)
+    hull = (sides * towards[:, None]).min(axis=1) > -1e-9
+    distance = towards * np.einsum("ek,ek->e", normals, centre - start)
+    return float(distance[hull].min()) if hull.any() else -float(np.linalg.norm(centre - middle))

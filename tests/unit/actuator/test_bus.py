@@ -1,0 +1,364 @@
+"""The driver whole, against the emulated bus: in memory, over TCP through pyserial, and with everything going wrong."""
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.actuator.bus import BusGone, BusSetupError, Lost, ServoBus, open_port
+from services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
+from services.simulator.servos import ServoBank
+from services.simulator.tcp_port import TcpBusServer
+from shared import dynamixel as dxl
+from shared.dynamixel import Dropped, ServoError
+
+WILD = settings(deadline=None, derandomize=True, max_examples=50)
+
+IDS = (8, 10, 12, 14, 16, 18, 2, 4, 6, 7, 9, 11, 13, 15, 17, 1, 3, 5)
+
+
+class Rig:
+    """Servos, their bus, a clock in our hand and a driver."""
+
+    def __init__(self, ids: tuple[int, ...] = IDS, *, echo: bool = False, driver_echo: bool | None = None) -> None:
+        self.now_ns = 0
+        self.bank = ServoBank(ids)
+        self.bus = ServoBusEmulator(self.bank, echo=echo)
+        self.port = MemoryPort(self.bus, lambda: self.now_ns)
+        self.driver = ServoBus(self.port, ids, self.port.now_ns, echo=echo if driver_echo is None else driver_echo)
+
+    def settle(self) -> None:
+        """Let simulated time catch up with the bus, and what was written arrive."""
+        self.now_ns = self.port.now_ns() + 2_000_000
+        self.bus.advance(self.now_ns)
+
+
+class Tampered:
+    """A port whose incoming bytes pass through a function."""
+
+    def __init__(self, port: MemoryPort, tamper: Callable[[bytes], bytes]) -> None:
+        self.port, self.tamper, self.buffer = port, tamper, b""
+
+    def write(self, data: bytes, /) -> int:
+        return self.port.write(data)
+
+    def read(self, size: int = 1, /) -> bytes:
+        if len(self.buffer) < size:
+            self.buffer += self.tamper(self.port.read(size - len(self.buffer)))
+        data, self.buffer = self.buffer[:size], self.buffer[size:]
+        return data
+
+    def reset_input_buffer(self) -> None:
+        self.buffer = b""
+        self.port.reset_input_buffer()
+
+    def close(self) -> None:
+        self.port.close()
+
+
+@pytest.fixture(params=[False, True], ids=["plain", "echo"])
+def rig(request: pytest.FixtureRequest) -> Rig:
+    rig = Rig(echo=request.param)
+    rig.driver.setup()
+    rig.settle()
+    return rig
+
+
+def test_setup_takes_the_return_delay_away_and_leaves_torque_alone(rig: Rig) -> None:
+    assert (rig.bank.tables[:, dxl.RETURN_DELAY.address] == 0).all()
+    assert (rig.bank.tables[:, dxl.TORQUE_ENABLE.address] == 0).all()
+    assert not rig.driver.lost
+    writes = rig.bus.counts.instructions[dxl.Instruction.WRITE]
+    rig.driver.setup()  # nothing to change: the EEPROM is spared
+    assert rig.bus.counts.instructions[dxl.Instruction.WRITE] == writes
+
+
+def test_goals_and_torque_reach_the_servos(rig: Rig) -> None:
+    rig.driver.set_torque(True)
+    goals = np.arange(300, 318)
+    rig.driver.sync_write_goals(goals, 100)
+    rig.settle()
+    words = rig.bank.tables.view("<u2")
+    assert (rig.bank.tables[:, dxl.TORQUE_ENABLE.address] == 1).all()
+    assert (words[:, 15] == goals).all()
+    assert (words[:, 16] == 100).all()
+    rig.driver.sync_write_goals(goals, np.arange(18))
+    rig.driver.write_torque_limit(500)
+    rig.settle()
+    assert (words[:, 16] == np.arange(18)).all()
+    assert (words[:, 17] == 500).all()
+
+
+def test_poll_reads_all_in_rotation_within_the_budget(rig: Rig) -> None:
+    q = np.linspace(-1.0, 1.0, 18)
+    rig.bank.step(q, np.full(18, 0.5), np.full(18, -0.3), 0.002)
+    seen = []
+    for _ in range(9):
+        rig.settle()
+        start = rig.port.now_ns()
+        rig.driver.sync_write_goals(np.full(18, 512))
+        readings = rig.driver.poll(7_000_000)
+        assert 2 <= len(readings) <= 5
+        assert rig.port.now_ns() - start < 9_000_000
+        for r in readings:
+            assert r.servo_id == IDS[r.index]
+            assert r.position == pytest.approx(q[r.index], abs=dxl.TICK_RAD / 2 + 1e-9)
+            assert r.position_ticks == dxl.ticks_from_angle(q[r.index])
+            assert r.speed == pytest.approx(0.5, abs=dxl.SPEED_RAD_S)
+            assert r.load == pytest.approx(-0.2, abs=1e-3)
+            assert r.voltage == pytest.approx(12.6 - 0.04 * rig.bank.current, abs=0.06)
+            assert r.temperature == 25.0
+            assert r.error == ServoError.NONE
+            assert start <= r.stamp_ns < rig.port.now_ns()
+        seen += [r.index for r in readings]
+    assert seen == [i % 18 for i in range(len(seen))]
+    assert len(seen) >= 18
+    assert not rig.driver.lost
+    assert rig.driver.ages().max() < 0.15
+
+
+def test_four_servos_fit_a_50_hz_cycle() -> None:
+    """Sync write 0.98 ms, then 1.22 ms a servo: request 0.08, answer 0.14, USB 1.00."""
+    rig = Rig()
+    rig.driver.setup()
+    rig.settle()
+    start = rig.port.now_ns()
+    rig.driver.sync_write_goals(np.full(18, 512))
+    assert len(rig.driver.poll(6_500_000)) == 4
+    assert rig.port.now_ns() - start == 980_000 + 4 * 1_220_000
+
+
+def test_no_budget_reads_nothing(rig: Rig) -> None:
+    assert rig.driver.poll(0) == []
+    assert np.isinf(rig.driver.ages()).all()
+
+
+def test_ages_grow_with_time(rig: Rig) -> None:
+    (reading,) = rig.driver.poll(2_000_000)
+    rig.now_ns = reading.stamp_ns + 5_000_000_000
+    ages = rig.driver.ages()
+    assert ages[reading.index] == pytest.approx(5.0)
+    assert math.isinf(ages[(reading.index + 1) % 18])
+
+
+def test_scan_ping_read_write(rig: Rig) -> None:
+    assert rig.driver.scan(range(8)) == [1, 2, 3, 4, 5, 6, 7]
+    assert rig.driver.ping(99) is None
+    assert rig.driver.ping(5) == ServoError.NONE
+    assert rig.driver.write(5, dxl.LED, 1)
+    assert rig.driver.read(5, dxl.LED) == 1
+    assert rig.driver.read(99, dxl.LED) is None
+    assert rig.driver.read_bytes(5, 0, 2) == b"\x0c\x00"
+    with pytest.raises(ValueError, match="led takes 0 to 1"):
+        rig.driver.write(5, dxl.LED, 2)
+
+
+def test_a_refused_write_is_false_and_counted(rig: Rig) -> None:
+    assert rig.driver.write(5, dxl.CW_ANGLE_LIMIT, 400)
+    assert not rig.driver.write(5, dxl.GOAL_POSITION, 300)
+    assert rig.driver.lost == {Lost.REFUSED: 1}
+    assert rig.driver.errors[IDS.index(5)] == ServoError.ANGLE_LIMIT
+
+
+def test_shutdown_shows_in_the_reading_and_ends_with_the_torque_limit() -> None:
+    rig = Rig((1,))
+    rig.driver.setup()
+    rig.driver.set_torque(True)
+    rig.settle()
+    for _ in range(1600):
+        out = rig.bank.step(np.zeros(1), np.zeros(1), np.array([1.5]), 0.001)
+    assert out.torque_limit[0] == 0.0
+    (reading,) = rig.driver.poll(2_000_000)
+    assert reading.error == ServoError.OVERLOAD
+    assert rig.driver.errors[0] == ServoError.OVERLOAD
+    rig.driver.sync_write_goals([600])
+    rig.driver.set_torque(True)
+    rig.settle()
+    assert rig.bank.step(np.zeros(1), np.zeros(1), np.zeros(1), 0.001).torque_limit[0] == 0.0
+    rig.driver.write_torque_limit(1023)
+    rig.settle()
+    assert rig.bank.step(np.zeros(1), np.zeros(1), np.zeros(1), 0.001).torque_limit[0] == 1.5
+
+
+def test_missing_and_wrong_servos_are_named() -> None:
+    rig = Rig()
+    rig.bank.tables[IDS.index(9), dxl.MODEL_NUMBER.address] = 64
+    rig.bank.write(IDS.index(7), dxl.CCW_ANGLE_LIMIT.address, bytes(2))
+    driver = ServoBus(rig.port, (*IDS, 42), rig.port.now_ns)
+    with pytest.raises(BusSetupError, match="servo 7 is in wheel mode") as failure:
+        driver.setup()
+    assert "servo 9 is model 64 (RX-64), expected 12 (AX-12A)" in str(failure.value)
+    assert "servo 42 does not answer" in str(failure.value)
+    assert "3 of 19 servos" in str(failure.value)
+
+
+def test_nobody_there_is_said_once() -> None:
+    rig = Rig()
+    with pytest.raises(BusSetupError, match="none of the 2 servos answers; check their power"):
+        ServoBus(rig.port, (50, 51), rig.port.now_ns).setup()
+
+
+def test_an_echo_that_was_not_configured_is_recognised() -> None:
+    with pytest.raises(BusSetupError, match="turn the echo setting on"):
+        Rig((1, 2), echo=True, driver_echo=False).driver.setup()
+
+
+def test_an_echo_that_does_not_come_is_counted_and_answers_nothing() -> None:
+    rig = Rig((1, 2), echo=False, driver_echo=True)
+    with pytest.raises(BusSetupError, match="echo setting"):
+        rig.driver.setup()
+    assert rig.driver.lost[Lost.ECHO] > 0
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_setup_wakes_servos_that_were_told_to_keep_quiet(level: int) -> None:
+    rig = Rig((1, 2))
+    rig.bank.tables[:, dxl.STATUS_RETURN_LEVEL.address] = level
+    rig.driver.setup()
+    rig.settle()
+    assert (rig.bank.tables[:, dxl.STATUS_RETURN_LEVEL.address] == 2).all()
+
+
+def test_a_locked_eeprom_that_needs_a_change_is_named() -> None:
+    rig = Rig((1,))
+    rig.bank.tables[:, dxl.LOCK.address] = 1
+    with pytest.raises(BusSetupError, match="servo 1 does not take return delay 0"):
+        rig.driver.setup()
+
+
+def test_a_silent_servo_is_counted_ages_and_is_asked_less_and_less() -> None:
+    rig = Rig((1, 2, 3))
+    rig.driver.setup()
+    driver = ServoBus(rig.port, (1, 99, 3), rig.port.now_ns)
+    seen, turns = [], 64
+    for _ in range(turns):
+        seen += [r.servo_id for r in driver.poll(100_000_000)]
+    assert seen == [1, 3] * turns
+    assert 4 <= driver.lost[Lost.TIMEOUT] <= 8
+    assert np.isinf(driver.ages()).tolist() == [False, True, False]
+
+
+def test_noise_in_front_of_an_answer_does_not_lose_it() -> None:
+    rig = Rig()
+    rig.driver.setup()
+    first = [b"\xff\xff\x01\x04\x00 noise", b"", b"\xff"]
+    port = Tampered(rig.port, lambda data: (first.pop(0) if first else b"") + data)
+    driver = ServoBus(port, IDS, rig.port.now_ns)
+    assert [r.index for r in driver.poll(5_000_000)][:3] == [0, 1, 2]
+    assert driver.lost[Lost.TIMEOUT] == 0
+    assert driver.lost[Dropped.CHECKSUM] + driver.lost[Dropped.NOISE] > 0
+
+
+def test_a_broken_answer_is_lost_and_the_next_is_good() -> None:
+    rig = Rig()
+    rig.driver.setup()
+    damage = [1]
+
+    def flip(data: bytes) -> bytes:
+        return bytes((*data[:-1], data[-1] ^ damage.pop())) if data and damage else data
+
+    driver = ServoBus(Tampered(rig.port, flip), IDS, rig.port.now_ns)
+    readings = driver.poll(12_000_000)
+    assert [r.index for r in readings][:2] == [1, 2]
+    assert driver.lost[Dropped.CHECKSUM] == 1
+    assert driver.lost[Lost.TIMEOUT] == 1
+
+
+def test_the_answer_of_another_servo_is_not_taken() -> None:
+    rig = Rig()
+    rig.driver.setup()
+    stranger = dxl.status(77, 0, bytes(8))
+    port = Tampered(rig.port, lambda data: stranger + data)
+    driver = ServoBus(port, IDS, rig.port.now_ns)
+    for reading in driver.poll(30_000_000):
+        assert reading.servo_id in IDS
+    assert driver.lost[Lost.STRANGER] > 0
+
+
+@WILD
+@given(st.lists(st.binary(max_size=30), max_size=12), st.booleans())
+def test_whatever_comes_in_nothing_is_raised_and_what_is_read_is_real(garbage: list[bytes], echo: bool) -> None:
+    rig = Rig((1, 2, 3), echo=echo)
+    rig.driver.setup()
+    rest = list(garbage)
+    port = Tampered(rig.port, lambda data: (rest.pop() if rest else b"") + data)
+    driver = ServoBus(port, (1, 2, 3), rig.port.now_ns, echo=echo)
+    for _ in range(6):
+        for reading in driver.poll(10_000_000):
+            assert reading.position_ticks == 512
+    for _ in range(40):  # and it recovers, silence being asked less often meanwhile
+        driver.poll(30_000_000)
+    assert driver.ages().max() < math.inf
+
+
+@pytest.mark.parametrize(
+    ("goals", "speed"),
+    [
+        (np.full(18, 1024), 0),
+        (np.full(18, -1), 0),
+        (np.full(17, 512), 0),
+        (np.full(18, 512.0), 0),
+        (np.full(18, np.nan), 0),
+        (np.full(18, 512), 1024),
+    ],
+)
+def test_goals_that_no_servo_can_take_are_refused(rig: Rig, goals: np.ndarray, speed: int) -> None:
+    before = rig.bus.counts.instructions.total()
+    with pytest.raises(ValueError, match=r"goal position|moving speed"):
+        rig.driver.sync_write_goals(goals, speed)
+    assert rig.bus.counts.instructions.total() == before
+
+
+@pytest.mark.parametrize("ids", [(1, 1), (254,), (-1,)])
+def test_ids_must_be_valid_and_different(ids: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match="each once"):
+        ServoBus(Rig().port, ids, lambda: 0)
+
+
+def test_a_closed_port_is_named() -> None:
+    rig = Rig()
+    rig.driver.close()
+    for use in (
+        lambda: rig.driver.poll(10_000_000),
+        lambda: rig.driver.sync_write_goals(np.full(18, 512)),
+        lambda: rig.driver.ping(1),
+    ):
+        with pytest.raises(BusGone, match="port is gone"):
+            use()
+
+
+# --------------------------------------------------------------------------------------------- TCP through pyserial
+
+
+def test_over_tcp_as_on_a_serial_device() -> None:
+    bank = ServoBank((1, 2, 3))
+    bus = ServoBusEmulator(bank)
+    with TcpBusServer(bus) as server:
+        driver = ServoBus(open_port(server.url), (1, 2, 3), time.monotonic_ns, reply_timeout_ns=500_000_000)
+        driver.setup()
+        with server.lock:
+            bank.step(np.array([0.1, 0.2, 0.3]), np.zeros(3), np.zeros(3), 0.002)
+        readings = {r.servo_id: r for _ in range(3) for r in driver.poll(20_000_000)}
+        assert [readings[i].position_ticks for i in (1, 2, 3)] == [dxl.ticks_from_angle(0.1 * i) for i in (1, 2, 3)]
+        driver.sync_write_goals([400, 500, 600])
+        assert driver.read(1, dxl.GOAL_POSITION) == 400  # behind the sync write on the wire
+        with server.lock:
+            bus.advance(time.monotonic_ns())
+        assert bank.tables.view("<u2")[:, 15].tolist() == [400, 500, 600]
+        server.close()
+        with pytest.raises(BusGone):
+            driver.scan(range(1, 4))
+        driver.close()
+
+
+def test_a_port_that_is_not_there_is_named() -> None:
+    with TcpBusServer(ServoBusEmulator(ServoBank((1,)), BusTiming())) as server:
+        url = server.url
+    with pytest.raises(BusGone, match=r"cannot open servo port socket://.*is the adapter plugged in"):
+        open_port(url)
+    with pytest.raises(BusGone, match="cannot open servo port /dev/nonexistent"):
+        open_port("/dev/nonexistent")

@@ -1,0 +1,471 @@
+"""Laws of the height map: convergence, forgetting, gating, the moving window, and a scene of low blocks."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from services.mapper.elevation import ElevationGrid, FusionCount, FusionModel, fill_small_holes
+from shared.camera import DepthSensor
+
+CAMERA = np.array([0.0, 0.0, 0.25])
+
+
+def centres(grid: ElevationGrid) -> NDArray[np.float64]:
+    """(size * size, 2) centres of every cell of the window, in world order."""
+    i, j = np.mgrid[: grid.size, : grid.size]
+    return np.asarray(grid.origin + grid.resolution * np.stack([i, j], axis=-1).reshape(-1, 2))
+
+
+def scan(
+    grid: ElevationGrid, xy: NDArray[np.float64], z: NDArray[np.float64] | float, count: int = 4, **kwargs: float
+) -> FusionCount:
+    points = np.column_stack([xy, np.broadcast_to(z, len(xy))])
+    return grid.fuse(points, np.full(len(xy), count), np.zeros(len(xy)), CAMERA, **kwargs)
+
+
+def test_equal_measurements_converge_and_the_variance_falls_to_the_floor_never_below() -> None:
+    grid = ElevationGrid(size=16)
+    xy = np.array([[0.031, -0.022]])
+    model = grid.model
+    _, systematic = model.height_variance(np.array([[*xy[0], 0.07]]), np.ones(1), np.zeros(1), CAMERA)
+    previous = math.inf
+    for _ in range(300):
+        scan(grid, xy, 0.07, count=1)
+        variance = float(np.nanmin(grid.snapshot().variance))
+        assert variance <= previous
+        assert variance >= systematic[0] * (1 - 1e-6) >= model.floor_sigma**2
+        previous = variance
+    assert previous == pytest.approx(systematic[0], rel=1e-5)
+    assert grid.heights(xy)[0] == pytest.approx(0.07, abs=1e-6)
+
+
+def test_first_measurement_is_taken_as_it_is() -> None:
+    grid = ElevationGrid(size=16)
+    xy = np.array([[0.031, -0.022]])
+    scan(grid, xy, -0.123)
+    snapshot = grid.snapshot()
+    assert grid.heights(xy)[0] == pytest.approx(-0.123, abs=1e-7)
+    assert np.count_nonzero(~np.isnan(snapshot.elevation)) == 1
+    assert (np.isnan(snapshot.elevation) == np.isnan(snapshot.variance)).all()
+
+
+@given(st.permutations(list(range(6))))
+def test_order_of_consistent_measurements_does_not_matter(order: list[int]) -> None:
+    model = FusionModel(floor_sigma=1e-7, quantisation_sigma=0.0, gate=100.0)  # the floor is not reached
+    heights = np.random.default_rng(7).normal(0.02, 1e-3, 6)
+    counts = [1, 2, 5, 8, 3, 1]
+    xy = np.array([[0.1, 0.05]])
+    results = []
+    for sequence in (range(6), order):
+        grid = ElevationGrid(size=64, model=model)
+        for k in sequence:
+            grid.fuse(np.array([[*xy[0], heights[k]]]), np.array([counts[k]]), np.zeros(1), (-0.9, 0.0, 0.5))
+        results.append((grid.heights(xy)[0], float(np.nanmin(grid.snapshot().variance))))
+    assert results[0] == pytest.approx(results[1], rel=1e-3)
+
+
+def test_more_pixels_and_a_nearer_camera_weigh_more_but_never_beat_the_floor() -> None:
+    model = FusionModel()
+    near, far = np.array([[0.5, 0.0, 0.0]]), np.array([[1.5, 0.0, 0.0]])
+    one, many, spread = np.ones(1), np.full(1, 1000.0), np.zeros(1)
+
+    def total(points: NDArray[np.float64], count: NDArray[np.float64], **kwargs: float) -> float:
+        random, systematic = model.height_variance(points, count, spread, CAMERA, **kwargs)
+        return float(random[0] + systematic[0])
+
+    assert total(near, many) < total(near, one) < total(far, one)
+    assert total(near, many) > model.floor_sigma**2
+    assert total(near, one, pose_variance_z=1e-4) == pytest.approx(total(near, one) + 1e-4)
+    assert total(far, one, pose_variance_tilt=1e-4) == pytest.approx(total(far, one) + 1e-4 * 1.5**2)
+
+
+def test_model_of_a_sensor_has_its_depth_noise() -> None:
+    sensor = DepthSensor()
+    model = FusionModel.of_sensor(sensor, fx=525.0)
+    at_one_metre = math.hypot(model.depth_sigma, model.quantisation_sigma)
+    assert at_one_metre == pytest.approx(float(sensor.sigma(np.array([1.0]), 525.0)[0]))
+
+
+@pytest.mark.parametrize("sigma", [0.001, 0.002, 0.006])  # the model expects about 1 mm here: also badly understated
+def test_noisy_plane_stays_unbiased(sigma: float) -> None:
+    rng = np.random.default_rng(3)
+    grid = ElevationGrid(size=64)
+    xy = centres(grid)
+    truth = 0.1 * xy[:, 0] - 0.05 * xy[:, 1] + 0.3
+    for _ in range(100):
+        scan(grid, xy, truth + rng.normal(0.0, sigma, len(xy)))
+    error = grid.heights(xy) - truth
+    assert abs(error.mean()) < 0.5e-3
+    assert abs(np.median(error)) < 0.5e-3
+    assert np.sqrt((error**2).mean()) < 1.2 * sigma
+
+
+@pytest.mark.parametrize("step", [0.02, -0.02, 0.2, -0.2])
+def test_what_came_or_went_is_taken_over_within_the_patience(step: float) -> None:
+    rng = np.random.default_rng(5)
+    grid = ElevationGrid(size=32)
+    xy = centres(grid)
+    for _ in range(40):
+        scan(grid, xy, rng.normal(0.0, 0.001, len(xy)))
+    before = grid.heights(xy)
+    for k in range(grid.model.patience):
+        assert np.abs(grid.heights(xy)).max() < 0.005, f"dragged after {k} scans"
+        np.testing.assert_array_equal(grid.heights(xy), before)
+        scan(grid, xy, step + rng.normal(0.0, 0.001, len(xy)))
+    # A rival can lose a vote to its own 3 sigma noise, so a few cells in a thousand take a scan or two longer.
+    assert (np.abs(grid.heights(xy) - step) < 0.005).mean() > 0.97
+    for _ in range(3):
+        scan(grid, xy, step + rng.normal(0.0, 0.001, len(xy)))
+    assert np.abs(grid.heights(xy) - step).max() < 0.005
+    report = scan(grid, xy, step)
+    assert report.updated == len(xy)
+    assert report.disputed == 0
+
+
+def test_a_passing_disturbance_leaves_an_established_height_alone() -> None:
+    grid = ElevationGrid(size=16)
+    xy = centres(grid)
+    for _ in range(20):
+        scan(grid, xy, 0.0)
+    for k in range(30):
+        scan(grid, xy, 0.0 if k % 2 else 0.08)
+    np.testing.assert_allclose(grid.heights(xy), 0.0, atol=1e-6)
+
+
+def test_a_single_false_first_sighting_is_replaced_by_two_that_agree() -> None:
+    grid = ElevationGrid(size=16)
+    xy = np.array([[0.0, 0.0]])
+    scan(grid, xy, 0.15)
+    scan(grid, xy, 0.0)
+    report = scan(grid, xy, 0.0005)
+    assert report.replaced == 1
+    assert abs(grid.heights(xy)[0]) < 0.001
+
+
+def test_within_one_scan_the_upper_side_of_an_edge_stands_and_equal_points_merge() -> None:
+    points = np.array([[0.002, 0.002, 0.0], [0.004, 0.004, 0.03], [0.006, 0.006, 0.0]])
+    for order in ([0, 1, 2], [1, 0, 2], [0, 2, 1]):
+        grid = ElevationGrid(size=16)
+        report = grid.fuse(points[order], np.ones(3), np.zeros(3), CAMERA)
+        assert report == FusionCount(updated=1, disputed=0, replaced=0, outside=0)
+        assert grid.heights([0.005, 0.005]) == pytest.approx(0.03, abs=1e-6)
+    grid = ElevationGrid(size=16)
+    grid.fuse(np.array([[0.002, 0.002, 0.001], [0.004, 0.004, 0.003]]), np.ones(2), np.zeros(2), CAMERA)
+    assert grid.heights([0.005, 0.005]) == pytest.approx(0.002, abs=2e-5)
+
+
+def test_points_outside_are_counted_and_change_nothing() -> None:
+    grid = ElevationGrid(size=16)
+    report = scan(grid, np.array([[0.0, 0.0], [0.5, 0.0], [0.0, -0.081], [900.0, 900.0]]), 0.01)
+    assert report.outside == 3
+    assert np.count_nonzero(~np.isnan(grid.snapshot().elevation)) == 1
+    assert np.isnan(grid.heights([[0.5, 0.0], [np.nan, 0.0], [np.inf, 0.0], [1e300, 0.0]])).all()
+
+
+def test_an_empty_scan_is_nothing() -> None:
+    grid = ElevationGrid(size=16)
+    assert grid.fuse(np.empty((0, 3)), np.empty(0), np.empty(0), CAMERA) == FusionCount(0, 0, 0, 0)
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-1e5, 1e5), st.integers(1, 10**6), st.floats(0.0, 10.0)
+        ),
+        max_size=30,
+    ),
+    st.floats(0.0, 1.0),
+)
+@settings(deadline=None)
+def test_no_finite_scan_breaks_the_map(rows: list[tuple[float, float, float, int, float]], pose: float) -> None:
+    grid = ElevationGrid(size=16)
+    table = np.array(rows, dtype=np.float64).reshape(-1, 5)
+    for _ in range(8):
+        report = grid.fuse(table[:, :3], table[:, 3], table[:, 4], CAMERA, pose_variance_z=pose)
+        cells = len(np.unique(np.floor(table[:, :2] / 0.01)[(grid.heights(table[:, :2]) > -np.inf)], axis=0))
+        assert report.updated + report.disputed == cells
+    snapshot = grid.snapshot()
+    seen = ~np.isnan(snapshot.elevation)
+    assert np.count_nonzero(seen) == cells
+    assert (snapshot.variance[seen] >= grid.model.floor_sigma**2 * (1 - 1e-6)).all()
+    assert np.isfinite(snapshot.variance[seen]).all()
+    if seen.any():
+        assert snapshot.elevation[seen].max() <= table[:, 2].max() + 1e-2
+        assert snapshot.elevation[seen].min() >= table[:, 2].min() - 1e-2
+
+
+GOOD = (np.zeros((2, 3)), np.ones(2), np.zeros(2), np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("index", "bad"),
+    [
+        (0, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.nan]])),
+        (0, np.array([[0.0, np.inf, 0.0], [0.0, 0.0, 0.0]])),
+        (0, np.array([[-1e300, 0.0, 0.0], [0.0, 0.0, 0.0]])),
+        (0, np.zeros((2, 2))),
+        (1, np.ones(3)),
+        (1, np.array([1.0, 0.0])),
+        (1, np.array([1.0, np.nan])),
+        (2, np.array([0.0, -1e-3])),
+        (2, np.array([np.inf, 0.0])),
+        (3, np.array([0.0, np.nan, 0.0])),
+        (3, np.zeros(2)),
+    ],
+)
+def test_bad_scans_are_refused_and_leave_the_map_as_it_was(index: int, bad: NDArray[np.float64]) -> None:
+    grid = ElevationGrid(size=16)
+    arguments = list(GOOD)
+    arguments[index] = bad
+    with pytest.raises(ValueError, match="expected"):
+        grid.fuse(*arguments)
+    assert np.isnan(grid.snapshot().elevation).all()
+
+
+def test_bad_settings_are_refused() -> None:
+    grid = ElevationGrid(size=16)
+    with pytest.raises(ValueError, match="pose variances"):
+        grid.fuse(*GOOD, pose_variance_z=-1.0)
+    with pytest.raises(ValueError, match="coordinates"):
+        grid.move_to((0.0, math.nan))
+    with pytest.raises(ValueError, match="8 cells"):
+        ElevationGrid(size=4)
+    with pytest.raises(ValueError, match="resolution"):
+        ElevationGrid(resolution=0.0)
+    with pytest.raises(ValueError, match="floor_sigma"):
+        FusionModel(floor_sigma=0.0)
+    with pytest.raises(ValueError, match="patience"):
+        FusionModel(patience=0)
+    with pytest.raises(ValueError, match="polygon"):
+        grid.seed_plane([[0, 0], [1, 1]], (0, 0, 0))
+    with pytest.raises(ValueError, match="plane"):
+        grid.seed_plane([[0, 0], [1, 1], [0, 1]], (0, 0))
+
+
+# ---- the moving window
+
+
+def test_cells_lie_where_the_snapshot_says() -> None:
+    grid = ElevationGrid(size=32)
+    grid.move_to((-3.217, 12.34))
+    xy = centres(grid)
+    z = np.random.default_rng(1).normal(size=len(xy))
+    scan(grid, xy, z)
+    snapshot = grid.snapshot()
+    np.testing.assert_allclose(snapshot.elevation.ravel(), z, rtol=1e-6)
+    np.testing.assert_allclose(grid.heights(xy), z, rtol=1e-6)
+    np.testing.assert_allclose(snapshot.origin, grid.origin)
+    assert np.abs(snapshot.origin + (grid.size / 2) * grid.resolution - (-3.217, 12.34)).max() <= grid.resolution
+
+
+coordinate = st.floats(-0.6, 0.6).map(lambda x: round(x, 3))
+waypoints = st.lists(st.tuples(coordinate, coordinate), min_size=1, max_size=8)
+
+
+@given(waypoints, st.integers(0, 2**32 - 1))
+@settings(deadline=None)
+def test_only_cells_that_left_the_window_are_forgotten(path: list[tuple[float, float]], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid = ElevationGrid(size=12, resolution=0.05)
+    expected: dict[tuple[int, int], float] = {}
+    for target in path:
+        grid.move_to(target)
+        low = np.floor(np.array(target) / 0.05).astype(int) - 6
+        expected = {c: z for c, z in expected.items() if all(0 <= c[a] - low[a] < 12 for a in range(2))}
+        for cell in rng.integers(low, low + 12, (20, 2)):
+            if (key := (int(cell[0]), int(cell[1]))) not in expected:
+                expected[key] = float(rng.normal())
+                scan(grid, (cell[None] + 0.5) * 0.05, expected[key])
+        elevation = grid.snapshot().elevation
+        wanted = np.full((12, 12), np.nan)
+        for (i, j), z in expected.items():
+            wanted[i - low[0], j - low[1]] = z
+        np.testing.assert_allclose(elevation, wanted, rtol=1e-6)
+
+
+@given(st.tuples(coordinate, coordinate), st.lists(st.floats(0.0, 1.0), max_size=6))
+@settings(deadline=None)
+def test_any_number_of_stops_on_the_way_is_moving_directly(target: tuple[float, float], fractions: list[float]) -> None:
+    snapshots = []
+    for stops in ([], sorted(fractions)):
+        grid = ElevationGrid(size=16, resolution=0.05)
+        scan(grid, centres(grid), np.linspace(0.0, 2.55, 256))
+        for fraction in stops:
+            grid.move_to(np.array(target) * fraction)
+        grid.move_to(target)
+        snapshots.append(grid.snapshot())
+    np.testing.assert_array_equal(snapshots[0].elevation, snapshots[1].elevation)
+    np.testing.assert_array_equal(snapshots[0].variance, snapshots[1].variance)
+    np.testing.assert_array_equal(snapshots[0].origin, snapshots[1].origin)
+
+
+def test_a_cell_that_comes_back_starts_anew() -> None:
+    grid = ElevationGrid(size=16)
+    xy = centres(grid)
+    for _ in range(10):
+        scan(grid, xy, 0.0)
+    for _ in range(3):
+        scan(grid, xy, 0.3)  # rivals in the making
+    grid.move_to((5.0, 5.0))
+    assert np.isnan(grid.snapshot().elevation).all()
+    grid.move_to((0.0, 0.0))
+    assert np.isnan(grid.snapshot().elevation).all()
+    scan(grid, xy, 0.1)
+    scan(grid, xy, 0.3)
+    np.testing.assert_allclose(grid.heights(xy), 0.1, atol=1e-6)
+
+
+def test_a_snapshot_is_detached() -> None:
+    grid = ElevationGrid(size=16)
+    scan(grid, centres(grid), 0.0)
+    snapshot = grid.snapshot()
+    grid.move_to((9.0, 9.0))
+    assert (snapshot.elevation == 0.0).all()
+
+
+# ---- assumed ground
+
+
+def test_seeded_plane_fills_the_unseen_inside_only_and_yields_to_measurement() -> None:
+    grid = ElevationGrid(size=64)
+    grid.move_to((0.2, 0.0))
+    scan(grid, np.array([[0.055, 0.005]]), 0.02)
+    square = [[0.0, -0.1], [0.1, -0.1], [0.1, 0.1], [0.0, 0.1]]
+    assert grid.seed_plane(square, (0.01, 0.1, 0.2)) == 10 * 20 - 1
+    snapshot = grid.snapshot()
+    assert grid.heights([0.055, 0.005]) == pytest.approx(0.02)
+    assert grid.heights([0.015, -0.095]) == pytest.approx(0.01 + 0.1 * 0.015 - 0.2 * 0.095, abs=1e-6)
+    assert np.isnan(grid.heights([[-0.005, 0.0], [0.105, 0.0]])).all()
+    assert snapshot.assumed.sum() == 199
+    assert np.sqrt(snapshot.variance[snapshot.assumed == 1]) == pytest.approx(0.02)
+    scan(grid, np.array([[0.015, -0.095]]), 0.04)  # replaced outright, not averaged
+    assert grid.heights([0.015, -0.095]) == pytest.approx(0.04)
+    assert grid.snapshot().assumed.sum() == 198
+    assert grid.seed_plane(square, (0.5, 0.0, 0.0)) == 0
+
+
+def test_seeding_takes_any_simple_polygon_and_clips_it_to_the_window() -> None:
+    grid = ElevationGrid(size=40)
+    assert grid.seed_plane([[5, 5], [6, 5], [6, 6]], (0, 0, 0)) == 0
+    triangle = np.array([[-0.1, -0.1], [0.1, -0.1], [-0.1, 0.1]])
+    filled = grid.seed_plane(triangle, (0, 0, 0))
+    assert filled == pytest.approx(0.5 * 20 * 20, abs=20)
+    assert grid.seed_plane([[-9, -9], [9, -9], [9, 9], [-9, 9]], (0, 0, 0)) == 40 * 40 - filled
+    grid.move_to((1.0, 0.0))
+    assert grid.snapshot().assumed.sum() == 0
+
+
+# ---- holes
+
+
+def test_small_holes_are_bridged_exactly_on_a_plane_and_nothing_else_is_touched() -> None:
+    i, j = np.mgrid[:30, :40]
+    plane = (0.002 * i - 0.001 * j + 0.5).astype(np.float32)
+    holed = plane.copy()
+    holed[5, 5] = holed[10, :] = np.nan
+    holed[20:22, 5:7] = np.nan
+    holed[0, 20] = np.nan
+    filled = fill_small_holes(holed)
+    np.testing.assert_allclose(filled[5, 5], plane[5, 5], atol=1e-6)
+    np.testing.assert_allclose(filled[10, 1:-1], plane[10, 1:-1], atol=1e-6)
+    np.testing.assert_allclose(filled[20:22, 5:7], plane[20:22, 5:7], atol=1e-6)
+    assert np.isnan(filled[0, 20])
+    seen = ~np.isnan(holed)
+    np.testing.assert_array_equal(filled[seen], holed[seen])
+    assert np.isnan(holed[5, 5])
+
+
+def test_holes_across_an_edge_and_the_frontier_stay_unknown() -> None:
+    step = np.zeros((12, 12), dtype=np.float32)
+    step[6:] = 0.04
+    step[5, 5] = np.nan
+    step[:, 9:] = np.nan
+    filled = fill_small_holes(step)
+    np.testing.assert_array_equal(np.isnan(filled), np.isnan(step))
+    wide = np.zeros((12, 12), dtype=np.float32)
+    wide[4:6] = np.nan
+    np.testing.assert_array_equal(np.isnan(fill_small_holes(wide)), np.isnan(wide))
+
+
+# ---- a scene of low blocks, seen by a walking camera with true poses
+
+BLOCKS = np.array(  # x0, y0, x1, y1, height [m]
+    [[0.6, -0.35, 0.75, -0.2, 0.01], [0.7, 0.0, 0.85, 0.2, 0.02], [0.95, -0.2, 1.1, -0.02, 0.03], [1.2, 0.0, 1.4, 0.15, 0.04]]
+)  # fmt: skip
+
+
+def true_height(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    z = np.zeros(np.broadcast_shapes(x.shape, y.shape))
+    for x0, y0, x1, y1, top in BLOCKS:
+        z[(x >= x0) & (x < x1) & (y >= y0) & (y < y1)] = top
+    return z
+
+
+def block_scan(
+    p_camera: NDArray[np.float64], pitch: float, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """One 320x240 depth image with PrimeSense noise, reduced to a point per cell, the upper cluster at edges."""
+    sensor, fx = DepthSensor(), 262.5
+    u, v = (np.mgrid[:320, :240].reshape(2, -1) - np.array([[159.5], [119.5]])) / fx
+    forward = np.array([math.cos(pitch), 0.0, -math.sin(pitch)])
+    down = np.array([-math.sin(pitch), 0.0, -math.cos(pitch)])
+    ray = forward + u[:, None] * np.array([0.0, -1.0, 0.0]) + v[:, None] * down
+    depth = np.where(ray[:, 2] < 0, -p_camera[2] / np.minimum(ray[:, 2], -1e-9), np.inf)
+    for x0, y0, x1, y1, top in BLOCKS:
+        with np.errstate(divide="ignore"):
+            t0 = (np.array([x0, y0, -1.0]) - p_camera) / ray
+            t1 = (np.array([x1, y1, top]) - p_camera) / ray
+        enter, leave = np.minimum(t0, t1).max(axis=1), np.maximum(t0, t1).min(axis=1)
+        depth = np.where((enter <= leave) & (enter > 0), np.minimum(depth, enter), depth)
+    disparity_scale = 2 * fx * sensor.baseline  # a 640 wide image has twice the focal length
+    seen = (depth > sensor.min_range) & (depth < 2.0)
+    depth, ray = depth[seen], ray[seen]
+    disparity = disparity_scale / depth + rng.normal(0.0, sensor.disparity_sigma, len(depth))
+    depth = disparity_scale / (np.round(disparity / sensor.disparity_step) * sensor.disparity_step)
+    points = p_camera + depth[:, None] * ray
+    points = points[(np.abs(points[:, 1]) < 1.0) & (np.abs(points[:, 0]) < 2.5)]
+    index = np.floor(points[:, :2] / 0.01).astype(int) + 500
+    cell, group = np.unique(index[:, 0] * 1000 + index[:, 1], return_inverse=True)
+    high, low = np.full(len(cell), -np.inf), np.full(len(cell), np.inf)
+    np.maximum.at(high, group, points[:, 2])
+    np.minimum.at(low, group, points[:, 2])
+    keep = (high - low < 0.008)[group] | (points[:, 2] > 0.5 * (high + low)[group])
+    points, group = points[keep], group[keep]
+    count = np.bincount(group, minlength=len(cell)).astype(float)
+    mean = np.stack([np.bincount(group, points[:, a], minlength=len(cell)) / count for a in range(3)], axis=1)
+    square = np.bincount(group, points[:, 2] ** 2, minlength=len(cell)) / count
+    return mean, count, np.sqrt(np.maximum(square - mean[:, 2] ** 2, 0.0))
+
+
+def test_low_blocks_come_out_crisp_with_true_poses() -> None:
+    rng = np.random.default_rng(11)
+    grid = ElevationGrid(size=256)
+    for k in range(60):
+        p_camera = np.array([0.012 * k, 0.03 * math.sin(k), 0.25 + 0.005 * math.sin(2.0 * k)])
+        grid.move_to(p_camera[:2])
+        grid.fuse(*block_scan(p_camera, math.radians(30 + math.sin(k)), rng), p_camera)
+    snapshot = grid.snapshot()
+    xy = centres(grid).reshape(256, 256, 2)
+    x, y = xy[..., 0], xy[..., 1]
+    truth = true_height(x, y)
+    edge = np.zeros(truth.shape, dtype=bool)
+    for dx in (-0.02, 0.0, 0.02):
+        for dy in (-0.02, 0.0, 0.02):
+            edge |= np.abs(true_height(x + dx, y + dy) - truth) > 0.001
+    course = (x > 0.55) & (x < 1.5) & (np.abs(y) < 0.4)
+    error = snapshot.elevation - truth
+    seen = course & ~np.isnan(snapshot.elevation)
+    assert seen[course].mean() > 0.9
+    inside = seen & ~edge
+    assert np.sqrt((error[inside] ** 2).mean()) < 0.003
+    assert abs(error[inside].mean()) < 0.0005
+    for x0, y0, x1, y1, top in BLOCKS:  # each block's top stands at its height, block by block
+        on_top = inside & (x > x0) & (x < x1) & (y > y0) & (y < y1)
+        assert np.count_nonzero(on_top) > 50
+        assert np.median(snapshot.elevation[on_top]) == pytest.approx(top, abs=0.001)
+    claimed = np.sqrt(snapshot.variance[inside])
+    assert (np.abs(error[inside]) < 3 * claimed).mean() > 0.97

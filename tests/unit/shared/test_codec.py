@@ -1,0 +1,368 @@
+"""Frames: every message comes back as it was, and whatever else arrives is refused in words."""
+
+import dataclasses
+import struct
+import tracemalloc
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from shared import codec, topics
+from shared import messages as m
+from shared.messages import Message
+
+KINDS = [topic.type for topic in topics.TOPICS]
+int64 = st.integers(-(1 << 63) + 1, (1 << 63) - 1)
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+
+
+def field_values(base: Any, detail: Any, lengths: dict[str, int]) -> st.SearchStrategy[Any]:
+    if base is np.ndarray:
+        dtype, dims = detail
+        shape = tuple(n if isinstance(n, int) else lengths[n] for n in dims.shape)
+        elements = None
+        if dtype.kind == "f":
+            elements = st.floats(width=8 * dtype.itemsize, allow_nan=not dims.finite, allow_infinity=not dims.finite)
+        return hnp.arrays(dtype, shape, elements=elements, fill=None if elements is None else st.just(dtype.type(0)))
+    if base is tuple:
+        return st.lists(texts, max_size=4).map(tuple)
+    if isinstance(base, type) and issubclass(base, m.StrEnum):
+        return st.sampled_from(list(base))
+    if isinstance(detail, tuple):
+        return st.sampled_from(detail)
+    plain: dict[Any, st.SearchStrategy[Any]] = {
+        int: int64,
+        float: st.floats(allow_nan=False, allow_infinity=False),
+        bool: st.booleans(),
+        str: texts,
+    }
+    return plain[base]
+
+
+@st.composite
+def messages(draw: st.DrawFn, kind: type[Message]) -> Message:
+    """Any message of a type, made from its declaration."""
+    fields = m.schema(kind)
+    names = {n for _, base, detail in fields if base is np.ndarray for n in detail[1].shape if isinstance(n, str)}
+    lengths = {n: draw(st.integers(0, 5), label=n) for n in sorted(names)}
+    return kind(**{name: draw(field_values(base, detail, lengths)) for name, base, detail in fields})
+
+
+def example(kind: type[Message]) -> Message:
+    values: dict[str, Any] = {}
+    for name, base, detail in m.schema(kind):
+        if base is np.ndarray:
+            values[name] = np.ones([n if isinstance(n, int) else 3 for n in detail[1].shape], detail[0])
+        elif base is tuple:
+            values[name] = ("text",)
+        elif isinstance(base, type) and issubclass(base, m.StrEnum):
+            values[name] = next(iter(base))
+        elif isinstance(detail, tuple):
+            values[name] = detail[0]
+        else:
+            values[name] = base(1)
+    return kind(**values)
+
+
+def assert_equal(found: Message, expected: Message) -> None:
+    assert type(found) is type(expected)
+    for name, base, _ in m.schema(type(expected)):
+        a, b = getattr(found, name), getattr(expected, name)
+        assert type(a) is type(b)
+        if base is np.ndarray:
+            assert a.dtype == b.dtype
+            np.testing.assert_array_equal(a, b)
+        else:
+            assert a == b
+
+
+def framed(kind: type[Message], fields: Any, data: bytes = b"", *, timing: Any = (0, 0), name: str | None = None) -> bytes:
+    """A frame with a header of one's own making."""
+    header = fields if isinstance(fields, bytes) else msgpack.packb([name or codec.schema_id(kind), *timing, fields])
+    start = struct.pack("<I", len(header)) + header
+    return start + bytes(-len(start) % 8) + data
+
+
+def with_field(kind: type[Message], name: str, value: object) -> bytes:
+    """The frame of the example message with one field of its header replaced."""
+    frame = codec.encode(example(kind))
+    (length,) = struct.unpack_from("<I", frame)
+    header = msgpack.unpackb(frame[4 : 4 + length])
+    header[3][[n for n, _, _ in m.schema(kind)].index(name)] = value
+    return framed(kind, header[3], frame[4 + length + -(4 + length) % 8 :])
+
+
+def refusal(frame: bytes, kind: type[Message], max_bytes: int = 1 << 26) -> str:
+    with pytest.raises(codec.DecodeError) as caught:
+        codec.decode(frame, kind, max_bytes)
+    return str(caught.value)
+
+
+def decoded_or_refused(frame: bytes, kind: type[Message]) -> Message | None:
+    """What every receiver does; any exception but DecodeError fails the test."""
+    try:
+        return codec.decode(frame, kind)[0]
+    except codec.DecodeError as error:
+        assert str(error)  # noqa: PT017
+        return None
+
+
+# ------------------------------------------------------------------------------------------------- round trips
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=20)
+@given(data=st.data())
+def test_every_message_comes_back(kind: type[Message], data: st.DataObject) -> None:
+    message = data.draw(messages(kind))
+    timing = codec.Timing(*data.draw(st.tuples(int64, int64)))
+    frame = codec.encode(message, timing)
+    found, found_timing = codec.decode(frame, kind)
+    assert_equal(found, message)
+    assert found_timing == timing
+    assert codec.encode(found, timing) == frame  # the same message is the same bytes
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_arrays_are_read_only_views_of_the_frame(kind: type[Message]) -> None:
+    frame = codec.encode(example(kind))
+    found, _ = codec.decode(frame, kind)
+    whole = np.frombuffer(frame, np.uint8)
+    for name, base, _ in m.schema(kind):
+        if base is np.ndarray:
+            array = getattr(found, name)
+            assert np.shares_memory(array, whole)
+            assert not array.flags.writeable
+            assert array.flags.c_contiguous
+            with pytest.raises(ValueError, match="read-only"):
+                array.flat[0] = 0
+
+
+@pytest.mark.parametrize("array", [np.arange(12, dtype=np.uint16).reshape(3, 4).T, np.arange(24, dtype=np.uint16).reshape(4, 6)[::2, ::-2]])
+def test_arrays_of_any_layout_are_sent(array: Any) -> None:
+    found, _ = codec.decode(codec.encode(m.DepthImage(1, array)), m.DepthImage)
+    np.testing.assert_array_equal(found.depth, array)
+
+
+def test_the_longest_texts_fit() -> None:
+    status = m.PlannerStatus(0, "waiting", "\U0001f9ed" * m.MAX_TEXT, 0, 0, -1)
+    assert_equal(codec.decode(codec.encode(status), m.PlannerStatus)[0], status)
+    state = dataclasses.replace(example(m.ActuatorState), warnings=("w" * 100,) * m.MAX_ITEMS)  # type: ignore[call-arg]
+    assert_equal(codec.decode(codec.encode(state), m.ActuatorState)[0], state)
+
+
+def test_a_depth_frame_costs_little_memory_to_decode() -> None:
+    frame = codec.encode(m.DepthImage(1, np.ones((480, 640), np.uint16)))
+    codec.decode(frame, m.DepthImage)
+    assert _peak(lambda: codec.decode(frame, m.DepthImage)) < 20_000  # of 614 kB
+
+
+def test_schemas_have_different_names() -> None:
+    assert len({codec.schema_id(kind) for kind in KINDS}) == len(KINDS)
+
+
+# --------------------------------------------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=20)
+@given(garbage=st.binary(max_size=200))
+def test_random_bytes_are_refused(kind: type[Message], garbage: bytes) -> None:
+    refusal(garbage, kind)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_frame_cut_anywhere_is_refused(kind: type[Message]) -> None:
+    frame = codec.encode(example(kind))
+    message = codec.decode(frame, kind)[0]
+    for length in range(len(frame)):
+        cut = decoded_or_refused(frame[:length], kind)
+        if cut is not None:  # only padding was cut off
+            assert_equal(cut, message)
+            assert length > len(frame) - 8
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=40)
+@given(data=st.data())
+def test_flipped_bits_are_refused_or_make_another_good_message(kind: type[Message], data: st.DataObject) -> None:
+    frame = bytearray(codec.encode(example(kind)))
+    for bit in data.draw(st.lists(st.integers(0, min(8 * len(frame), 8 * 400) - 1), min_size=1, max_size=4)):
+        frame[bit // 8] ^= 1 << bit % 8
+    found = decoded_or_refused(bytes(frame), kind)
+    assert found is None or type(found) is kind
+
+
+objects = st.recursive(
+    st.none() | st.booleans() | int64 | st.floats() | texts | st.binary(max_size=9) | st.sampled_from(["<f8", "|u1", "|b1"]),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(texts, inner, max_size=3),
+    max_leaves=12,
+)
+shapes = st.lists(st.sampled_from([0, 1, 2, 3, 6, 2**31, 2**62, 2**63, 2**64 - 1, -1, True, 1.0]), max_size=70)
+array_fields = st.tuples(st.sampled_from(["<f8", "<f4", "|u1", "|b1", "<u2", "<i2", "|O", ">f8", ""]), shapes, st.integers(-9, 99))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=40)
+@given(data=st.data())
+def test_wild_fields_are_refused(kind: type[Message], data: st.DataObject) -> None:
+    names = [name for name, _, _ in m.schema(kind)]
+    frame = with_field(kind, data.draw(st.sampled_from(names)), data.draw(objects | array_fields))
+    found = decoded_or_refused(frame, kind)
+    assert found is None or type(found) is kind
+
+
+@pytest.mark.parametrize("header", [[], [1, 2, 3], None, {}, "text", [None, 0, 0, []], ["x", 0, 0, {}], ["x", 0.0, 0, []]])
+def test_a_header_of_another_form_is_refused(header: object) -> None:
+    assert "expected" in refusal(framed(m.Imu, msgpack.packb(header)), m.Imu) or header == {}
+
+
+@pytest.mark.parametrize("timing", [(True, 0), (0, False), (0.0, 0), ("0", 0), (None, None)])
+def test_times_are_whole_numbers(timing: Any) -> None:
+    assert "two times" in refusal(framed(m.ModeCommand, [0, "off", 1], timing=timing), m.ModeCommand)
+
+
+def test_another_message_or_version_is_named() -> None:
+    words = refusal(codec.encode(example(m.Imu)), m.Odometry)
+    assert codec.schema_id(m.Imu) in words
+    assert codec.schema_id(m.Odometry) in words
+    assert "different versions" in refusal(framed(m.ModeCommand, [0, "off", 1], name="ModeCommand:00000000"), m.ModeCommand)
+
+
+@pytest.mark.parametrize("fields", [[], [0], [0, "off"], [0, "off", 1, 1]])
+def test_the_number_of_fields_counts(fields: list[Any]) -> None:
+    assert refusal(framed(m.ModeCommand, fields), m.ModeCommand) == f"ModeCommand: 3 fields expected, found {len(fields)}"
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (["<f4", [3], 0], "an array of <f8 expected, found '<f4'"),
+        (["|O", [3], 0], "an array of <f8 expected"),
+        (["<f8", [4], 0], "found (4,)"),
+        (["<f8", [3, 1], 0], "1 dimensions expected, found 2"),
+        (["<f8", [], 0], "1 dimensions expected, found 0"),
+        (["<f8", [1] * 65, 0], "1 dimensions expected, found 65"),
+        (["<f8", [-1], 0], "dtype, shape and offset expected"),
+        (["<f8", [True], 0], "dtype, shape and offset expected"),
+        (["<f8", [2**63], 0], "dtype, shape and offset expected"),
+        (["<f8", [3_999_999], 0], "do not fit the frame"),
+        (["<f8", [3], 4], "do not fit the frame"),
+        (["<f8", [3], -8], "do not fit the frame"),
+        (["<f8", [3], 2**60], "do not fit the frame"),
+        (["<f8", [3]], "dtype, shape and offset expected"),
+        ("text", "dtype, shape and offset expected"),
+        (None, "dtype, shape and offset expected"),
+    ],
+)
+def test_arrays_that_are_not_as_declared(value: object, words: str) -> None:
+    found = refusal(with_field(m.Imu, "gyro", value), m.Imu)
+    assert found.startswith("Imu.gyro: ")
+    assert words in found
+
+
+@pytest.mark.parametrize("shape", [[0, 2**62, 3], [0, 2**63, 3], [0, 2**64 - 1, 3], [1] * 65, [0] * 200])
+def test_an_array_without_bytes_may_not_claim_a_strange_shape(shape: list[int]) -> None:
+    assert refusal(with_field(m.ColorImage, "rgb", ["|u1", shape, 0]), m.ColorImage).startswith("ColorImage.rgb: ")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "words"),
+    [
+        (m.ModeCommand, "mode", "run", "one of ('off', 'stand', 'walk') expected"),
+        (m.ModeCommand, "mode", ["off"], "expected, found a list"),
+        (m.ModeCommand, "sequence", 1.0, "whole number expected"),
+        (m.ModeCommand, "sequence", 2**63, "whole number expected"),
+        (m.ModeCommand, "stamp_ns", True, "whole number expected"),
+        (m.ActuatorState, "mode", "run", "one of ['off'"),
+        (m.ActuatorState, "mode", 3, "one of ['off'"),
+        (m.ActuatorState, "reason", 3, "a text of at most"),
+        (m.ActuatorState, "reason", "x" * 2001, "a text of at most"),
+        (m.ActuatorState, "phase", float("nan"), "a finite number expected, found nan"),
+        (m.ActuatorState, "phase", float("inf"), "a finite number expected, found inf"),
+        (m.ActuatorState, "warnings", "text", "a tuple of at most 256 texts expected"),
+        (m.ActuatorState, "warnings", [1], "texts"),
+        (m.BodyPose, "ok", 1, "true or false expected, found 1"),
+    ],
+)
+def test_values_that_are_not_as_declared(kind: type[Message], name: str, value: object, words: str) -> None:
+    found = refusal(with_field(kind, name, value), kind)
+    assert found.startswith(f"{kind.__name__}.{name}: ")
+    assert words in found
+
+
+@pytest.mark.parametrize("kind", [k for k in KINDS if any(b is np.ndarray and d[0].kind == "f" for _, b, d in m.schema(k))])
+def test_a_number_that_is_none_is_refused_where_numbers_are_asked(kind: type[Message]) -> None:
+    for name, base, detail in m.schema(kind):
+        if base is np.ndarray and detail[0].kind == "f" and detail[1].finite:
+            message = example(kind)
+            before = codec.encode(message)
+            getattr(message, name).flat[-1] = np.nan  # behind the message's back: only the receiver can tell
+            frame = codec.encode(message)
+            assert len(frame) == len(before)
+            assert "NaN or infinity" in refusal(frame, kind)
+
+
+def test_a_truth_value_of_two_is_refused() -> None:
+    message = example(m.Odometry)
+    frame = bytearray(codec.encode(message))
+    frame[-8] = 2  # stance is the last array
+    assert "truth values of 0 or 1" in refusal(bytes(frame), m.Odometry)
+
+
+def test_what_is_too_large_is_refused_unread() -> None:
+    frame = codec.encode(example(m.ColorImage))
+    assert f"at most {len(frame) - 1} bytes expected, found {len(frame)}" in refusal(frame, m.ColorImage, len(frame) - 1)
+
+
+@pytest.mark.parametrize("depth", [1, 100, 500, 900, 1000, 1020, 5000, 200_000])
+@pytest.mark.parametrize(("kind", "position"), [(m.ModeCommand, 1), (m.ActuatorState, 1), (m.PlannerStatus, 3), (m.Imu, 1)])
+def test_deep_nesting_is_refused(depth: int, kind: type[Message], position: int) -> None:
+    n = len(m.schema(kind))
+    nested = b"\x91" * depth + b"\x01"
+    fields = b"".join(nested if i == position else b"\x00" for i in range(n))
+    header = b"\x94" + msgpack.packb(codec.schema_id(kind)) + b"\x00\x00" + b"\xdc" + struct.pack(">H", n) + fields
+    assert refusal(framed(kind, header), kind)
+    assert refusal(framed(kind, nested), kind)
+
+
+HUGE_CLAIMS = {
+    "array": b"\xdd\xff\xff\xff\xff",
+    "map": b"\xdf\xff\xff\xff\xff",
+    "text": b"\xdb\xff\xff\xff\xff",
+    "bytes": b"\xc6\xff\xff\xff\xff",
+    "extension": b"\xc9\xff\xff\xff\xff\x01",
+    "timestamp": b"\xd6\xff\x00\x00\x00\x00",
+}
+
+
+@pytest.mark.parametrize("claim", HUGE_CLAIMS.values(), ids=HUGE_CLAIMS)
+def test_a_huge_claim_allocates_nothing(claim: bytes) -> None:
+    frames = [
+        framed(m.Imu, claim),
+        framed(m.Imu, b"\x94" + claim + b"\x00" * 50),
+        framed(m.Imu, b"\x94" + msgpack.packb(codec.schema_id(m.Imu)) + b"\x00\x00" + claim + b"\x00" * 50),
+        struct.pack("<I", 0xFFFFFFFF) + claim,
+    ]
+    for frame in frames:
+        assert _peak(lambda frame=frame: refusal(frame, m.Imu)) < 200_000  # type: ignore[misc]
+
+
+def test_a_huge_array_claim_allocates_nothing() -> None:
+    frame = with_field(m.DepthImage, "depth", ["<u2", [4_000_000, 4_000_000], 0])
+    assert _peak(lambda: refusal(frame, m.DepthImage)) < 200_000
+
+
+def _peak(act: Any) -> int:
+    """Most bytes that an action held at once."""
+    tracemalloc.start()
+    try:
+        act()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()

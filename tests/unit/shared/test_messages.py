@@ -1,0 +1,130 @@
+"""A message that exists is well formed; one that is not says which field, what was expected and what was found."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shared import messages as m
+from shared import topics
+from shared.messages import Message
+
+KINDS = [topic.type for topic in topics.TOPICS]
+
+
+def example(kind: type[Message]) -> Message:
+    """The plainest message of a type, made from its declaration."""
+    values: dict[str, Any] = {}
+    for name, base, detail in m.schema(kind):
+        if base is np.ndarray:
+            dtype, dims = detail
+            values[name] = np.zeros([n if isinstance(n, int) else 3 for n in dims.shape], dtype)
+        elif base is tuple:
+            values[name] = ("text",)
+        elif isinstance(base, type) and issubclass(base, m.StrEnum):
+            values[name] = next(iter(base))
+        elif isinstance(detail, tuple):
+            values[name] = detail[0]
+        else:
+            values[name] = base()
+    return kind(**values)
+
+
+def fields_with(base: Any) -> list[tuple[type[Message], str, Any]]:
+    return [(kind, name, detail) for kind in KINDS for name, found, detail in m.schema(kind) if found is base]
+
+
+def refused(message: Message, name: str, value: object) -> str:
+    with pytest.raises(ValueError, match=rf"^{type(message).__name__}\.{name}: .*expected") as caught:
+        dataclasses.replace(message, **{name: value})  # type: ignore[arg-type]
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_type_can_be_made_and_not_changed(kind: type[Message]) -> None:
+    message = example(kind)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        message.stamp_ns = 1  # type: ignore[misc]
+    assert m.schema(kind)[0] == ("stamp_ns", int, None)
+    assert kind.__doc__
+    assert "->" in kind.__doc__  # who sends, who reads
+
+
+@pytest.mark.parametrize(("kind", "name", "detail"), fields_with(np.ndarray))
+def test_arrays_are_checked(kind: type[Message], name: str, detail: Any) -> None:
+    dtype, dims = detail
+    message = example(kind)
+    good = getattr(message, name)
+    assert "found list" in refused(message, name, good.tolist())
+    assert "found " in refused(message, name, good.astype(np.complex128))
+    if dtype.itemsize > 1:
+        assert "found >" in refused(message, name, good.astype(dtype.newbyteorder(">")))
+    assert "found (" in refused(message, name, good[None])
+    for axis, length in enumerate(dims.shape):
+        longer = np.concatenate([good, good], axis)
+        if isinstance(length, int):
+            assert "found (" in refused(message, name, longer)
+        elif sum(length in d[1].shape for _, b, d in m.schema(kind) if b is np.ndarray) > 1:  # others go by the same name
+            with pytest.raises(ValueError, match=rf"^{kind.__name__}\.\w+: .*expected with {length} = "):
+                dataclasses.replace(message, **{name: longer})  # type: ignore[arg-type]
+    if dtype.kind == "f":
+        for wild in (np.nan, np.inf, -np.inf):
+            broken = good.copy()
+            broken.flat[-1] = wild
+            if dims.finite:
+                assert "NaN or infinity" in refused(message, name, broken)
+            else:
+                dataclasses.replace(message, **{name: broken})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("kind", "name", "_"), fields_with(float))
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1, "1", None, True])
+def test_numbers_are_finite_floats(kind: type[Message], name: str, _: Any, value: object) -> None:
+    refused(example(kind), name, value)
+
+
+@pytest.mark.parametrize(("kind", "name", "_"), fields_with(int))
+@pytest.mark.parametrize("value", [1.0, True, "1", None, 1 << 63, -(1 << 63), np.int64(1)])
+def test_whole_numbers_fit_64_bits(kind: type[Message], name: str, _: Any, value: object) -> None:
+    refused(example(kind), name, value)
+
+
+@pytest.mark.parametrize(("kind", "name", "_"), fields_with(bool))
+@pytest.mark.parametrize("value", [0, 1, None, "true", np.True_])
+def test_truth_is_true_or_false(kind: type[Message], name: str, _: Any, value: object) -> None:
+    refused(example(kind), name, value)
+
+
+@pytest.mark.parametrize(("kind", "name", "_"), fields_with(str))
+@pytest.mark.parametrize("value", [0, None, b"text", "x" * (m.MAX_TEXT + 1), "half a pair \ud800"])
+def test_texts_are_short_and_can_be_encoded(kind: type[Message], name: str, _: Any, value: object) -> None:
+    refused(example(kind), name, value)
+
+
+@pytest.mark.parametrize(("kind", "name", "_"), fields_with(tuple))
+@pytest.mark.parametrize("value", [["text"], (1,), ("x" * (m.MAX_TEXT + 1),), ("",) * (m.MAX_ITEMS + 1), "text", ("\udfff",)])
+def test_lists_are_tuples_of_texts(kind: type[Message], name: str, _: Any, value: object) -> None:
+    refused(example(kind), name, value)
+
+
+def test_words_out_of_a_choice() -> None:
+    refused(example(m.ModeCommand), "mode", "run")
+    refused(example(m.ModeCommand), "mode", None)
+    refused(example(m.PlannerStatus), "state", "")
+    refused(example(m.ActuatorState), "mode", "walk")  # a text is not yet a Mode
+
+
+def test_a_long_array_is_refused() -> None:
+    huge = np.broadcast_to(np.zeros((1, 1), np.uint16), (m.MAX_LENGTH + 1, 1))  # takes no memory
+    assert "expected" in refused(example(m.DepthImage), "depth", huge)
+
+
+def test_an_empty_picture_and_an_empty_scan_are_messages() -> None:
+    m.ColorImage(stamp_ns=0, rgb=np.zeros((0, 0, 3), np.uint8))
+    dataclasses.replace(  # type: ignore[type-var]
+        example(m.Scan),
+        points_mm=np.zeros((0, 3), np.int16),  # type: ignore[call-arg]
+        count=np.zeros(0, np.uint8),
+        spread_mm=np.zeros(0, np.uint8),
+    )

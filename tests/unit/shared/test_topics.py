@@ -1,0 +1,69 @@
+"""The topic table: one row a topic, nothing twice, every message with a place."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from shared import codec, messages, topics
+from shared.topics import TOPICS, Delivery, Lane, Topic
+
+
+def test_keys_and_types_stand_once() -> None:
+    assert len({t.key for t in TOPICS}) == len(TOPICS)
+    assert len({t.type for t in TOPICS}) == len(TOPICS)
+    assert len(topics.OF_TYPE) == len(TOPICS)
+
+
+def test_every_row_is_in_the_table() -> None:
+    rows = [value for value in vars(topics).values() if isinstance(value, Topic)]
+    assert rows == list(TOPICS)
+
+
+def test_every_message_but_the_tick_has_a_topic() -> None:
+    kinds = {
+        value
+        for value in vars(messages).values()
+        if isinstance(value, type) and issubclass(value, messages.Message) and value is not messages.Message
+    }
+    assert kinds - set(topics.OF_TYPE) == {messages.Tick}
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
+def test_rows_make_sense(topic: Topic[messages.Message]) -> None:
+    assert 0.0 < topic.rate_hz <= 1000.0
+    assert topic.fresh_for_ns == pytest.approx(3e9 / topic.rate_hz, abs=1)
+    assert 0.0 < topic.latency_s < 0.1
+    assert len(codec.encode(_smallest(topic.type))) < topic.max_bytes <= 1 << 26
+    assert topic.key == topic.key.strip("/")
+    assert not set(topic.key) & set("*$?# ")
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
+def test_large_frames_stay_off_the_control_lane(topic: Topic[messages.Message]) -> None:
+    assert topic.lane is Lane.BULK or topic.max_bytes <= 64 * 1024
+
+
+def test_what_counts_once_is_delivered_every_time() -> None:
+    for topic in (topics.MODE, topics.STEP_PLAN, topics.ODOMETRY, topics.HEALTH):
+        assert topic.delivery is Delivery.EVERY
+
+
+def test_a_depth_frame_of_the_profile_fits() -> None:
+    assert topics.DEPTH.max_bytes > 640 * 480 * 2
+    assert topics.COLOR.max_bytes > 640 * 480 * 3
+    assert topics.SCAN.max_bytes > 60_000
+
+
+def _smallest(kind: type[messages.Message]) -> messages.Message:
+    values: dict[str, Any] = {}
+    for name, base, detail in messages.schema(kind):
+        if base is np.ndarray:
+            values[name] = np.zeros([n if isinstance(n, int) else 0 for n in detail[1].shape], detail[0])
+        elif isinstance(base, type) and issubclass(base, messages.StrEnum):
+            values[name] = next(iter(base))
+        elif isinstance(detail, tuple):
+            values[name] = detail[0]
+        else:
+            values[name] = base()
+    return kind(**values)

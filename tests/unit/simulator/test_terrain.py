@@ -1,0 +1,185 @@
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import mujoco
+import numpy as np
+import pytest
+
+from services.simulator.solids import Boxes, HeightField
+from services.simulator.terrain import Terrain, build_terrain
+from services.simulator.world import World
+from shared.geometry import Array
+from shared.robot import load_profile
+from shared.scenario import Box, Goal, HeightMap, Pillars, Plane, Rubble, Scenario, Slope, Stairs, load_scenario
+from shared.scenario import Terrain as Primitive
+
+
+def scenario(*terrain: Primitive, folder: Path | str = ".") -> Scenario:
+    return Scenario("course", terrain, Goal(1.0), folder=str(folder))
+
+
+def build(*terrain: Primitive, seed: int = 0, folder: Path | str = ".") -> Terrain:
+    return build_terrain(scenario(*terrain, folder=folder), np.random.default_rng(seed))
+
+
+def heights_by_rays(terrain: Terrain, xy: Array) -> Array:
+    """Heights (n,) where MuJoCo's rays from far above meet the terrain."""
+    world = World(load_profile("phantomx_mk2"), terrain)
+    only_terrain = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
+    mujoco.mj_forward(world.model, world.data)
+    heights = np.full(len(xy), -np.inf)
+    for i, (x, y) in enumerate(xy):
+        geom = np.zeros(1, dtype=np.int32)
+        down = mujoco.mj_ray(
+            world.model, world.data, np.array([x, y, 10.0]), np.array([0, 0, -1.0]), only_terrain, 1, -1, geom, None
+        )
+        if down >= 0:
+            heights[i] = 10.0 - down
+    return heights
+
+
+ROUGH = HeightField(np.random.default_rng(4).uniform(-0.05, 0.1, (21, 31)), 0.05, (-0.5, -0.7))
+KINDS = {
+    "plane": build(Plane(height=0.03)),
+    "box": build(Plane(), Box((0.3, 0.1), (0.5, 0.3), 0.2, yaw_deg=25.0)),
+    "stairs up": build(Plane(), Stairs((0.1, 0.0), 0.05, 0.2, 4, 1.0, landing=0.3, yaw_deg=-20.0)),
+    "stairs down": build(Plane(height=-0.2), Stairs((0.1, 0.0), -0.05, 0.2, 4, 1.0)),
+    "pillars": build(Pillars(((0.0, 0.0), (0.3, 0.1), (-0.4, 0.5)), 0.15, 0.1)),
+    "slope": build(Plane(), Slope((-0.3, 0.1), 20.0, 0.8, 0.9, yaw_deg=40.0, landing=0.4)),
+    "rubble": build(Plane(), Rubble((-1.0, 1.0), (-1.0, 1.0), 40, (0.1, 0.2), (0.02, 0.1))),
+    "height map": Terrain(build(Pillars((), 0.1, 0.1)).boxes, ROUGH),
+    "height map on a plane": Terrain(build(Box((0.2, 0.0), (0.2, 0.2), 0.08)).boxes, ROUGH, 0.0),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_height_is_where_a_ray_from_above_ends(kind: str) -> None:
+    xy = np.random.default_rng(1).uniform(-1.2, 1.2, (500, 2))
+    ours, theirs = KINDS[kind].height_at(xy), heights_by_rays(KINDS[kind], xy)
+    np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
+    hit = np.isfinite(ours)
+    assert hit.any()
+    np.testing.assert_allclose(ours[hit], theirs[hit], atol=1e-6)  # MuJoCo keeps height fields in single precision
+
+
+def test_raster_is_height_at_its_points() -> None:
+    terrain = KINDS["slope"]
+    raster = terrain.raster(-0.5, -0.2, 7, 5, 0.1)
+    i, j = 4, 3
+    assert raster.shape == (7, 5)
+    assert raster[i, j] == terrain.height_at(np.array([[-0.5 + 0.1 * i, -0.2 + 0.1 * j]]))[0]
+
+
+def test_a_slope_begins_on_the_ground_and_ends_at_its_landing() -> None:
+    terrain = build(Slope((1.0, 0.0), 15.0, 2.0, 1.0, landing=0.5))
+    x = np.array([1.0 + 1e-6, 2.0, 3.0 - 1e-6, 3.2])
+    expected = np.tan(np.radians(15.0)) * np.array([0.0, 1.0, 2.0, 2.0])
+    np.testing.assert_allclose(terrain.height_at(np.stack([x, np.full(4, 0.3)], axis=1)), expected, atol=1e-5)
+
+
+def test_nothing_lies_beside_pillars() -> None:
+    terrain = build(Pillars(((0.0, 0.0),), 0.1, 0.3))
+    np.testing.assert_array_equal(terrain.height_at(np.array([[0.0, 0.0], [0.06, 0.0]])), [0.3, -np.inf])
+
+
+def outline(centre: Array, half: Array, R: Array) -> Array:
+    """Points (n, 2) around a block's top."""
+    s = np.linspace(-1, 1, 41)
+    edge = np.ones_like(s)
+    around = np.concatenate([np.stack(side, axis=1) for side in ((s, edge), (s, -edge), (edge, s), (-edge, s))])
+    return np.asarray((around * half[:2]) @ R[:2, :2].T + centre[:2])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rubble_keeps_its_region_its_gap_and_its_bounds(seed: int) -> None:
+    rubble = Rubble((0.5, 2.0), (-0.4, 0.4), 20, (0.1, 0.2), (0.01, 0.05), gap=0.02, yaw_deg=30.0)
+    blocks = build(rubble, seed=seed).boxes
+    assert len(blocks) == 20
+    tops = blocks.centre[:, 2] + blocks.half[:, 2]
+    assert tops.min() >= 0.01
+    assert tops.max() <= 0.05
+    assert np.all((2 * blocks.half[:, :2] >= 0.1) & (2 * blocks.half[:, :2] <= 0.2))
+    assert np.all(np.abs(np.arctan2(blocks.R[:, 1, 0], blocks.R[:, 0, 0])) <= np.radians(30.0))
+    for i in range(20):
+        around = outline(blocks.centre[i], blocks.half[i], blocks.R[i])
+        assert np.all((around >= [0.5 - 1e-9, -0.4 - 1e-9]) & (around <= [2.0 + 1e-9, 0.4 + 1e-9]))
+        for j in range(20):
+            if i != j:
+                beside = np.abs((around - blocks.centre[j, :2]) @ blocks.R[j, :2, :2]) - blocks.half[j, :2]
+                assert np.hypot(*np.maximum(beside, 0.0).T).min() >= 0.02 - 1e-9
+
+
+def test_only_the_seed_decides_about_rubble() -> None:
+    rubble = Rubble((0.5, 2.0), (-0.4, 0.4), 12, (0.1, 0.2), (0.01, 0.05))
+    one, same, other = (build(Plane(), rubble, seed=seed).boxes for seed in (7, 7, 8))
+    np.testing.assert_array_equal(one.centre, same.centre)
+    assert not np.array_equal(one.centre, other.centre)
+
+
+def test_rubble_without_room_says_so() -> None:
+    with pytest.raises(ValueError, match="room for 30 blocks of rubble expected, found room for about"):
+        build(Rubble((0.0, 0.5), (0.0, 0.5), 30, (0.1, 0.2), (0.01, 0.05)))
+    with pytest.raises(ValueError, match="rising order"):
+        build(Rubble((0.0, 0.5), (0.0, 0.5), 3, (0.2, 0.1), (0.01, 0.05)))
+
+
+def test_height_maps_are_read_from_files(tmp_path: Path) -> None:
+    heights = np.array([[0.1, 0.2, np.nan], [0.3, 0.05, 0.4]])
+    np.save(tmp_path / "ground.npy", heights)
+    grey = np.array([[0, 1000], [20000, 65535]], dtype=np.uint16)
+    cv2.imwrite(str(tmp_path / "ground.png"), grey)
+    field = build(HeightMap("ground.npy", 0.5, (1.0, 2.0), scale=2.0), folder=tmp_path).height_field
+    assert field is not None
+    np.testing.assert_allclose(field.heights, 2.0 * np.where(np.isfinite(heights), heights, 0.05))
+    # Rows run along x: grid point (1, 2) lies at x = 1 + 0.5, y = 2 + 1.
+    np.testing.assert_allclose(field.height_at(np.array([[1.5, 3.0], [1.0, 2.5], [0.9, 2.0]])), [0.8, 0.4, -np.inf])
+    field = build(HeightMap("ground.png", 0.1, (0.0, 0.0), scale=1e-5), folder=tmp_path).height_field
+    assert field is not None
+    np.testing.assert_allclose(field.heights, grey * 1e-5)
+
+
+def test_unreadable_height_maps_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "unknown.npy", np.full((3, 3), np.nan))
+    np.save(tmp_path / "line.npy", np.zeros(3))
+    (tmp_path / "text.png").write_text("not a picture")
+    (tmp_path / "ground.tif").touch()
+    for file, why in (
+        ("missing.npy", "no such file"),
+        ("unknown.npy", "at least one known height"),
+        ("line.npy", "at least 2x2"),
+        ("text.png", "grey PNG"),
+        ("ground.tif", ".npy or .png"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            build(HeightMap(file, 0.1, (0.0, 0.0)), folder=tmp_path)
+
+
+def test_impossible_terrain_is_refused() -> None:
+    for terrain, why in (
+        ((Plane(), Plane(height=0.1)), "at most one plane"),
+        ((Slope((0.0, 0.0), 85.0, 1.0, 1.0),), "less than 80 deg"),
+        ((Stairs((0.0, 0.0), 0.05, 0.2, 0, 1.0),), "at least one step"),
+        ((Box((0.0, 0.0), (0.0, 1.0), 0.1),), "positive edges"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            build(*terrain)
+    with pytest.raises(ValueError, match="positive resolution"):
+        HeightField(np.zeros((2, 2)), 0.0, (0.0, 0.0))
+    with pytest.raises(ValueError, match="finite heights"):
+        HeightField(np.array([[0.0, np.nan], [0.0, 0.0]]), 0.1, (0.0, 0.0))
+    with pytest.raises(ValueError, match="positive edges"):
+        Boxes(np.zeros((1, 3)), np.zeros((1, 3)), np.eye(3)[None])
+    with pytest.raises(ValueError, match=r"points \(n, 2\)"):
+        KINDS["plane"].height_at(np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize("name", ["flat", "steps"])
+def test_the_courses_that_come_with_sextant_can_be_built(name: str) -> None:
+    course = load_scenario(name)
+    count = sum(part.count for part in course.terrain if isinstance(part, Rubble | Stairs))
+    for seed in range(3):
+        assert len(build_terrain(course, np.random.default_rng(seed)).boxes) == count
+    # The camera sees nothing nearer than 0.5 m, so every course begins with level ground.
+    strip = build_terrain(replace(course), np.random.default_rng(0)).raster(-0.3, -0.3, 100, 60, 0.01)
+    assert np.ptp(strip) == 0.0
