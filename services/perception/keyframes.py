@@ -9,6 +9,7 @@ A grid of blocks replaces the voxel grid of Masri 2016, section 4.3, and organis
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from numpy.typing import NDArray
 from shared.camera import DepthSensor, Intrinsics
 from shared.compiled import compiled
 from shared.geometry import inverse, skew
+
+Floats = NDArray[Any]  # what compiled functions take: any float or integer width
+Ints = NDArray[Any]
 
 _BLOCKS_ACROSS = 160  # block columns that an image is reduced to
 _MODEL_SIGMA = 0.0005  # [m] what a plane leaves unexplained of a real surface
@@ -199,12 +203,22 @@ def inverse_depth_table(intrinsics: Intrinsics, sensor: DepthSensor) -> tuple[ND
 
 
 @compiled
-def _reduce_blocks(raw, table, block, min_filled, max_variance, x, y, out, points):  # type: ignore[no-untyped-def]
+def _reduce_blocks(
+    raw: Ints,
+    table: Floats,
+    block: int,
+    min_filled: float,
+    max_variance: float,
+    x: Floats,
+    y: Floats,
+    out: Floats,
+    points: Floats,
+) -> int:
     """Inverse depth at the centre of each block from the plane through its pixels, 0 where there is none, and points."""
     rows, columns = out.shape
     middle = (block - 1) / 2.0
     whole = block * block
-    needed = max(1, int(math.ceil(min_filled * whole)))
+    needed = max(1, math.ceil(min_filled * whole))
     valid = 0
     for i in range(rows):
         for j in range(columns):
@@ -258,7 +272,7 @@ def _reduce_blocks(raw, table, block, min_filled, max_variance, x, y, out, point
 
 
 @compiled
-def _fit_planes(inverse_depth, x, y, sigma, limit, out):  # type: ignore[no-untyped-def]
+def _fit_planes(inverse_depth: Floats, x: Floats, y: Floats, sigma: float, limit: float, out: Floats) -> None:
     """Plane (A, B, C) and gradient variance of each block, from 5x5 blocks where flat, else 3x3, else all zero."""
     rows, columns = inverse_depth.shape
     dx = x[1] - x[0]
@@ -300,7 +314,7 @@ def _fit_planes(inverse_depth, x, y, sigma, limit, out):  # type: ignore[no-unty
 
 
 @compiled
-def _shares_seen(points, x, y, transforms):  # type: ignore[no-untyped-def]
+def _shares_seen(points: Floats, x: Floats, y: Floats, transforms: Floats) -> Floats:
     """Share of some 150 points of a frame that fall inside the image of each keyframe."""
     shares = np.zeros(len(transforms))
     step = max(1, len(points) // 150)
@@ -320,7 +334,18 @@ def _shares_seen(points, x, y, transforms):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _accumulate(points, start, stride, x, y, planes, T, sigma, gate, sums):  # type: ignore[no-untyped-def]
+def _accumulate(
+    points: Floats,
+    start: int,
+    stride: int,
+    x: Floats,
+    y: Floats,
+    planes: Floats,
+    T: Floats,
+    sigma: float,
+    gate: float,
+    sums: Floats,
+) -> None:
     """Match a frame with one keyframe by projection and sum, by the twist at the keyframe, the Jacobian [pi, p x pi].
 
     sums: H (36), N (36), g (6), points matched, points facing a plane, squared distances, points tried.

@@ -27,6 +27,7 @@ from services.perception.registration import (
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import orthonormal
 
+_MAX_ITERATIONS = 50  # as Masri 2016, section 4.2.1
 _GATE = 0.02  # [m] farthest plane a point is matched with when the pose is judged
 _STRIDE = 4  # every how many points are judged
 
@@ -65,6 +66,7 @@ class KissRegistration:
         corner = max(intrinsics.width / intrinsics.fx, intrinsics.height / intrinsics.fy)
         self._config.data.max_range = sensor.max_range * float(np.hypot(1.0, corner))
         self._config.mapping.voxel_size = voxel_size
+        self._config.registration.max_num_iterations = _MAX_ITERATIONS
         self._config.registration.max_num_threads = 1  # the order of sums, and so the result, is then fixed
         self._config.adaptive_threshold.fixed_threshold = threshold
         self._config.adaptive_threshold.initial_threshold = 5 * voxel_size
@@ -99,16 +101,12 @@ class KissRegistration:
         H = believed @ match.H
         covariance = np.linalg.inv(H + information)
         T = orthonormal(moved(T_world_camera_prior, covariance @ H @ error_twist(T, T_world_camera_prior)))
-        reason = objection(match, self._acceptance) or jump(
-            T, T_world_camera_prior, prior_covariance, self._acceptance
-        )
+        reason = objection(match, self._acceptance) or jump(T, T_world_camera_prior, prior_covariance, self._acceptance)
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
         self._failures = 0
         self._extend_map(T)
-        return Registered(
-            stamp_ns, T, (covariance + covariance.T) / 2.0, match.overlap, match.rmse, degenerate, True, ""
-        )
+        return Registered(stamp_ns, T, (covariance + covariance.T) / 2.0, match.overlap, match.rmse, degenerate, True, "")
 
     def _align(self, T_prior: NDArray[np.float64]) -> NDArray[np.float64]:
         """What `KissICP.register_frame` does between its prediction and its map update, from our own prediction."""

@@ -16,6 +16,7 @@ from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import exp_so3, orthonormal, transform
 
 _GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the farthest plane a point is matched with
+_SLIP = 0.01  # [m] and [rad] first step expected beyond the prior's spread
 _MAX_ITERATIONS = 10
 _STRIDE = 4  # every how many points are matched with one keyframe
 _CONVERGED = 1e-4  # [m] and [rad] step that ends the iteration
@@ -127,7 +128,9 @@ class Registration:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Match]:
         """Gauss-Newton on matches and prior together: (H + P) step = -(g + P error)."""
         chosen = self._keyframes.select(T_prior)
-        T, step = T_prior, 3.0 * np.sqrt(np.diag(np.linalg.inv(information)))
+        T: NDArray[np.float64] = T_prior
+        # The first step may have to bridge what the prior leaves open and what a slip adds.
+        step: NDArray[np.floating] = 1.5 * np.sqrt(np.diag(np.linalg.inv(information))) + _SLIP
         for _ in range(_MAX_ITERATIONS):
             gate = min(max(_GATE_NEAR, 2.0 * float(np.abs(step[:3]).max())), _GATE_FAR)
             match = self._keyframes.match(T, chosen, gate, _STRIDE)
@@ -182,7 +185,7 @@ def belief(match: Match) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return B, directions / np.linalg.norm(directions, axis=-1, keepdims=True)
 
 
-def moved(T: NDArray[np.float64], twist: NDArray[np.float64]) -> NDArray[np.float64]:
+def moved(T: NDArray[np.float64], twist: NDArray[np.floating]) -> NDArray[np.float64]:
     """A pose moved by an error twist (6,) in world axes at its origin."""
     return transform(exp_so3(twist[3:]) @ T[:3, :3], T[:3, 3] + twist[:3])
 

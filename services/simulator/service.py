@@ -11,6 +11,8 @@ import numpy as np
 from services.simulator.bus import ServoBusEmulator
 from services.simulator.config import Settings
 from services.simulator.depth_camera import DepthCamera
+from services.simulator.imu import Imu as ImuSensor
+from services.simulator.imu import ImuNoise
 from services.simulator.render import Renderer
 from services.simulator.servos import AX_12A_MOTOR, RX_64_MOTOR, ServoBank
 from services.simulator.tcp_port import TcpBusServer
@@ -67,7 +69,7 @@ class Simulator:
             noise=scenario.camera.noise,
             dropouts=scenario.camera.dropouts,
         )
-        self._imu_rng = seeds[3]
+        self._imu = ImuSensor(ImuNoise(), seeds[3])
         self._bank = self._switch_on(profile, scenario)
         self.bus = ServoBusEmulator(self._bank)
         self._server: TcpBusServer | None = None
@@ -138,7 +140,7 @@ class Simulator:
         if inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
             yield ColorImage(now_ns, self._renderer.rgb(self._camera_pose(), self.world.robot_solids()))
         if self._scenario.variation.imu and self._due(topics.IMU, now_ns):
-            yield self._imu(now_ns)
+            yield self._feel(now_ns)
         if self._due(topics.TRUTH, now_ns):
             yield self._truth(now_ns)
 
@@ -154,13 +156,9 @@ class Simulator:
     def _camera_pose(self) -> Array:
         return np.asarray(self.world.T_world_body @ self._profile.camera.T_body_camera)
 
-    def _imu(self, now_ns: int) -> Imu:
-        gyro, force = self.world.imu
-        return Imu(
-            now_ns,
-            gyro=gyro + self._imu_rng.normal(0.0, 0.003, 3),  # [rad/s] of a small MEMS device at 100 Hz
-            specific_force=force + self._imu_rng.normal(0.0, 0.05, 3),  # [m/s^2]
-        )
+    def _feel(self, now_ns: int) -> Imu:
+        gyro, force = self._imu.update(*self.world.imu, 1.0 / topics.IMU.rate_hz)
+        return Imu(now_ns, gyro=gyro, specific_force=force)
 
     def _truth(self, now_ns: int) -> GroundTruth:
         world = self.world

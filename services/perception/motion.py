@@ -1,0 +1,73 @@
+"""What the legs say about the motion between two frames: the prior of the registration."""
+
+from bisect import bisect_right
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.geometry import Array, interpolate, inverse
+from shared.messages import Odometry
+
+_KEPT = 100  # messages, two seconds
+_MAX_EXTRAPOLATION_NS = 100_000_000  # [ns] beyond the newest message the body is taken to stand still
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Where the body is by the legs at one instant, and how far it has come."""
+
+    T_odom_body: Array  # (4, 4)
+    travelled: float  # [m]
+    turned: float  # [rad]
+    reliable: bool
+
+
+class OdometryHistory:
+    """The last two seconds of odometry, looked up by time."""
+
+    def __init__(self) -> None:
+        """Begin empty."""
+        self.restarts = 0  # how often the odometry has begun anew
+        self._messages: list[Odometry] = []
+
+    def add(self, message: Odometry) -> None:
+        """Take in a message; one that has travelled less than its predecessor belongs to a new beginning."""
+        newest = self._messages[-1] if self._messages else None
+        if newest is not None and message.stamp_ns <= newest.stamp_ns:
+            return  # out of order: what came later stands
+        if newest is not None and message.travelled < newest.travelled:
+            self.restarts += 1
+            self._messages.clear()
+        self._messages.append(message)
+        del self._messages[:-_KEPT]
+
+    def at(self, stamp_ns: int) -> Motion | None:
+        """Motion at an instant, interpolated, or carried on for a little beyond the newest message; None where unknown."""
+        messages = self._messages
+        if not messages or stamp_ns < messages[0].stamp_ns:
+            return None
+        after = bisect_right(messages, stamp_ns, key=lambda m: m.stamp_ns)
+        a, b = (messages[after - 1], messages[after]) if after < len(messages) else (messages[max(0, after - 2)], messages[-1])
+        if a is b:
+            return Motion(np.array(a.T_odom_body), a.travelled, a.turned, a.reliable)
+        span = b.stamp_ns - a.stamp_ns
+        s = (min(stamp_ns, b.stamp_ns + _MAX_EXTRAPOLATION_NS) - a.stamp_ns) / span
+        return Motion(
+            interpolate(a.T_odom_body, b.T_odom_body, s),
+            a.travelled + s * (b.travelled - a.travelled),
+            a.turned + s * (b.turned - a.turned),
+            a.reliable and b.reliable,
+        )
+
+
+def constant_velocity(T_before: Array, T_last: Array, span_ns: int, since_ns: int) -> Array:
+    """The pose that follows two others (4, 4) when the motion between them goes on.
+
+    Args:
+        T_before: The earlier pose.
+        T_last: The later pose.
+        span_ns: [ns] between the two.
+        since_ns: [ns] from the later one on.
+    """
+    s = since_ns / span_ns if span_ns > 0 else 0.0
+    return np.asarray(T_last @ interpolate(np.eye(4), inverse(T_before) @ T_last, s))

@@ -1,0 +1,144 @@
+"""Perception: depth frames in, the body's pose and a reduced scan out."""
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from services.perception.config import Settings
+from services.perception.motion import Motion, OdometryHistory
+from services.perception.reduction import reduce_scan
+from services.perception.registration import Registered, Registration
+from shared import topics
+from shared.geometry import Array, inverse
+from shared.messages import BodyPose, DepthImage, Message, Scan
+from shared.robot import RobotProfile
+from shared.service import AnyTopic, Inbox, Stages
+
+
+class Perception:
+    """Registers every frame with the legs' motion as the prior inside the cost; {world} is {odom} of the first frame."""
+
+    name = "perception"
+    paced_by: AnyTopic = topics.DEPTH
+    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY,)
+    writes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN)
+
+    def __init__(self, profile: RobotProfile, settings: Settings):
+        """Begin without a pose."""
+        cv2.setNumThreads(1)  # the neighbours need the other cores, and one thread is deterministic
+        self.stages = Stages()
+        self._settings = settings
+        self._camera = profile.camera
+        self._T_body_camera = profile.camera.T_body_camera
+        self._T_camera_body = inverse(self._T_body_camera)
+        self._registration = _make_registration(profile, settings)
+        self._odometry = OdometryHistory()
+        self._restarts = 0
+        self._T_world_odom: Array = np.eye(4)
+        self._T_world_body: Array = np.eye(4)
+        self._last: Motion | None = None
+        self._frames = 0
+        self._words = "waiting for the first frame"
+
+    def doing(self) -> str:
+        """How the registration fares."""
+        return self._words
+
+    def step(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
+        """Find the pose of one frame; pass every few of them on as a scan."""
+        for message in inbox.drain(topics.ODOMETRY):
+            self._odometry.add(message)
+        expected = (self._camera.intrinsics.height, self._camera.intrinsics.width)
+        if image.depth.shape != expected:
+            self._words = (
+                f"a frame of {expected} expected by the profile, found {image.depth.shape}: check the camera's intrinsics"
+            )
+            return
+        motion = self._odometry.at(image.stamp_ns)
+        if motion is None:
+            self._words = "waiting for odometry from the actuator"
+            return
+        prior, covariance = self._prior(motion)
+        with self.stages("registration"):
+            found = self._registration.update(image.depth, image.stamp_ns, prior @ self._T_body_camera, covariance)
+        self._T_world_body = found.T_world_camera @ self._T_camera_body
+        self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
+        self._last = motion
+        yield self._pose(found)
+        if self._frames % self._settings.scan_every == 0:
+            with self.stages("reduction"):
+                scan = self._scan(image, found)
+            yield scan
+        self._frames += 1
+
+    def _prior(self, motion: Motion) -> tuple[Array, Array]:
+        """Expected pose (4, 4) of the body and its covariance (6, 6) [m, rad], by the legs' motion since the last frame."""
+        settings = self._settings
+        if self._restarts != self._odometry.restarts:
+            # The legs count from zero again; until a frame says otherwise the body is where it was.
+            self._restarts = self._odometry.restarts
+            self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
+            self._last = motion
+        last = self._last or motion
+        way = settings.odometry_drift * max(0.0, motion.travelled - last.travelled) + settings.odometry_floor
+        turn = settings.odometry_turn * max(0.0, motion.turned - last.turned) + settings.odometry_floor
+        level = settings.odometry_level
+        if not motion.reliable:
+            way, turn, level = way + 0.01, turn + 0.02, level + 0.01
+        sigma = np.array([way, way, level, level, level, turn])
+        return self._T_world_odom @ motion.T_odom_body, np.diag(sigma**2)
+
+    def _pose(self, found: Registered) -> BodyPose:
+        self._words = f"registering, overlap {found.overlap:.0%}" if found.ok else f"on odometry alone: {found.reason}"
+        return BodyPose(
+            stamp_ns=found.stamp_ns,
+            T_world_body=self._T_world_body,
+            T_world_odom=self._T_world_odom,
+            covariance=np.asarray(found.covariance, dtype=np.float64),
+            overlap=float(found.overlap),
+            ok=found.ok,
+            reason=found.reason,
+        )
+
+    def _scan(self, image: DepthImage, found: Registered) -> Scan:
+        settings = self._settings
+        reduced = reduce_scan(
+            image.depth,
+            self._camera.intrinsics,
+            self._camera.sensor,
+            found.T_world_camera,
+            max_range=settings.scan_range,
+            max_points=settings.scan_points,
+        )
+        return Scan(
+            stamp_ns=image.stamp_ns,
+            origin=reduced.origin,
+            points_mm=reduced.points,
+            count=reduced.count,
+            spread_mm=reduced.spread,
+            p_world_camera=np.array(found.T_world_camera[:3, 3]),
+            pose_variance_z=float(found.covariance[2, 2]),
+            pose_ok=found.ok,
+        )
+
+
+class Registers(Protocol):
+    """A way of finding a frame's pose; `services.perception.registration.Registration` says what the arguments are."""
+
+    def update(
+        self, depth_raw: NDArray[np.uint16], stamp_ns: int, T_world_camera_prior: Array, prior_covariance: Array
+    ) -> Registered:
+        """Register one frame."""
+        ...
+
+
+def _make_registration(profile: RobotProfile, settings: Settings) -> Registers:
+    camera = profile.camera
+    if settings.method == "kiss-icp":
+        from services.perception.kiss import KissRegistration  # heavy, for those who ask for it
+
+        return KissRegistration(camera.intrinsics, camera.sensor)
+    return Registration(camera.intrinsics, camera.sensor)

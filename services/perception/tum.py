@@ -1,0 +1,313 @@
+"""Recordings in the TUM RGB-D layout: a folder with depth.txt, groundtruth.txt, camera.toml and PNG depth images.
+
+depth.txt: `timestamp filename`; groundtruth.txt: `timestamp tx ty tz qx qy qz qw` of the depth camera in the world; `#`
+starts a comment. camera.toml: width, height, fx, fy, cx, cy [px], depth_scale (raw units per metre), and optionally
+rate_hz and gravity_world, the unit vector that points down in the world of groundtruth.txt.
+(Sturm et al. 2012, A benchmark for the evaluation of RGB-D SLAM systems.)
+"""
+
+import math
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.camera import Intrinsics
+from shared.geometry import interpolate, quaternion_from_rotation, rotation_from_quaternion, transform
+
+_DEPTH_HEADER = "# timestamp filename\n"
+_TRUTH_HEADER = "# timestamp tx ty tz qx qy qz qw  (depth camera in world)\n"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """What camera.toml says."""
+
+    intrinsics: Intrinsics
+    depth_scale: float  # raw units per metre
+    rate_hz: float  # [Hz]
+    gravity_world: NDArray[np.float64] | None  # (3,) unit vector pointing down, None where unknown
+
+    def __post_init__(self) -> None:
+        if not (self.depth_scale > 0 and self.rate_hz > 0):
+            raise ValueError(f"positive depth_scale and rate_hz expected, found {self.depth_scale}, {self.rate_hz}")
+        if self.gravity_world is not None and not (
+            self.gravity_world.shape == (3,) and abs(np.linalg.norm(self.gravity_world) - 1.0) < 1e-3
+        ):
+            raise ValueError(f"gravity_world as a unit vector of 3 expected, found {self.gravity_world.tolist()}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Poses by time."""
+
+    stamps_ns: NDArray[np.int64]  # (n,) [ns] ascending
+    T_world_camera: NDArray[np.float64]  # (n, 4, 4)
+
+    def at(self, stamp_ns: int, max_gap_ns: int = 100_000_000) -> NDArray[np.float64] | None:
+        """Pose (4, 4) at a time, interpolated; None outside the trajectory or where it has a longer gap."""
+        after = int(np.searchsorted(self.stamps_ns, stamp_ns))
+        if after < len(self.stamps_ns) and self.stamps_ns[after] == stamp_ns:
+            return np.asarray(self.T_world_camera[after])
+        if after == 0 or after == len(self.stamps_ns):
+            return None
+        start, end = int(self.stamps_ns[after - 1]), int(self.stamps_ns[after])
+        if end - start > max_gap_ns:
+            return None
+        share = (stamp_ns - start) / (end - start)
+        return interpolate(self.T_world_camera[after - 1], self.T_world_camera[after], share)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A recording opened for reading; images are read as they are asked for."""
+
+    folder: Path
+    camera: Camera
+    stamps_ns: NDArray[np.int64]  # (n,) [ns] ascending
+    files: tuple[str, ...]  # of the depth images, relative to folder
+    truth: Trajectory | None  # None where there is no groundtruth.txt
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def depth(self, index: int) -> NDArray[np.uint16]:
+        """Raw depth image (h, w).
+
+        Raises:
+            FileNotFoundError: The image is not there.
+            ValueError: It is no 16-bit grey image of the camera's size.
+        """
+        path = self.folder / self.files[index]
+        if not path.is_file():
+            raise FileNotFoundError(f"{path} is missing, though depth.txt of the recording names it")
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        shape = (self.camera.intrinsics.height, self.camera.intrinsics.width)
+        if image is None or image.dtype != np.uint16 or image.shape != shape:
+            found = "no readable image" if image is None else f"{image.dtype} {image.shape}"
+            raise ValueError(f"{path}: 16-bit depth image {shape} expected, found {found}")
+        return np.asarray(image)
+
+    def frames(self) -> Iterator[tuple[int, NDArray[np.uint16]]]:
+        """Stamps [ns] and raw depth images in order; errors as in `depth`."""
+        for index, stamp_ns in enumerate(self.stamps_ns):
+            yield int(stamp_ns), self.depth(index)
+
+
+def is_recording(folder: Path) -> bool:
+    """Whether a folder is laid out as a recording."""
+    return (folder / "depth.txt").is_file() and (folder / "camera.toml").is_file()
+
+
+def read_recording(folder: Path) -> Recording:
+    """Open a recording.
+
+    Raises:
+        FileNotFoundError: The folder, its depth.txt or its camera.toml is not there.
+        ValueError: A file is malformed; the message names the line.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{folder} is no folder; a recording with depth.txt and camera.toml expected")
+    camera = read_camera(folder / "camera.toml")
+    rows = _rows(folder / "depth.txt", 2)
+    if not rows:
+        raise ValueError(f"{folder / 'depth.txt'}: at least one `timestamp filename` line expected, found none")
+    stamps = _stamps(folder / "depth.txt", rows)
+    truth_path = folder / "groundtruth.txt"
+    truth = read_trajectory(truth_path) if truth_path.is_file() else None
+    return Recording(folder, camera, stamps, tuple(fields[1] for _, fields in rows), truth)
+
+
+def read_camera(path: Path) -> Camera:
+    """Read a camera.toml.
+
+    Raises:
+        FileNotFoundError: It is not there.
+        ValueError: It is no TOML, or lacks a number or holds a wrong one.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is missing; it gives width, height, fx, fy, cx, cy and depth_scale")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: TOML expected, found {error}") from error
+    try:
+        width, height = _number(table, "width"), _number(table, "height")
+        if width != int(width) or height != int(height):
+            raise ValueError(f"whole width and height expected, found {width} and {height}")
+        gravity = table.get("gravity_world")
+        return Camera(
+            Intrinsics(int(width), int(height), *(_number(table, key) for key in ("fx", "fy", "cx", "cy"))),
+            depth_scale=_number(table, "depth_scale"),
+            rate_hz=_number({"rate_hz": 30.0} | table, "rate_hz"),
+            gravity_world=None if gravity is None else np.array(_vector(gravity)),
+        )
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """Read poses in the layout of groundtruth.txt.
+
+    Raises:
+        FileNotFoundError: It is not there.
+        ValueError: A line is malformed, or there is none.
+    """
+    rows = _rows(path, 8)
+    if not rows:
+        raise ValueError(f"{path}: at least one `timestamp tx ty tz qx qy qz qw` line expected, found none")
+    values = np.empty((len(rows), 7))
+    for n, (line, fields) in enumerate(rows):
+        values[n] = [_float(path, line, field) for field in fields[1:]]
+        if abs(np.linalg.norm(values[n, 3:]) - 1.0) > 1e-2:
+            raise ValueError(f"{path}:{line}: a unit quaternion qx qy qz qw expected, found {' '.join(fields[4:])}")
+    return Trajectory(_stamps(path, rows), transform(rotation_from_quaternion(values[:, [6, 3, 4, 5]]), values[:, :3]))
+
+
+class RecordingWriter:
+    """Writes a recording image by image, so that one cut short can still be read. Use it in a `with` statement."""
+
+    def __init__(self, folder: Path, camera: Camera) -> None:
+        """Start a recording.
+
+        Args:
+            folder: Made if missing; must not hold a recording already.
+            camera: Becomes camera.toml.
+
+        Raises:
+            FileExistsError: The folder holds a depth.txt.
+        """
+        if (folder / "depth.txt").exists():
+            raise FileExistsError(f"{folder} holds a recording already; choose another folder or remove it")
+        (folder / "depth").mkdir(parents=True, exist_ok=True)
+        (folder / "camera.toml").write_text(_camera_toml(camera), encoding="utf-8")
+        self._folder, self._camera = folder, camera
+        self._last_ns: int | None = None
+        self._depth = (folder / "depth.txt").open("w", encoding="utf-8")
+        self._truth = (folder / "groundtruth.txt").open("w", encoding="utf-8")
+        self._depth.write(_DEPTH_HEADER)
+        self._truth.write(_TRUTH_HEADER)
+
+    def __enter__(self) -> "RecordingWriter":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def add(self, stamp_ns: int, depth_raw: NDArray[np.uint16], T_world_camera: NDArray[np.float64]) -> None:
+        """Append a frame and its true pose.
+
+        Args:
+            stamp_ns: [ns] later than the last, kept to the microsecond.
+            depth_raw: (h, w) raw depth.
+            T_world_camera: (4, 4) true pose of the depth camera.
+
+        Raises:
+            ValueError: An image of another size or type, or a stamp not later than the last.
+            OSError: The image cannot be written.
+        """
+        shape = (self._camera.intrinsics.height, self._camera.intrinsics.width)
+        if depth_raw.dtype != np.uint16 or depth_raw.shape != shape:
+            raise ValueError(f"uint16 depth image {shape} expected, found {depth_raw.dtype} {depth_raw.shape}")
+        if self._last_ns is not None and stamp_ns // 1000 <= self._last_ns // 1000:
+            raise ValueError(f"a stamp of at least 1 us after {self._last_ns} ns expected, found {stamp_ns} ns")
+        stamp = f"{stamp_ns // 1_000_000_000}.{stamp_ns // 1000 % 1_000_000:06d}"
+        if not cv2.imwrite(str(self._folder / "depth" / f"{stamp}.png"), depth_raw):
+            raise OSError(f"{self._folder / 'depth' / stamp}.png cannot be written; is the disk full?")
+        w, x, y, z = quaternion_from_rotation(T_world_camera[:3, :3])
+        numbers = " ".join(f"{value:.9f}" for value in (*T_world_camera[:3, 3], x, y, z, w))
+        self._depth.write(f"{stamp} depth/{stamp}.png\n")
+        self._truth.write(f"{stamp} {numbers}\n")
+        self._last_ns = stamp_ns
+
+    def close(self) -> None:
+        """Finish the text files."""
+        self._depth.close()
+        self._truth.close()
+
+
+def write_trajectory(path: Path, trajectory: Trajectory) -> None:
+    """Write poses in the layout of groundtruth.txt."""
+    quaternions = quaternion_from_rotation(trajectory.T_world_camera[:, :3, :3])[:, [1, 2, 3, 0]]
+    with path.open("w", encoding="utf-8") as file:
+        file.write(_TRUTH_HEADER)
+        for stamp_ns, T, q in zip(trajectory.stamps_ns, trajectory.T_world_camera, quaternions, strict=True):
+            numbers = " ".join(f"{value:.9f}" for value in (*T[:3, 3], *q))
+            file.write(f"{stamp_ns // 1_000_000_000}.{stamp_ns // 1000 % 1_000_000:06d} {numbers}\n")
+
+
+def _camera_toml(camera: Camera) -> str:
+    i = camera.intrinsics
+    lines = [
+        "# pinhole intrinsics of the depth camera; depth PNG value / depth_scale = metres, 0 = no return",
+        f"width = {i.width}",
+        f"height = {i.height}",
+        *(f"{key} = {float(value)!r}" for key, value in (("fx", i.fx), ("fy", i.fy), ("cx", i.cx), ("cy", i.cy))),
+        f"depth_scale = {float(camera.depth_scale)!r}",
+        f"rate_hz = {float(camera.rate_hz)!r}",
+    ]
+    if camera.gravity_world is not None:
+        lines.append("# unit vector pointing DOWN, in the world frame of groundtruth.txt")
+        lines.append(f"gravity_world = {[float(value) for value in camera.gravity_world]!r}")
+    return "\n".join(lines) + "\n"
+
+
+def _rows(path: Path, columns: int) -> list[tuple[int, list[str]]]:
+    """Line numbers and fields of all lines that are not comments."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is missing; the TUM RGB-D layout has one line of {columns} fields a frame")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: text expected, found {error}") from error
+    rows = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        fields = line.split("#", 1)[0].split()
+        if fields and len(fields) != columns:
+            raise ValueError(f"{path}:{number}: {columns} fields expected, found {len(fields)}: {line.strip()!r}")
+        if fields:
+            rows.append((number, fields))
+    return rows
+
+
+def _stamps(path: Path, rows: list[tuple[int, list[str]]]) -> NDArray[np.int64]:
+    stamps = np.empty(len(rows), dtype=np.int64)
+    for n, (line, fields) in enumerate(rows):
+        seconds = _float(path, line, fields[0])
+        if not 0.0 <= seconds < 9e9:
+            raise ValueError(f"{path}:{line}: a time in seconds from 0 to 9e9 expected, found {fields[0]}")
+        whole, _, fraction = fields[0].partition(".")
+        # Exactly, where the text is plain: a double holds the seconds since 1970 to a quarter of a microsecond only.
+        plain = whole.isdecimal() and (fraction.isdecimal() or not fraction)
+        stamps[n] = int(whole) * 10**9 + int(f"{fraction:0<9}"[:9]) if plain else round(seconds * 1e9)
+        if n and stamps[n] <= stamps[n - 1]:
+            raise ValueError(f"{path}:{line}: times that ascend expected, found {fields[0]} after {rows[n - 1][1][0]}")
+    return stamps
+
+
+def _float(path: Path, line: int, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"{path}:{line}: a number expected, found {text!r}") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{path}:{line}: a finite number expected, found {text!r}")
+    return value
+
+
+def _number(table: dict[str, Any], key: str) -> float:
+    value = table.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"a number for {key} expected, found {value!r}")
+    return float(value)
+
+
+def _vector(value: object) -> list[float]:
+    if not isinstance(value, list) or len(value) != 3:
+        raise ValueError(f"three numbers for gravity_world expected, found {value!r}")
+    return [_number({"gravity_world": element}, "gravity_world") for element in value]

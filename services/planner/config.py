@@ -1,0 +1,28 @@
+"""Settings of the planner."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How the robot steps; defaults walk."""
+
+    blind: bool = False  # the baseline: no map is read, the ground is taken for the plane of the standing feet
+    step_s: float = 0.80  # [s] duration of a step
+    max_stride: float = 0.09  # [m] of the body in one step
+    max_turn_deg: float = 10.0  # [deg] of the body in one step
+    max_climb: float = 0.03  # [m] of the body's height in one step
+    search_radius: float = 0.06  # [m] around the nominal foothold
+    min_foot_distance: float = 0.06  # [m] between feet
+    min_margin: float = 0.02  # [m] of the body's centre inside each support triangle
+    path_margin: float = 0.015  # [m] of a swinging foot over what lies under its way
+    plan_from: float = 0.55  # phase of a step from which the next one is planned
+    retarget_until: float = 0.45  # phase until which touchdowns of the running step may move
+    retarget_from_m: float = 0.004  # [m] smaller moves are not worth it
+    revise_s: float = 0.10  # [s] between revisions of a plan
+
+    def __post_init__(self) -> None:
+        if not 0.4 <= self.step_s <= 2.0:
+            raise ValueError(f"step_s of 0.4 to 2 s expected, found {self.step_s}")
+        if not self.retarget_until < self.plan_from:
+            raise ValueError(f"retarget_until below plan_from expected, found {self.retarget_until} and {self.plan_from}")

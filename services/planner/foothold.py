@@ -1,0 +1,84 @@
+"""The nearest cell that carries a foot: Lotriet's semi-radial search, with his constraints of reach and stability.
+
+The thesis searches squares of growing size, so a corner cell may win over a nearer one; here cells are tried in the order of
+their true distance (Lotriet 2024, section 6.3).
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.planner.terrain import ACCEPTABLE, Terrain
+from shared.geometry import Array
+
+Reachable = Callable[[Array], NDArray[np.bool_]]
+
+
+@dataclass(frozen=True, slots=True)
+class Foothold:
+    """Where a foot shall stand."""
+
+    p_world: Array  # (3,) [m] the ground under it
+    moved: float  # [m] from its nominal place
+
+
+@dataclass(frozen=True, slots=True)
+class NoFoothold:
+    """Why there is none, in words."""
+
+    reason: str
+
+
+def offsets_by_distance(radius: float, resolution: float) -> Array:
+    """Offsets (n, 2) [m] of all cells within a radius, the nearest first; equal distances in a fixed order."""
+    n = int(np.ceil(radius / resolution))
+    i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1), indexing="ij")
+    offsets = np.stack([i.ravel(), j.ravel()], axis=1)
+    squared = (offsets**2).sum(axis=1)
+    order = np.lexsort((offsets[:, 1], offsets[:, 0], squared))
+    near = order[squared[order] * resolution**2 <= radius**2 + 1e-12]
+    return np.asarray(offsets[near] * resolution)
+
+
+def nearest_foothold(
+    terrain: Terrain, nominal: Array, offsets: Array, others: Array, min_distance: float, reachable: Reachable
+) -> Foothold | NoFoothold:
+    """The acceptable foothold nearest to a nominal one.
+
+    Args:
+        terrain: The map.
+        nominal: (2,) [m] {world} where the foot would land on unobstructed ground.
+        offsets: (n, 2) [m] of the cells to try, in order; the first is (0, 0).
+        others: (k, 2) [m] {world} feet to keep away from.
+        min_distance: [m] from them.
+        reachable: Tells of (m, 3) [m] {world} points on the ground which the leg reaches.
+
+    Returns:
+        The foothold, or how many cells failed which test.
+    """
+    xy = terrain.centres(nominal + offsets)
+    xy[0] = nominal  # where nothing speaks against it, the foot lands where the gait wants it
+    scores = terrain.scores(xy)
+    footing = terrain.footing(xy)
+    unknown = ~np.isfinite(scores) | ~np.isfinite(footing)
+    rough = ~unknown & (scores > ACCEPTABLE)
+    near = np.linalg.norm(xy[:, None] - others, axis=2).min(axis=1, initial=np.inf) < min_distance
+    candidates = np.flatnonzero(~unknown & ~rough & ~near)
+    points = np.column_stack([xy[candidates], footing[candidates]])
+    within = reachable(points) if len(points) else np.zeros(0, dtype=bool)
+    if within.any():
+        best = int(np.argmax(within))
+        return Foothold(points[best], float(np.linalg.norm(points[best, :2] - nominal)))
+    counts = Counter(
+        {
+            "not seen": int(unknown.sum()),
+            "too steep or too near an edge": int(rough.sum()),
+            "too near another foot": int((near & ~unknown & ~rough).sum()),
+            "out of reach": len(points),
+        }
+    )
+    words = ", ".join(f"{n} {what}" for what, n in counts.most_common() if n)
+    return NoFoothold(f"no foothold within {np.linalg.norm(offsets[-1]) * 100:.0f} cm of its place: of {len(xy)} cells {words}")

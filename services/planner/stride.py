@@ -1,0 +1,183 @@
+"""One step of the walk: footholds for the swinging tripod and a place for the body, or the reason why there is none."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.planner.body import clear_of_ground, floor_height
+from services.planner.config import Settings
+from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
+from services.planner.gait import nominal_touchdowns
+from services.planner.terrain import Terrain
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, yaw_of
+from shared.kinematics import body_inverse, within_limits
+from shared.messages import VelocityCommand
+from shared.robot import LEGS, RobotProfile
+from shared.stability import support_margin
+
+_SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """Where the robot will be when the step begins, all feet standing."""
+
+    T_world_body: Array  # (4, 4) where the body should be
+    feet: Array  # (6, 3) [m] {world} foot centres
+    swing: NDArray[np.bool_]  # (6,) legs that are to swing
+    command: VelocityCommand
+
+
+@dataclass(frozen=True, slots=True)
+class Stride:
+    """A step that can be walked."""
+
+    swing: NDArray[np.bool_]
+    touchdown: Array  # (6, 3) [m] {world} foot centres
+    nominal: Array  # (6, 2) [m] {world} where swinging feet would land on unobstructed ground
+    clearance: Array  # (6,) [m]
+    body_goal: Array  # (4, 4) {world}
+    moved: int  # footholds away from their nominal place
+    share: float  # of the commanded travel
+
+
+@dataclass(frozen=True, slots=True)
+class Blocked:
+    """Why there is no step, in words."""
+
+    reason: str
+    leg: int = -1  # the leg it fails for, -1 for the whole robot
+
+
+class StridePlanner:
+    """Plans steps for one robot; it keeps only tables."""
+
+    def __init__(self, profile: RobotProfile, settings: Settings, resolution: float = 0.01):
+        """Prepare the search order.
+
+        Args:
+            profile: The robot.
+            settings: Of the planner.
+            resolution: [m] cell edge of the maps to come.
+        """
+        self._profile = profile
+        self._settings = settings
+        self._foot_up = np.array([0.0, 0.0, profile.foot.radius])  # [m] from the ground to a foot's centre
+        self._offsets = offsets_by_distance(settings.search_radius, resolution)
+
+    def plan(self, at: Situation, terrain: Terrain) -> Stride | Blocked:
+        """The longest step towards the command that the terrain allows."""
+        first: Blocked | None = None
+        for share in _SHARES:
+            found = self._attempt(at, terrain, share)
+            if isinstance(found, Stride):
+                return found
+            first = first or found
+        assert first is not None
+        return first
+
+    def retarget(self, stride: Stride, terrain: Terrain) -> Stride:
+        """The same step with its touchdowns chosen anew on a newer map; a leg that finds nothing better keeps its own."""
+        touchdown = stride.touchdown.copy()
+        for leg in np.flatnonzero(stride.swing).tolist():
+            ground = self._foothold(leg, stride.nominal[leg], touchdown, stride.body_goal, stride.body_goal, terrain)
+            if not isinstance(ground, NoFoothold):
+                touchdown[leg] = ground.p_world + self._foot_up
+        return replace(stride, touchdown=touchdown)
+
+    def _attempt(self, at: Situation, terrain: Terrain, share: float) -> Stride | Blocked:
+        settings = self._settings
+        travel, T_end, T_after = self._body_way(at, share)
+        rest = self._profile.rest_feet(at.command.body_height)
+        nominal = nominal_touchdowns(rest, T_end, travel)
+        T_end, T_after = self._raised(at, terrain, T_end, T_after, nominal)
+
+        touchdown, moved = at.feet.copy(), 0
+        touchdown[at.swing] = np.nan
+        for leg in np.flatnonzero(at.swing).tolist():
+            found = self._foothold(leg, nominal[leg], touchdown, T_end, T_after, terrain)
+            if isinstance(found, NoFoothold):
+                return Blocked(f"{LEGS[leg]} leg: {found.reason}", leg)
+            touchdown[leg] = found.p_world + self._foot_up
+            moved += found.moved > terrain.map.resolution
+
+        standing = ~at.swing
+        problem = (
+            self._unreachable(touchdown, T_end)
+            or self._unstable(at.feet[standing], at.T_world_body, "where it is")
+            or self._unstable(at.feet[standing], T_end, "at the end of the step")
+            or self._unstable(touchdown[at.swing], T_end, "after the step")
+        )
+        if problem:
+            return Blocked(problem)
+        clearance = self._clearance(at, touchdown, terrain)
+        clearance = np.where(at.swing, np.minimum(clearance, 0.11), settings.path_margin)
+        return Stride(at.swing, touchdown, nominal, clearance, T_end, moved, share)
+
+    def _body_way(self, at: Situation, share: float) -> tuple[Array, Array, Array]:
+        """Travel (2,) [m] {body} of the step, and the body, level, at its end and one step later."""
+        settings = self._settings
+        duration = settings.step_s
+        travel = at.command.velocity * duration * share
+        travel = travel * min(1.0, settings.max_stride / max(float(np.linalg.norm(travel)), 1e-9))
+        limit = np.radians(settings.max_turn_deg)
+        turn = float(np.clip(at.command.yaw_rate * duration * share, -limit, limit))
+        poses = []
+        yaw, position = yaw_of(at.T_world_body), at.T_world_body[:3, 3].copy()
+        for _ in range(2):
+            position[:2] += rotation_z(yaw + turn / 2)[:2, :2] @ travel
+            yaw += turn
+            poses.append(from_xyz_rpy(position, (0.0, 0.0, yaw)))
+        return travel, poses[0], poses[1]
+
+    def _raised(self, at: Situation, terrain: Terrain, T_end: Array, T_after: Array, nominal: Array) -> tuple[Array, Array]:
+        """The same poses at the height over the floor that is commanded, climbing no faster than the robot can."""
+        ground = at.feet[:, 2] - self._profile.foot.radius
+        ahead = terrain.footing(nominal)
+        ground = np.where(at.swing & np.isfinite(ahead), ahead, ground)
+        floor = clear_of_ground(floor_height(ground), terrain, T_end, self._profile.body.size)
+        now = at.T_world_body[2, 3]
+        climb = self._settings.max_climb
+        height = float(np.clip(floor + at.command.body_height, now - climb, now + climb))
+        T_end, T_after = T_end.copy(), T_after.copy()
+        T_end[2, 3] = T_after[2, 3] = height
+        return T_end, T_after
+
+    def _foothold(
+        self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain
+    ) -> Foothold | NoFoothold:
+        """The nearest foothold of one leg, given where the other feet (6, 3) [m] {world} are, NaN where not known yet."""
+        others = np.delete(feet, leg, axis=0)[:, :2]
+        others = others[np.isfinite(others[:, 0])]
+
+        def reachable(points: Array) -> NDArray[np.bool_]:
+            feet_world = points + self._foot_up
+            return self._reaches(leg, feet_world, T_end) & self._reaches(leg, feet_world, T_after)
+
+        return nearest_foothold(terrain, nominal, self._offsets, others, self._settings.min_foot_distance, reachable)
+
+    def _reaches(self, leg: int, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
+        """Which of (n, 3) [m] {world} foot centres one leg reaches from a body pose."""
+        feet = np.zeros((len(feet_world), 6, 3))
+        feet[:, leg] = apply(inverse(T_world_body), feet_world)
+        return np.asarray(within_limits(self._profile, body_inverse(self._profile, feet))[:, leg].all(axis=1))
+
+    def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
+        """Which leg would be overstretched at the end of the step, in words, or nothing."""
+        q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
+        bad = np.flatnonzero(~within_limits(self._profile, q).all(axis=1))
+        return f"{LEGS[bad[0]]} leg: would be stretched beyond its limits at the end of the step" if len(bad) else ""
+
+    def _unstable(self, feet: Array, T_world_body: Array, when: str) -> str:
+        margin = support_margin(feet[:, :2], T_world_body[:2, 3])
+        if margin >= self._settings.min_margin:
+            return ""
+        needed = f"{self._settings.min_margin * 100:.1f} cm needed"
+        return f"the body would be {margin * 100:.1f} cm inside its three feet {when}, {needed}"
+
+    def _clearance(self, at: Situation, touchdown: Array, terrain: Terrain) -> Array:
+        """Clearance (6,) [m] over both ends that lifts each foot over what lies between them, too."""
+        ends = np.maximum(at.feet[:, 2], touchdown[:, 2]) - self._profile.foot.radius
+        between = terrain.highest_along(at.feet[:, :2], touchdown[:, :2])
+        return np.maximum(at.command.lift, between - ends + self._settings.path_margin)

@@ -1,0 +1,86 @@
+"""The terrain map as the planner asks it: heights and scores at places in the world."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.geometry import Array
+from shared.messages import TerrainMap
+
+ACCEPTABLE = 1.0  # highest score that carries a foot
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """A map and what it knows at a point; outside it everything is unknown."""
+
+    map: TerrainMap
+
+    def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Indices (n, 2) of the cells of (n, 2) [m] {world} points, clipped, and which of them are in the map."""
+        ij = np.rint((xy - self.map.origin) / self.map.resolution).astype(np.int64)
+        shape = np.array(self.map.elevation.shape)
+        inside = np.asarray(((ij >= 0) & (ij < shape)).all(axis=-1))
+        return np.clip(ij, 0, shape - 1), inside
+
+    def heights(self, xy: Array) -> Array:
+        """Heights (n,) [m] {world} at (n, 2) points, NaN where unknown."""
+        ij, inside = self.cells(xy)
+        return np.where(inside, self.map.elevation[ij[..., 0], ij[..., 1]], np.nan)
+
+    def scores(self, xy: Array) -> Array:
+        """Scores (n,) at (n, 2) [m] {world} points, NaN where unknown."""
+        ij, inside = self.cells(xy)
+        return np.where(inside, self.map.score[ij[..., 0], ij[..., 1]], np.nan)
+
+    def centres(self, xy: Array) -> Array:
+        """Centres (n, 2) [m] {world} of the cells that hold (n, 2) points."""
+        ij = np.rint((xy - self.map.origin) / self.map.resolution)
+        return np.asarray(self.map.origin + self.map.resolution * ij)
+
+    def footing(self, xy: Array) -> Array:
+        """Heights (n,) [m] {world} on which a foot at (n, 2) would stand: the mean of the 3x3 cells known around it."""
+        around = self.map.resolution * np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+        patch = self.heights((xy[:, None, :] + around).reshape(-1, 2)).reshape(-1, 9)
+        known = np.isfinite(patch)
+        return np.where(known[:, 4], np.where(known, patch, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
+
+    def highest_along(self, start: Array, end: Array, points: int = 12) -> Array:
+        """Highest known ground (n,) [m] {world} on the straight ways between (n, 2) starts and ends, -inf for none."""
+        s = np.linspace(0.0, 1.0, points)[:, None, None]
+        heights = self.heights(((1 - s) * start + s * end).reshape(-1, 2)).reshape(points, -1)
+        return np.asarray(np.where(np.isfinite(heights), heights, -np.inf).max(axis=0))
+
+    def highest_under(self, corners: Array, spacing: float = 0.02) -> float:
+        """Highest known ground [m] {world} under a rectangle, given by three corners (3, 2): origin, along, aside."""
+        origin, along, aside = corners
+        n = max(2, int(np.ceil(np.linalg.norm(along - origin) / spacing)) + 1)
+        m = max(2, int(np.ceil(np.linalg.norm(aside - origin) / spacing)) + 1)
+        u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, m), indexing="ij")
+        heights = self.heights(origin + u.reshape(-1, 1) * (along - origin) + v.reshape(-1, 1) * (aside - origin))
+        return float(np.where(np.isfinite(heights), heights, -np.inf).max())
+
+
+def flat_terrain(stamp_ns: int, centre: Array, height: float, half_size: float = 1.0, resolution: float = 0.01) -> Terrain:
+    """Level ground around a point: what the blind baseline walks on.
+
+    Args:
+        stamp_ns: [ns] of the map.
+        centre: (2,) [m] {world}.
+        height: [m] {world} of the ground.
+        half_size: [m] how far it reaches.
+        resolution: [m] cell edge.
+    """
+    n = round(2 * half_size / resolution)
+    layer = np.full((n, n), height, dtype=np.float32)
+    flat = TerrainMap(
+        stamp_ns=stamp_ns,
+        resolution=resolution,
+        origin=np.asarray(centre - half_size, dtype=np.float64),
+        elevation=layer,
+        variance=np.zeros_like(layer),
+        score=np.zeros_like(layer),
+        assumed=np.ones((n, n), dtype=np.bool_),
+    )
+    return Terrain(flat)
