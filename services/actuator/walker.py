@@ -3,9 +3,11 @@
 A step has three parts. Its legs hand over their load; they swing along the flow while the body moves on over the others, on
 a path that joins the last step's speed; they take up their load again. What is commanded stays apart from what is measured:
 
-    body_ref        where the body should be {odom}
-    correction      slow integral of (body_ref - measured) in height, roll and pitch, so that sag does not stay
-    body_cmd        body_ref + correction; all feet are placed against it
+    {cmd}           the frame in which standing feet are held still; it follows {odom} slowly in x, y and yaw, since feet roll
+                    and slip, so that what is commanded and what is measured never part
+    ref             where the body should be {cmd}
+    correction      slow integral of (ref - measured) in height, roll and pitch, so that sag does not stay
+    ref + correction  what the feet are placed against
 """
 
 from dataclasses import dataclass
@@ -15,9 +17,10 @@ from numpy.typing import NDArray
 
 from services.actuator.config import Settings
 from services.actuator.swing import Swing
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, rpy_from_rotation, transform, yaw_of
 from shared.messages import StepPlan
 
+_FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
 _LEVELLED = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of x, y, z, roll, pitch, yaw: those that a load bends
 _CORRECTION_LIMIT = np.array([0.0, 0.0, 0.025, np.radians(4), np.radians(4), 0.0])  # [m] and [rad]
 
@@ -47,29 +50,28 @@ class Walker:
         self.swing: NDArray[np.bool_] = np.zeros(6, dtype=bool)
         self.moving = False
         self._settings = settings
-        self._ref = _coordinates(T_odom_body)
+        self._T_odom_cmd = np.eye(4)
+        self._ref = _coordinates(T_odom_body)  # {cmd}
         self._velocity = np.zeros(6)
         self._correction = np.zeros(6)
-        self._anchors = apply(T_odom_body, feet)  # (6, 3) {odom} feet, by body_cmd
-        self._ground = self._anchors[:, 2].copy()
+        self._feet = apply(T_odom_body, feet)  # (6, 3) [m] {cmd}
+        self._ground = self._feet[:, 2].copy()
         self._share = np.ones(6)
         self._plan: StepPlan | None = None
         self._next: StepPlan | None = None
         self._elapsed = 0.0
         self._start_ref, self._start_velocity = self._ref, self._velocity
-        self._goal = self._ref
         self._flight: Swing | None = None
-        self._targets_odom = np.zeros((6, 3))
 
     @property
     def body_ref(self) -> Array:
         """(4, 4) {odom} where the body should be now."""
-        return _pose(self._ref)
+        return np.asarray(self._T_odom_cmd @ _pose(self._ref))
 
     @property
     def feet_odom(self) -> Array:
         """(6, 3) [m] {odom} where the feet should be now."""
-        return apply(self.body_ref, self._feet_standing())
+        return apply(self._T_odom_cmd, self._feet)
 
     @property
     def ground(self) -> Array:
@@ -89,7 +91,7 @@ class Walker:
     def accept(self, plan: StepPlan) -> None:
         """Take over a plan that the guard has passed: a revision of the running step, or the next one."""
         if self._plan is not None and plan.step == self._plan.step:
-            self._retarget(plan)
+            self._plan = plan
         else:
             self._next = plan
 
@@ -105,6 +107,7 @@ class Walker:
         """
         if self._plan is None and self._next is not None:
             self._begin(self._next)
+        self._follow(dt, T_odom_body)
         self._correct(dt, T_odom_body)
         if self._plan is None:
             self._brake(dt)
@@ -121,41 +124,36 @@ class Walker:
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
         self._start_ref, self._start_velocity = self._ref.copy(), self._velocity.copy()
         self._flight = None
-        self._retarget(plan)
-
-    def _retarget(self, plan: StepPlan) -> None:
-        T_odom_world = inverse(plan.T_world_odom)
-        self._plan = plan
-        self._targets_odom = apply(T_odom_world, plan.touchdown)
-        goal = _coordinates(T_odom_world @ plan.body_goal)
-        goal[3:] = self._start_ref[3:] + _wrapped(goal[3:] - self._start_ref[3:])
-        self._goal = goal
 
     def _advance(self, dt: float, plan: StepPlan) -> None:
         before = self._elapsed
         self._elapsed = min(before + dt, plan.duration)
         self.phase = self._elapsed / plan.duration
-        end_velocity = np.zeros(6) if plan.stop else (self._goal - self._start_ref) / plan.duration
-        ref = _hermite(self._start_ref, self._start_velocity, self._goal, end_velocity, plan.duration, self._elapsed)
+        T_cmd_world = inverse(plan.T_world_odom @ self._T_odom_cmd)
+        goal = _coordinates(T_cmd_world @ plan.body_goal)
+        goal[3:] = self._start_ref[3:] + _wrapped(goal[3:] - self._start_ref[3:])
+        end_velocity = np.zeros(6) if plan.stop else (goal - self._start_ref) / plan.duration
+        ref = _hermite(self._start_ref, self._start_velocity, goal, end_velocity, plan.duration, self._elapsed)
         self._velocity = (ref - self._ref) / dt
         self._ref = ref
-        self._swing_feet(before, plan)
+        self._swing_feet(before, plan, apply(T_cmd_world, plan.touchdown)[plan.swing])
         if self._elapsed >= plan.duration:
             self._land()
 
-    def _swing_feet(self, before: float, plan: StepPlan) -> None:
+    def _swing_feet(self, before: float, plan: StepPlan, targets: Array) -> None:
+        """Move the swinging feet on towards their targets (n, 3) [m] {cmd}, and their load off and on."""
         begin, end = self._settings.unload_s, plan.duration - self._settings.load_s
         legs = plan.swing
         if self._elapsed <= begin:
             self._share[legs] = 1.0 - self._elapsed / begin
             return
         if self._flight is None:
-            self._flight = Swing(self._anchors[legs], self._targets_odom[legs], plan.clearance[legs])
-        self._share[legs] = max(0.0, (self._elapsed - end) / self._settings.load_s) if self._elapsed > end else 0.0
-        since, until = (np.clip((t - begin) / (end - begin), 0.0, 1.0) for t in (before, self._elapsed))
+            self._flight = Swing(self._feet[legs], targets, plan.clearance[legs])
+        self._share[legs] = max(0.0, (self._elapsed - end) / self._settings.load_s)
+        since, until = (float(np.clip((t - begin) / (end - begin), 0.0, 1.0)) for t in (before, self._elapsed))
         if since < 1.0:
-            self._flight.update(self._targets_odom[legs], float(since), float(until - since))
-            self._anchors[legs] = self._flight.foot
+            self._feet[legs] = self._flight.update(targets, since, until - since)
+            self._ground[legs] = targets[:, 2]
 
     def _land(self) -> None:
         self._share[:] = 1.0
@@ -169,23 +167,25 @@ class Walker:
         self._ref = self._ref + self._velocity * dt
         self.moving = bool(np.abs(self._velocity[:3]).max() > 1e-3)
 
+    def _follow(self, dt: float, T_odom_body: Array) -> None:
+        """Move {cmd} in {odom} so that the body's place by command and by measurement become one."""
+        ref = self.body_ref
+        way = (T_odom_body[:3, 3] - ref[:3, 3]) * [1.0, 1.0, 0.0]
+        turn = float(_wrapped(np.array(yaw_of(T_odom_body) - yaw_of(ref))))
+        about = transform(np.eye(3), ref[:3, 3])
+        step = transform(rotation_z(_FOLLOW * dt * turn), _FOLLOW * dt * way)
+        self._T_odom_cmd = about @ step @ inverse(about) @ self._T_odom_cmd
+
     def _correct(self, dt: float, T_odom_body: Array) -> None:
-        error = self._ref - _coordinates(T_odom_body)
+        error = self._ref - _coordinates(inverse(self._T_odom_cmd) @ T_odom_body)
         error[3:] = _wrapped(error[3:])
         step = _LEVELLED * self._settings.level_gain * error * dt
         self._correction = np.clip(self._correction + step, -_CORRECTION_LIMIT, _CORRECTION_LIMIT)
 
-    @property
-    def _body_cmd(self) -> Array:
-        return _pose(self._ref + self._correction)
-
-    def _feet_standing(self) -> Array:
-        return apply(inverse(self._body_cmd), self._anchors)
-
     def _targets(self) -> Targets:
-        return Targets(
-            self._feet_standing(), self._share.copy(), from_xyz_rpy(np.zeros(3), self._ref[3:] * [1.0, 1.0, 0.0])[:3, :3]
-        )
+        level = from_xyz_rpy(np.zeros(3), self._ref[3:] * [1.0, 1.0, 0.0])[:3, :3]
+        feet = apply(inverse(_pose(self._ref + self._correction)), self._feet)
+        return Targets(feet, self._share.copy(), level)
 
 
 def _coordinates(T: Array) -> Array:

@@ -18,13 +18,14 @@ from shared.camera import DepthSensor, Intrinsics
 from shared.compiled import compiled
 from shared.geometry import inverse, skew
 
-Floats = NDArray[Any]  # what compiled functions take: any float or integer width
-Ints = NDArray[Any]
+Array = NDArray[Any]  # what compiled functions take: numbers of any width
 
 _BLOCKS_ACROSS = 160  # block columns that an image is reduced to
 _MODEL_SIGMA = 0.0005  # [m] what a plane leaves unexplained of a real surface
 _CORRELATION = 4.0  # neighbouring pixels share their disparity error: so many of a block count as one
 _MIN_FILLED = 0.5  # share of a block's pixels that must be measured
+_OVERLAP_WANTED = 0.5  # share of points below which keyframes come sooner
+_NEAR = 0.05  # [m] from a plane within which a point counts as seen by a keyframe
 _CAUCHY = 2.5  # [sigma] where the weight of a match has fallen to a half
 
 
@@ -36,7 +37,7 @@ class Match:
     g: NDArray[np.float64]  # (6,) gradient
     N: NDArray[np.float64]  # (6, 6) what H would hold from the noise of the planes alone
     keyframes: int  # how many were matched with
-    overlap: float  # 0..1 share of the frame's points that found a plane, in the best keyframe
+    overlap: float  # 0..1 share of the frame's points that found a plane in the best keyframe, rough blocks aside
     agreement: float  # 0..1 share of the points facing a plane that lie on it, over all keyframes
     rmse: float  # [m] point-to-plane distance of the matches, NaN when there are none
 
@@ -130,24 +131,24 @@ class Keyframes:
         self._stored += 1
         self._age[slot] = self._stored
 
-    def is_news(self, T_world_camera: NDArray[np.float64]) -> bool:
-        """Whether a pose is farther, or turned more, than allowed from every keyframe."""
+    def is_news(self, T_world_camera: NDArray[np.float64], overlap: float) -> bool:
+        """Whether a pose is farther, or turned more, than allowed from every keyframe; a quarter if few points overlap."""
+        share = 1.0 if overlap >= _OVERLAP_WANTED else 0.25
         poses = self._poses[: self._count]
-        near = np.linalg.norm(poses[:, :3, 3] - T_world_camera[:3, 3], axis=-1) < self._distance
+        near = np.linalg.norm(poses[:, :3, 3] - T_world_camera[:3, 3], axis=-1) < share * self._distance
         cosine = (np.einsum("kij,ij->k", poses[:, :3, :3], T_world_camera[:3, :3]) - 1.0) / 2.0
-        return not bool(np.any(near & (cosine > math.cos(self._angle))))
+        return not bool(np.any(near & (cosine > math.cos(share * self._angle))))
 
-    def select(self, T_world_camera: NDArray[np.float64], min_share: float = 0.35) -> NDArray[np.int64]:
-        """Keyframes to match a frame at a pose with: the oldest that still sees enough of it, then those that see most.
+    def select(self, T_world_camera: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Keyframes to match a frame at a pose with: those that share most surface with it, and first an old one.
 
-        The oldest first holds the drift down. When none sees `min_share` of the frame, the one that sees most.
+        The oldest that shares half as much as the best holds the drift down.
         """
-        frame = self._frame
-        shares = _shares_seen(frame.points, frame.x, frame.y, inverse(self._poses[: self._count]) @ T_world_camera)
+        frame, n = self._frame, self._count
+        transforms = inverse(self._poses[:n]) @ T_world_camera
+        shares = _shares_seen(frame.points, frame.x, frame.y, self._planes[:n], transforms)
         order = np.argsort(-shares, kind="stable")
-        enough = order[shares[order] >= min_share]
-        if len(enough) <= 1:
-            return order[:1]
+        enough = order[shares[order] >= 0.5 * shares[order[0]]]
         oldest = enough[np.argmin(self._age[enough])]
         return np.concatenate([[oldest], enough[enough != oldest][: self._active - 1]])
 
@@ -204,15 +205,15 @@ def inverse_depth_table(intrinsics: Intrinsics, sensor: DepthSensor) -> tuple[ND
 
 @compiled
 def _reduce_blocks(
-    raw: Ints,
-    table: Floats,
+    raw: Array,
+    table: Array,
     block: int,
     min_filled: float,
     max_variance: float,
-    x: Floats,
-    y: Floats,
-    out: Floats,
-    points: Floats,
+    x: Array,
+    y: Array,
+    out: Array,
+    points: Array,
 ) -> int:
     """Inverse depth at the centre of each block from the plane through its pixels, 0 where there is none, and points."""
     rows, columns = out.shape
@@ -272,8 +273,11 @@ def _reduce_blocks(
 
 
 @compiled
-def _fit_planes(inverse_depth: Floats, x: Floats, y: Floats, sigma: float, limit: float, out: Floats) -> None:
-    """Plane (A, B, C) and gradient variance of each block, from 5x5 blocks where flat, else 3x3, else all zero."""
+def _fit_planes(inverse_depth: Array, x: Array, y: Array, sigma: float, limit: float, out: Array) -> None:
+    """Plane (A, B, C) and gradient variance of each block, from 5x5 blocks where flat, else from 3x3.
+
+    Zero with a variance of -1 where there is no plane, of 0 where nothing was measured.
+    """
     rows, columns = inverse_depth.shape
     dx = x[1] - x[0]
     dy = y[1] - y[0]
@@ -283,6 +287,7 @@ def _fit_planes(inverse_depth: Floats, x: Floats, y: Floats, sigma: float, limit
             centre = inverse_depth[i, j]
             if centre == 0.0:
                 continue
+            out[i, j, 3] = -1.0
             for half in (2, 1):
                 if i < half or j < half or i >= rows - half or j >= columns - half:
                     continue
@@ -314,10 +319,12 @@ def _fit_planes(inverse_depth: Floats, x: Floats, y: Floats, sigma: float, limit
 
 
 @compiled
-def _shares_seen(points: Floats, x: Floats, y: Floats, transforms: Floats) -> Floats:
-    """Share of some 150 points of a frame that fall inside the image of each keyframe."""
+def _shares_seen(points: Array, x: Array, y: Array, planes: Array, transforms: Array) -> Array:
+    """Share of some 200 points of a frame that lie near a plane of each keyframe."""
     shares = np.zeros(len(transforms))
-    step = max(1, len(points) // 150)
+    step = max(1, len(points) // 200)
+    rows, columns = planes.shape[1], planes.shape[2]
+    to_column, to_row = 1.0 / (x[1] - x[0]), 1.0 / (y[1] - y[0])
     for k in range(len(transforms)):
         T = transforms[k]
         count, seen = 0, 0
@@ -327,7 +334,15 @@ def _shares_seen(points: Floats, x: Floats, y: Floats, transforms: Floats) -> Fl
             px = T[0, 0] * qx + T[0, 1] * qy + T[0, 2] * qz + T[0, 3]
             py = T[1, 0] * qx + T[1, 1] * qy + T[1, 2] * qz + T[1, 3]
             pz = T[2, 0] * qx + T[2, 1] * qy + T[2, 2] * qz + T[2, 3]
-            if pz > 0.0 and x[0] * pz <= px <= x[-1] * pz and y[0] * pz <= py <= y[-1] * pz:
+            if pz < 0.05:
+                continue
+            u = (px / pz - x[0]) * to_column + 0.5
+            v = (py / pz - y[0]) * to_row + 0.5
+            if not (u >= 0.0 and v >= 0.0 and u < columns and v < rows):
+                continue
+            A, B, C = planes[k, int(v), int(u), 0], planes[k, int(v), int(u), 1], planes[k, int(v), int(u), 2]
+            f = A * px + B * py + C * pz - 1.0
+            if f * f < _NEAR * _NEAR * (A * A + B * B + C * C):
                 seen += 1
         shares[k] = seen / max(count, 1)
     return shares
@@ -335,20 +350,21 @@ def _shares_seen(points: Floats, x: Floats, y: Floats, transforms: Floats) -> Fl
 
 @compiled
 def _accumulate(
-    points: Floats,
+    points: Array,
     start: int,
     stride: int,
-    x: Floats,
-    y: Floats,
-    planes: Floats,
-    T: Floats,
+    x: Array,
+    y: Array,
+    planes: Array,
+    T: Array,
     sigma: float,
     gate: float,
-    sums: Floats,
+    sums: Array,
 ) -> None:
     """Match a frame with one keyframe by projection and sum, by the twist at the keyframe, the Jacobian [pi, p x pi].
 
-    sums: H (36), N (36), g (6), points matched, points facing a plane, squared distances, points tried.
+    sums: H (36), N (36), g (6), points matched, points facing a plane, squared distances, points that
+    might have matched: all but those that face a block without a plane, and at least a half.
     """
     rows, columns = planes.shape[0], planes.shape[1]
     to_column, to_row = 1.0 / (x[1] - x[0]), 1.0 / (y[1] - y[0])
@@ -359,7 +375,7 @@ def _accumulate(
     h00 = h01 = h02 = h03 = h04 = h05 = h11 = h12 = h13 = h14 = h15 = 0.0
     h22 = h23 = h24 = h25 = h33 = h34 = h35 = h44 = h45 = h55 = 0.0
     g0 = g1 = g2 = g3 = g4 = g5 = 0.0
-    matched = facing = tried = 0
+    matched = facing = rough = tried = 0
     squares = 0.0
     scale = 1.0 / (_CAUCHY * _CAUCHY)
     gate2, sigma2, model2 = gate * gate, sigma * sigma, _MODEL_SIGMA * _MODEL_SIGMA
@@ -384,6 +400,8 @@ def _accumulate(
         C = np.float64(planes[row, column, 2])
         length2 = A * A + B * B + C * C
         if length2 == 0.0:
+            if planes[row, column, 3] < 0.0:
+                rough += 1
             continue
         facing += 1
         f = A * px + B * py + C * pz - 1.0
@@ -450,4 +468,5 @@ def _accumulate(
             sums[6 * a + b] = upper[a][b]
             sums[36 + 6 * a + b] = N[a, b]
     sums[72], sums[73], sums[74], sums[75], sums[76], sums[77] = g0, g1, g2, g3, g4, g5
-    sums[78], sums[79], sums[80], sums[81] = matched, facing, squares, tried
+    sums[78], sums[79], sums[80] = matched, facing, squares
+    sums[81] = max(tried - rough, tried / 2)

@@ -75,6 +75,7 @@ class KissRegistration:
         self._frame = BlockFrame(intrinsics, sensor)
         self._keyframes = Keyframes(self._frame, stored=32, active=4, distance=0.12, angle=0.12)
         self._kiss = KissICP(self._config)
+        self._voxel_information = np.eye(6) * (2.0 / voxel_size) ** 2  # half a voxel [m], and [rad] at a distance of 1 m
         self._failures = 0
 
     def update(
@@ -94,23 +95,25 @@ class KissRegistration:
             self._restart(T_world_camera_prior)
             return first(stamp_ns, T_world_camera_prior, prior_covariance)
 
-        T = self._align(T_world_camera_prior)
+        T, downsampled = self._align(T_world_camera_prior)
 
         match = self._keyframes.match(T, self._keyframes.select(T), _GATE, _STRIDE)
         believed, degenerate = belief(match)
+        # The voxels blur its pose: (H^-1 + R)^-1, written so that H may be singular.
         H = believed @ match.H
+        H -= H @ np.linalg.solve(H + self._voxel_information, H)
         covariance = np.linalg.inv(H + information)
         T = orthonormal(moved(T_world_camera_prior, covariance @ H @ error_twist(T, T_world_camera_prior)))
         reason = objection(match, self._acceptance) or jump(T, T_world_camera_prior, prior_covariance, self._acceptance)
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
         self._failures = 0
-        self._extend_map(T)
+        self._extend_map(T, downsampled, match.overlap)
         return Registered(stamp_ns, T, (covariance + covariance.T) / 2.0, match.overlap, match.rmse, degenerate, True, "")
 
-    def _align(self, T_prior: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What `KissICP.register_frame` does between its prediction and its map update, from our own prediction."""
-        source, _ = self._kiss.voxelize(self._frame.points)
+    def _align(self, T_prior: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What `KissICP.register_frame` does up to its map update, but from our own prediction: pose and map points."""
+        source, downsampled = self._kiss.voxelize(self._frame.points)
         sigma = self._kiss.adaptive_threshold.get_threshold()
         T = np.asarray(
             self._kiss.registration.align_points_to_map(
@@ -122,18 +125,17 @@ class KissRegistration:
             )
         )
         self._kiss.adaptive_threshold.update_model_deviation(np.linalg.inv(T_prior) @ T)
-        return T
+        return T, downsampled
 
-    def _extend_map(self, T: NDArray[np.float64]) -> None:
-        _, downsampled = self._kiss.voxelize(self._frame.points)
+    def _extend_map(self, T: NDArray[np.float64], downsampled: NDArray[np.float64], overlap: float) -> None:
         self._kiss.local_map.update(downsampled, T)
-        if self._keyframes.is_news(T):
+        if self._keyframes.is_news(T, overlap):
             self._keyframes.add(T)
 
     def _restart(self, T: NDArray[np.float64]) -> None:
         self._kiss = KissICP(self._config)
         self._keyframes.clear()
-        self._extend_map(T)
+        self._extend_map(T, self._kiss.voxelize(self._frame.points)[1], 1.0)
 
     def _refuse(
         self,

@@ -78,7 +78,7 @@ def reduce_scan(
     depth, noise, jump = _tables(sensor, intrinsics.fx)
     half = math.ceil(max_range / resolution) + 2
     cell_of = np.full((2 * half, 2 * half), -1, dtype=np.int32)
-    cells = np.empty((min(depth_raw.size, cell_of.size), 8), dtype=np.float32)
+    cells = np.empty((min(depth_raw.size, cell_of.size), 8))
     n = _bin(
         depth_raw,
         depth,

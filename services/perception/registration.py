@@ -96,10 +96,12 @@ class Registration:
             depth_raw: (h, w) raw depth, 0 = no return.
             stamp_ns: [ns] capture time, copied to the result.
             T_world_camera_prior: (4, 4) expected pose, e.g. the last one composed with the odometry since.
-            prior_covariance: (6, 6) [m, rad] of its error twist, as in `Registered`.
+            prior_covariance: (6, 6) [m, rad] of its error twist, as in `Registered`: the last result's plus that
+                of the odometry since, or a wide one where velocity is only assumed constant.
 
         Returns:
-            The pose; on failure the prior and the reason.
+            The pose; on failure the prior and the reason. Its covariance is against the keyframes, so their own
+            drift is not in it.
 
         Raises:
             ValueError: A shape or type that differs, or a covariance that is not positive definite.
@@ -119,7 +121,7 @@ class Registration:
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
         self._failures = 0
-        if self._keyframes.is_news(T):
+        if self._keyframes.is_news(T, match.overlap):
             self._keyframes.add(T)
         return Registered(stamp_ns, T, covariance, match.overlap, match.rmse, degenerate, True, "")
 

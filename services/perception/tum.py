@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import cv2
 import numpy as np
@@ -189,9 +189,8 @@ class RecordingWriter:
         self._folder, self._camera = folder, camera
         self._last_ns: int | None = None
         self._depth = (folder / "depth.txt").open("w", encoding="utf-8")
-        self._truth = (folder / "groundtruth.txt").open("w", encoding="utf-8")
+        self._truth: TextIO | None = None
         self._depth.write(_DEPTH_HEADER)
-        self._truth.write(_TRUTH_HEADER)
 
     def __enter__(self) -> "RecordingWriter":
         return self
@@ -199,13 +198,13 @@ class RecordingWriter:
     def __exit__(self, *exc: object) -> None:
         self.close()
 
-    def add(self, stamp_ns: int, depth_raw: NDArray[np.uint16], T_world_camera: NDArray[np.float64]) -> None:
-        """Append a frame and its true pose.
+    def add(self, stamp_ns: int, depth_raw: NDArray[np.uint16], T_world_camera: NDArray[np.float64] | None = None) -> None:
+        """Append a frame and, where it is known, its true pose.
 
         Args:
             stamp_ns: [ns] later than the last, kept to the microsecond.
             depth_raw: (h, w) raw depth.
-            T_world_camera: (4, 4) true pose of the depth camera.
+            T_world_camera: (4, 4) true pose of the depth camera; groundtruth.txt is made with the first one.
 
         Raises:
             ValueError: An image of another size or type, or a stamp not later than the last.
@@ -216,29 +215,40 @@ class RecordingWriter:
             raise ValueError(f"uint16 depth image {shape} expected, found {depth_raw.dtype} {depth_raw.shape}")
         if self._last_ns is not None and stamp_ns // 1000 <= self._last_ns // 1000:
             raise ValueError(f"a stamp of at least 1 us after {self._last_ns} ns expected, found {stamp_ns} ns")
-        stamp = f"{stamp_ns // 1_000_000_000}.{stamp_ns // 1000 % 1_000_000:06d}"
+        stamp = _seconds(stamp_ns)
         if not cv2.imwrite(str(self._folder / "depth" / f"{stamp}.png"), depth_raw):
             raise OSError(f"{self._folder / 'depth' / stamp}.png cannot be written; is the disk full?")
-        w, x, y, z = quaternion_from_rotation(T_world_camera[:3, :3])
-        numbers = " ".join(f"{value:.9f}" for value in (*T_world_camera[:3, 3], x, y, z, w))
         self._depth.write(f"{stamp} depth/{stamp}.png\n")
-        self._truth.write(f"{stamp} {numbers}\n")
         self._last_ns = stamp_ns
+        if T_world_camera is not None:
+            if self._truth is None:
+                self._truth = (self._folder / "groundtruth.txt").open("w", encoding="utf-8")
+                self._truth.write(_TRUTH_HEADER)
+            self._truth.write(_truth_line(stamp_ns, T_world_camera))
 
     def close(self) -> None:
         """Finish the text files."""
         self._depth.close()
-        self._truth.close()
+        if self._truth is not None:
+            self._truth.close()
 
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
     """Write poses in the layout of groundtruth.txt."""
-    quaternions = quaternion_from_rotation(trajectory.T_world_camera[:, :3, :3])[:, [1, 2, 3, 0]]
     with path.open("w", encoding="utf-8") as file:
         file.write(_TRUTH_HEADER)
-        for stamp_ns, T, q in zip(trajectory.stamps_ns, trajectory.T_world_camera, quaternions, strict=True):
-            numbers = " ".join(f"{value:.9f}" for value in (*T[:3, 3], *q))
-            file.write(f"{stamp_ns // 1_000_000_000}.{stamp_ns // 1000 % 1_000_000:06d} {numbers}\n")
+        for stamp_ns, T in zip(trajectory.stamps_ns, trajectory.T_world_camera, strict=True):
+            file.write(_truth_line(int(stamp_ns), T))
+
+
+def _seconds(stamp_ns: int) -> str:
+    return f"{stamp_ns // 1_000_000_000}.{stamp_ns // 1000 % 1_000_000:06d}"
+
+
+def _truth_line(stamp_ns: int, T_world_camera: NDArray[np.float64]) -> str:
+    w, x, y, z = quaternion_from_rotation(T_world_camera[:3, :3])
+    numbers = " ".join(f"{value:.9f}" for value in (*T_world_camera[:3, 3], x, y, z, w))
+    return f"{_seconds(stamp_ns)} {numbers}\n"
 
 
 def _camera_toml(camera: Camera) -> str:

@@ -24,10 +24,11 @@ def _cast(rays, R, p, boxes, out):  # type: ignore[no-untyped-def]
         dy = R[1, 0] * rays[n, 0] + R[1, 1] * rays[n, 1] + R[1, 2]
         dz = R[2, 0] * rays[n, 0] + R[2, 1] * rays[n, 1] + R[2, 2]
         nearest = -p[2] / dz if dz < 0.0 else np.inf
+        ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
         for k in range(len(boxes)):
-            ax, bx = (boxes[k, 0] - p[0]) / dx, (boxes[k, 3] - p[0]) / dx
-            ay, by = (boxes[k, 1] - p[1]) / dy, (boxes[k, 4] - p[1]) / dy
-            az, bz = (boxes[k, 2] - p[2]) / dz, (boxes[k, 5] - p[2]) / dz
+            ax, bx = (boxes[k, 0] - p[0]) * ix, (boxes[k, 3] - p[0]) * ix
+            ay, by = (boxes[k, 1] - p[1]) * iy, (boxes[k, 4] - p[1]) * iy
+            az, bz = (boxes[k, 2] - p[2]) * iz, (boxes[k, 5] - p[2]) * iz
             enter = max(min(ax, bx), min(ay, by), min(az, bz))
             leave = min(max(ax, bx), max(ay, by), max(az, bz))
             if 0.0 < enter < leave and enter < nearest:
@@ -92,6 +93,13 @@ def boxes_world():
     return np.array([[x, y, 0.0, x + 0.12, y + 0.12, h] for (x, y), h in zip(centres, heights, strict=True)])
 
 
+def pillars_world():
+    """Posts of all heights, close together: every direction is constrained."""
+    rng = np.random.default_rng(7)
+    corners = rng.uniform([0.5, -0.8], [3.0, 0.8], (40, 2))
+    return np.column_stack([corners, np.zeros(40), corners + 0.08, rng.uniform(0.03, 0.2, 40)])
+
+
 @dataclass(frozen=True)
 class World:
     """What tests need of this file, given through a fixture."""
@@ -112,5 +120,5 @@ def world() -> World:
         depth_image,
         camera_pose,
         walk,
-        {"flat": np.zeros((0, 6)), "boxes": boxes_world(), "steps": steps_world()},
+        {"flat": np.zeros((0, 6)), "boxes": boxes_world(), "steps": steps_world(), "pillars": pillars_world()},
     )

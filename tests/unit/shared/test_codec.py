@@ -3,6 +3,7 @@
 import dataclasses
 import struct
 import tracemalloc
+from enum import StrEnum
 from typing import Any
 
 import msgpack
@@ -31,7 +32,7 @@ def field_values(base: Any, detail: Any, lengths: dict[str, int]) -> st.SearchSt
         return hnp.arrays(dtype, shape, elements=elements, fill=None if elements is None else st.just(dtype.type(0)))
     if base is tuple:
         return st.lists(texts, max_size=4).map(tuple)
-    if isinstance(base, type) and issubclass(base, m.StrEnum):
+    if isinstance(base, type) and issubclass(base, StrEnum):
         return st.sampled_from(list(base))
     if isinstance(detail, tuple):
         return st.sampled_from(detail)
@@ -60,7 +61,7 @@ def example(kind: type[Message]) -> Message:
             values[name] = np.ones([n if isinstance(n, int) else 3 for n in detail[1].shape], detail[0])
         elif base is tuple:
             values[name] = ("text",)
-        elif isinstance(base, type) and issubclass(base, m.StrEnum):
+        elif isinstance(base, type) and issubclass(base, StrEnum):
             values[name] = next(iter(base))
         elif isinstance(detail, tuple):
             values[name] = detail[0]
@@ -107,8 +108,7 @@ def decoded_or_refused(frame: bytes, kind: type[Message]) -> Message | None:
     """What every receiver does; any exception but DecodeError fails the test."""
     try:
         return codec.decode(frame, kind)[0]
-    except codec.DecodeError as error:
-        assert str(error)  # noqa: PT017
+    except codec.DecodeError:
         return None
 
 
@@ -143,7 +143,9 @@ def test_arrays_are_read_only_views_of_the_frame(kind: type[Message]) -> None:
                 array.flat[0] = 0
 
 
-@pytest.mark.parametrize("array", [np.arange(12, dtype=np.uint16).reshape(3, 4).T, np.arange(24, dtype=np.uint16).reshape(4, 6)[::2, ::-2]])
+@pytest.mark.parametrize(
+    "array", [np.arange(12, dtype=np.uint16).reshape(3, 4).T, np.arange(24, dtype=np.uint16).reshape(4, 6)[::2, ::-2]]
+)
 def test_arrays_of_any_layout_are_sent(array: Any) -> None:
     found, _ = codec.decode(codec.encode(m.DepthImage(1, array)), m.DepthImage)
     np.testing.assert_array_equal(found.depth, array)
@@ -204,7 +206,9 @@ objects = st.recursive(
     max_leaves=12,
 )
 shapes = st.lists(st.sampled_from([0, 1, 2, 3, 6, 2**31, 2**62, 2**63, 2**64 - 1, -1, True, 1.0]), max_size=70)
-array_fields = st.tuples(st.sampled_from(["<f8", "<f4", "|u1", "|b1", "<u2", "<i2", "|O", ">f8", ""]), shapes, st.integers(-9, 99))
+array_fields = st.tuples(
+    st.sampled_from(["<f8", "<f4", "|u1", "|b1", "<u2", "<i2", "|O", ">f8", ""]), shapes, st.integers(-9, 99)
+)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -350,7 +354,7 @@ def test_a_huge_claim_allocates_nothing(claim: bytes) -> None:
         struct.pack("<I", 0xFFFFFFFF) + claim,
     ]
     for frame in frames:
-        assert _peak(lambda frame=frame: refusal(frame, m.Imu)) < 200_000  # type: ignore[misc]
+        assert _peak(lambda frame=frame: refusal(frame, m.Imu)) < 200_000
 
 
 def test_a_huge_array_claim_allocates_nothing() -> None:

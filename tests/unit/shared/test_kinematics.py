@@ -383,6 +383,16 @@ def test_lotriet_5_2_with_its_corrections_is_ours() -> None:
     assert len(p) == 200
 
 
+def test_lotriet_angles_as_printed_in_ours() -> None:
+    """With his mounting angles, and the coxa angle measured from y as (5.2) prints it."""
+    p = acute_feet(50)
+    _, terms = lotriet_inverse(p, LINKS)
+    elevation = np.arctan(p[:, 2] / (terms["d"] - LINKS.coxa))
+    theta = np.stack([np.arctan2(p[:, 0], p[:, 1]), np.pi / 4 - terms["alpha"] - elevation, np.pi / 2 - terms["beta"]], axis=-1)
+    q = kinematics.leg_inverse(p, LINKS)
+    np.testing.assert_allclose(theta, [np.pi / 2, np.pi / 4, -np.pi / 2] - q, atol=1e-9)
+
+
 def test_lotriet_5_3_takes_the_wrong_branch_near_the_body() -> None:
     p = np.array([0.12, 0.0, -0.08])  # c = 0.105 m, below sqrt(tibia^2 - femur^2) = 0.115 m: the angle is blunt
     theta, terms = lotriet_inverse(p, LINKS)

@@ -1,5 +1,6 @@
 """The topic table: one row a topic, nothing twice, every message with a place."""
 
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ def _smallest(kind: type[messages.Message]) -> messages.Message:
     for name, base, detail in messages.schema(kind):
         if base is np.ndarray:
             values[name] = np.zeros([n if isinstance(n, int) else 0 for n in detail[1].shape], detail[0])
-        elif isinstance(base, type) and issubclass(base, messages.StrEnum):
+        elif isinstance(base, type) and issubclass(base, StrEnum):
             values[name] = next(iter(base))
         elif isinstance(detail, tuple):
             values[name] = detail[0]

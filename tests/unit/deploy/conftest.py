@@ -1,0 +1,216 @@
+"""A walk as a story: the messages of a tripod walk made from plain kinematics, with what may go wrong as parameters."""
+
+import functools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from deploy.scorer import Scorer
+from services.simulator.terrain import build_terrain
+from shared import codec, topics
+from shared.geometry import from_xyz_rpy
+from shared.messages import ActuatorState, BodyPose, GroundTruth, Message, Mode, PlannerStatus, StepPlan, TerrainMap
+from shared.robot import load_profile
+from shared.scenario import Goal, Plane, Scenario
+from shared.service import Inbox
+
+_MS = 1_000_000
+_TRIPOD = np.array([True, False, True, False, True, False])
+FLAT = Scenario("story", (Plane(),), Goal(0.5))
+_NONE = np.zeros(6, dtype=bool)
+
+
+@dataclass(frozen=True)
+class Story:
+    """Rest for a second, walk past the goal, rest again; {world} is the simulator's unless the start lies elsewhere."""
+
+    scenario: Scenario = FLAT
+    seed: int = 0
+    stride: float = 0.06  # [m] the body moves per step
+    step_s: float = 0.6
+    beyond: float = 0.06  # [m] past the goal, where it stops
+    heading_deg: float = 0.0  # of the start in the simulator's world
+    tilt_deg: float = 0.0  # true roll that was not commanded
+    sag: float = 0.0  # [m] the body is this much lower than commanded
+    bob: float = 0.0  # [m] amplitude of the body's true height
+    slip: float = 0.0  # [m] planted feet move to the side in a step
+    drift: float = 0.0  # [1] the estimate's error over the distance
+    map_bias: float = 0.0  # [m]
+    topple_s: float = np.inf  # [s] the robot begins to fall over
+    sink_s: float = np.inf  # [s] the robot sinks to the ground
+    shutdown_s: float = np.inf  # [s] a servo shuts down
+    flicker: bool = False  # contact drops out for one sample in ten
+    tail_s: float = 1.0  # [s] after the last step
+    moved_leg: int = -1  # the planner moves this leg's touchdowns by 2 cm
+
+    def __post_init__(self) -> None:
+        profile = load_profile(self.scenario.robot)
+        object.__setattr__(self, "profile", profile)
+        object.__setattr__(self, "terrain", build_terrain(self.scenario, np.random.default_rng([self.seed, 0])))
+        object.__setattr__(self, "steps", int(np.ceil((self.scenario.goal.distance + self.beyond) / self.stride)))
+        T_sim_start = from_xyz_rpy((0.0, 0.0, 0.0), (0, 0, np.radians(self.heading_deg)))
+        object.__setattr__(self, "T_sim_start", T_sim_start)
+        rows = 240 + round(self.scenario.goal.distance / 0.01)
+        cells = np.meshgrid(0.01 * np.arange(-40, rows - 40), 0.01 * np.arange(-60, 61), indexing="ij")
+        xy = np.stack(cells, axis=-1).reshape(-1, 2) @ T_sim_start[:2, :2].T
+        object.__setattr__(self, "heights", self.terrain.height_at(xy).reshape(rows, 121))
+        object.__setattr__(self, "planted", functools.cache(self._planted))
+
+    def messages(self) -> Iterator[Message]:
+        """All messages in order of their stamps; truth last at each instant."""
+        end_ms = round(1000 * (1.0 + self.steps * self.step_s + self.tail_s))
+        for ms in range(0, end_ms, 10):
+            t = ms * 1e-3
+            if ms % 20 == 0:
+                yield self.state(ms)
+            if ms % 30 == 0:
+                yield self.pose(ms)
+            step, phase = self.walked(t)
+            if 0.0 <= phase < 0.01 / self.step_s and 1 <= step <= self.steps:
+                yield self.plan(ms, step)
+            if ms % 100 == 0:
+                moved = int(self.moved_leg >= 0 and self.swing(step)[self.moved_leg])
+                yield PlannerStatus(ms * _MS, "stepping", "", step, moved, -1)
+            if ms % 520 == 0:
+                yield self.map(ms)
+            yield self.truth(ms)
+
+    def walked(self, t: float) -> tuple[int, float]:
+        """Number of the running step, from 1, and its phase; step 0 is the rest before."""
+        if t < 1.0:
+            return 0, 1.0
+        k = int((t - 1.0) / self.step_s + 1e-9)
+        if k >= self.steps:
+            return self.steps, 1.0
+        return k + 1, max(0.0, (t - 1.0) / self.step_s - k)
+
+    def swing(self, step: int) -> np.ndarray:
+        return _TRIPOD if step % 2 else ~_TRIPOD
+
+    def body_x(self, t: float) -> float:
+        step, phase = self.walked(t)
+        return self.stride * (step - 1 + phase) if step else 0.0
+
+    def _planted(self, step: int) -> np.ndarray:
+        """Feet (6, 3) [m] {world} at the end of a step."""
+        feet = self.profile.rest_feet() + np.array([0.0, 0.0, self.scenario.walk.body_height])
+        for swung in range(max(1, step - 1), step + 1):
+            legs = self.swing(swung)
+            feet[legs, 0] = (self.profile.rest_feet()[:, 0] + self.stride * (swung + 0.5))[legs]
+            if self.moved_leg >= 0 and legs[self.moved_leg]:
+                feet[self.moved_leg, 1] = self.profile.rest_feet()[self.moved_leg, 1] + 0.02
+        sim = feet[:, :2] @ self.T_sim_start[:2, :2].T
+        feet[:, 2] = self.terrain.height_at(sim) + self.profile.foot.radius
+        return feet
+
+    def truth(self, ms: int) -> GroundTruth:
+        t = ms * 1e-3
+        step, phase = self.walked(t)
+        before, after = self.planted(max(step - 1, 0)), self.planted(step)
+        airborne = self.swing(step) & (step > 0) & (0.0 < phase < 0.99)
+        feet = np.where(airborne[:, None], before + phase * (after - before), np.where(phase < 0.5, before, after))
+        feet[:, 2] += np.where(airborne, 0.04 * np.sin(np.pi * phase), 0.0)
+        if step and phase < 1.0:
+            feet[~airborne, 1] += self.slip * phase
+        contact = ~airborne
+        if self.flicker and ms % 100 == 50:
+            contact = contact & _NONE
+        z = self.scenario.walk.body_height - self.sag + self.bob * np.sin(20.0 * t)
+        z -= min(max(t - self.sink_s, 0.0), 1.0)
+        roll = np.radians(self.tilt_deg) + min(max(t - self.topple_s, 0.0), 1.0)
+        T = self.T_sim_start @ from_xyz_rpy((self.body_x(t), 0.0, z), (roll, 0.0, 0.0))
+        shutdown = np.zeros((6, 3), dtype=bool)
+        shutdown[2, 1] = t >= self.shutdown_s
+        torque = np.full((6, 3), 0.3)
+        torque[:, 1] = -0.6
+        world = feet @ self.T_sim_start[:3, :3].T
+        return GroundTruth(ms * _MS, T, np.zeros((6, 3)), torque, world, contact, shutdown, 11.1, 30.0)
+
+    def state(self, ms: int) -> ActuatorState:
+        t = ms * 1e-3
+        step, phase = self.walked(t)
+        walking = step >= 1 and phase < 1.0
+        ref = from_xyz_rpy((self.body_x(t), 0.0, self.scenario.walk.body_height), np.zeros(3))
+        return ActuatorState(
+            stamp_ns=ms * _MS,
+            mode=Mode.WALK if walking else Mode.HOLD,
+            reason="",
+            refused="",
+            step=step,
+            phase=phase,
+            swing=self.swing(step) if walking else _NONE,
+            contact=~_NONE,
+            q=np.zeros((6, 3)),
+            load_nm=np.zeros((6, 3)),
+            feet=np.zeros((6, 3)),
+            T_odom_body=ref,
+            body_ref=ref,
+            voltage=11.1,
+            temperature=30.0,
+            warnings=(),
+        )
+
+    def pose(self, ms: int) -> BodyPose:
+        T = from_xyz_rpy(
+            (self.body_x(ms * 1e-3) * (1 + self.drift), 0.0, self.scenario.walk.body_height - self.sag), np.zeros(3)
+        )
+        return BodyPose(ms * _MS, T, np.eye(4), np.eye(6) * 1e-6, 1.0, True, "")
+
+    def plan(self, ms: int, step: int) -> StepPlan:
+        return StepPlan(
+            stamp_ns=ms * _MS,
+            step=step,
+            revision=0,
+            T_world_odom=np.eye(4),
+            swing=self.swing(step),
+            touchdown=self.planted(step),
+            clearance=np.full(6, 0.04),
+            body_goal=from_xyz_rpy((self.stride * step, 0.0, self.scenario.walk.body_height), np.zeros(3)),
+            duration=self.step_s,
+            stop=step == self.steps,
+        )
+
+    def map(self, ms: int) -> TerrainMap:
+        first = round(self.body_x(ms * 1e-3) / 0.01)
+        height = (self.heights[first : first + 200] + self.map_bias).astype(np.float32)
+        height[:, :10] = np.nan
+        assumed = np.zeros((200, 121), dtype=bool)
+        assumed[: max(0, 100 - first)] = True  # up to x = 0.6
+        score = np.where(np.abs(np.gradient(height)[0]) > 0.004, 2.0, 0.2).astype(np.float32)
+        origin = np.array([0.01 * (first - 40), -0.6])
+        return TerrainMap(ms * _MS, 0.01, origin, height, np.full_like(height, 1e-5), score, assumed)
+
+    def scorer(self) -> Scorer:
+        return Scorer(self.profile, self.scenario, self.seed)
+
+    def judged(self) -> Scorer:
+        """A scorer that has heard the story, as far as it cared to; the same one each time."""
+        return _judged(self)
+
+    def judge(self) -> Scorer:
+        """A new scorer that has heard the story."""
+        scorer = self.scorer()
+        inbox = Inbox([scorer.paced_by, *scorer.reads], scorer.stages)
+        for message in self.messages():
+            topic = topics.OF_TYPE[type(message)]
+            inbox.now_ns = message.stamp_ns
+            if isinstance(message, GroundTruth):
+                assert list(scorer.step(message, inbox)) == []
+                if scorer.finished:
+                    break
+            else:
+                inbox.receive(topic, codec.encode(message), message.stamp_ns)
+        return scorer
+
+
+@functools.cache
+def _judged(story: Story) -> Scorer:
+    return story.judge()
+
+
+@pytest.fixture
+def story() -> Callable[..., Story]:
+    """Makes stories."""
+    return Story

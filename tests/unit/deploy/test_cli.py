@@ -1,0 +1,126 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+from shared.topics import TOPICS
+
+ROOT = Path(cli.__file__).parents[1]
+
+
+def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
+    code = (
+        "import sys; sys.argv[1:] = ['--help']; from deploy import cli\ntry:\n    cli.main()\nfinally:\n    print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
+    loaded = set(done.stdout.split())
+    assert "deploy.cli" in loaded, done.stderr
+    assert not loaded & {"numpy", "zenoh", "cv2", "numba", "mujoco", "mcap"}
+    for command in ("demo", "run", "trials", "up", "replay", "topics", "doctor", "compose"):
+        assert command in loaded, f"{command} is not offered"
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["run", "stepz"], "known: "),
+        (["run", "nowhere.toml"], "no such file"),
+        (["run", "stepz", "--lockstep"], "known: "),
+        (["run", "steps", "--lockstep", "--connect", "tcp/127.0.0.1:7447"], "leave --connect out"),
+        (["run", "steps", "--lockstep", "--out", "/proc/nowhere"], "--out"),
+        (["up", "all", "--scenario", "stepz"], "known: "),
+        (["up", "onboard", "--set", "actuater.port=x"], "did you mean 'actuator'?"),
+        (["up", "onboard", "--set", "port=x"], "SERVICE.KEY=VALUE"),
+        (["up", "onboard", "--set", "planner.blind=true"], "no service 'planner'"),
+        (["replay", "nowhere.mcap"], "recording.mcap of a run"),
+        (["replay", "nowhere.txt"], "depth.txt"),
+        (["compose", "--scenario", "stepz"], "known: "),
+        (["trials", "stepz", "--seeds", "0:2"], "known: "),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_wrong_input_is_refused_with_its_cause_and_what_would_be_right(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(words) == 2
+    printed = capsys.readouterr()
+    assert hint in printed.err
+    assert printed.out == ""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["walk"],
+        ["run"],
+        ["run", "steps", "--seed", "-1"],
+        ["trials", "steps"],
+        ["trials", "steps", "--seeds", "5:5"],
+        ["trials", "steps", "--seeds", "5"],
+        ["trials", "steps", "--seeds", "0:2", "--jobs", "0"],
+        ["up", "nobody"],
+    ],
+)
+def test_arguments_that_make_no_sense_are_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as refused:
+        cli.main(words)
+    assert refused.value.code == 2
+    assert "usage: sextant" in capsys.readouterr().err
+
+
+def test_topics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["topics", "list"]) == 0
+    printed = capsys.readouterr().out
+    assert all(topic.key in printed for topic in TOPICS)
+    assert cli.main(["topics", "list", "--json"]) == 0
+    assert [row["key"] for row in json.loads(capsys.readouterr().out)] == [topic.key for topic in TOPICS]
+
+
+def test_compose_prints_the_committed_file(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["compose"]) == 0
+    assert capsys.readouterr().out == (ROOT / "deploy" / "compose.yaml").read_text()
+
+
+def test_the_doctor_fails_when_a_check_does(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from deploy import doctor
+
+    for level, status in ((doctor.Level.WARN, 0), (doctor.Level.FAIL, 1)):
+        monkeypatch.setattr(doctor, "examine", lambda *_, level=level: [doctor.Check("a", level, "so so", "mend it")])
+        assert cli.main(["doctor"]) == status
+        assert "mend it" in capsys.readouterr().out
+
+
+def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from deploy import doctor
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(doctor, "examine", interrupted)
+    assert cli.main(["doctor"]) == 130
+    assert "stopped by the operator" in capsys.readouterr().err
+
+
+def test_a_mistake_of_ours_is_not_passed_off_as_the_callers(monkeypatch: pytest.MonkeyPatch) -> None:
+    from deploy import doctor
+
+    def broken(*_: object) -> None:
+        raise ValueError("a bug")
+
+    monkeypatch.setattr(doctor, "examine", broken)
+    with pytest.raises(ValueError, match="a bug"):
+        cli.main(["doctor"])
+
+
+def test_a_run_gets_a_folder_of_its_own_or_the_one_that_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    parse = cli._parser().parse_args
+    named = cli._out(parse(["run", "steps", "--out", "here/there"]), "steps-3")
+    assert named == Path("here/there")
+    assert named.is_dir()
+    assert cli._out(parse(["run", "steps"]), "steps-3").parent == Path("runs")

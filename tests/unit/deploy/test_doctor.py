@@ -1,0 +1,102 @@
+import importlib
+import json
+import os
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from deploy import doctor
+from deploy.doctor import Check, Level
+
+
+def test_every_complaint_says_what_to_do() -> None:
+    for check in (doctor.python((3, 10)), doctor.cores(1), doctor.disk(Path(), 1000), doctor.disk(Path(), 1 << 30)):
+        assert check.level is not Level.OK
+        assert check.advice
+    for check in (doctor.python((3, 11)), doctor.cores(2), doctor.disk(Path(), 1 << 40)):
+        assert check.level is Level.OK
+        assert not check.advice
+
+
+def test_too_little_is_told_from_nothing() -> None:
+    assert doctor.disk(Path(), 1 << 30).level is Level.WARN
+    assert doctor.disk(Path(), 1 << 20).level is Level.FAIL
+
+
+def test_frames_get_round_through_a_router_here() -> None:
+    check = doctor.zenoh_round_trip()
+    assert check.level is not Level.FAIL, check.found
+
+
+def test_a_missing_wheel_is_named_with_the_role_that_lacks_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def importing(name: str) -> ModuleType:
+        if name == "mujoco":
+            raise ImportError("libEGL.so.1: cannot open shared object file")
+        return ModuleType(name)
+
+    monkeypatch.setattr(importlib, "import_module", importing)
+    checks = {check.name: check for check in doctor.wheels()}
+    assert checks["libraries: simulator"].level is Level.WARN
+    assert "mujoco (libEGL.so.1" in checks["libraries: simulator"].found
+    assert "sextant[simulator]" in checks["libraries: simulator"].advice
+    assert checks["libraries: actuator"].level is Level.OK
+
+
+def test_the_roles_are_those_of_the_package() -> None:
+    import tomllib
+
+    root = Path(doctor.__file__).parents[1]
+    extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert set(doctor._ROLES) - {"core"} <= set(extras)
+
+
+def test_a_cache_that_cannot_be_written_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert doctor.numba_cache().level is Level.OK
+    monkeypatch.setattr(doctor, "_writable", lambda _: False)
+    assert doctor.numba_cache().level is Level.WARN
+
+
+def test_a_servo_port_that_is_not_there(tmp_path: Path) -> None:
+    (check,) = doctor.servo_port(str(tmp_path / "ttyUSB0"), "phantomx_mk2")
+    assert check.level is Level.FAIL
+    assert "plug the adapter in" in check.advice
+
+
+def test_a_servo_port_without_rights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    port = tmp_path / "ttyUSB0"
+    port.touch()
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    (check,) = doctor.servo_port(str(port), "phantomx_mk2")
+    assert check.level is Level.FAIL
+    assert "usermod" in check.advice
+
+
+def test_a_network_port_where_nobody_listens() -> None:
+    from deploy.launcher import free_port
+
+    (check,) = doctor.servo_port(f"socket://127.0.0.1:{free_port()}", "phantomx_mk2")
+    assert check.level is Level.FAIL
+
+
+def test_the_emulated_servos_answer() -> None:
+    from services.simulator.bus import ServoBusEmulator
+    from services.simulator.servos import AX_12A_MOTOR, ServoBank
+    from services.simulator.tcp_port import TcpBusServer
+    from shared import dynamixel as dxl
+    from shared.robot import load_profile
+
+    ids = load_profile("phantomx_mk2").servo_ids.ravel().tolist()
+    for present, level in ((ids, Level.OK), (ids[:-1], Level.FAIL)):
+        bank = ServoBank(present, dxl.AX_12A, AX_12A_MOTOR)
+        with TcpBusServer(ServoBusEmulator(bank)) as server:
+            (check,) = doctor.servo_port(server.url, "phantomx_mk2")
+        assert check.level is level, check.found
+    assert f"silent: [{ids[-1]}]" in check.found
+
+
+def test_words_and_json_say_the_same() -> None:
+    checks = [Check("a", Level.OK, "fine"), Check("b", Level.FAIL, "broken", "mend it")]
+    assert doctor.in_words(checks).splitlines() == ["OK    a: fine", "FAIL  b: broken", "      -> mend it"]
+    assert json.loads(doctor.to_json(checks))[1] == {"name": "b", "level": "FAIL", "found": "broken", "advice": "mend it"}

@@ -1,0 +1,194 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.operator import Operator
+from shared import codec, topics
+from shared.geometry import from_xyz_rpy, rotation_z, yaw_of
+from shared.messages import ActuatorState, BodyPose, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
+from shared.robot import load_profile
+from shared.scenario import Goal, Plane, Scenario
+from shared.service import Inbox
+
+SCENARIO = Scenario("straight", (Plane(),), Goal(1.5))
+PERIOD_NS = 50_000_000
+
+
+class Robot:
+    """A robot that obeys at once and goes where it is told, and an operator who commands it."""
+
+    def __init__(self, y=0.0, yaw=0.0, side_slip=0.0):
+        self.operator = Operator(load_profile(SCENARIO.robot), SCENARIO)
+        self.inbox = Inbox(self.operator.reads, self.operator.stages)
+        self.now = 0
+        self.T = from_xyz_rpy((0.0, y, 0.1), (0, 0, yaw))
+        self.side_slip = side_slip
+        self.mode = Mode.OFF
+        self.reason = ""
+        self.may_walk = False
+        self.orders, self.velocities = [], []
+        self.pose_comes = True
+        self.rising = 0
+        self.blocked = ""
+
+    def hear(self, message):
+        self.inbox.receive(topics.OF_TYPE[type(message)], codec.encode(message), self.now)
+
+    def beat(self):
+        self.inbox.now_ns = self.now
+        flags, zeros = np.zeros(6, dtype=bool), np.zeros((6, 3))
+        self.hear(
+            ActuatorState(
+                self.now, self.mode, self.reason, "", 0, 1.0, flags, flags, zeros, zeros, zeros, self.T, self.T, 11.0, 30.0, ()
+            )
+        )
+        if self.pose_comes:
+            self.hear(BodyPose(self.now, self.T, np.eye(4), np.eye(6), 1.0, True, ""))
+        state = "blocked" if self.blocked else "stepping" if self.mode is Mode.WALK else "resting"
+        self.hear(PlannerStatus(self.now, state, self.blocked, 0, 0, -1))
+        for made in self.operator.step(Tick(self.now), self.inbox):
+            if isinstance(made, ModeCommand):
+                self.orders.append((self.now, made))
+                self.obey(made)
+            else:
+                assert isinstance(made, VelocityCommand)
+                self.velocities.append(made)
+                self.move(made)
+        self.rising -= 1
+        if self.mode is Mode.STAND and self.rising < 0:
+            self.mode = Mode.HOLD
+        self.now += PERIOD_NS
+
+    def obey(self, order):
+        if order.mode == "stand" and self.mode is Mode.OFF:
+            self.mode, self.rising = Mode.STAND, 20
+        self.may_walk |= order.mode == "walk"
+
+    def move(self, command):
+        moving = bool(np.any(command.velocity)) and not self.blocked
+        if self.may_walk and self.mode in (Mode.HOLD, Mode.WALK):
+            self.mode = Mode.WALK if moving else Mode.HOLD
+        if self.mode is Mode.WALK:
+            dt = PERIOD_NS * 1e-9
+            self.T[:2, 3] += dt * (self.T[:2, :2] @ command.velocity + [0.0, self.side_slip])
+            self.T[:3, :3] = self.T[:3, :3] @ rotation_z(dt * command.yaw_rate)
+
+    def run(self, beats=2000):
+        for _ in range(beats):
+            if self.operator.finished:
+                return self
+            self.beat()
+        return self
+
+
+def test_it_orders_to_stand_then_to_walk_and_repeats_itself():
+    robot = Robot().run()
+    modes = [order.mode for _, order in robot.orders]
+    assert modes == sorted(modes)  # "stand" before "walk"
+    assert {(order.mode, order.sequence) for _, order in robot.orders} == {("stand", 1), ("walk", 2)}
+    walks = [at for at, order in robot.orders if order.mode == "walk"]
+    assert np.diff(walks).max() <= 500_000_000
+    first_velocity = robot.velocities[0].stamp_ns
+    assert first_velocity >= walks[0] >= 1_000_000_000  # the robot had risen
+
+
+def test_it_walks_to_the_goal_and_stops_there():
+    robot = Robot().run()
+    assert robot.operator.finished
+    assert "at the goal" in robot.operator.reason
+    assert 1.53 <= robot.T[0, 3] < 1.56
+    assert not np.any(robot.velocities[-1].velocity)
+    assert robot.mode is Mode.HOLD
+    robot.beat()  # and goes on telling the robot to rest
+    assert not np.any(robot.velocities[-1].velocity)
+    speeds = [np.linalg.norm(v.velocity) for v in robot.velocities]
+    assert max(speeds) == pytest.approx(SCENARIO.walk.speed)
+    assert {(v.body_height, v.lift) for v in robot.velocities} == {(SCENARIO.walk.body_height, SCENARIO.walk.lift)}
+    assert robot.velocities[1].stamp_ns - robot.velocities[0].stamp_ns == PERIOD_NS
+
+
+@pytest.mark.parametrize(("y", "yaw", "side_slip"), [(0.1, 0.0, 0.0), (-0.1, 0.3, 0.0), (0.0, -0.5, 0.0), (0.0, 0.0, 0.01)])
+def test_it_comes_back_to_the_line(y, yaw, side_slip):
+    robot = Robot(y, yaw, side_slip).run()
+    assert robot.operator.finished
+    steady = side_slip / (2.0 * SCENARIO.walk.speed)  # where the course makes up for the slip
+    assert abs(robot.T[1, 3]) < abs(y) * 0.12 + 0.02 + steady
+    assert abs(yaw_of(robot.T)) < 0.02
+    assert max(abs(v.yaw_rate) for v in robot.velocities) <= 0.15
+    assert all(np.linalg.norm(v.velocity) <= SCENARIO.walk.speed + 1e-12 for v in robot.velocities)
+
+
+def test_its_course_stays_within_25_degrees_of_the_line():
+    robot = Robot(y=2.0)
+    for _ in range(60):
+        robot.beat()
+    course = [np.arctan2(*v.velocity[::-1]) for v in robot.velocities if np.any(v.velocity)]
+    assert max(np.abs(course)) == pytest.approx(np.radians(25.0))
+
+
+def test_it_gives_up_on_a_planner_that_stays_blocked():
+    robot = Robot()
+    for _ in range(60):
+        robot.beat()
+    robot.blocked = "no foothold for the left front leg"
+    began = robot.now
+    robot.run()
+    assert robot.now - began == pytest.approx(20e9, abs=2 * PERIOD_NS)
+    assert "20 s" in robot.operator.reason
+    assert "left front" in robot.operator.reason
+
+
+def test_a_planner_that_goes_on_is_given_new_patience():
+    robot = Robot()
+    for k in range(1000):
+        robot.blocked = "no foothold" if k > 60 and k % 300 > 10 else ""
+        robot.beat()
+    assert "blocked" not in robot.operator.reason
+
+
+def test_it_never_steers_blind_and_gives_up_without_a_pose():
+    robot = Robot()
+    for _ in range(60):
+        robot.beat()
+    assert np.any(robot.velocities[-1].velocity)
+    robot.pose_comes = False
+    began = robot.now
+    robot.run()
+    gap = [v for v in robot.velocities if v.stamp_ns >= began + topics.BODY_POSE.fresh_for_ns]
+    assert gap
+    assert not any(np.any(v.velocity) for v in gap)
+    assert "no pose" in robot.operator.reason
+    assert robot.now - began == pytest.approx(5e9, abs=4 * PERIOD_NS)
+
+
+@pytest.mark.parametrize("mode", [Mode.FAULT, Mode.OFF])
+def test_it_does_not_force_a_robot_that_has_failed(mode):
+    robot = Robot()
+    for _ in range(60):
+        robot.beat()
+    robot.mode, robot.reason = mode, "femur servo reports overload"
+    robot.run()
+    assert robot.operator.finished
+    assert "overload" in robot.operator.reason
+    assert all(order.sequence <= 2 for _, order in robot.orders)
+
+
+def test_it_says_what_it_waits_for():
+    robot = Robot()
+    operator = robot.operator
+    assert "waiting for the actuator" in operator.doing()
+    list(operator.step(Tick(0), Inbox(operator.reads, operator.stages)))
+    robot.run(5)
+    assert "standing up" in operator.progress
+    robot.run(100)
+    assert "of 1.50 m" in operator.progress
+
+
+def test_it_gives_up_when_nobody_answers():
+    operator = Operator(load_profile(SCENARIO.robot), replace(SCENARIO))
+    inbox = Inbox(operator.reads, operator.stages)
+    for now in range(0, 61_000_000_000, 1_000_000_000):
+        list(operator.step(Tick(now), inbox))
+    assert operator.finished
+    assert "within 60 s" in operator.reason

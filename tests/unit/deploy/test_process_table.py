@@ -1,0 +1,99 @@
+import dataclasses
+import importlib.util
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy import process_table
+from deploy.process_table import Choices, assignment, choices, commands, rows
+from shared import process
+from shared.scenario import Goal, Plane, Scenario, Variation, Walk
+from shared.transport import Endpoints
+
+ENDPOINTS = Endpoints(("tcp/127.0.0.1:7447",), namespace="test")
+
+
+@dataclasses.dataclass(frozen=True)
+class Text:
+    key: str
+
+
+@pytest.mark.parametrize("row", process_table.TABLE, ids=lambda row: row.name)
+def test_every_module_is_there(row: process_table.Process) -> None:
+    assert importlib.util.find_spec(row.module) is not None
+    assert importlib.util.find_spec(f"{row.module}.__main__") is not None
+
+
+@pytest.mark.parametrize("row", process_table.TABLE, ids=lambda row: row.name)
+def test_every_setting_is_one_that_the_service_has(row: process_table.Process) -> None:
+    schema = importlib.import_module(f"{row.module}.config").Settings
+    settings = row.settings(Choices(scenario="steps"))
+    made = process.load_settings(schema, None, [assignment(k, v) for k, v in settings.items()])
+    assert {key: getattr(made, key) for key in settings} == settings
+
+
+def test_the_roles_share_the_services_out() -> None:
+    names = {role: [p.name for p in rows(role, simulated=False)] for role in ("all", "onboard", "offboard", "sim")}  # type: ignore[arg-type]
+    assert names["onboard"] == ["actuator", "perception"], "the camera's bandwidth stays on the robot"
+    assert sorted(names["onboard"] + names["offboard"]) == sorted(names["all"])
+    assert names["sim"] == ["simulator"]
+    assert "simulator" not in names["all"]
+    assert rows("all", simulated=True)[0].name == "simulator"
+
+
+def test_names_are_unique_and_what_is_waited_for_is_in_the_table() -> None:
+    names = [p.name for p in process_table.TABLE]
+    assert len(set(names)) == len(names)
+    assert all(set(p.after) <= set(names) for p in process_table.TABLE)
+
+
+def test_a_scenario_reaches_the_processes() -> None:
+    scenario = Scenario(
+        "wild",
+        (Plane(),),
+        Goal(1.0),
+        walk=Walk(blind=True),
+        variation=Variation(registration="kiss-icp"),
+    )
+    made = {
+        c.name: " ".join(c.arguments)
+        for c in commands(rows("all", True), choices(scenario, "/a/wild.toml", 7, 7450), ENDPOINTS)
+    }
+    assert "--set scenario=/a/wild.toml --set seed=7 --set bus_port=7450" in made["simulator"]
+    assert "--set port=socket://127.0.0.1:7450" in made["actuator"]
+    assert "--set method=kiss-icp" in made["perception"]
+    assert "--set blind=true" in made["planner"]
+    assert all("--connect tcp/127.0.0.1:7447 --namespace test" in line for line in made.values())
+
+
+def test_the_actuator_waits_for_the_simulated_bus_and_for_nothing_on_the_robot() -> None:
+    simulated = {c.name: c for c in commands(rows("all", True), Choices(scenario="flat", bus_port=7450), ENDPOINTS)}
+    assert simulated["actuator"].after == ("simulator",)
+    assert simulated["simulator"].ready_port == 7450
+    real = {c.name: c for c in commands(rows("all", False), Choices(), ENDPOINTS)}
+    assert real["actuator"].after == ()
+    assert "--set" not in real["actuator"].arguments
+
+
+def test_extra_settings_come_last_and_so_count() -> None:
+    made = commands(rows("onboard", False), Choices(), ENDPOINTS, {"actuator": ("port=/dev/ttyACM3",)})
+    actuator = next(c for c in made if c.name == "actuator")
+    assert actuator.arguments[-2:] == ("--set", "port=/dev/ttyACM3")
+
+
+def test_a_process_gets_one_thread_a_library() -> None:
+    for command in commands(rows("all", True), Choices(scenario="flat"), ENDPOINTS):
+        assert {command.environment[k] for k in command.environment if k.endswith("_NUM_THREADS")} == {"1"}
+        assert command.environment["PYTHONUNBUFFERED"] == "1"
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"]), max_size=30))
+def test_any_text_survives_the_command_line(text: str) -> None:
+    assert process.load_settings(Text, None, [assignment("key", text)]).key == text
+
+
+@given(st.sampled_from([Path("/tmp/a b/c.toml"), Path("/x/true"), Path("/é.toml")]))
+def test_a_path_is_passed_as_it_is(path: Path) -> None:
+    assert assignment("key", str(path)) == f"key={path}"

@@ -1,0 +1,157 @@
+import io
+from dataclasses import replace
+
+import numpy as np
+
+from deploy.progress import Lines, Monitor, Terminal, View, block, progress_for
+from shared import codec, topics
+from shared.messages import ActuatorState, BodyPose, Health, Message, Mode, PlannerStatus
+from shared.service import Worker
+
+S = 1_000_000_000
+
+
+def pose(stamp_ns: int, x: float, ok: bool = True) -> BodyPose:
+    T = np.eye(4)
+    T[0, 3] = x
+    return BodyPose(stamp_ns, T, np.eye(4), np.zeros((6, 6)), 1.0, ok, "" if ok else "too few points met the reference")
+
+
+def state(
+    stamp_ns: int, mode: Mode = Mode.WALK, reason: str = "", refused: str = "", warnings: tuple[str, ...] = ()
+) -> ActuatorState:
+    no, zero, eye = np.zeros(6, dtype=np.bool_), np.zeros((6, 3)), np.eye(4)
+    return ActuatorState(stamp_ns, mode, reason, refused, 1, 0.5, no, no, zero, zero, zero, eye, eye, 11.1, 40.0, warnings)
+
+
+def health(stamp_ns: int, service: str, refused: int = 0, **stages: float) -> Health:
+    p50 = np.array(list(stages.values()), dtype=np.float64)
+    names = tuple(name.replace("latency_", "latency ") for name in stages)
+    return Health(stamp_ns, service, f"{service} at work", 1, refused, 0, "bad header", names, p50, 2 * p50)
+
+
+class Bench:
+    """A monitor on a clock of its own."""
+
+    def __init__(self, goal: float = 2.5):
+        self.now_ns = 0
+        self.monitor = Monitor(goal)
+        self.worker = Worker(self.monitor, lambda *_: None, lambda: self.now_ns)
+
+    def hear(self, at_ns: int, *messages: Message) -> View:
+        self.now_ns = at_ns
+        for message in messages:
+            self.worker.inbox.receive(topics.OF_TYPE[type(message)], codec.encode(message), at_ns)
+        self.worker.tick()
+        return self.monitor.view
+
+
+def test_nothing_heard_is_not_up() -> None:
+    view = Bench().hear(S)
+    assert not view.up
+    assert view.to_goal == 2.5
+    assert block(view) == ["waiting for the robot to come up"]
+
+
+def test_time_counts_from_the_actuators_first_word_and_speed_is_the_way_over_time() -> None:
+    bench = Bench()
+    for i in range(40):
+        view = bench.hear(10 * S + i * S // 4, state(10 * S + i * S // 4), pose(10 * S + i * S // 4, 0.1 * i / 4))
+    assert view.time_s == 39 / 4
+    assert abs(view.speed - 0.1) < 1e-9
+    assert abs(view.to_goal - (2.5 - 0.1 * 39 / 4)) < 1e-9
+
+
+def test_past_the_goal_no_way_is_left() -> None:
+    assert Bench().hear(S, pose(S, 2.6)).to_goal == 0.0
+
+
+def test_troubles_are_told_in_words() -> None:
+    status = PlannerStatus(S, "blocked", "no foothold for the left front leg", 3, 0, 0)
+    spoken = state(S, Mode.FAULT, "overload", "plan from the future", ("servo 3 is hot",))
+    view = Bench().hear(S, spoken, pose(S, 0.0, ok=False), status, health(S, "mapper", refused=2))
+    assert view.warnings == (
+        "actuator: fault, overload",
+        "actuator refused a plan: plan from the future",
+        "actuator: servo 3 is hot",
+        "perception: too few points met the reference",
+        "planner: blocked, no foothold for the left front leg",
+        "mapper: refused 2 messages, the last because bad header",
+    )
+
+
+def test_a_service_that_falls_silent_is_named() -> None:
+    bench = Bench()
+    assert bench.hear(S, health(S, "mapper"), health(S, "planner")).warnings == ()
+    bench.hear(4 * S, health(4 * S, "planner"))
+    assert bench.hear(5 * S).warnings == ("mapper: silent for 4 s",)
+    assert bench.hear(6 * S, health(6 * S, "mapper")).warnings == ()
+
+
+def test_stage_times_are_named_by_service_and_the_slowest_reader_of_a_topic_counts() -> None:
+    bench = Bench()
+    bench.hear(
+        S, health(S, "planner", planner=3.0, search=2.0, latency_scan=5.0), health(S, "mapper", mapper=1.0, latency_scan=4.0)
+    )
+    assert bench.monitor.stages_ms() == {
+        "planner": (3.0, 6.0),
+        "planner.search": (2.0, 4.0),
+        "latency scan": (5.0, 10.0),
+        "mapper": (1.0, 2.0),
+    }
+    bench.hear(2 * S, health(2 * S, "planner", planner=3.0, latency_scan=1.0))
+    assert bench.monitor.stages_ms()["latency scan"] == (4.0, 8.0), "the newest percentiles count, not the start's"
+
+
+def test_plain_lines_come_now_and_then_and_a_warning_once() -> None:
+    stream = io.StringIO()
+    progress = progress_for(stream)
+    assert isinstance(progress, Lines)
+    for i in range(60):
+        warnings = (f"mapper: silent for {i} s",) if i > 30 else ()
+        progress.update(View(time_s=i * 0.25, up=True, doing={"planner": "stepping"}, warnings=warnings))
+    lines = stream.getvalue().splitlines()
+    assert sum("to the goal" in line for line in lines) == 3
+    assert sum("silent" in line for line in lines) == 1
+    assert "\x1b" not in stream.getvalue()
+
+
+def rendered(text: str) -> list[str]:
+    """What a terminal shows, of the two control sequences that are used."""
+    screen: list[str] = [""]
+    i = 0
+    while i < len(text):
+        if text.startswith("\x1b[", i):
+            end = next(j for j in range(i, len(text)) if text[j] in "FJ")
+            if text[end] == "F":
+                row = len(screen) - 1 - int(text[i + 2 : end])
+                screen, below = screen[: row + 1], screen[row + 1 :]
+                assert below
+                screen[row] = ""
+            i = end + 1
+        elif text[i] == "\n":
+            screen.append("")
+            i += 1
+        else:
+            screen[-1] += text[i]
+            i += 1
+    return screen[:-1]
+
+
+def test_the_block_is_redrawn_in_place_and_what_is_said_stays_above() -> None:
+    stream = io.StringIO()
+    terminal = Terminal(stream)
+    view = View(
+        time_s=1.0, up=True, walked=1.0, to_goal=1.0, doing={"mapper": "mapping", "planner": "stepping"}, warnings=("careful",)
+    )
+    terminal.update(view)
+    terminal.say("mapper ended")
+    terminal.update(replace(view, time_s=2.0))
+    terminal.update(replace(view, time_s=3.0, warnings=()))
+    terminal.finish()
+    terminal.say("done")
+    shown = rendered(stream.getvalue())
+    assert shown[0] == "mapper ended"
+    assert shown[1].strip().startswith("3.0 s")
+    assert "[##########----------]" in shown[1]
+    assert shown[2:] == ["  mapper      mapping", "  planner     stepping", "done"]

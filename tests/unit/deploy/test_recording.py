@@ -1,0 +1,210 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from deploy import recording as recording_module
+from deploy.recording import LiveRecorder, Recorder, Recording, RecordingError, describe, read
+from shared import codec, topics
+from shared.messages import DepthImage, Message, Mode, ModeCommand, Scan, TerrainMap, VelocityCommand
+from shared.service import AnyTopic
+
+ABOUT = {"scenario": "steps", "seed": "3"}
+S = 1_000_000_000
+
+
+def velocity(stamp_ns: int, rng: np.random.Generator) -> VelocityCommand:
+    return VelocityCommand(stamp_ns, rng.normal(size=2), float(rng.normal()), 0.1, 0.04)
+
+
+def terrain(stamp_ns: int) -> TerrainMap:
+    layer = np.full((5, 4), np.nan, dtype=np.float32)
+    return TerrainMap(stamp_ns, 0.01, np.zeros(2), layer, layer, layer, np.zeros((5, 4), dtype=np.bool_))
+
+
+def some_messages(seed: int = 0, n: int = 40) -> list[tuple[AnyTopic, Message, int]]:
+    rng = np.random.default_rng(seed)
+    made: list[tuple[AnyTopic, Message, int]] = []
+    for i in range(n):
+        made.append((topics.VELOCITY, velocity(i * S, rng), i * S))
+        made.append((topics.MODE, ModeCommand(i * S, "walk", i), i * S + 5))
+    return made
+
+
+def write(path: Path, messages: list[tuple[AnyTopic, Message, int]], **options: Any) -> None:
+    with Recorder(path, ABOUT, **options) as recorder:
+        for topic, message, at_ns in messages:
+            recorder.write(topic, codec.encode(message), at_ns)
+
+
+def same(a: Message, b: Message) -> bool:
+    return codec.encode(a) == codec.encode(b)
+
+
+def test_what_is_written_is_read_back_in_its_order(tmp_path: Path) -> None:
+    written = some_messages()
+    write(tmp_path / "r.mcap", written)
+    found = list(read(tmp_path / "r.mcap"))
+    assert [(t, at) for t, _, at in found] == [(t, at) for t, _, at in written]
+    assert all(same(a, b) for (_, a, _), (_, b, _) in zip(found, written, strict=True))
+    assert [t for t, _, _ in read(tmp_path / "r.mcap", [topics.MODE])] == [topics.MODE] * 40
+
+
+def test_the_same_run_makes_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write(tmp_path / name, some_messages())
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    write(tmp_path / "c", some_messages(seed=1))
+    assert (tmp_path / "a").read_bytes() != (tmp_path / "c").read_bytes()
+
+
+def test_pictures_are_left_out_and_maps_thinned_unless_asked_for(tmp_path: Path) -> None:
+    written: list[tuple[AnyTopic, Message, int]] = []
+    for i in range(30):
+        at_ns = i * S // 10
+        written += [
+            (topics.DEPTH, DepthImage(at_ns, np.zeros((2, 3), np.uint16)), at_ns),
+            (topics.TERRAIN, terrain(at_ns), at_ns),
+        ]
+    write(tmp_path / "r", written)
+    assert Recording(tmp_path / "r").counts() == {"mapper/terrain": 3}
+    write(tmp_path / "all", written, left_out=(), thinned_ns={})
+    assert Recording(tmp_path / "all").counts() == {"camera/depth": 30, "mapper/terrain": 30}
+
+
+def test_it_is_plain_mcap_that_says_what_it_is(tmp_path: Path) -> None:
+    write(tmp_path / "r.mcap", some_messages())
+    with (tmp_path / "r.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert {c.topic: c.message_encoding for c in summary.channels.values()} == {
+            "operator/velocity": "sextant",
+            "operator/mode": "sextant",
+        }
+        assert {s.name: s.encoding for s in summary.schemas.values()} == {
+            "VelocityCommand": "sextant",
+            "ModeCommand": "sextant",
+        }
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == 80
+        (metadata,) = reader.iter_metadata()
+        assert metadata.metadata.items() >= ABOUT.items()
+    recording = Recording(tmp_path / "r.mcap")
+    assert sum(1 for _ in recording.frames()) == 80
+    assert recording.complete
+    assert recording.about.items() >= ABOUT.items()
+
+
+@pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda t: t.key)
+def test_every_field_is_described(topic: AnyTopic) -> None:
+    described = json.loads(describe(topic.type))
+    assert described["schema"] == codec.schema_id(topic.type)
+    assert [f["name"] for f in described["fields"]] == list(topic.type.__dataclass_fields__)
+    assert all(f["type"] for f in described["fields"])
+
+
+def test_a_description_gives_shapes_types_and_words() -> None:
+    fields = {f["name"]: f for f in json.loads(describe(Scan))["fields"]}
+    assert fields["points_mm"] == {"name": "points_mm", "type": "array", "dtype": "<i2", "shape": ["n", 3], "finite": True}
+    assert fields["pose_ok"]["type"] == "bool"
+    state = {f["name"]: f for f in json.loads(describe(topics.ACTUATOR_STATE.type))["fields"]}
+    assert state["mode"]["one_of"] == [str(mode) for mode in Mode]
+    assert state["warnings"]["type"] == "list of str"
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.5, 0.75, 0.999])
+def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(
+    tmp_path: Path, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording_module, "_CHUNK_BYTES", 2000)
+    written = some_messages(n=400)
+    write(tmp_path / "whole", written)
+    data = (tmp_path / "whole").read_bytes()
+    (tmp_path / "cut").write_bytes(data[: int(share * len(data))])
+    recording = Recording(tmp_path / "cut")
+    found = list(recording.messages())
+    assert not recording.complete
+    assert len(found) <= len(written)
+    assert all(same(a, b) for (_, a, _), (_, b, _) in zip(found, written, strict=False))
+    assert len(found) > 0.5 * share * len(written) - 100
+
+
+def test_a_damaged_chunk_ends_the_reading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording_module, "_CHUNK_BYTES", 2000)
+    write(tmp_path / "r", some_messages(n=400))
+    with (tmp_path / "r").open("r+b") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        chunk = summary.chunk_indexes[len(summary.chunk_indexes) // 2]
+        file.seek(chunk.chunk_start_offset + chunk.chunk_length - 20)
+        file.write(bytes(8))
+    recording = Recording(tmp_path / "r")
+    assert 0 < sum(1 for _ in recording.frames()) < 800
+    assert not recording.complete
+
+
+def test_what_is_no_recording_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "text").write_text("hello, this is text")
+    for name in ("text", "missing", "."):
+        with pytest.raises(RecordingError, match=r"recording\.mcap"):
+            Recording(tmp_path / name)
+
+
+def test_frames_of_another_version_are_refused(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "r", ABOUT) as recorder:
+        recorder.write(topics.MODE, codec.encode(velocity(0, np.random.default_rng(0))), 0)
+    with pytest.raises(RecordingError, match="different versions"):
+        list(read(tmp_path / "r"))
+
+
+class FullDisk(Recorder):
+    """Its disk is full."""
+
+    def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        raise OSError(28, "No space left on device")
+
+
+def test_a_live_recording_keeps_all_that_fits_its_queue(tmp_path: Path) -> None:
+    written = some_messages()
+    live = LiveRecorder(Recorder(tmp_path / "r", ABOUT))
+    with live:
+        for topic, message, at_ns in written:
+            live.take(topic, codec.encode(message), at_ns)
+    assert live.dropped == 0
+    assert not live.problem
+    assert [at for _, _, at in read(tmp_path / "r")] == [at for _, _, at in written]
+
+
+def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording_module, "_QUEUE_FRAMES", 10)
+    live = LiveRecorder(Recorder(tmp_path / "r", ABOUT))
+    for topic, message, at_ns in some_messages(n=10):  # nobody writes yet
+        live.take(topic, codec.encode(message), at_ns)
+    assert live.dropped == 10
+    with live:
+        pass
+    assert sum(Recording(tmp_path / "r").counts().values()) == 10
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_walk(tmp_path: Path) -> None:
+    live = LiveRecorder(FullDisk(tmp_path / "r", ABOUT))
+    with live:
+        for topic, message, at_ns in some_messages():
+            live.take(topic, codec.encode(message), at_ns)
+    assert "No space left" in live.problem
+
+
+def test_everything_but_pictures_is_listened_to(tmp_path: Path) -> None:
+    heard: list[str] = []
+
+    class Link:
+        def subscribe(self, topic: AnyTopic, _receive: Any) -> None:
+            heard.append(topic.key)
+
+    with Recorder(tmp_path / "r", ABOUT) as recorder:
+        LiveRecorder(recorder).listen(Link(), lambda: 0)  # type: ignore[arg-type]
+    assert sorted(heard) == sorted(t.key for t in topics.TOPICS if not t.key.startswith("camera/"))

@@ -1,0 +1,161 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy import replay
+from deploy.progress import Silent
+from deploy.recording import Recorder
+from deploy.replay import HandHeld, Player, ReplayError
+from services.mapper.config import Settings
+from services.mapper.service import Mapper
+from services.perception import tum
+from shared import codec, topics
+from shared.camera import Intrinsics
+from shared.geometry import from_xyz_rpy
+from shared.messages import BodyPose, DepthImage, Scan, TerrainMap, Tick
+from shared.robot import load_profile
+from shared.service import AnyTopic, Inbox, Stages, Worker
+
+S = 1_000_000_000
+INTRINSICS = Intrinsics(8, 6, 7.0, 7.0, 3.5, 2.5)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Five pictures, 30 a second from second 100 on, of a camera that looks 40 degrees down and 5 aside."""
+    camera = tum.Camera(INTRINSICS, 1000.0, 30.0, np.array([0.0, 0.0, -1.0]))
+    with tum.RecordingWriter(tmp_path / "sequence", camera) as writer:
+        for i in range(5):
+            writer.add(100 * S + i * S // 30, np.full((6, 8), 1000 + i, np.uint16), tilted(i))
+    return tmp_path / "sequence"
+
+
+def tilted(i: int) -> np.ndarray:
+    mounted = load_profile("phantomx_mk2").camera.T_body_camera
+    return np.asarray(from_xyz_rpy((0.1 * i, 0.0, 1.0), np.radians((5.0, 10.0, 30.0))) @ mounted)
+
+
+def test_the_body_below_a_hand_held_camera_is_level(folder: Path) -> None:
+    sequence = tum.read_recording(folder)
+    assert sequence.truth is not None
+    T_body_camera = replay.profile_for(sequence).camera.T_body_camera
+    R = T_body_camera[:3, :3]
+    assert np.allclose(R @ R.T, np.eye(3))
+    assert np.isclose(np.linalg.det(R), 1.0)
+    down = tilted(0)[:3, :3].T @ [0.0, 0.0, -1.0]
+    assert np.allclose(R @ down, [0.0, 0.0, -1.0]), "gravity is straight down in the body"
+    assert R[0, 2] > 0, "the camera looks ahead"
+    assert abs(R[1, 2]) < 1e-9, "and to neither side"
+
+
+def test_a_camera_without_roll_is_the_mounted_one() -> None:
+    mounted = load_profile("phantomx_mk2").camera
+    down = mounted.T_body_camera[:3, :3].T @ [0.0, 0.0, -1.0]
+    held = HandHeld(mounted.intrinsics, mounted.sensor, mounted.mount_xyz, 0.0, down=tuple(down))
+    assert np.allclose(held.T_body_camera, mounted.T_body_camera)
+
+
+def test_a_camera_that_looks_straight_down_has_a_body_too() -> None:
+    mounted = load_profile("phantomx_mk2").camera
+    R = HandHeld(mounted.intrinsics, mounted.sensor, (0.0, 0.0, 0.0), 0.0, down=(0.0, 0.0, 1.0)).T_body_camera[:3, :3]
+    assert np.allclose(R @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0])
+    assert np.isclose(np.linalg.det(R), 1.0)
+
+
+def test_pictures_come_once_in_order_and_never_early(folder: Path) -> None:
+    player = Player(tum.read_recording(folder))
+    inbox = Inbox((), Stages())
+    played: list[DepthImage] = []
+    for beat in range(40):
+        made = list(player.step(Tick(beat * 5_000_000), inbox))
+        assert all(m.stamp_ns <= beat * 5_000_000 for m in made)  # type: ignore[attr-defined]
+        played += made  # type: ignore[arg-type]
+    assert player.finished
+    assert [m.depth[0, 0] for m in played] == [1000, 1001, 1002, 1003, 1004]
+    assert played[0].stamp_ns == 0
+
+
+def test_what_is_wrong_in_a_folder_is_said(folder: Path, tmp_path: Path) -> None:
+    (folder / "camera.toml").unlink()
+    with pytest.raises(ReplayError, match=r"camera\.toml is missing"):
+        replay.replay_folder(folder, tmp_path, Silent())
+
+
+def test_a_missing_picture_is_named(folder: Path) -> None:
+    sequence = tum.read_recording(folder)
+    (folder / sequence.files[0]).unlink()
+    with pytest.raises(ReplayError, match="is missing"):
+        list(Player(sequence).step(Tick(0), Inbox((), Stages())))
+
+
+def terrain(elevation: np.ndarray) -> TerrainMap:
+    layer = elevation.astype(np.float32)
+    return TerrainMap(0, 0.01, np.zeros(2), layer, layer, layer, np.zeros(layer.shape, dtype=np.bool_))
+
+
+def test_maps_that_agree_do_not_differ_and_a_shift_is_a_bias() -> None:
+    rng = np.random.default_rng(0)
+    heights = rng.normal(size=(20, 30))
+    heights[:5] = np.nan
+    same = replay.map_difference([(terrain(heights), terrain(heights))])
+    assert same == {"rmse": 0.0, "bias": 0.0, "p95": 0.0, "coverage": 1.0}
+    higher = replay.map_difference([(terrain(heights), terrain(heights + 0.01))])
+    assert higher["bias"] == higher["rmse"] == higher["p95"] == 0.01
+    half = heights.copy()
+    half[:, ::2] = np.nan
+    assert replay.map_difference([(terrain(heights), terrain(half))])["coverage"] == 0.5
+    assert replay.map_difference([])["rmse"] is None
+
+
+def scan(stamp_ns: int, rng: np.random.Generator) -> Scan:
+    points = np.column_stack([rng.integers(300, 900, (400, 2)), rng.integers(-5, 5, 400)]).astype(np.int16)
+    count, spread = np.full(400, 9, np.uint8), np.full(400, 2, np.uint8)
+    return Scan(stamp_ns, np.zeros(3), points, count, spread, np.array([0.1, 0.0, 0.2]), 1e-6, True)
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    """A run of thirty scans through the mapper, recorded as a run records it."""
+    path, rng, now_ns = tmp_path / "recording.mcap", np.random.default_rng(1), [0]
+    with Recorder(path, {"scenario": "made up", "robot": "phantomx_mk2"}) as recorder:
+        mapper = Worker(Mapper(load_profile("phantomx_mk2"), Settings()), recorder.write, lambda: now_ns[0])
+        for i in range(30):
+            now_ns[0] = i * S // 5
+            pose = BodyPose(now_ns[0], np.eye(4), np.eye(4), np.zeros((6, 6)), 1.0, True, "")
+            for message in (pose, scan(now_ns[0], rng)):
+                topic: AnyTopic = topics.OF_TYPE[type(message)]
+                frame = codec.encode(message)
+                recorder.write(topic, frame, now_ns[0])
+                mapper.inbox.receive(topic, frame, now_ns[0])
+            mapper.arrived()
+    return path
+
+
+def test_a_recorded_run_replays_into_the_same_maps(recorded: Path, tmp_path: Path) -> None:
+    table = replay.replay_recording(recorded, tmp_path, Silent())
+    assert table["complete"]
+    assert table["topics"]["perception/scan"] == 30
+    assert 2 <= table["maps"]["compared"] == table["maps"]["recorded"] < table["maps"]["made"]
+    assert table["map_error_m"]["rmse"] == 0.0
+    assert table["map_error_m"]["coverage"] == 1.0
+    assert "differ by 0.00 mm" in replay.in_words(table)
+
+
+def test_a_run_that_was_cut_off_replays_as_far_as_it_goes(recorded: Path, tmp_path: Path) -> None:
+    data = recorded.read_bytes()
+    recorded.write_bytes(data[: len(data) - 40])
+    table = replay.replay_recording(recorded, tmp_path, Silent())
+    assert not table["complete"]
+    assert table["topics"]["perception/scan"] == 30
+    recorded.write_bytes(data[:100])
+    with pytest.raises(ReplayError, match="no messages"):
+        replay.replay_recording(recorded, tmp_path, Silent())
+
+
+def test_a_profile_for_a_sequence_keeps_the_robot(folder: Path) -> None:
+    default = load_profile("phantomx_mk2")
+    found = replay.profile_for(tum.read_recording(folder))
+    assert found.camera.intrinsics == INTRINSICS
+    assert replace(found, camera=default.camera) == default

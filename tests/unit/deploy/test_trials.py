@@ -1,0 +1,157 @@
+import importlib
+import json
+import os
+import textwrap
+from dataclasses import replace
+
+import pytest
+
+from deploy import report as reports
+from deploy import trials
+from deploy.report import HeightError, PoseError, Report, Spread
+from shared.scenario import Goal, Plane, Scenario
+
+SCENARIO = Scenario("made up", (Plane(),), Goal(2.5))
+
+
+def _report(scenario, seed):
+    """Odd seeds fall, seed 6 loses a servo, the rest arrive; a blind robot only at multiples of ten."""
+    good = seed % 10 == 0 if scenario.walk.blind else seed % 2 == 0 and seed != 6
+    fall = not good and seed != 6
+    reason = "goal reached" if good else f"fell {seed / 10:.2f} m along" if fall else "servo shut down: left rear femur"
+    return Report(
+        scenario.name,
+        seed,
+        scenario.robot,
+        "tripod",
+        scenario.walk.blind,
+        good,
+        reason,
+        2.5,
+        25.0,
+        0.1 + 0.001 * seed,
+        int(fall),
+        int(seed == 6),
+        40,
+        tilt_deg=Spread(float(seed), 10.0),
+        raised_block_touchdowns=12 + seed,
+        body_height_error_m=HeightError(0.001 * seed, 0.01),
+        pose_error_m=PoseError(0.01, float("nan") if seed == 1 else 0.02),
+    )
+
+
+class Runner:
+    def __init__(self, until=100):
+        self.seeds = []
+        self.until = until
+
+    def __call__(self, scenario, seed):
+        if len(self.seeds) == self.until:
+            raise KeyboardInterrupt
+        self.seeds.append(seed)
+        return _report(scenario, seed)
+
+
+def test_a_batch_is_counted(tmp_path):
+    said = []
+    result = trials.run_trials(SCENARIO, range(10), 1, tmp_path, say=said.append, run=Runner())
+    assert (result.success.successes, result.success.n) == (4, 10)
+    assert (result.falls, result.runs_with_shutdown) == (5, 1)
+    assert result.failed_seeds == (1, 3, 5, 6, 7, 9)
+    assert result.failures == {"fell # m along": 5, "servo shut down: left rear femur": 1}
+    assert result.mean_speed_mps == pytest.approx(0.1 + 0.001 * (0 + 2 + 4 + 8) / 4)
+    assert result.raised_block_touchdowns == pytest.approx(16.5)
+    assert result.median_tilt_p95_deg == pytest.approx(4.5)
+    assert result.median_height_error_m == pytest.approx(0.0045)
+    assert result.median_final_pose_error_m == pytest.approx(0.02)
+    assert len(said) == 10
+    assert "seed   3  FAIL" in said[3]
+    assert "(4 of 10)" in said[-1]
+
+
+def test_a_batch_that_was_stopped_goes_on_where_it_was(tmp_path):
+    first = Runner(until=4)
+    with pytest.raises(KeyboardInterrupt):
+        trials.run_trials(SCENARIO, range(10), 1, tmp_path, run=first)
+    with (tmp_path / "trials.jsonl").open("a") as lines:
+        lines.write('{"fingerprint": "cut o')
+    second = Runner()
+    result = trials.run_trials(SCENARIO, range(10), 1, tmp_path, run=second)
+    assert first.seeds + second.seeds == list(range(10))
+    assert result == trials.run_trials(SCENARIO, range(10), 1, tmp_path / "anew", run=Runner())
+    # The seeds that are asked for count, not all that are on file.
+    assert trials.run_trials(SCENARIO, [2, 4], 1, tmp_path, run=Runner(until=0)).success.n == 2
+
+
+def test_a_changed_scenario_is_run_anew(tmp_path):
+    trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=Runner())
+    faster, moved = replace(SCENARIO, time_limit_s=1.0), replace(SCENARIO, folder="/elsewhere")
+    runner = Runner()
+    trials.run_trials(faster, range(3), 1, tmp_path, run=runner)
+    assert runner.seeds == [0, 1, 2]
+    trials.run_trials(moved, range(3), 1, tmp_path, run=Runner(until=0))
+
+
+def test_the_blind_baseline_is_kept_apart_and_compared(tmp_path):
+    seeing = trials.run_trials(SCENARIO, range(0, 80, 2), 1, tmp_path, run=Runner())
+    blind = trials.run_trials(SCENARIO, range(0, 80, 2), 1, tmp_path, blind=True, run=Runner())
+    assert blind.blind
+    assert not seeing.blind
+    compared = trials.compare(seeing, blind)
+    assert compared.difference == pytest.approx(39 / 40 - 8 / 40)
+    assert compared.disjoint
+    table = json.loads(trials.to_json(seeing, blind))
+    assert table["baseline"]["success"]["successes"] == 8
+    assert table["compared"]["disjoint"] is True
+    text = trials.words(seeing, blind)
+    assert "made up: 39 of 40" in text
+    assert "made up, blind: 8 of 40" in text
+    assert "disjoint" in text
+
+
+def test_json_of_a_batch_without_a_success_is_strict(tmp_path):
+    result = trials.run_trials(SCENARIO, [1], 1, tmp_path, run=Runner())
+    table = json.loads(trials.to_json(result), parse_constant=lambda name: pytest.fail(name))
+    assert table["mean_speed_mps"] is None
+    assert table["median_final_pose_error_m"] is None
+    assert table["failed_seeds"] == [1]
+
+
+def test_what_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="0 seeds"):
+        trials.run_trials(SCENARIO, [], 1, tmp_path)
+    with pytest.raises(ValueError, match="0 jobs"):
+        trials.run_trials(SCENARIO, [1], 0, tmp_path)
+    (tmp_path / "trials.jsonl").write_text('{"seed": 3}\n')
+    with pytest.raises(ValueError, match=r"line 1.*remove the line"):
+        trials.run_trials(SCENARIO, [1], 1, tmp_path)
+
+
+def test_every_line_on_file_holds_a_whole_report(tmp_path):
+    trials.run_trials(SCENARIO, range(5), 1, tmp_path, run=Runner())
+    for line in (tmp_path / "trials.jsonl").read_text().splitlines():
+        assert reports.check(json.loads(line)["report"]) == []
+
+
+def test_processes_run_one_thread_each(tmp_path, monkeypatch):
+    module = tmp_path / "one_run_in_a_process.py"
+    module.write_text(
+        textwrap.dedent(
+            """
+            import os
+            from deploy.report import Report
+
+            def run(scenario, seed):
+                threads = int(os.environ["OMP_NUM_THREADS"])
+                return Report(scenario.name, seed, "r", "tripod", False, True, str(os.getpid()), 0.0, 1.0, 0.1, 0, 0, threads)
+            """
+        )
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    run = importlib.import_module(module.stem).run
+    result = trials.run_trials(SCENARIO, range(4), 2, tmp_path / "out", run=run)
+    assert result.success.successes == 4
+    done = [json.loads(line)["report"] for line in (tmp_path / "out" / "trials.jsonl").read_text().splitlines()]
+    assert sorted(t["seed"] for t in done) == [0, 1, 2, 3]
+    assert {t["steps"] for t in done} == {1}
+    assert str(os.getpid()) not in {t["reason"] for t in done}

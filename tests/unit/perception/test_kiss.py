@@ -1,0 +1,68 @@
+"""KISS-ICP behind the same interface."""
+
+import numpy as np
+import pytest
+
+from services.perception.kiss import KissRegistration
+from services.perception.registration import error_twist
+from shared.camera import DepthSensor, Intrinsics
+
+WIDE_CAMERA = Intrinsics(320, 240, 160.0, 160.0, 159.5, 119.5)  # 90 degrees across
+WIDE_SENSOR = DepthSensor(min_range=0.2, max_range=3.0, baseline=0.25)
+SPREAD = np.diag([0.01] * 3 + [0.01] * 3) ** 2
+
+
+@pytest.fixture
+def pillars():
+    rng = np.random.default_rng(1)
+    corners = rng.uniform([0.3, -1.0], [2.5, 1.0], (14, 2))
+    return np.column_stack([corners, np.zeros(14), corners + 0.15, rng.uniform(0.05, 0.3, 14)])
+
+
+def walk(world, boxes, frames=6):
+    rng = np.random.default_rng(2)
+    registration = KissRegistration(WIDE_CAMERA, WIDE_SENSOR)
+    truth = world.walk(frames, 0.01)
+    results = []
+    for i, T in enumerate(truth):
+        prior = T if i == 0 else results[-1].T_world_camera.copy()
+        prior[0, 3] += 0.0 if i == 0 else 0.0105  # 5 % too far
+        depth = world.depth_image(T, boxes, rng, WIDE_CAMERA, WIDE_SENSOR)
+        results.append(registration.update(depth, i, prior, SPREAD))
+    return truth, results
+
+
+def test_follows_a_walk_among_pillars(world, pillars):
+    truth, results = walk(world, pillars)
+    assert all(r.ok for r in results)
+    error = error_twist(results[-1].T_world_camera, truth[-1])
+    assert np.abs(error[:3]).max() < 0.005
+    assert np.degrees(np.abs(error[3:])).max() < 0.5
+
+
+def test_same_input_same_bytes(world, pillars):
+    first, second = (b"".join(r.T_world_camera.tobytes() for r in walk(world, pillars, 3)[1]) for _ in range(2))
+    assert first == second
+
+
+def test_on_a_flat_floor_the_prior_stands(world):
+    registration = KissRegistration(WIDE_CAMERA, WIDE_SENSOR)
+    rng = np.random.default_rng(3)
+    T = world.camera_pose(0.0)
+    registration.update(world.depth_image(T, (), rng, WIDE_CAMERA, WIDE_SENSOR), 0, T, SPREAD)
+    T_next, prior = world.camera_pose(0.02), world.camera_pose(0.03, 0.01, yaw=0.01, z=0.26)
+    result = registration.update(world.depth_image(T_next, (), rng, WIDE_CAMERA, WIDE_SENSOR), 1, prior, SPREAD)
+    assert result.ok
+    assert np.abs(error_twist(result.T_world_camera, prior)[[0, 1, 5]]).max() < 0.002
+    assert abs(result.T_world_camera[2, 3] - 0.25) < 0.003
+
+
+def test_failures_and_mistakes_are_named(world):
+    registration = KissRegistration(world.intrinsics, world.sensor)
+    dark = registration.update(np.zeros((480, 640), np.uint16), 0, np.eye(4), SPREAD)
+    assert not dark.ok
+    assert "measured" in dark.reason
+    with pytest.raises(ValueError, match="positive voxel size"):
+        KissRegistration(world.intrinsics, world.sensor, voxel_size=0.0)
+    with pytest.raises(ValueError, match="uint16"):
+        registration.update(np.zeros((480, 640)), 0, np.eye(4), SPREAD)

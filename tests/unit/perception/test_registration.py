@@ -1,0 +1,282 @@
+"""Registration on a synthetic floor with boxes: what the scene constrains is found, the rest stays as expected."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.perception.registration import Acceptance, Registration, error_twist, jump, moved
+from services.perception.trajectory import trajectory_error
+from services.perception.tum import read_recording
+from shared.camera import DepthSensor, Intrinsics
+from shared.geometry import exp_so3, from_xyz_rpy, inverse, orthonormal, transform
+
+TIGHT = 1e-6 * np.eye(6)
+WIDE = np.diag([0.02] * 3 + [0.02] * 3) ** 2
+STEP = 0.02  # [m] between frames of the synthetic walk
+
+
+def odometry_increment(T_before, T_after, scale=1.05, turn=1.0e-3):
+    """A walked motion as legs would measure it: 5 % too long, and turning about the vertical [rad per frame]."""
+    motion = inverse(T_before) @ T_after
+    motion[:3, 3] *= scale
+    return motion @ transform(exp_so3(T_after[:3, :3].T @ [0.0, 0.0, turn]), np.zeros(3))
+
+
+def odometry_covariance(motion):
+    moved_by = np.linalg.norm(motion[:3, 3])
+    return np.diag([(0.1 * moved_by + 2e-4) ** 2] * 3 + [(0.5 * moved_by + 1e-4) ** 2] * 3)
+
+
+def walked(world, scene, registration, frames=101, seed=1):
+    """True, odometry's and registered last pose, and all results, of a walk whose odometry is wrong."""
+    truth = world.walk(frames, STEP)
+    rng = np.random.default_rng(seed)
+    T_odometry, T, covariance, results = truth[0], truth[0], TIGHT, []
+    for i in range(frames):
+        if i:
+            motion = odometry_increment(truth[i - 1], truth[i])
+            T_odometry, T = T_odometry @ motion, T @ motion
+            covariance = covariance + odometry_covariance(motion)
+        depth = world.depth_image(truth[i], world.scenes[scene], rng)
+        results.append(registration.update(depth, i, orthonormal(T), covariance))
+        T, covariance = results[-1].T_world_camera, results[-1].covariance
+    return truth[-1], T_odometry, T, results
+
+
+def planar_error(T, T_truth):
+    """Error in x, y [m] and heading [rad], and in height [m], roll and pitch [rad], of a camera pose."""
+    twist = error_twist(T, T_truth)
+    return twist[[0, 1, 5]], twist[[2, 3, 4]]
+
+
+def test_error_twist_inverts_moved():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        T = from_xyz_rpy(rng.normal(size=3), rng.normal(size=3))
+        twist = rng.normal(scale=0.4, size=6)
+        np.testing.assert_allclose(error_twist(moved(T, twist), T), twist, atol=1e-12)
+
+
+def test_first_frame_is_where_its_prior_says(world):
+    T = world.camera_pose(0.3)
+    result = Registration(world.intrinsics, world.sensor).update(world.depth_image(T), 7, T, WIDE)
+    assert result.ok
+    assert result.stamp_ns == 7
+    np.testing.assert_array_equal(result.T_world_camera, T)
+
+
+def test_a_flat_floor_gives_height_roll_pitch_and_leaves_the_rest_to_the_prior(world):
+    truth, T_odometry, T, results = walked(world, "flat", Registration(world.intrinsics, world.sensor))
+    assert all(r.ok for r in results)
+    odometry_planar, _ = planar_error(T_odometry, truth)
+    planar, vertical = planar_error(T, truth)
+    assert np.abs(odometry_planar).min() > 0.05
+    assert np.abs(planar - odometry_planar).max() < 0.1 * np.abs(odometry_planar).min()
+    assert abs(vertical[0]) < 0.002
+    assert np.degrees(np.abs(vertical[1:])).max() < 0.2
+    # Three directions are open, and they hold no height, and no turn about a horizontal axis.
+    open_directions = results[-1].degenerate
+    assert len(open_directions) == 3
+    floor_constrains = np.abs(open_directions[:, [2]])
+    assert floor_constrains.max() < 0.02
+
+
+@pytest.mark.parametrize(("scene", "allowed_m", "allowed_deg"), [("steps", 0.010, 1.0), ("boxes", 0.030, 3.0)])
+def test_boxes_correct_wrong_odometry(world, scene, allowed_m, allowed_deg):
+    truth, T_odometry, T, results = walked(world, scene, Registration(world.intrinsics, world.sensor))
+    assert all(r.ok for r in results)
+    odometry_planar, _ = planar_error(T_odometry, truth)
+    planar, vertical = planar_error(T, truth)
+    assert np.linalg.norm(odometry_planar[:2]) > 0.1
+    assert np.linalg.norm(planar[:2]) < allowed_m
+    assert np.degrees(abs(planar[2])) < allowed_deg
+    assert abs(vertical[0]) < 0.002
+    assert np.degrees(np.abs(vertical[1:])).max() < 0.2
+
+
+def test_same_input_same_bytes(world):
+    def run():
+        _, _, _, results = walked(world, "boxes", Registration(world.intrinsics, world.sensor), frames=12)
+        return b"".join(r.T_world_camera.tobytes() + r.covariance.tobytes() for r in results)
+
+    assert run() == run()
+
+
+def test_standing_still_does_not_drift(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(2)
+    T = world.camera_pose(0.2)
+    result = registration.update(world.depth_image(T, world.scenes["steps"], rng), 0, T, TIGHT)
+    for i in range(1, 25):
+        depth = world.depth_image(T, world.scenes["steps"], rng)
+        result = registration.update(depth, i, result.T_world_camera, result.covariance + 1e-8 * np.eye(6))
+    assert len(registration.keyframe_poses) == 1
+    assert np.abs(error_twist(result.T_world_camera, T)).max() < 1e-3
+
+
+@pytest.mark.parametrize("offset", [[0.01, -0.01, 0.005, 0.01, -0.005, 0.01], [-0.015, 0.01, -0.01, 0.0, 0.01, -0.015]])
+def test_a_wrong_prior_is_corrected_as_far_as_the_scene_shows(world, offset):
+    registration = Registration(world.intrinsics, world.sensor)
+    boxes = world.scenes["pillars"]
+    T = world.camera_pose(0.6)
+    registration.update(world.depth_image(T, boxes, np.random.default_rng(3)), 0, T, TIGHT)
+    T_next = world.camera_pose(0.63, 0.004, yaw=0.01)
+    depth = world.depth_image(T_next, boxes, np.random.default_rng(4))
+    result = registration.update(depth, 1, moved(T_next, np.array(offset)), WIDE)
+    assert result.ok
+    assert len(result.degenerate) == 0
+    error = error_twist(result.T_world_camera, T_next)
+    assert np.abs(error[:3]).max() < 0.003
+    assert np.degrees(np.abs(error[3:])).max() < 0.25
+
+
+@pytest.mark.parametrize("scene", ["flat", "boxes", "steps"])
+def test_covariance_is_never_wider_than_the_prior(world, scene):
+    registration = Registration(world.intrinsics, world.sensor)
+    T = world.camera_pose(0.3)
+    rng = np.random.default_rng(5)
+    registration.update(world.depth_image(T, world.scenes[scene], rng), 0, T, TIGHT)
+    covariance = registration.update(world.depth_image(T, world.scenes[scene], rng), 1, T, WIDE).covariance
+    np.testing.assert_array_equal(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    assert np.linalg.eigvalsh(WIDE - covariance).min() > -1e-9
+    assert covariance[2, 2] < 1e-6  # height is known on any floor
+
+
+def test_failure_gives_the_prior_and_the_reason(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    T = world.camera_pose(0.3)
+    registration.update(world.depth_image(T, world.scenes["steps"]), 0, T, TIGHT)
+    prior = moved(T, np.array([0.001, 0, 0, 0, 0, 0]))
+
+    dark = registration.update(np.zeros((480, 640), np.uint16), 1, prior, WIDE)
+    away = registration.update(world.depth_image(world.camera_pose(2.8)), 2, world.camera_pose(2.8), TIGHT)
+    lifted = world.camera_pose(0.3, z=0.31)
+    jumped = registration.update(world.depth_image(lifted, world.scenes["steps"]), 3, prior, TIGHT)
+
+    assert [r.ok for r in (dark, away, jumped)] == [False, False, False]
+    assert "measured" in dark.reason
+    assert "overlap" in away.reason
+    assert jumped.reason
+    np.testing.assert_array_equal(dark.T_world_camera, prior)
+    np.testing.assert_array_equal(dark.covariance, WIDE)
+    # And it goes on as soon as it can.
+    assert registration.update(world.depth_image(T, world.scenes["steps"]), 4, prior, WIDE).ok
+
+
+def test_a_jump_is_measured_against_the_prior():
+    T = from_xyz_rpy([1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
+    acceptance = Acceptance(jump_distance=0.02, jump_angle=0.02)
+    covariance = np.diag([0.01, 0.002, 0.002, 0.01, 0.01, 0.01]) ** 2
+    assert jump(moved(T, np.array([0.059, 0, 0, 0, 0, 0.059])), T, covariance, acceptance) == ""
+    assert "jump of 0.061 m in x" in jump(moved(T, np.array([0.061, 0, 0, 0, 0, 0])), T, covariance, acceptance)
+    assert "deg in yaw" in jump(moved(T, np.array([0, 0, 0, 0, 0, 0.07])), T, covariance, acceptance)
+
+
+def test_a_lost_map_starts_anew_after_many_failures(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    T = world.camera_pose(0.0)
+    registration.update(world.depth_image(T), 0, T, TIGHT)
+    far = world.camera_pose(3.0)
+    results = [registration.update(world.depth_image(far), i, far, WIDE) for i in range(1, 20)]
+    assert not results[0].ok
+    restarted = next(i for i, r in enumerate(results) if "anew" in r.reason)
+    assert all(r.ok for r in results[restarted + 1 :])
+
+
+@pytest.mark.parametrize("fill", [0, 1, 499, 65535])
+def test_images_without_a_surface_in_range_are_refused_in_words(world, fill):
+    registration = Registration(world.intrinsics, world.sensor)
+    result = registration.update(np.full((480, 640), fill, np.uint16), 0, np.eye(4), WIDE)
+    assert not result.ok
+    assert result.reason
+
+
+def test_noise_images_never_crash(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(8)
+    for i in range(5):
+        result = registration.update(rng.integers(0, 65536, (480, 640), dtype=np.uint16), i, np.eye(4), WIDE)
+        assert np.isfinite(result.T_world_camera).all()
+
+
+def test_dropped_pixels_do_not_hurt(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(9)
+    T = world.camera_pose(0.4)
+    for i in range(2):
+        depth = world.depth_image(T, world.scenes["steps"], rng)
+        depth[rng.random(depth.shape) < 0.2] = 0
+        result = registration.update(depth, i, T, WIDE)
+    assert result.ok
+    assert np.abs(error_twist(result.T_world_camera, T)).max() < 0.003
+
+
+@pytest.mark.parametrize(("width", "height"), [(160, 120), (320, 240), (424, 240), (1282, 722)])
+def test_any_image_size_is_registered(world, width, height):
+    f = width / 1.2
+    intrinsics = Intrinsics(width, height, f, f, (width - 1) / 2, (height - 1) / 2)
+    sensor = DepthSensor(baseline=0.075 * 525.0 / f)
+    registration = Registration(intrinsics, sensor)
+    rng = np.random.default_rng(6)
+    T, T_next = world.camera_pose(0.3), world.camera_pose(0.31, 0.002, yaw=0.005)
+    boxes = world.scenes["pillars"]
+    registration.update(world.depth_image(T, boxes, rng, intrinsics, sensor), 0, T, TIGHT)
+    result = registration.update(world.depth_image(T_next, boxes, rng, intrinsics, sensor), 1, T, WIDE)
+    assert result.ok
+    error = error_twist(result.T_world_camera, T_next)
+    assert np.abs(error[:3]).max() < 0.004
+    assert np.degrees(np.abs(error[3:])).max() < 0.3
+
+
+def test_mistakes_are_named(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    depth = np.zeros((480, 640), np.uint16)
+    with pytest.raises(ValueError, match=r"uint16 depth image \(480, 640\)"):
+        registration.update(depth[:100], 0, np.eye(4), WIDE)
+    with pytest.raises(ValueError, match="positive definite"):
+        registration.update(depth, 0, np.eye(4), np.zeros((6, 6)))
+    with pytest.raises(ValueError, match="finite"):
+        registration.update(depth, 0, np.full((4, 4), np.nan), WIDE)
+    with pytest.raises(ValueError, match="active"):
+        Registration(world.intrinsics, world.sensor, active_keyframes=0)
+    with pytest.raises(ValueError, match="8x8"):
+        Registration(Intrinsics(4, 4, 5.0, 5.0, 2.0, 2.0), world.sensor)
+
+
+def recording_folder(name):
+    """A real recording, or a skip that names it."""
+    root = Path(os.environ.get("SEXTANT_DATA", Path(__file__).resolve().parents[3].parent / "shared" / "data"))
+    if not (root / name / "depth.txt").is_file():
+        pytest.skip(f"recording {name} not found under {root}; set SEXTANT_DATA to the folder that holds it")
+    return root / name
+
+
+@pytest.mark.data
+def test_kinect_kitchen_stays_within_40_mm():
+    recording = read_recording(recording_folder("kinect_kitchen"))
+    registration = Registration(recording.camera.intrinsics, DepthSensor(depth_scale=recording.camera.depth_scale))
+    poses = [np.eye(4)]
+    failures = 0
+    for i, (stamp_ns, depth) in enumerate(recording.frames()):
+        expected = poses[-1] @ inverse(poses[-2]) @ poses[-1] if i > 1 else poses[-1]
+        result = registration.update(depth, stamp_ns, orthonormal(expected), WIDE)
+        failures += not result.ok
+        poses.append(result.T_world_camera)
+    truth = np.stack([recording.truth.at(int(stamp)) for stamp in recording.stamps_ns])
+    error = trajectory_error(np.stack(poses[1:]), truth)
+    assert len(recording) == 300
+    assert failures == 0
+    assert error.rms < 0.040
+
+
+@pytest.mark.data
+def test_primesense_stairs_reports_the_pair_that_cannot_be_registered():
+    recording = read_recording(recording_folder("primesense_stairs"))
+    registration = Registration(recording.camera.intrinsics, DepthSensor())
+    assert registration.update(recording.depth(2), 2, np.eye(4), TIGHT).ok
+    result = registration.update(recording.depth(3), 3, np.eye(4), 100 * WIDE)
+    assert not result.ok
+    assert "overlap" in result.reason

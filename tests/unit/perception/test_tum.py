@@ -1,0 +1,169 @@
+"""Recordings survive the round trip, and a broken one says where it is broken."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.perception.tum import (
+    Camera,
+    RecordingWriter,
+    Trajectory,
+    is_recording,
+    read_recording,
+    read_trajectory,
+    write_trajectory,
+)
+from shared.camera import Intrinsics
+from shared.geometry import from_xyz_rpy
+
+CAMERA = Camera(Intrinsics(32, 24, 30.0, 31.0, 15.5, 11.5), 1000.0, 15.0, np.array([0.0, 0.0, -1.0]))
+
+
+def random_poses(n, seed=0):
+    rng = np.random.default_rng(seed)
+    return from_xyz_rpy(rng.normal(size=(n, 3)), rng.normal(size=(n, 3)))
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    rng = np.random.default_rng(1)
+    images = rng.integers(0, 65536, (4, 24, 32), dtype=np.uint16)
+    poses = random_poses(4)
+    stamps = [1_700_000_000_123_456_000 + 66_667_000 * i for i in range(4)]
+    with RecordingWriter(tmp_path / "run", CAMERA) as writer:
+        for stamp, image, T in zip(stamps, images, poses, strict=True):
+            writer.add(stamp, image, T)
+    return tmp_path / "run", stamps, images, poses
+
+
+def test_round_trip(recorded):
+    folder, stamps, images, poses = recorded
+    assert is_recording(folder)
+    recording = read_recording(folder)
+    assert recording.camera.intrinsics == CAMERA.intrinsics
+    assert (recording.camera.depth_scale, recording.camera.rate_hz) == (1000.0, 15.0)
+    np.testing.assert_array_equal(recording.camera.gravity_world, CAMERA.gravity_world)
+    assert recording.stamps_ns.tolist() == stamps
+    for (stamp, image), expected_stamp, expected, T in zip(recording.frames(), stamps, images, poses, strict=True):
+        assert stamp == expected_stamp
+        np.testing.assert_array_equal(image, expected)
+        np.testing.assert_allclose(recording.truth.at(stamp), T, atol=1e-7)
+
+
+def test_a_recording_may_lack_its_truth(tmp_path):
+    with RecordingWriter(tmp_path, CAMERA) as writer:
+        writer.add(0, np.zeros((24, 32), np.uint16))
+    recording = read_recording(tmp_path)
+    assert len(recording) == 1
+    assert recording.truth is None
+
+
+@settings(max_examples=60, deadline=None)
+@given(name=st.sampled_from(["depth.txt", "groundtruth.txt", "camera.toml"]), garbage=st.binary(max_size=80))
+def test_garbage_is_refused_with_the_name_of_its_file(tmp_path_factory, name, garbage):
+    folder = tmp_path_factory.mktemp("garbage")
+    with RecordingWriter(folder, CAMERA) as writer:
+        writer.add(0, np.zeros((24, 32), np.uint16), np.eye(4))
+    (folder / name).write_bytes(garbage)
+    with pytest.raises(ValueError, match=name):
+        read_recording(folder)
+
+
+def test_truth_is_interpolated_and_never_invented():
+    poses = random_poses(3, 2)
+    truth = Trajectory(np.array([0, 50_000_000, 900_000_000]), poses)
+    np.testing.assert_allclose(truth.at(25_000_000)[:3, 3], poses[:2, :3, 3].mean(axis=0))
+    assert truth.at(-1) is None
+    assert truth.at(900_000_001) is None
+    assert truth.at(500_000_000) is None  # in a gap
+
+
+def test_trajectories_survive_the_round_trip(tmp_path):
+    trajectory = Trajectory(np.array([0, 1_000, 33_333_000]), random_poses(3, 3))
+    write_trajectory(tmp_path / "t.txt", trajectory)
+    again = read_trajectory(tmp_path / "t.txt")
+    assert again.stamps_ns.tolist() == trajectory.stamps_ns.tolist()
+    np.testing.assert_allclose(again.T_world_camera, trajectory.T_world_camera, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", ["depth.txt", "camera.toml"])
+def test_a_missing_file_is_named(recorded, name):
+    (recorded[0] / name).unlink()
+    assert not is_recording(recorded[0])
+    with pytest.raises(FileNotFoundError, match=name):
+        read_recording(recorded[0])
+
+
+def test_a_missing_folder_and_image_are_named(recorded, tmp_path):
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        read_recording(tmp_path / "nowhere")
+    recording = read_recording(recorded[0])
+    (recorded[0] / recording.files[2]).unlink()
+    with pytest.raises(FileNotFoundError, match=r"depth\.txt of the recording names it"):
+        recording.depth(2)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("depth.txt", "# nothing\n", "at least one"),
+        ("depth.txt", "0.0 a.png b.png\n", r"depth\.txt:1: 2 fields expected, found 3"),
+        ("depth.txt", "0.0 a.png\nsoon b.png\n", r"depth\.txt:2: a number expected, found 'soon'"),
+        ("depth.txt", "1.0 a.png\n0.5 b.png\n", r"depth\.txt:2: times that ascend"),
+        ("depth.txt", "-1.0 a.png\n", r"depth\.txt:1: a time in seconds"),
+        ("groundtruth.txt", "0.0 0 0 0 0 0 0\n", r"groundtruth\.txt:1: 8 fields expected"),
+        ("groundtruth.txt", "0.0 0 0 0 0 0 0 0\n", "unit quaternion"),
+        ("groundtruth.txt", "0.0 nan 0 0 0 0 0 1\n", "finite"),
+        ("camera.toml", "width = ", r"camera\.toml: TOML expected"),
+        ("camera.toml", "width = 640\n", "a number for height expected, found None"),
+        ("camera.toml", "width = 6.5\nheight = 4\n", "whole width"),
+    ],
+)
+def test_a_malformed_line_is_named(recorded, name, text, message):
+    (recorded[0] / name).write_text(text)
+    with pytest.raises(ValueError, match=message):
+        read_recording(recorded[0])
+
+
+def test_gravity_is_a_unit_vector(recorded):
+    path = recorded[0] / "camera.toml"
+    path.write_text(path.read_text().replace("[0.0, 0.0, -1.0]", "[0.0, 0.0, -9.81]"))
+    with pytest.raises(ValueError, match="unit vector"):
+        read_recording(recorded[0])
+
+
+def test_an_image_of_another_kind_is_refused(recorded):
+    recording = read_recording(recorded[0])
+    (recorded[0] / recording.files[0]).write_bytes(b"no picture")
+    with pytest.raises(ValueError, match="no readable image"):
+        recording.depth(0)
+
+
+def test_the_writer_refuses_what_it_could_not_read_back(recorded, tmp_path):
+    with pytest.raises(FileExistsError, match="another folder"):
+        RecordingWriter(recorded[0], CAMERA)
+    with RecordingWriter(tmp_path / "other", CAMERA) as writer:
+        image = np.zeros((24, 32), np.uint16)
+        writer.add(1000, image, np.eye(4))
+        with pytest.raises(ValueError, match="1 us after"):
+            writer.add(1999, image, np.eye(4))
+        with pytest.raises(ValueError, match="uint16 depth image"):
+            writer.add(5000, image.astype(np.float32), np.eye(4))
+    assert len(read_recording(tmp_path / "other")) == 1
+
+
+@pytest.mark.data
+def test_the_kitchen_recording_is_read():
+    root = Path(os.environ.get("SEXTANT_DATA", Path(__file__).resolve().parents[3].parent / "shared" / "data"))
+    folder = root / "kinect_kitchen"
+    if not is_recording(folder):
+        pytest.skip(f"recording kinect_kitchen not found under {root}; set SEXTANT_DATA to the folder that holds it")
+    recording = read_recording(folder)
+    assert len(recording) == 300
+    assert recording.depth(0).any()
+    assert all(recording.truth.at(int(stamp)) is not None for stamp in recording.stamps_ns)
+    assert recording.camera.gravity_world is not None

@@ -1,0 +1,116 @@
+"""Scenarios: those that come along are sound, and anybody's own is read or refused in words."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from shared import config
+from shared.robot import load_profile
+from shared.scenario import Box, Fault, Goal, Plane, Rubble, Scenario, Stairs, load_scenario, scenario_names
+
+MINIMAL = {"name": "mine", "terrain": [{"kind": "plane"}], "goal": {"distance": 1.0}}
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_those_that_come_along_can_be_walked(name: str) -> None:
+    scenario = load_scenario(name)
+    assert scenario.name == name
+    profile = load_profile(scenario.robot)
+    low, high = profile.stance.body_height_range
+    assert low <= scenario.walk.body_height <= high
+    assert scenario.walk.speed <= profile.stance.max_speed
+    assert scenario.goal.distance / scenario.walk.speed < scenario.time_limit_s
+    assert Path(scenario.folder).is_absolute()
+
+
+def test_flat_and_steps_are_there() -> None:
+    assert {"flat", "steps"} <= set(scenario_names())
+
+
+def test_every_course_begins_with_flat_ground() -> None:
+    """The camera sees nothing nearer than half a metre, so nothing may stand in the first 0.8 m."""
+    for name in scenario_names():
+        for piece in load_scenario(name).terrain:
+            if isinstance(piece, Rubble):
+                assert piece.x[0] >= 0.8
+            if isinstance(piece, Box | Stairs):
+                assert piece.xy[0] >= 0.8
+
+
+def test_steps_is_the_course_that_the_milestone_asks_for() -> None:
+    terrain = load_scenario("steps").terrain
+    assert sum(piece.count for piece in terrain if isinstance(piece, Rubble)) >= 12
+    (stairs,) = (piece for piece in terrain if isinstance(piece, Stairs))
+    assert stairs.count >= 2
+    assert stairs.riser == pytest.approx(0.03)
+    assert all(0.01 <= top <= 0.04 for piece in terrain if isinstance(piece, Rubble) for top in piece.top)
+
+
+def test_little_is_needed() -> None:
+    scenario = config.build(MINIMAL, Scenario)
+    assert scenario.terrain == (Plane(),)
+    assert scenario.goal == Goal(1.0)
+    assert not scenario.walk.blind
+    assert scenario.faults == ()
+
+
+def test_files_are_looked_for_beside_the_scenario(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'name = "mine"\n[goal]\ndistance = 1\n'
+        '[[terrain]]\nkind = "height_map"\nfile = "a.npy"\nresolution = 0.01\nxy = [0, 0]\n'
+    )
+    scenario = load_scenario(str(path))
+    assert scenario.folder == str(tmp_path.resolve())
+
+
+def test_an_unknown_name_lists_the_known() -> None:
+    with pytest.raises(config.ConfigError, match=r"no scenario 'stpes'; known: .*flat.*steps"):
+        load_scenario("stpes")
+    with pytest.raises(config.ConfigError, match="no such file"):
+        load_scenario("/nowhere/mine.toml")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"terrain": []}, "at least one terrain primitive expected"),
+        ({"terrain": [{"kind": "plain"}]}, r"terrain\[0\].kind: found 'plain'; did you mean 'plane'\?"),
+        ({"terrain": [{"kind": ["plane"]}]}, r"terrain\[0\].kind: found \['plane'\]"),
+        ({"terrain": [{"kind": "plane", "height": 10**400}]}, r"terrain\[0\].height: a number that fits"),
+        (
+            {"terrain": [{"kind": "box", "xy": [0, 0], "size": [0, 1], "top": 1}]},
+            r"terrain\[0\]: size and depth greater than 0",
+        ),
+        ({"terrain": [{"kind": "stairs", "xy": [0, 0], "riser": 0.03, "tread": 0, "count": 2, "width": 1}]}, "tread and width"),
+        ({"terrain": [{"kind": "stairs", "xy": [0, 0], "riser": 0.03, "tread": 1, "count": 0, "width": 1}]}, "at least 1 step"),
+        ({"terrain": [{"kind": "pillars", "xy": [[0, 0]], "size": 0, "top": 0}]}, "size and depth greater than 0 m"),
+        ({"terrain": [{"kind": "slope", "xy": [0, 0], "angle_deg": 90, "length": 1, "width": 1}]}, "between -90 and 90 deg"),
+        (
+            {"terrain": [{"kind": "rubble", "x": [2, 1], "y": [0, 1], "count": 3, "size": [0.1, 0.2], "top": [0, 0.1]}]},
+            "x from low to high",
+        ),
+        (
+            {"terrain": [{"kind": "rubble", "x": [1, 2], "y": [0, 1], "count": 3, "size": [0.2, 0.1], "top": [0, 0.1]}]},
+            "shortest <= longest",
+        ),
+        ({"terrain": [{"kind": "height_map", "file": "a", "resolution": 0, "xy": [0, 0]}]}, "a resolution greater than 0 m"),
+        ({"goal": {"distance": -1}}, "goal: distance and corridor greater than 0 m"),
+        ({"goal": {"distnace": 1}}, "goal.distnace: unknown key; did you mean 'distance'"),
+        ({"walk": {"speed": 0}}, "walk: a speed greater than 0"),
+        ({"walk": {"gait": "trot"}}, "walk.gait: one of 'tripod'"),
+        ({"variation": {"friction": 0.5}}, "variation: factors of at least 1"),
+        ({"faults": [{"at_s": -1, "service": "planner"}]}, r"faults\[0\]: a time of at least 0 s"),
+        ({"faults": [{"at_s": 1, "service": "simulator"}]}, r"faults\[0\].service: one of"),
+        ({"time_limit_s": 0}, "a time limit greater than 0 s"),
+        ({"time_limit_s": float("inf")}, "time_limit_s: a finite number expected"),
+    ],
+)
+def test_nonsense_is_refused(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(config.ConfigError, match=words):
+        config.build(MINIMAL | change, Scenario)
+
+
+def test_a_fault_lasts_two_seconds_unless_said() -> None:
+    assert Fault(1.0, "planner").for_s == 2.0

@@ -1,0 +1,257 @@
+"""Frames over Zenoh on this machine's loopback, with the router in this process."""
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from shared import topics, transport
+from shared.transport import Endpoints, Router, TransportError, ZenohLink
+
+MODE, VELOCITY, DEPTH, COLOR = topics.MODE, topics.VELOCITY, topics.DEPTH, topics.COLOR
+PATIENCE_S = 10.0  # an event that has not come by then never will
+
+
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture(scope="module")
+def endpoint() -> Iterator[str]:
+    address = free_endpoint()
+    with Router((address,)):
+        yield address
+
+
+class Receiver:
+    """Collects frames and tells when the one that a test waits for has come."""
+
+    def __init__(self, last: bytes):
+        self.frames: list[bytes] = []
+        self.last = last
+        self.done = threading.Event()
+
+    def __call__(self, topic: Any, frame: bytes) -> None:
+        self.frames.append(frame)
+        if frame == self.last:
+            self.done.set()
+
+    def expect(self, last: bytes) -> None:
+        """Wait for another one."""
+        self.last = last
+        self.done.clear()
+
+
+def wait_until_wanted(link: ZenohLink, topic: Any) -> None:
+    """A declaration takes a moment to travel."""
+    pause, until = threading.Event(), time.monotonic() + PATIENCE_S
+    while not link.wanted(topic):
+        assert time.monotonic() < until, f"nobody subscribed to {topic.key}"
+        pause.wait(0.001)
+
+
+def test_every_frame_arrives_in_order(endpoint: str) -> None:
+    frames = [b"%d" % n for n in range(60)]
+    with ZenohLink(Endpoints((endpoint,))) as sender, ZenohLink(Endpoints((endpoint,))) as reader:
+        receiver = Receiver(b"")
+        reader.subscribe(MODE, receiver)
+        wait_until_wanted(sender, MODE)
+        for n in range(0, len(frames), 6):  # a burst of more than 16 may be dropped: the sender never waits
+            receiver.expect(frames[n + 5])
+            for frame in frames[n : n + 6]:
+                sender.send(MODE, frame)
+            assert receiver.done.wait(PATIENCE_S)
+    assert receiver.frames == frames
+
+
+def test_of_states_the_newest_arrives_and_a_slow_reader_skips(endpoint: str) -> None:
+    release, holding, last = threading.Event(), threading.Event(), threading.Event()
+    received: list[bytes] = []
+
+    def slow(_topic: Any, frame: bytes) -> None:
+        received.append(frame)
+        holding.set()
+        release.wait(PATIENCE_S)
+        if frame == b"19":
+            last.set()
+
+    with ZenohLink(Endpoints((endpoint,))) as sender, ZenohLink(Endpoints((endpoint,))) as reader:
+        watcher = Receiver(b"")
+        reader.subscribe(VELOCITY, slow)
+        reader.subscribe(MODE, watcher)  # in the same lane, so it sees when all before it have come
+        wait_until_wanted(sender, VELOCITY)
+        wait_until_wanted(sender, MODE)
+        sender.send(VELOCITY, b"first")
+        assert holding.wait(PATIENCE_S)
+        for n in range(20):
+            watcher.expect(b"%d" % n)
+            sender.send(VELOCITY, b"%d" % n)
+            sender.send(MODE, b"%d" % n)
+            assert watcher.done.wait(PATIENCE_S)
+        release.set()
+        assert last.wait(PATIENCE_S)
+    assert received == [b"first", b"19"]  # what came in between was passed over
+
+
+def test_a_depth_frame_arrives_whole(endpoint: str) -> None:
+    frame = bytes(range(256)) * 2400  # 614 kB
+    with ZenohLink(Endpoints((endpoint,))) as sender, ZenohLink(Endpoints((endpoint,))) as reader:
+        receiver = Receiver(frame)
+        reader.subscribe(DEPTH, receiver)
+        wait_until_wanted(sender, DEPTH)
+        sender.send(DEPTH, frame)
+        assert receiver.done.wait(PATIENCE_S)
+    assert receiver.frames == [frame]
+    assert type(receiver.frames[0]) is bytes
+
+
+def test_wanted_only_while_somebody_subscribes(endpoint: str) -> None:
+    with ZenohLink(Endpoints((endpoint,))) as sender:
+        assert not sender.wanted(COLOR)
+        with ZenohLink(Endpoints((endpoint,))) as reader:
+            reader.subscribe(COLOR, Receiver(b""))
+            wait_until_wanted(sender, COLOR)
+            assert not sender.wanted(MODE)
+        pause, until = threading.Event(), time.monotonic() + PATIENCE_S
+        while sender.wanted(COLOR) and time.monotonic() < until:
+            pause.wait(0.001)
+        assert not sender.wanted(COLOR)
+
+
+def test_asking_first_does_not_change_how_a_topic_is_sent(endpoint: str) -> None:
+    with ZenohLink(Endpoints((endpoint,))) as asks, ZenohLink(Endpoints((endpoint,))) as sends:
+        for topic in (MODE, DEPTH):
+            asks.wanted(topic)
+            sends.send(topic, b"x")
+            a, b = asks._publishers[topic.key], sends._publishers[topic.key]
+            assert a.priority == b.priority
+            assert a.congestion_control == b.congestion_control
+
+
+def test_two_namespaces_do_not_meet(endpoint: str) -> None:
+    here, there = Endpoints((endpoint,), namespace="here"), Endpoints((endpoint,), namespace="there")
+    with ZenohLink(here) as a, ZenohLink(there) as b, ZenohLink(here) as reader, ZenohLink(there) as other:
+        receiver, stranger = Receiver(b"last"), Receiver(b"last")
+        reader.subscribe(MODE, receiver)
+        wait_until_wanted(a, MODE)
+        assert not b.wanted(MODE)
+        other.subscribe(MODE, stranger)
+        wait_until_wanted(b, MODE)
+        a.send(MODE, b"for here")
+        b.send(MODE, b"for there")
+        a.send(MODE, b"last")
+        b.send(MODE, b"last")
+        assert receiver.done.wait(PATIENCE_S)
+        assert stranger.done.wait(PATIENCE_S)
+    assert receiver.frames == [b"for here", b"last"]
+    assert stranger.frames == [b"for there", b"last"]
+
+
+def test_one_link_may_hear_itself_and_two_readers_both_hear(endpoint: str) -> None:
+    with ZenohLink(Endpoints((endpoint,))) as link, ZenohLink(Endpoints((endpoint,))) as other:
+        receivers = [Receiver(b"x"), Receiver(b"x")]
+        link.subscribe(MODE, receivers[0])
+        other.subscribe(MODE, receivers[1])
+        wait_until_wanted(link, MODE)
+        probe = threading.Event()
+        until = time.monotonic() + PATIENCE_S
+        while not all(r.done.is_set() for r in receivers) and time.monotonic() < until:
+            link.send(MODE, b"x")  # the second declaration may still be on its way
+            probe.wait(0.005)
+        assert all(r.done.is_set() for r in receivers)
+
+
+def test_closing_is_quick_and_ends_its_threads(endpoint: str) -> None:
+    before = set(threading.enumerate())
+    with ZenohLink(Endpoints((endpoint,))) as link:
+        for topic in (MODE, VELOCITY, DEPTH):
+            link.subscribe(topic, Receiver(b""))
+        mine = [t for t in threading.enumerate() if t not in before and t.name.startswith("receive ")]
+        assert len(mine) == 3
+        began = time.monotonic()
+    assert time.monotonic() - began < transport.CLOSE_TIMEOUT_S + 0.5
+    for thread in mine:
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()
+
+
+def test_closing_does_not_wait_for_a_session_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "CLOSE_TIMEOUT_S", 0.05)
+    release = threading.Event()
+
+    class Frozen:
+        def close(self) -> None:
+            release.wait(PATIENCE_S)
+
+    began = time.monotonic()
+    transport._close([Frozen()])  # type: ignore[list-item]
+    assert time.monotonic() - began < 2.0
+    release.set()
+
+
+def test_links_outlive_an_error_inside_them(endpoint: str) -> None:
+    def fail() -> None:
+        with ZenohLink(Endpoints((endpoint,))) as link:
+            link.subscribe(MODE, Receiver(b""))
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail()
+    with ZenohLink(Endpoints((endpoint,))) as link:  # and the next one opens
+        link.send(MODE, b"x")
+
+
+# ------------------------------------------------------------------------------------------------- endpoints
+
+
+def test_without_scouting_an_endpoint_is_needed() -> None:
+    with pytest.raises(ValueError, match=r"with scouting off an endpoint to connect to is needed, e\.g\. tcp/"):
+        Endpoints()
+    assert Endpoints(scouting=True).connect == ()
+
+
+def test_only_what_is_asked_for_is_opened() -> None:
+    quiet = Endpoints(("tcp/10.0.0.1:7447",)).zenoh_config()
+    assert quiet["mode"] == "client"
+    assert quiet["listen"]["endpoints"] == []
+    assert not quiet["scouting"]["multicast"]["enabled"]
+    assert not quiet["scouting"]["gossip"]["enabled"]
+    assert quiet["namespace"] == "sextant"
+    scouting = Endpoints(scouting=True, namespace="lab").zenoh_config()
+    assert scouting["mode"] == "peer"
+    assert scouting["scouting"]["multicast"]["enabled"]
+    assert scouting["namespace"] == "lab"
+
+
+def test_an_endpoint_that_is_none_is_named() -> None:
+    with pytest.raises(TransportError, match=r"nonsense.*Is the router running"), ZenohLink(Endpoints(("nonsense",))):
+        pass
+
+
+def test_a_port_that_is_taken_is_named(endpoint: str) -> None:
+    with pytest.raises(TransportError, match=f"listen .*{endpoint}.*is the port free"), Router((endpoint,)):
+        pass
+
+
+@pytest.mark.parametrize("namespace", ["", "*", "/x", "x/"])
+def test_a_namespace_that_is_none_is_refused(endpoint: str, namespace: str) -> None:
+    with pytest.raises((ValueError, TransportError)), ZenohLink(replace(Endpoints((endpoint,)), namespace=namespace)):
+        pass
+
+
+def test_a_router_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = transport._config
+
+    def impatient(**options: Any) -> dict[str, Any]:
+        return config(**options) | {"connect": {"endpoints": list(options["connect"]), "timeout_ms": 50}}
+
+    monkeypatch.setattr(transport, "_config", impatient)
+    address = free_endpoint()
+    with pytest.raises(TransportError, match=f"could not open Zenoh as client.*{address}"), ZenohLink(Endpoints((address,))):
+        pass
