@@ -1,11 +1,15 @@
 import json
+import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from deploy import cli
+from deploy.report import Report
+from shared.scenario import Scenario
 from shared.topics import TOPICS
 
 ROOT = Path(cli.__file__).parents[1]
@@ -124,3 +128,107 @@ def test_a_run_gets_a_folder_of_its_own_or_the_one_that_is_named(tmp_path: Path,
     assert named == Path("here/there")
     assert named.is_dir()
     assert cli._out(parse(["run", "steps"]), "steps-3").parent == Path("runs")
+
+
+def report(success: bool, seed: int = 3) -> Report:
+    reason = "goal reached" if success else "fell at 0.4 m"
+    return Report("flat", seed, "phantomx_mk2", "tripod", False, success, reason, 2.5, 25.0, 0.1, 0, 0, 33)
+
+
+@pytest.mark.parametrize(("success", "status"), [(True, 0), (False, 1)])
+def test_a_run_ends_in_0_only_on_success(
+    success: bool, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deploy import lockstep_run
+
+    monkeypatch.setattr(lockstep_run, "run_lockstep", lambda _scenario, seed, _out, _progress: report(success, seed))
+    assert cli.main(["run", "flat", "--lockstep", "--seed", "9", "--out", str(tmp_path)]) == status
+    assert report(success).reason in capsys.readouterr().out
+    assert cli.main(["run", "flat", "--lockstep", "--seed", "9", "--out", str(tmp_path), "--json"]) == status
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["success"], printed["seed"]) == (success, 9)
+
+
+@pytest.mark.parametrize(
+    ("success", "presses", "status"), [(True, 0, 0), (False, 0, 1), (False, 1, 130)], ids=["success", "failure", "ctrl-c"]
+)
+def test_a_live_run_and_the_demo_end_as_the_walk_does(
+    success: bool,
+    presses: int,
+    status: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from deploy import live_run
+
+    asked: list[tuple[str, str, int]] = []
+
+    def walk(scenario: Scenario, source: str, seed: int, *_: object) -> live_run.Outcome:
+        asked.append((scenario.name, source, seed))
+        return live_run.Outcome(report(success), presses > 0)
+
+    monkeypatch.setattr(live_run, "warm_up", lambda *_: "")
+    monkeypatch.setattr(live_run, "run_live_scenario", walk)
+    assert cli.main(["demo", "--out", str(tmp_path)]) == status
+    assert ("stands at its goal" in capsys.readouterr().out) == success
+    assert cli.main(["run", "flat", "--seed", "5", "--out", str(tmp_path)]) == status
+    assert asked == [("steps", "steps", 3), ("flat", "flat", 5)]
+
+
+def test_a_machine_that_cannot_warm_up_does_not_walk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deploy import live_run
+
+    monkeypatch.setattr(live_run, "warm_up", lambda *_: "warm-up ended (exit status 1); its last words: no mujoco")
+    assert cli.main(["run", "flat", "--out", str(tmp_path)]) == 1
+    assert "no mujoco" in (printed := capsys.readouterr().err)
+    assert "sextant doctor" in printed
+
+
+def test_who_attaches_cannot_break_what_others_started(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = tmp_path / "broken.toml"
+    scenario.write_text(
+        """name = "broken"
+[goal]
+distance = 1.0
+[[terrain]]
+kind = "plane"
+[[faults]]
+at_s = 1.0
+service = "mapper"
+"""
+    )
+    assert cli.main(["run", str(scenario), "--connect", "tcp/127.0.0.1:1"]) == 2
+    assert "leave --connect out" in capsys.readouterr().err
+
+
+def test_trials_tell_the_rate_and_the_baseline_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deploy import lockstep_run
+
+    def run(scenario: Scenario, seed: int) -> Report:
+        return replace(report(not scenario.walk.blind, seed), blind=scenario.walk.blind)
+
+    monkeypatch.setattr(lockstep_run, "run_lockstep", run)
+    assert cli.main(["trials", "flat", "--seeds", "0:3", "--blind", "--json", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr()
+    table = json.loads(printed.out)
+    assert table["success"]["successes"] == 3
+    assert table["baseline"]["success"]["successes"] == 0
+    assert json.loads((tmp_path / "trials.json").read_text()) == table
+    assert "without a map" in printed.err
+
+
+def test_a_reader_that_has_had_enough_is_no_traceback() -> None:
+    code = "import sys; sys.argv = ['sextant', 'topics', 'list']; from deploy.cli import main; sys.exit(main())"
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as pipe:
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=ROOT, stdout=pipe, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr == ""

@@ -79,23 +79,6 @@ def test_an_unknown_name_lists_the_known() -> None:
         ({"terrain": [{"kind": "plain"}]}, r"terrain\[0\].kind: found 'plain'; did you mean 'plane'\?"),
         ({"terrain": [{"kind": ["plane"]}]}, r"terrain\[0\].kind: found \['plane'\]"),
         ({"terrain": [{"kind": "plane", "height": 10**400}]}, r"terrain\[0\].height: a number that fits"),
-        (
-            {"terrain": [{"kind": "box", "xy": [0, 0], "size": [0, 1], "top": 1}]},
-            r"terrain\[0\]: size and depth greater than 0",
-        ),
-        ({"terrain": [{"kind": "stairs", "xy": [0, 0], "riser": 0.03, "tread": 0, "count": 2, "width": 1}]}, "tread and width"),
-        ({"terrain": [{"kind": "stairs", "xy": [0, 0], "riser": 0.03, "tread": 1, "count": 0, "width": 1}]}, "at least 1 step"),
-        ({"terrain": [{"kind": "pillars", "xy": [[0, 0]], "size": 0, "top": 0}]}, "size and depth greater than 0 m"),
-        ({"terrain": [{"kind": "slope", "xy": [0, 0], "angle_deg": 90, "length": 1, "width": 1}]}, "between -90 and 90 deg"),
-        (
-            {"terrain": [{"kind": "rubble", "x": [2, 1], "y": [0, 1], "count": 3, "size": [0.1, 0.2], "top": [0, 0.1]}]},
-            "x from low to high",
-        ),
-        (
-            {"terrain": [{"kind": "rubble", "x": [1, 2], "y": [0, 1], "count": 3, "size": [0.2, 0.1], "top": [0, 0.1]}]},
-            "shortest <= longest",
-        ),
-        ({"terrain": [{"kind": "height_map", "file": "a", "resolution": 0, "xy": [0, 0]}]}, "a resolution greater than 0 m"),
         ({"goal": {"distance": -1}}, "goal: distance and corridor greater than 0 m"),
         ({"goal": {"distnace": 1}}, "goal.distnace: unknown key; did you mean 'distance'"),
         ({"walk": {"speed": 0}}, "walk: a speed greater than 0"),

@@ -1,0 +1,411 @@
+"""The command line. Every failure says its cause and what to do next.
+
+Exit status: 0 only on success, 1 for a run that failed, 2 for wrong input, 130 when the operator ended it.
+Modules that take long to import are imported by the command that needs them.
+"""
+
+import argparse
+import datetime
+import difflib
+import json
+import os
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deploy.process_table import Choices, Process
+    from deploy.progress import Progress
+    from deploy.report import Report
+    from shared.transport import Endpoints
+
+SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status."""
+    arguments = _parser().parse_args(argv)
+    try:
+        return int(arguments.command(arguments))
+    except KeyboardInterrupt:
+        _complain("stopped by the operator")
+        return INTERRUPTED
+    except BrokenPipeError:  # whoever read our output has had enough; nothing more can be said, also not on the way out
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except _refusals() as error:
+        _complain(f"sextant {arguments.name}: {error}")
+        return FAILED if _is_transport_error(error) else WRONG_INPUT
+
+
+class InputError(ValueError):
+    """What the caller of a command got wrong, and what would be right."""
+
+
+# ------------------------------------------------------------------------------------------------------------- commands
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """`sextant run`: one scenario, over Zenoh or in lockstep."""
+    if arguments.lockstep and arguments.connect:
+        raise InputError("--lockstep runs in one process and meets nobody; leave --connect out")
+    if arguments.lockstep:
+        return _run_lockstep(arguments)
+    return _run_live(arguments)
+
+
+def demo(arguments: argparse.Namespace) -> int:
+    """`sextant demo`: the course of low steps over Zenoh, from a cold start."""
+    arguments.scenario, arguments.lockstep, arguments.connect, arguments.json = "steps", False, None, False
+    _say("A six-legged robot sees a field of low blocks and two stairs through its depth camera, maps it, chooses where each")
+    _say("foot goes, and walks across. Five processes talk over Zenoh; the simulator is only a camera and a servo bus to them.")
+    status = _run_live(arguments)
+    if status == SUCCESS:
+        _say("The robot stands at its goal. summary.png shows the walk: map, path, footholds, height and tilt.")
+    return status
+
+
+def trials(arguments: argparse.Namespace) -> int:
+    """`sextant trials`: the success rate over many seeds, in lockstep."""
+    from shared.scenario import load_scenario
+
+    scenario = load_scenario(arguments.scenario)
+    out = _out(arguments, f"trials-{scenario.name}")
+    from deploy import trials as batches
+
+    progress = _progress(arguments.json)
+    seeing = batches.run_trials(scenario, arguments.seeds, arguments.jobs, out, say=progress.say)
+    baseline = None
+    if arguments.blind:
+        progress.say("the same without a map")
+        baseline = batches.run_trials(scenario, arguments.seeds, arguments.jobs, out, blind=True, say=progress.say)
+    (out / "trials.json").write_text(batches.to_json(seeing, baseline), encoding="utf-8")
+    if arguments.json:
+        sys.stdout.write(batches.to_json(seeing, baseline))
+    else:
+        _say(batches.words(seeing, baseline))
+        _say(f"written to {out}: trials.json, trials.jsonl")
+    return SUCCESS
+
+
+def up(arguments: argparse.Namespace) -> int:
+    """`sextant up`: the processes of a role until Ctrl-C."""
+    import contextlib
+
+    from deploy import process_table
+    from deploy.interrupts import Interrupts
+    from deploy.launcher import Launcher
+    from shared.transport import Endpoints, Router
+
+    rows = process_table.rows(arguments.role, simulated=arguments.scenario is not None)
+    chosen, extra = _choices(arguments), _extra(arguments.set, rows)
+    with contextlib.ExitStack() as stack:
+        interrupts = stack.enter_context(Interrupts())
+        if arguments.connect:
+            endpoints = Endpoints(tuple(arguments.connect), namespace=arguments.namespace)
+        else:
+            stack.enter_context(Router((arguments.listen,)))
+            endpoints = Endpoints(
+                (re.sub(r"/(0\.0\.0\.0|\[::\]):", "/127.0.0.1:", arguments.listen),), namespace=arguments.namespace
+            )
+            _say(
+                f"router on {arguments.listen}; others join with --connect {arguments.listen} --namespace {arguments.namespace}"
+            )
+        launcher = stack.enter_context(Launcher(process_table.commands(rows, chosen, endpoints, extra), hear=_pass_on))
+        _say(f"starting {', '.join(row.name for row in rows)}; Ctrl-C ends them")
+        while not interrupts.asked():
+            for ended in launcher.wait(0.2):
+                _complain(str(ended))
+                if not ended.restarted:
+                    _complain("stopping the others; `sextant doctor` checks what a process needs")
+                    return FAILED
+        for name in launcher.stop(interrupts.insisted):
+            _complain(f"{name} did not end when asked and was killed")
+    return INTERRUPTED
+
+
+def replay(arguments: argparse.Namespace) -> int:
+    """`sextant replay`: a recorded depth sequence, or a recorded run."""
+    source = Path(arguments.source)
+    if not (source.is_dir() or (source.is_file() and source.suffix == ".mcap")):
+        raise InputError(f"{source}: a folder with depth.txt and camera.toml, or the recording.mcap of a run, expected")
+    from deploy import replay as replays
+
+    out = _out(arguments, f"replay-{source.stem}")
+    progress = _progress(arguments.json)
+    if source.is_dir():
+        table = replays.replay_folder(source, out, progress)
+    else:
+        table = replays.replay_recording(source, out, progress)
+    text = json.dumps(table, indent=1)
+    (out / "replay.json").write_text(text + "\n", encoding="utf-8")
+    _say(text if arguments.json else replays.in_words(table))
+    if not arguments.json:
+        _say(f"written to {out}")
+    return SUCCESS
+
+
+def list_topics(arguments: argparse.Namespace) -> int:
+    """`sextant topics list`: the topic table."""
+    from shared.topics import TOPICS
+
+    if arguments.json:
+        rows = [{"key": t.key, "type": t.type.__name__, "rate_hz": t.rate_hz, "delivery": t.delivery.value} for t in TOPICS]
+        _say(json.dumps(rows, indent=1))
+        return SUCCESS
+    _say(f"{'key':<20} {'type':<16} {'rate':>8}  delivery  what")
+    for t in TOPICS:
+        doc = (t.type.__doc__ or "").split("\n")[0]
+        _say(f"{t.key:<20} {t.type.__name__:<16} {t.rate_hz:>5.1f} Hz  {t.delivery.value:<8}  {doc}")
+    return SUCCESS
+
+
+def doctor(arguments: argparse.Namespace) -> int:
+    """`sextant doctor`: whether this machine has what the services need."""
+    from deploy import doctor as checks
+
+    found = checks.examine(arguments.port, arguments.robot)
+    _say(checks.to_json(found) if arguments.json else checks.in_words(found))
+    return FAILED if any(check.level is checks.Level.FAIL for check in found) else SUCCESS
+
+
+def compose(arguments: argparse.Namespace) -> int:
+    """`sextant compose`: compose.yaml of a local launch."""
+    from deploy.compose import compose_yaml
+
+    sys.stdout.write(compose_yaml(arguments.scenario, arguments.seed))
+    return SUCCESS
+
+
+# ------------------------------------------------------------------------------------------------------------- running
+
+
+def _run_lockstep(arguments: argparse.Namespace) -> int:
+    from shared.scenario import load_scenario
+
+    scenario = load_scenario(arguments.scenario)
+    out = _out(arguments, f"{scenario.name}-{arguments.seed}")
+    from deploy.lockstep_run import run_lockstep
+
+    return _tell(run_lockstep(scenario, arguments.seed, out, _progress(arguments.json)), out, arguments.json)
+
+
+def _run_live(arguments: argparse.Namespace) -> int:
+    from shared.scenario import load_scenario
+
+    scenario = load_scenario(arguments.scenario)
+    if scenario.faults and arguments.connect:
+        raise InputError(f"{scenario.name} breaks services, which only who started them can; leave --connect out")
+    progress = _progress(arguments.json)
+    out = _out(arguments, f"{scenario.name}-{arguments.seed}")
+    from deploy.interrupts import Interrupts, end_with
+
+    with Interrupts() as interrupts:
+        if getattr(arguments, "parent", None):
+            end_with(arguments.parent)
+        from deploy import live_run
+
+        attach = _attach(arguments)
+        problem = "" if attach else live_run.warm_up(progress, interrupts)
+        if problem:
+            _complain(f"sextant {arguments.name}: {problem}; `sextant doctor` checks what the services need")
+            return FAILED
+        if interrupts.asked():
+            _complain("stopped by the operator")
+            return INTERRUPTED
+        source = str(Path(arguments.scenario).resolve()) if arguments.scenario.endswith(".toml") else arguments.scenario
+        outcome = live_run.run_live_scenario(scenario, source, arguments.seed, out, progress, interrupts, attach)
+    status = _tell(outcome.report, out, arguments.json)
+    return INTERRUPTED if outcome.interrupted else status
+
+
+def _tell(report: "Report", out: Path, as_json: bool) -> int:
+    from deploy.report import to_json
+
+    if as_json:
+        sys.stdout.write(to_json(report))
+    else:
+        verdict = f"{'success' if report.success else 'failed'}: {report.reason}"
+        walked = f"{report.distance_m:.2f} m in {report.duration_s:.1f} s, {report.speed_mps:.3f} m/s"
+        _say(f"{verdict}; {walked}, {report.steps} steps, {report.falls} falls")
+        _say(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
+    return SUCCESS if report.success else FAILED
+
+
+def _attach(arguments: argparse.Namespace) -> "Endpoints | None":
+    if not arguments.connect:
+        return None
+    from shared.transport import Endpoints
+
+    return Endpoints(tuple(arguments.connect), namespace=arguments.namespace)
+
+
+def _choices(arguments: argparse.Namespace) -> "Choices":
+    from deploy.process_table import Choices, choices
+    from shared.scenario import load_scenario
+
+    if arguments.scenario is None and arguments.role != "sim":
+        return Choices(robot=arguments.robot)
+    source = arguments.scenario or "steps"
+    if source.endswith(".toml"):
+        source = str(Path(source).resolve())
+    return choices(load_scenario(source), source, arguments.seed)
+
+
+def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, tuple[str, ...]]:
+    names = [row.name for row in rows]
+    extra: dict[str, tuple[str, ...]] = {}
+    for text in assignments:
+        service, dot, rest = text.partition(".")
+        if not dot or "=" not in rest:
+            raise InputError(f"--set: SERVICE.KEY=VALUE expected, found {text!r}; for example actuator.port=/dev/ttyUSB0")
+        if service not in names:
+            near = difflib.get_close_matches(service, names, n=1)
+            raise InputError(
+                f"--set: no service {service!r} is started; {f'did you mean {near[0]!r}?' if near else ', '.join(names)}"
+            )
+        extra[service] = (*extra.get(service, ()), rest)
+    return extra
+
+
+def _out(arguments: argparse.Namespace, name: str) -> Path:
+    """The folder that the command leaves behind, made."""
+    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+    out = Path(arguments.out) if arguments.out else Path("runs") / f"{stamp}-{name}"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {out}: {error.strerror}; give another with --out") from None
+    return out
+
+
+def _progress(as_json: bool) -> "Progress":
+    from deploy.progress import progress_for
+
+    return progress_for(sys.stderr if as_json else sys.stdout)
+
+
+def _refusals() -> tuple[type[Exception], ...]:
+    """What is the caller's mistake or the machine's state, and says so in words; everything else is a traceback."""
+    from shared.config import ConfigError
+
+    known: list[type[Exception]] = [ConfigError, InputError]
+    if "shared.transport" in sys.modules:
+        known.append(sys.modules["shared.transport"].TransportError)
+    if "deploy.recording" in sys.modules:
+        known.append(sys.modules["deploy.recording"].RecordingError)
+    if "deploy.replay" in sys.modules:
+        known.append(sys.modules["deploy.replay"].ReplayError)
+    return tuple(known)
+
+
+def _is_transport_error(error: Exception) -> bool:
+    return type(error).__name__ == "TransportError"
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def _complain(text: str) -> None:
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
+def _pass_on(_name: str, line: str) -> None:
+    _complain(line)
+
+
+# ------------------------------------------------------------------------------------------------------------- arguments
+
+
+def _seeds(text: str) -> range:
+    found = re.fullmatch(r"(\d+):(\d+)", text)
+    if found is None or int(found[1]) >= int(found[2]):
+        raise argparse.ArgumentTypeError(f"A:B with A < B expected, B not included, found {text!r}; for example 0:50")
+    return range(int(found[1]), int(found[2]))
+
+
+def _natural(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a whole number of at least 0 expected, found {text!r}")
+    return int(text)
+
+
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"a whole number of at least 1 expected, found {text!r}")
+    return int(text)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="sextant", description="Six-legged walking where only some places carry a foot.")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def add(name: str, command: Any, words: str, to: Any = commands) -> argparse.ArgumentParser:
+        made: argparse.ArgumentParser = to.add_parser(name, help=words, description=words[0].upper() + words[1:] + ".")
+        made.set_defaults(command=command, name=name)
+        return made
+
+    one = add("demo", demo, "watch the robot walk a field of low steps, over Zenoh")
+    _add_seed_and_out(one)
+
+    one = add("run", run, "run a scenario and write a folder with report.json, summary.png and recording.mcap")
+    one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
+    one.add_argument("--lockstep", action="store_true", help="in one process on simulated time, as fast as the machine allows")
+    one.add_argument("--json", action="store_true", help="print report.json; progress goes to stderr")
+    one.add_argument("--connect", action="append", help="use services that already run, met here, e.g. tcp/127.0.0.1:7447")
+    one.add_argument("--namespace", default="sextant", help="of those services (default %(default)s)")
+    one.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # a launcher's id, as every process of the table has it
+    _add_seed_and_out(one)
+
+    one = add("trials", trials, "run a scenario in lockstep with many seeds: success rate with its 95 %% interval")
+    one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
+    one.add_argument("--seeds", type=_seeds, required=True, metavar="A:B", help="from A up to, not including, B")
+    one.add_argument("--blind", action="store_true", help="also run the baseline, without a map, and compare")
+    one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
+    one.add_argument("--out", metavar="DIR", help="folder to write to; seeds that it has already are not run again")
+    one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
+
+    one = add("up", up, "start the processes of a role and keep them until Ctrl-C")
+    one.add_argument(
+        "role", choices=("all", "onboard", "offboard", "sim"), help="onboard: actuator, perception; offboard: the rest"
+    )
+    one.add_argument("--scenario", help="simulate it in place of the hardware")
+    one.add_argument("--robot", default="phantomx_mk2", help="profile by name, or path of a TOML file (default %(default)s)")
+    one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
+    one.add_argument("--listen", default="tcp/127.0.0.1:7447", help="where to host the router (default %(default)s)")
+    one.add_argument("--connect", action="append", help="use the router there, and host none")
+    one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
+    one.add_argument("--set", action="append", default=[], metavar="SERVICE.KEY=VALUE", help="a setting of one service")
+
+    one = add("replay", replay, "run perception and mapper on a recorded depth sequence, or the mapper on a recorded run")
+    one.add_argument("source", help="folder with depth.txt, camera.toml (and groundtruth.txt), or a recording.mcap")
+    one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
+    one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
+
+    group = commands.add_parser("topics", help="what travels on the wire").add_subparsers(required=True, metavar="WHAT")
+    one = add("list", list_topics, "print the topic table", group)
+    one.add_argument("--json", action="store_true", help="as JSON")
+
+    one = add("doctor", doctor, "check that this machine has what the services need")
+    one.add_argument("--port", help="also check this servo port, e.g. /dev/ttyUSB0")
+    one.add_argument("--robot", default="phantomx_mk2", help="whose servos are looked for (default %(default)s)")
+    one.add_argument("--json", action="store_true", help="as JSON")
+
+    one = add("compose", compose, "print a compose.yaml that starts the services in containers of their own")
+    one.add_argument("--scenario", default="steps", help="name of the scenario (default %(default)s)")
+    one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
+    return parser
+
+
+def _add_seed_and_out(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seed", type=_natural, default=3, help="of everything random (default %(default)s)")
+    parser.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,228 @@
+"""What the services need of a machine, checked one by one, each with what to do about it."""
+
+import importlib
+import json
+import os
+import shutil
+import statistics
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from shared.config import ConfigError
+
+_ROLES: dict[str, tuple[str, ...]] = {  # the extras of pyproject.toml, by the modules they bring
+    "core": ("msgpack", "numpy", "zenoh"),
+    "actuator": ("serial",),
+    "perception": ("cv2", "kiss_icp", "numba"),
+    "mapper": ("cv2", "numba"),
+    "simulator": ("cv2", "mujoco", "numba"),
+    "recording": ("cv2", "matplotlib", "mcap", "zstandard"),
+}
+_PYTHON = (3, 11)
+_CORES = 2
+_DISK_WARN, _DISK_FAIL = 2 << 30, 200 << 20  # [bytes]
+_ROUND_TRIPS = 50
+_SLOW_MS = 5.0  # a loopback round trip takes well under a millisecond
+
+
+class Level(StrEnum):
+    """How bad it is."""
+
+    OK = "OK"
+    WARN = "WARN"  # it runs, but not as it should
+    FAIL = "FAIL"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing looked at."""
+
+    name: str
+    level: Level
+    found: str  # in words
+    advice: str = ""  # what to do; empty when all is well
+
+
+def examine(port: str | None = None, robot: str = "phantomx_mk2") -> list[Check]:
+    """Check everything; a servo port only when one is given."""
+    checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), disk(Path())]
+    return checks if port is None else [*checks, *servo_port(port, robot)]
+
+
+def python(version: tuple[int, int] | None = None) -> Check:
+    """The interpreter."""
+    found = version or (sys.version_info.major, sys.version_info.minor)
+    words = f"Python {found[0]}.{found[1]}, {sys.executable}"
+    if found < _PYTHON:
+        return Check(
+            "python", Level.FAIL, words, f"install Python {_PYTHON[0]}.{_PYTHON[1]} or newer and make the environment again"
+        )
+    return Check("python", Level.OK, words)
+
+
+def wheels() -> Iterator[Check]:
+    """Whether each role's libraries can be imported."""
+    problems: dict[str, str] = {}
+    for module in sorted({module for modules in _ROLES.values() for module in modules}):
+        try:
+            importlib.import_module(module)
+        except (ImportError, OSError) as error:  # OSError: a wheel whose shared library does not load
+            problems[module] = str(error).split("\n")[0]
+    for role, modules in _ROLES.items():
+        missing = [f"{module} ({problems[module]})" for module in modules if module in problems]
+        if missing:
+            extra = "sextant" if role == "core" else f"sextant[{role}]"
+            level = Level.FAIL if role == "core" else Level.WARN
+            yield Check(
+                f"libraries: {role}",
+                level,
+                f"cannot import {', '.join(missing)}",
+                f"pip install '{extra}' to run this role here",
+            )
+        else:
+            yield Check(f"libraries: {role}", Level.OK, ", ".join(modules))
+
+
+def zenoh_round_trip() -> Check:
+    """Whether frames get through a router of this machine and back, and how fast."""
+    from deploy.launcher import host_router
+    from shared import topics
+    from shared.service import AnyTopic
+    from shared.transport import TransportError, ZenohLink
+
+    name = "zenoh on loopback"
+    back = threading.Semaphore(0)
+    times_ms: list[float] = []
+    try:
+        with host_router() as endpoints, ZenohLink(endpoints) as near, ZenohLink(endpoints) as far:
+
+            def echo(_: AnyTopic, frame: bytes) -> None:
+                far.send(topics.VELOCITY, frame)
+
+            far.subscribe(topics.MODE, echo)
+            near.subscribe(topics.VELOCITY, lambda _topic, _frame: back.release())
+            for turn in range(_ROUND_TRIPS):
+                began = time.perf_counter()
+                near.send(topics.MODE, b"round trip")
+                if back.acquire(timeout=1.0 if turn else 0.2):
+                    times_ms.append((time.perf_counter() - began) * 1e3)
+    except TransportError as error:
+        return Check(name, Level.FAIL, str(error), "see that 127.0.0.1 is up and no firewall closes its ports")
+    if len(times_ms) < _ROUND_TRIPS // 2:
+        found = f"{len(times_ms)} of {_ROUND_TRIPS} round trips came back"
+        return Check(name, Level.FAIL, found, "see that 127.0.0.1 is up and no firewall closes its ports")
+    median = statistics.median(times_ms)
+    if median > _SLOW_MS:
+        return Check(name, Level.WARN, f"round trip {median:.1f} ms", "the machine is busy: end other programs before walking")
+    return Check(name, Level.OK, f"round trip {median:.2f} ms")
+
+
+def numba_cache() -> Check:
+    """Whether compiled loops can be kept: without, every start compiles for a minute."""
+    import shared
+
+    name = "cache of compiled loops"
+    places = [Path(os.environ["NUMBA_CACHE_DIR"])] if os.environ.get("NUMBA_CACHE_DIR") else []
+    places += [Path(shared.__file__).parent.parent / "services", Path.home() / ".cache"]
+    for place in places:
+        if place.is_dir() and _writable(place):
+            return Check(name, Level.OK, f"writable: {place}")
+    return Check(
+        name,
+        Level.WARN,
+        f"not writable: {', '.join(map(str, places))}",
+        "set NUMBA_CACHE_DIR to a folder that can be written, or every start compiles for a minute",
+    )
+
+
+def cores(count: int | None = None) -> Check:
+    """Cores that this process may use."""
+    found = len(os.sched_getaffinity(0)) if count is None else count
+    if found < _CORES:
+        advice = "`sextant run --lockstep` needs one core; to walk in real time give the machine two"
+        return Check("cores", Level.WARN, f"{found} usable", advice)
+    return Check("cores", Level.OK, f"{found} usable")
+
+
+def disk(folder: Path, free: int | None = None) -> Check:
+    """Room for recordings."""
+    found = shutil.disk_usage(folder).free if free is None else free
+    words = f"{found / (1 << 30):.1f} GiB free in {folder.resolve()}"
+    advice = "free some space, or record elsewhere with --out"
+    level = Level.FAIL if found < _DISK_FAIL else Level.WARN if found < _DISK_WARN else Level.OK
+    return Check("disk", level, words, "" if level is Level.OK else advice)
+
+
+def servo_port(port: str, robot: str) -> Iterator[Check]:
+    """The port's rights, and which of the robot's servos answer; nothing is moved and nothing written."""
+    name = f"servo port {port}"
+    if "://" not in port:
+        path = Path(port)
+        if not path.exists():
+            yield Check(
+                name, Level.FAIL, "no such device", "plug the adapter in and look for it with `ls /dev/ttyUSB* /dev/ttyACM*`"
+            )
+            return
+        if not os.access(path, os.R_OK | os.W_OK):
+            group = path.group()
+            advice = f"`sudo usermod -aG {group} $USER`, then log in again"
+            yield Check(name, Level.FAIL, f"no right to read and write it (group {group})", advice)
+            return
+    yield from _ping_servos(name, port, robot)
+
+
+def _ping_servos(name: str, port: str, robot: str) -> Iterator[Check]:
+    try:
+        from services.actuator.bus import BusGone, ServoBus, open_port
+        from shared.robot import load_profile
+    except ImportError as error:
+        yield Check(name, Level.FAIL, str(error), "pip install 'sextant[actuator]'")
+        return
+    try:
+        profile = load_profile(robot)
+        ids = [int(i) for i in profile.servo_ids.ravel()]
+        bus = ServoBus(open_port(port), ids, time.monotonic_ns)
+    except (BusGone, ConfigError) as error:
+        yield Check(name, Level.FAIL, str(error), "close what else uses the port, or give another")
+        return
+    try:
+        silent = [i for i in ids if bus.ping(i) is None]
+    except BusGone as error:
+        yield Check(name, Level.FAIL, str(error), "check plug and cable")
+        return
+    finally:
+        bus.close()
+    if silent:
+        advice = "check power, cable and id of the first silent servo: those behind it in the chain are silent with it"
+        yield Check(name, Level.FAIL, f"{len(ids) - len(silent)} of {len(ids)} servos answer; silent: {silent}", advice)
+    else:
+        yield Check(name, Level.OK, f"all {len(ids)} servos answer")
+
+
+def in_words(checks: list[Check]) -> str:
+    """A line a check, and below it what to do."""
+    lines = []
+    for check in checks:
+        lines.append(f"{check.level:<4}  {check.name}: {check.found}")
+        if check.advice:
+            lines.append(f"      -> {check.advice}")
+    return "\n".join(lines)
+
+
+def to_json(checks: list[Check]) -> str:
+    """The checks as a JSON list."""
+    return json.dumps([asdict(check) for check in checks], indent=1)
+
+
+def _writable(folder: Path) -> bool:
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False

@@ -1,0 +1,52 @@
+"""Ctrl-C and its relatives as a state to look at, so that no cleaning up is ever torn apart by an exception."""
+
+import ctypes
+import os
+import signal
+import threading
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when its parent dies
+
+
+def end_with(parent: int) -> None:
+    """Have this process asked to end when its parent, the process with this id, has ended."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # it died before the call above
+        raise SystemExit(1)
+
+
+class Interrupts:
+    """While entered, Ctrl-C, SIGTERM and SIGHUP are counted instead of raised. For the main thread."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._asked = threading.Event()
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        for number in _SIGNALS:
+            self._before[number] = signal.signal(number, self._count)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def asked(self) -> bool:
+        """Whether somebody wants this to end."""
+        return self.count > 0
+
+    def insisted(self) -> bool:
+        """Whether somebody has asked twice: no more waiting."""
+        return self.count > 1
+
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait until somebody asks, or the time [s] is over; whether somebody has."""
+        return self._asked.wait(timeout_s)
+
+    def _count(self, _number: int, _frame: FrameType | None) -> None:
+        self.count += 1
+        self._asked.set()

@@ -1,0 +1,133 @@
+"""A whole run in one process on simulated time: the same services, the same frames, as fast as the machine allows."""
+
+import contextlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from deploy.attendance import Attendance, about
+from deploy.progress import Progress, Silent
+from deploy.recording import Recorder
+from deploy.report import Report
+from services.actuator.config import Settings as ActuatorSettings
+from services.actuator.service import Actuator
+from services.mapper.config import Settings as MapperSettings
+from services.mapper.service import Mapper
+from services.perception.config import Settings as PerceptionSettings
+from services.perception.service import Perception
+from services.planner.config import Settings as PlannerSettings
+from services.planner.service import Planner
+from services.simulator.bus import MemoryPort
+from services.simulator.config import Settings as SimulatorSettings
+from services.simulator.service import Simulator
+from shared.robot import RobotProfile, load_profile
+from shared.scenario import Fault, Scenario
+from shared.service import AnyTopic, Lockstep, Outage, Service
+
+_LOOK_NS = 250_000_000  # simulated time between two looks at whether it is over
+
+Tap = Callable[[AnyTopic, bytes, int], None]
+
+
+class LockstepRun:
+    """The services of a run on simulated time, with those who attend it."""
+
+    def __init__(self, scenario: Scenario, seed: int, profile: RobotProfile, tap: Tap = lambda _topic, _frame, _at_ns: None):
+        self.scenario = scenario
+        self.attendance = Attendance(profile, scenario, seed)
+        self._lockstep: Lockstep | None = None
+        simulator = Simulator(profile, SimulatorSettings(seed=seed), scenario)
+        makers: dict[str, Callable[[], Service]] = {
+            "simulator": lambda: simulator,
+            "actuator": lambda: _actuator(profile, simulator, self.now_ns),
+            "perception": lambda: Perception(profile, PerceptionSettings(method=scenario.variation.registration)),
+            "mapper": lambda: Mapper(profile, MapperSettings()),
+            "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind)),
+        }
+        for name, service in self.attendance.services().items():
+            makers[name] = lambda service=service: service  # type: ignore[misc]
+        self._lockstep = Lockstep(makers, tap, outages=[_outage(fault) for fault in scenario.faults])
+
+    def now_ns(self) -> int:
+        """Simulated time [ns]."""
+        return 0 if self._lockstep is None else self._lockstep.now_ns
+
+    def run(self, until_ns: int) -> None:
+        """Let simulated time pass up to and including an instant."""
+        assert self._lockstep is not None
+        self._lockstep.run(until_ns)
+
+    def service(self, name: str) -> Service:
+        """The object that runs now under a name."""
+        assert self._lockstep is not None
+        return self._lockstep.service(name)
+
+
+def assemble(
+    scenario: Scenario, seed: int, profile: RobotProfile, tap: Tap = lambda _topic, _frame, _at_ns: None
+) -> LockstepRun:
+    """All services of a run in this process, the actuator's port being the other end of the simulator's servo bus.
+
+    Args:
+        scenario: The course and the way to walk it.
+        seed: Of everything random.
+        profile: The robot.
+        tap: Sees every frame as it is sent, with the simulated time [ns].
+    """
+    return LockstepRun(scenario, seed, profile, tap)
+
+
+def run_lockstep(
+    scenario: Scenario,
+    seed: int,
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> Report:
+    """Run a scenario in lockstep to its end.
+
+    Args:
+        scenario: The course and the way to walk it.
+        seed: Of everything random; one seed makes one report, its timing fields apart.
+        out: Folder for report.json, summary.png and recording.mcap; None leaves nothing behind.
+        progress: Where to show it.
+    """
+    progress = progress or Silent()
+    profile = load_profile(scenario.robot)
+    with contextlib.ExitStack() as stack:
+        # 1. Assemble the services, and a recorder that hears all they say.
+        recorder = None
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            recorder = stack.enter_context(Recorder(out / "recording.mcap", about(scenario, seed, "lockstep")))
+        run = assemble(scenario, seed, profile, recorder.write if recorder else lambda _topic, _frame, _at_ns: None)
+        # 2. Let simulated time pass until the run is over.
+        began = time.perf_counter()
+        ended_by = _run_to_the_end(run, progress)
+        elapsed = time.perf_counter() - began
+    # 3. Judge it and write what it leaves behind.
+    report = run.attendance.judge(run.now_ns() * 1e-9 / elapsed, ended_by)
+    if out is not None:
+        run.attendance.leave_behind(report, out)
+    progress.finish()
+    return report
+
+
+def _run_to_the_end(run: LockstepRun, progress: Progress) -> str:
+    """Run; returns what ended it from outside, in words, or nothing."""
+    # The scorer ends it at the time limit; twice that is for a run whose robot never came up.
+    limit_ns = round(2e9 * run.scenario.time_limit_s)
+    while not run.attendance.over():
+        if run.now_ns() >= limit_ns:
+            return f"no verdict within {limit_ns * 1e-9:.0f} s of simulated time"
+        run.run(run.now_ns() + _LOOK_NS)
+        progress.update(run.attendance.monitor.view)
+    return ""
+
+
+def _actuator(profile: RobotProfile, simulator: Simulator, clock: Callable[[], int]) -> Actuator:
+    port = MemoryPort(simulator.bus, clock)
+    return Actuator(profile, ActuatorSettings(), port=port, clock=port.now_ns)
+
+
+def _outage(fault: Fault) -> Outage:
+    return Outage(fault.service, round(fault.at_s * 1e9), round((fault.at_s + fault.for_s) * 1e9), fault.kind == "kill")

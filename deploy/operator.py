@@ -1,0 +1,145 @@
+"""Commands a run as a person with a stick would: stand, walk straight to the goal, stop; by the estimated pose alone."""
+
+from collections.abc import Iterator
+from math import atan2, cos, radians, sin
+from typing import Literal
+
+import numpy as np
+
+from shared import topics
+from shared.geometry import Array, yaw_of
+from shared.messages import ActuatorState, Message, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
+from shared.robot import RobotProfile
+from shared.scenario import Scenario
+from shared.service import Every, Inbox, Stages
+
+_OVERSHOOT = 0.03  # [m] beyond the goal line, by the estimate, so that the true body is past it too
+_LATERAL_GAIN = 2.0  # [rad/m] course toward the line per metre beside it
+_MAX_COURSE = radians(25.0)  # off the line's direction
+_HEADING_GAIN = 0.5  # [1/s] turn per heading error
+_MAX_YAW_RATE = 0.15  # [rad/s]
+_APPROACH = 0.15  # [m] before the end the speed begins to fall
+_CREEP = 0.4  # [1] share of the speed that is left at the end
+_ORDER_NS = 500_000_000  # [ns] orders are repeated, so that an actuator that restarts learns them
+_BLOCKED_NS = 20_000_000_000  # [ns] patience with a planner that is blocked
+_NO_POSE_NS = 5_000_000_000  # [ns] patience without a pose, once there was one
+_START_NS = 60_000_000_000  # [ns] patience for the first word of a service
+_FAULT_NS = 2_000_000_000  # [ns] patience with an actuator that is in fault or off
+
+
+class Operator:
+    """Walks the robot along the line from its start to the goal.
+
+    {world} is fixed where the robot started with x along its heading, so the line is the x axis.
+    """
+
+    name = "operator"
+    reads = (topics.BODY_POSE, topics.ACTUATOR_STATE, topics.PLANNER_STATUS)
+    writes = (topics.VELOCITY, topics.MODE)
+
+    def __init__(self, profile: RobotProfile, scenario: Scenario):
+        self.paced_by = Every.hz(topics.VELOCITY.rate_hz)
+        self.stages = Stages()
+        self.finished = False
+        self.reason = ""  # why it is finished, in words
+        self.progress = "waiting for the actuator"
+        self._goal = scenario.goal.distance + _OVERSHOOT
+        self._walk = scenario.walk
+        self._speed = min(scenario.walk.speed, profile.stance.max_speed)
+        self._order: Literal["stand", "walk"] = "stand"
+        self._order_due_ns = 0
+        self._rising = False
+        self._arrived_ns: int | None = None
+        self._since: dict[str, int] = {}  # since when something that must not last has lasted
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """One beat: look, order, steer."""
+        now = tick.stamp_ns
+        state = inbox.latest(topics.ACTUATOR_STATE)
+        pose = inbox.latest(topics.BODY_POSE)
+        steerable = inbox.fresh(topics.BODY_POSE) is not None
+        status = inbox.latest(topics.PLANNER_STATUS)
+        if not self.finished:
+            self._choose_order(state, pose is not None)
+            self._give_up(now, state, status, ever_posed=pose is not None, posed=steerable)
+        if now >= self._order_due_ns:
+            self._order_due_ns = now + _ORDER_NS
+            yield ModeCommand(now, self._order, 1 if self._order == "stand" else 2)
+        if self._order == "walk":
+            known = pose is not None and steerable and not self.finished
+            yield self._steer(now, pose.T_world_body if pose is not None and known else None)
+            self._watch_arrival(now, state, status)
+        if not self.finished:
+            self.progress = self._words(state, status, pose.T_world_body if pose else None)
+
+    def doing(self) -> str:
+        """What it is about, in words."""
+        return self.reason or self.progress
+
+    def _choose_order(self, state: ActuatorState | None, posed: bool) -> None:
+        """Stand first; walk once the robot has risen and knows where it is."""
+        if self._order == "walk" or state is None:
+            return
+        self._rising |= state.mode is Mode.STAND
+        risen = self._rising and state.mode is Mode.HOLD
+        if posed and (risen or state.mode is Mode.WALK):
+            self._order = "walk"
+            self._order_due_ns = 0
+
+    def _give_up(
+        self, now: int, state: ActuatorState | None, status: PlannerStatus | None, ever_posed: bool, posed: bool
+    ) -> None:
+        blocked = status is not None and status.state == "blocked"
+        why = status.reason if status is not None else ""
+        mode, mode_reason = (state.mode, state.reason) if state is not None else (None, "")
+        ordered = self._order == "walk"
+        checks = (
+            ("blocked", blocked, _BLOCKED_NS, f"the planner has been blocked for {_BLOCKED_NS * 1e-9:.0f} s: {why}"),
+            ("no pose", ever_posed and not posed, _NO_POSE_NS, f"no pose from perception for {_NO_POSE_NS * 1e-9:.0f} s"),
+            ("never posed", not ever_posed, _START_NS, f"no pose from perception within {_START_NS * 1e-9:.0f} s"),
+            ("no actuator", state is None, _START_NS, f"no word from the actuator within {_START_NS * 1e-9:.0f} s"),
+            ("fault", mode is Mode.FAULT, _FAULT_NS, f"the actuator is in fault: {mode_reason}"),
+            ("off", ordered and mode is Mode.OFF, _FAULT_NS, f"the legs are off: {mode_reason}"),
+        )
+        for name, lasts, patience_ns, words in checks:
+            if not lasts:
+                self._since.pop(name, None)
+            elif now - self._since.setdefault(name, now) >= patience_ns:
+                self._finish(words)
+                return
+
+    def _steer(self, now: int, T_world_body: Array | None) -> VelocityCommand:
+        """The velocity command; it rests while the pose is unknown and once the goal is reached."""
+        velocity, yaw_rate = np.zeros(2), 0.0
+        if T_world_body is not None and self._arrived_ns is None:
+            x, y, yaw = float(T_world_body[0, 3]), float(T_world_body[1, 3]), yaw_of(T_world_body)
+            remaining = self._goal - x
+            if remaining <= 0.0:
+                self._arrived_ns = now
+            else:
+                speed = self._speed * min(1.0, _CREEP + (1.0 - _CREEP) * remaining / _APPROACH)
+                course = min(max(-_LATERAL_GAIN * y, -_MAX_COURSE), _MAX_COURSE)
+                direction = course - yaw
+                velocity = speed * np.array([cos(direction), sin(direction)])
+                error = atan2(sin(yaw), cos(yaw))
+                yaw_rate = min(max(-_HEADING_GAIN * error, -_MAX_YAW_RATE), _MAX_YAW_RATE)
+        return VelocityCommand(now, velocity, yaw_rate, self._walk.body_height, self._walk.lift)
+
+    def _watch_arrival(self, now: int, state: ActuatorState | None, status: PlannerStatus | None) -> None:
+        if self.finished or self._arrived_ns is None or now - self._arrived_ns < _ORDER_NS:
+            return  # the planner has not heard of the stop yet
+        planner_rests = status is None or status.state != "stepping"
+        if planner_rests and state is not None and state.mode is not Mode.WALK:
+            self._finish("at the goal by the estimated pose")
+
+    def _finish(self, reason: str) -> None:
+        self.finished = True
+        self.reason = self.progress = reason
+
+    def _words(self, state: ActuatorState | None, status: PlannerStatus | None, T_world_body: Array | None) -> str:
+        if state is None:
+            return "waiting for the actuator"
+        if self._order == "stand":
+            return "waiting for a pose" if T_world_body is None and self._rising else "standing up"
+        at = f"{T_world_body[0, 3]:.2f}" if T_world_body is not None else "?"
+        return f"at {at} of {self._goal - _OVERSHOOT:.2f} m" + (f"; planner {status.state}: {status.reason}" if status else "")

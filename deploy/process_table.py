@@ -1,0 +1,161 @@
+"""The processes of Sextant as a table, and the commands that start them; launcher and compose.yaml are made from it."""
+
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from shared.scenario import Scenario
+from shared.transport import Endpoints
+
+Value = str | int | bool
+Role = Literal["all", "onboard", "offboard", "sim"]
+
+BUS_PORT = 7450  # where compose's simulator offers its servo bus
+ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
+
+# A process gets one thread a library: a service must not take the cores of its neighbours.
+ENVIRONMENT: Mapping[str, str] = {
+    "NUMBA_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "PYTHONUNBUFFERED": "1",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What differs between runs, as far as the processes are told."""
+
+    robot: str = "phantomx_mk2"
+    scenario: str = ""  # name or path, for the simulator; empty where there is none
+    seed: int = 3
+    bus_port: int = BUS_PORT  # TCP port of the simulated servo bus
+    blind: bool = False
+    registration: str = "projective"
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """One row of the table."""
+
+    name: str
+    module: str  # run as python -m
+    side: Literal["robot", "either", "simulation"]  # where it may run; "simulation" stands in for the hardware
+    restarts: int  # times that a run starts it again after it died
+    settings: Callable[[Choices], dict[str, Value]] = field(compare=False)
+    after: tuple[str, ...] = ()  # processes that must be ready before it starts
+    ready_port: Callable[[Choices], int] = field(default=lambda _: 0, compare=False)  # listens there once ready, 0: at once
+
+
+def _simulator(choices: Choices) -> dict[str, Value]:
+    return {"scenario": choices.scenario, "seed": choices.seed, "bus_port": choices.bus_port}
+
+
+def _perception(choices: Choices) -> dict[str, Value]:
+    return {"method": choices.registration}
+
+
+def _actuator(choices: Choices) -> dict[str, Value]:
+    return {"port": f"socket://127.0.0.1:{choices.bus_port}"} if choices.scenario else {}
+
+
+# A dead simulator takes its world with it, so that run has failed; every other process finds its way back from the wire.
+TABLE: tuple[Process, ...] = (
+    Process("simulator", "services.simulator", "simulation", 0, _simulator, ready_port=lambda choices: choices.bus_port),
+    Process("actuator", "services.actuator", "robot", 3, _actuator, after=("simulator",)),
+    Process("perception", "services.perception", "robot", 3, _perception),
+    Process("mapper", "services.mapper", "either", 3, lambda _: {}),
+    Process("planner", "services.planner", "either", 3, lambda choices: {"blind": choices.blind}),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """How one process is started."""
+
+    name: str
+    arguments: tuple[str, ...]  # behind the Python interpreter
+    environment: Mapping[str, str]  # beside the inherited one
+    restarts: int = 0
+    after: tuple[str, ...] = ()  # processes that must be ready before this one starts
+    ready_port: int = 0  # TCP port of 127.0.0.1 that it listens on once it is ready; 0: ready at once
+
+
+def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT) -> Choices:
+    """What a scenario, named or found at `source`, tells the processes."""
+    return Choices(
+        robot=scenario.robot,
+        scenario=source,
+        seed=seed,
+        bus_port=bus_port,
+        blind=scenario.walk.blind,
+        registration=scenario.variation.registration,
+    )
+
+
+def rows(role: Role, simulated: bool) -> tuple[Process, ...]:
+    """The processes of a role: onboard what must be on the robot, offboard the rest, all both."""
+    sides = {"all": ("robot", "either"), "onboard": ("robot",), "offboard": ("either",), "sim": ()}[role]
+    with_simulator = role == "sim" or (simulated and role != "offboard")
+    return tuple(p for p in TABLE if p.side in sides or (p.side == "simulation" and with_simulator))
+
+
+def commands(
+    processes: Iterable[Process], chosen: Choices, endpoints: Endpoints, extra: Mapping[str, tuple[str, ...]] | None = None
+) -> tuple[Command, ...]:
+    """How to start processes so that they meet at `endpoints`.
+
+    Args:
+        processes: Rows of the table.
+        chosen: What this run is about.
+        endpoints: Where they meet.
+        extra: Process name -> assignments `key=value` that go before the table's; the last one of a key counts.
+    """
+    processes = tuple(processes)
+    started = {p.name for p in processes}
+    return tuple(
+        Command(
+            name=p.name,
+            arguments=(
+                *("-m", p.module, "--robot", chosen.robot, *_meeting(endpoints)),
+                *_set([assignment(key, value) for key, value in p.settings(chosen).items()]),
+                *_set((extra or {}).get(p.name, ())),
+            ),
+            environment=ENVIRONMENT,
+            restarts=p.restarts,
+            after=tuple(name for name in p.after if name in started),
+            ready_port=p.ready_port(chosen),
+        )
+        for p in processes
+    )
+
+
+def assignment(key: str, value: Value) -> str:
+    """`key=value` as `--set` reads it: a bare word where TOML would not take it for something else."""
+    if isinstance(value, bool):
+        return f"{key}={str(value).lower()}"
+    if isinstance(value, int):
+        return f"{key}={value}"
+    try:
+        tomllib.loads(f"{key}={value}")
+    except tomllib.TOMLDecodeError:
+        if value.isprintable():
+            return f"{key}={value}"
+    escaped = "".join(c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in value)
+    return f'{key}="{escaped}"'
+
+
+def router_command(listen: str) -> Command:
+    """How to start the router as a process of its own, where no launcher hosts it."""
+    port = int(listen.rpartition(":")[2])
+    return Command("router", ("-m", "deploy.router", "--listen", listen), ENVIRONMENT, restarts=3, ready_port=port)
+
+
+def _meeting(endpoints: Endpoints) -> tuple[str, ...]:
+    found = tuple(word for endpoint in endpoints.connect for word in ("--connect", endpoint))
+    return (*found, *(("--scouting",) if endpoints.scouting else ()), "--namespace", endpoints.namespace)
+
+
+def _set(assignments: Iterable[str]) -> tuple[str, ...]:
+    return tuple(word for one in assignments for word in ("--set", one))

@@ -1,0 +1,231 @@
+"""What a run is doing, gathered from the wire and shown in the terminal; with cli.py the only place that writes to stdout."""
+
+import shutil
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, TextIO
+
+from shared import topics
+from shared.messages import ActuatorState, BodyPose, Health, Message, Mode, PlannerStatus, Tick
+from shared.service import AnyTopic, Every, Inbox, Stages
+
+_SPEED_OVER_NS = 2_000_000_000  # speed is the mean over the newest two seconds
+_SILENT_NS = 3_500_000_000  # a service that says nothing for so long, at one health report a second, is in trouble
+_LINE_EVERY_S = 5.0  # [s] simulated between two plain lines
+_ATTENDING = ("operator", "scorer")  # they tell what the line says already
+_BAR = 20  # characters of the way done
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """A run at one moment, as its operator sees it."""
+
+    time_s: float = 0.0  # [s] simulated, since the actuator was first heard
+    speed: float = 0.0  # [m/s] of the estimated pose over the newest two seconds
+    walked: float = 0.0  # [m] along the starting direction
+    to_goal: float = 0.0  # [m]
+    up: bool = False  # whether the actuator has been heard
+    doing: Mapping[str, str] = field(default_factory=dict)  # service -> what it is about, in words
+    warnings: tuple[str, ...] = ()  # in words
+
+
+class Monitor:
+    """Listens to a run without taking part: a service that writes nothing but its health."""
+
+    name = "monitor"
+    paced_by = Every.hz(4.0)
+    reads: tuple[AnyTopic, ...] = (topics.HEALTH, topics.ACTUATOR_STATE, topics.BODY_POSE, topics.PLANNER_STATUS)
+    writes: tuple[AnyTopic, ...] = ()
+
+    def __init__(self, goal_distance: float):
+        self.stages = Stages()
+        self.view = View(to_goal=goal_distance)
+        self._goal_distance = goal_distance
+        self._began_ns: int | None = None
+        self._track: deque[tuple[int, float, float]] = deque()  # stamp, x, y
+        self._health: dict[str, tuple[Health, int]] = {}
+        self._refused: dict[str, int] = {}
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterable[Message]:
+        """Look at what has come and make the next view."""
+        for health in inbox.drain(topics.HEALTH):
+            if health.service != self.name:
+                self._health[health.service] = health, tick.stamp_ns
+        state, pose = inbox.latest(topics.ACTUATOR_STATE), inbox.latest(topics.BODY_POSE)
+        if state is not None and self._began_ns is None:
+            self._began_ns = state.stamp_ns
+        if pose is not None:
+            self._follow(pose)
+        self.view = View(
+            time_s=0.0 if self._began_ns is None else (tick.stamp_ns - self._began_ns) * 1e-9,
+            speed=self._speed(),
+            walked=self._track[-1][1] if self._track else 0.0,
+            to_goal=max(0.0, self._goal_distance - (self._track[-1][1] if self._track else 0.0)),
+            up=self._began_ns is not None,
+            doing={name: health.doing for name, (health, _) in sorted(self._health.items())},
+            warnings=tuple(self._warnings(state, pose, inbox.latest(topics.PLANNER_STATUS), tick.stamp_ns)),
+        )
+        return ()
+
+    def doing(self) -> str:
+        """In words."""
+        return "watching"
+
+    def stages_ms(self) -> dict[str, tuple[float, float]]:
+        """Stage -> 50th and 99th percentile [ms], `service.stage`; of a topic's latency, the slowest of its readers."""
+        found: dict[str, tuple[float, float]] = {}
+        for service, (health, _) in sorted(self._health.items()):
+            for stage, p50, p99 in zip(health.stages, health.stage_p50_ms, health.stage_p99_ms, strict=True):
+                latency = stage.startswith("latency ")
+                name = stage if latency or stage == service else f"{service}.{stage}"
+                before = found.get(name, (0.0, 0.0))
+                found[name] = max(before[0], float(p50)), max(before[1], float(p99))
+        return found
+
+    def _follow(self, pose: BodyPose) -> None:
+        x, y = float(pose.T_world_body[0, 3]), float(pose.T_world_body[1, 3])
+        if not self._track or pose.stamp_ns > self._track[-1][0]:
+            self._track.append((pose.stamp_ns, x, y))
+        while self._track[-1][0] - self._track[0][0] > _SPEED_OVER_NS:
+            self._track.popleft()
+
+    def _speed(self) -> float:
+        if len(self._track) < 2:
+            return 0.0
+        (t0, x0, y0), (t1, x1, y1) = self._track[0], self._track[-1]
+        return float(((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5 / ((t1 - t0) * 1e-9))
+
+    def _warnings(
+        self, state: ActuatorState | None, pose: BodyPose | None, planner: PlannerStatus | None, now_ns: int
+    ) -> Iterable[str]:
+        if state is not None:
+            if state.mode is Mode.FAULT:
+                yield f"actuator: fault, {state.reason}"
+            if state.refused:
+                yield f"actuator refused a plan: {state.refused}"
+            yield from (f"actuator: {warning}" for warning in state.warnings)
+        if pose is not None and not pose.ok:
+            yield f"perception: {pose.reason}"
+        if planner is not None and planner.state == "blocked":
+            yield f"planner: blocked, {planner.reason}"
+        for name, (health, heard_ns) in sorted(self._health.items()):
+            if now_ns - heard_ns > _SILENT_NS:
+                yield f"{name}: silent for {(now_ns - heard_ns) * 1e-9:.0f} s"
+            if health.refused:
+                yield f"{name}: refused {health.refused} messages, the last because {health.last_refusal}"
+
+
+class Progress(Protocol):
+    """Where a run's progress is shown."""
+
+    def update(self, view: View) -> None:
+        """Show the run as it is now."""
+        ...
+
+    def say(self, text: str) -> None:
+        """Tell one thing that happened; it stays."""
+        ...
+
+    def finish(self) -> None:
+        """Leave the terminal as whoever writes next expects it."""
+        ...
+
+
+class Silent:
+    """Shows nothing."""
+
+    def update(self, view: View) -> None:
+        """Nothing."""
+
+    def say(self, text: str) -> None:
+        """Nothing."""
+
+    def finish(self) -> None:
+        """Nothing."""
+
+
+class Lines:
+    """Plain lines, for logs and pipes: now and then the state, and each warning once."""
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+        self._next_s = 0.0
+        self._warned: set[str] = set()
+
+    def update(self, view: View) -> None:
+        """A line every few simulated seconds; a warning when it is new."""
+        for warning in view.warnings:
+            if _kind(warning) not in self._warned:
+                self._warned.add(_kind(warning))
+                self.say(f"{view.time_s:6.1f} s  warning: {warning}")
+        if view.up and view.time_s >= self._next_s:
+            self._next_s = view.time_s + _LINE_EVERY_S
+            busy = "; ".join(f"{name}: {doing}" for name, doing in view.doing.items() if name not in _ATTENDING)
+            self.say(f"{view.time_s:6.1f} s  {view.speed:.3f} m/s  {view.to_goal:.2f} m to the goal  {busy}")
+
+    def say(self, text: str) -> None:
+        """One line."""
+        self._stream.write(text + "\n")
+        self._stream.flush()
+
+    def finish(self) -> None:
+        """Nothing is left open."""
+
+
+class Terminal:
+    """A block of lines at the bottom of a terminal, redrawn in place."""
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+        self._height = 0
+
+    def update(self, view: View) -> None:
+        """Redraw the block."""
+        width = shutil.get_terminal_size().columns
+        self._erase()
+        lines = [line if len(line) < width else line[: width - 2] + "…" for line in block(view)]
+        self._stream.write("".join(f"{line}\n" for line in lines))
+        self._stream.flush()
+        self._height = len(lines)
+
+    def say(self, text: str) -> None:
+        """A line above the block."""
+        self._erase()
+        self._stream.write(text + "\n")
+        self._stream.flush()
+
+    def finish(self) -> None:
+        """Let the last block stand."""
+        self._height = 0
+
+    def _erase(self) -> None:
+        if self._height:
+            self._stream.write(f"\x1b[{self._height}F\x1b[J")  # up so many lines, clear to the end of the screen
+        self._height = 0
+
+
+def progress_for(stream: TextIO) -> Progress:
+    """A redrawn block where the stream is a terminal, plain lines elsewhere."""
+    return Terminal(stream) if stream.isatty() else Lines(stream)
+
+
+def block(view: View) -> list[str]:
+    """The lines of the block."""
+    if not view.up:
+        head = "waiting for the robot to come up"
+    else:
+        whole = view.walked + view.to_goal
+        done = round(_BAR * min(max(view.walked / whole, 0.0), 1.0)) if whole > 0 else _BAR
+        bar = "#" * done + "-" * (_BAR - done)
+        head = f"{view.time_s:6.1f} s   {view.speed:.3f} m/s   {view.to_goal:.2f} m to the goal  [{bar}]"
+    return [
+        head,
+        *(f"  {name:<11} {doing}" for name, doing in view.doing.items()),
+        *(f"  ! {warning}" for warning in view.warnings),
+    ]
+
+
+def _kind(warning: str) -> str:
+    """A warning without its numbers: one that only counts on is not told again."""
+    return "".join("#" if c.isdigit() else c for c in warning)

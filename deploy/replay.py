@@ -1,0 +1,334 @@
+"""Recordings through the real services: a depth sequence through perception and mapper, a run through the mapper."""
+
+import heapq
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.progress import Progress
+from deploy.recording import Recording
+from services.mapper.config import Settings as MapperSettings
+from services.mapper.service import Mapper
+from services.perception import tum
+from services.perception.config import Settings as PerceptionSettings
+from services.perception.service import Perception
+from services.perception.trajectory import TrajectoryError, trajectory_error
+from shared import codec, topics
+from shared.camera import DepthSensor
+from shared.geometry import Array, transform
+from shared.messages import BodyPose, DepthImage, Message, TerrainMap, Tick
+from shared.robot import Camera, RobotProfile, load_profile
+from shared.service import AnyTopic, Every, Inbox, Lockstep, Service, Stages, Worker
+
+_SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
+_SHOW_NS = 1_000_000_000
+
+
+class ReplayError(ValueError):
+    """What in the recording does not fit, with the place."""
+
+
+@dataclass(frozen=True, slots=True)
+class HandHeld(Camera):
+    """A camera that nobody mounted: the body frame is level below it, as gravity says at the first picture."""
+
+    down: tuple[float, float, float] = (0.0, 1.0, 0.0)  # {camera}
+
+    @property
+    def T_body_camera(self) -> Array:
+        """Optical frame in a body frame whose z is up and whose x is where the camera looks."""
+        up = -np.array(self.down) / np.linalg.norm(self.down)
+        ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
+        if np.linalg.norm(ahead) < 1e-6:  # it looks straight down: its upper edge is ahead
+            ahead = np.array([0.0, -1.0, 0.0])
+        ahead /= np.linalg.norm(ahead)
+        return transform(np.stack([ahead, np.cross(up, ahead), up]), np.array(self.mount_xyz))
+
+
+class Player:
+    """A camera that plays a sequence: a service that writes the pictures when their time has come."""
+
+    name = "player"
+    paced_by = Every(5_000_000)
+    reads: tuple[AnyTopic, ...] = ()
+    writes: tuple[AnyTopic, ...] = (topics.DEPTH,)
+
+    def __init__(self, sequence: tum.Recording):
+        self.stages = Stages()
+        self.played = 0
+        self._sequence = sequence
+        self._stamps_ns = [int(stamp) for stamp in sequence.stamps_ns - sequence.stamps_ns[0]]
+
+    @property
+    def finished(self) -> bool:
+        """Whether all pictures have been played."""
+        return self.played == len(self._stamps_ns)
+
+    def step(self, tick: Tick, _: Inbox) -> Iterator[Message]:
+        """The pictures that are due."""
+        while not self.finished and self._stamps_ns[self.played] <= tick.stamp_ns:
+            yield DepthImage(self._stamps_ns[self.played], self._depth(self.played))
+            self.played += 1
+
+    def _depth(self, index: int) -> NDArray[np.uint16]:
+        try:
+            return self._sequence.depth(index)
+        except (FileNotFoundError, ValueError) as error:
+            raise ReplayError(str(error)) from None
+
+    def doing(self) -> str:
+        """How far it is."""
+        return f"playing picture {self.played} of {len(self._stamps_ns)}"
+
+
+def replay_folder(
+    folder: Path, out: Path, progress: Progress, registration: Literal["projective", "kiss-icp"] = "projective"
+) -> dict[str, Any]:
+    """Run perception and mapper on a depth sequence; there is no odometry, so perception expects constant velocity.
+
+    Writes the estimated camera trajectory (trajectory.txt, the layout of groundtruth.txt) and the last map (map.png) to `out`.
+
+    Returns:
+        Plain table: frames, pose_error_m after alignment, map_error_m (nothing to compare with), stages_ms.
+    """
+    # 1. The sequence, and a profile that has its camera.
+    try:
+        sequence = tum.read_recording(folder)
+    except (FileNotFoundError, ValueError) as unreadable:
+        raise ReplayError(str(unreadable)) from None
+    profile = profile_for(sequence)
+    # 2. Play it to perception and mapper on simulated time.
+    poses, terrain, stages_ms, lost = _play(sequence, profile, registration, progress)
+    # 3. Compare the camera's way with the truth.
+    stamps_ns = np.array([pose.stamp_ns for pose in poses], dtype=np.int64) + sequence.stamps_ns[0]
+    T_estimate = np.array([pose.T_world_body for pose in poses]).reshape(-1, 4, 4) @ profile.camera.T_body_camera
+    error = _error(sequence.truth, stamps_ns, T_estimate)
+    # 4. Leave trajectory and map behind.
+    tum.write_trajectory(out / "trajectory.txt", tum.Trajectory(stamps_ns, T_estimate))
+    if terrain is not None:
+        _draw(out / "map.png", terrain, T_estimate)
+    return {
+        "source": folder.name,
+        "frames": len(sequence),
+        "poses": len(poses),
+        "poses_not_ok": lost,
+        "pose_error_m": {"rms": error and _rounded(error.rms), "final": error and _rounded(error.final)},
+        "map_error_m": {"rmse": None, "bias": None, "p95": None, "coverage": None},
+        "stages_ms": {name: {"p50": _rounded(p50), "p99": _rounded(p99)} for name, (p50, p99) in sorted(stages_ms.items())},
+    }
+
+
+def replay_recording(path: Path, out: Path, progress: Progress) -> dict[str, Any]:
+    """Run the mapper on what it heard in a recorded run, and compare its maps with the recorded ones.
+
+    Returns:
+        Plain table: topics with their counts, maps compared, map_error_m of the new maps against the recorded ones, stages_ms.
+    """
+    recording = Recording(path)
+    counts: dict[str, int] = {}
+    made: dict[int, TerrainMap] = {}
+    recorded: list[TerrainMap] = []
+    clock = _Clock()
+    mapper: Worker | None = None
+
+    def send(topic: AnyTopic, frame: bytes, _: int) -> None:
+        if topic is topics.TERRAIN:
+            terrain = codec.decode(frame, TerrainMap)[0]
+            made[terrain.stamp_ns] = terrain
+
+    for topic, frame, arrival_ns in _arrivals(recording):
+        counts[topic.key] = counts.get(topic.key, 0) + 1
+        if mapper is None:  # now it is known whose run this was
+            mapper = Worker(Mapper(load_profile(recording.about.get("robot", "phantomx_mk2")), MapperSettings()), send, clock)
+        clock.now_ns = arrival_ns
+        if topic in mapper.reads:
+            mapper.inbox.receive(topic, frame, arrival_ns)
+            if topic is mapper.service.paced_by:
+                mapper.arrived()
+        elif topic is topics.TERRAIN:
+            recorded.append(_decoded(path, frame))
+        if sum(counts.values()) % 5000 == 0:
+            progress.say(f"{sum(counts.values())} messages, {len(made)} maps")
+    if not counts:
+        raise ReplayError(f"{path}: no messages in it: the run ended before anybody spoke, or the file was cut off")
+    if not recording.complete:
+        progress.say(f"{path} was cut off; replayed as far as it goes")
+    pairs = [(terrain, made[terrain.stamp_ns]) for terrain in recorded if terrain.stamp_ns in made]
+    stages = mapper.service.stages.percentiles() if mapper else {}
+    return {
+        "source": path.name,
+        "about": {key: value for key, value in recording.about.items() if key != "frame_layout"},
+        "complete": recording.complete,
+        "topics": dict(sorted(counts.items())),
+        "maps": {"made": len(made), "recorded": len(recorded), "compared": len(pairs)},
+        "pose_error_m": {"rms": None, "final": None},
+        "map_error_m": map_difference(pairs),
+        "stages_ms": {name: {"p50": _rounded(p50), "p99": _rounded(p99)} for name, (p50, p99) in sorted(stages.items())},
+    }
+
+
+def map_difference(pairs: Iterable[tuple[TerrainMap, TerrainMap]]) -> dict[str, float | None]:
+    """How far the second map of each pair is off the first: errors [m] over cells known to both, coverage the share of the
+    first's cells that the second knows."""
+    differences, known, shared_cells = [], 0, 0
+    for before, after in pairs:
+        if before.elevation.shape != after.elevation.shape or not np.allclose(before.origin, after.origin):
+            continue
+        both = np.isfinite(before.elevation) & np.isfinite(after.elevation)
+        known += int(np.isfinite(before.elevation).sum())
+        shared_cells += int(both.sum())
+        differences.append((after.elevation[both] - before.elevation[both]).astype(np.float64))
+    d = np.concatenate(differences) if differences else np.zeros(0)
+    if d.size == 0:
+        return {"rmse": None, "bias": None, "p95": None, "coverage": None}
+    return {
+        "rmse": _rounded(float(np.sqrt(np.mean(d**2)))),
+        "bias": _rounded(float(d.mean())),
+        "p95": _rounded(float(np.percentile(np.abs(d), 95))),
+        "coverage": _rounded(shared_cells / known),
+    }
+
+
+def profile_for(sequence: tum.Recording) -> RobotProfile:
+    """The default robot with the sequence's camera in its hand."""
+    camera = sequence.camera
+    T_first = sequence.truth.at(int(sequence.stamps_ns[0])) if sequence.truth is not None else None
+    down = np.array([0.0, 1.0, 0.0])  # held upright, where nothing is known
+    if T_first is not None:
+        gravity = np.array([0.0, 0.0, -1.0]) if camera.gravity_world is None else camera.gravity_world
+        down = T_first[:3, :3].T @ gravity
+    hand_held = HandHeld(
+        intrinsics=camera.intrinsics,
+        sensor=DepthSensor(rate_hz=camera.rate_hz, depth_scale=camera.depth_scale),
+        mount_xyz=(0.0, 0.0, 0.0),
+        pitch_down_deg=0.0,
+        down=(float(down[0]), float(down[1]), float(down[2])),
+    )
+    return replace(load_profile("phantomx_mk2"), camera=hand_held)
+
+
+def in_words(table: dict[str, Any]) -> str:
+    """A replay's result for people."""
+    lines = [f"{table['source']}:"]
+    if "topics" in table:
+        lines += [f"  {key:<20} {count:>6} messages" for key, count in table["topics"].items()]
+        maps, error = table["maps"], table["map_error_m"]
+        lines.append(
+            f"  the mapper made {maps['made']} maps of the recorded scans; {maps['compared']} compared with recorded ones"
+        )
+        if error["rmse"] is not None:
+            lines.append(
+                f"  they differ by {error['rmse'] * 1e3:.2f} mm rms, {error['coverage']:.1%} of the cells are known to both"
+            )
+    else:
+        lines.append(
+            f"  {table['poses']} poses of {table['frames']} pictures, {table['poses_not_ok']} of them by the prior alone"
+        )
+        if table["pose_error_m"]["rms"] is not None:
+            error = table["pose_error_m"]
+            lines.append(
+                f"  trajectory error after alignment: {error['rms'] * 1e3:.1f} mm rms, {error['final'] * 1e3:.1f} mm at the end"
+            )
+        else:
+            lines.append("  no groundtruth.txt that covers it: no trajectory error")
+    lines += [f"  {name}: {t['p50']:.2f} ms, 99 % below {t['p99']:.2f} ms" for name, t in table["stages_ms"].items()]
+    return "\n".join(lines)
+
+
+def _arrivals(recording: Recording) -> Iterator[tuple[AnyTopic, bytes, int]]:
+    """Frames with the time [ns] at which their readers got them: a lockstep run records them as they are sent."""
+    by_key = {topic.key: topic for topic in topics.TOPICS}
+    under_way: list[tuple[int, int, AnyTopic, bytes]] = []
+    for order, (key, frame, at_ns) in enumerate(recording.frames()):
+        if key not in by_key:
+            raise ReplayError(f"{recording.path}: topic {key!r} is unknown; replay it with the version that wrote it")
+        delay_ns = round(by_key[key].latency_s * 1e9) if recording.about.get("run") == "lockstep" else 0
+        while under_way and under_way[0][0] <= at_ns:
+            arrival_ns, _, topic, waiting = heapq.heappop(under_way)
+            yield topic, waiting, arrival_ns
+        heapq.heappush(under_way, (at_ns + delay_ns, order, by_key[key], frame))
+    while under_way:
+        arrival_ns, _, topic, waiting = heapq.heappop(under_way)
+        yield topic, waiting, arrival_ns
+
+
+class _Clock:
+    now_ns = 0
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+
+def _play(
+    sequence: tum.Recording, profile: RobotProfile, registration: Literal["projective", "kiss-icp"], progress: Progress
+) -> tuple[list[BodyPose], TerrainMap | None, dict[str, tuple[float, float]], int]:
+    poses: list[BodyPose] = []
+    newest: list[TerrainMap] = []
+
+    def tap(topic: AnyTopic, frame: bytes, _: int) -> None:
+        if topic is topics.BODY_POSE:
+            poses.append(codec.decode(frame, BodyPose)[0])
+        elif topic is topics.TERRAIN:
+            newest[:] = [codec.decode(frame, TerrainMap)[0]]
+
+    player = Player(sequence)
+    makers: dict[str, Callable[[], Service]] = {
+        "player": lambda: player,
+        "perception": lambda: Perception(profile, PerceptionSettings(method=registration)),
+        "mapper": lambda: Mapper(profile, MapperSettings()),
+    }
+    lockstep = Lockstep(makers, tap)
+    while not player.finished:
+        lockstep.run(lockstep.now_ns + _SHOW_NS)
+        progress.say(f"{player.doing()}, {len(poses)} poses")
+    lockstep.run(lockstep.now_ns + _SETTLE_NS)
+    stages = {**lockstep.service("perception").stages.percentiles(), **lockstep.service("mapper").stages.percentiles()}
+    return poses, newest[0] if newest else None, stages, sum(not pose.ok for pose in poses)
+
+
+def _error(truth: tum.Trajectory | None, stamps_ns: NDArray[np.int64], T_estimate: Array) -> TrajectoryError | None:
+    """Error of the camera's way where the truth covers it; None where it does so for less than three poses."""
+    if truth is None:
+        return None
+    pairs = [
+        (T, T_true) for stamp, T in zip(stamps_ns, T_estimate, strict=True) if (T_true := truth.at(int(stamp))) is not None
+    ]
+    if len(pairs) < 3:
+        return None
+    return trajectory_error(np.array([T for T, _ in pairs]), np.array([T for _, T in pairs]))
+
+
+def _draw(path: Path, terrain: TerrainMap, T: Array) -> None:
+    """The map as a picture, x up and y left, heights from blue to red, unknown grey, the camera's way in white."""
+    scale = max(1, math.ceil(640 / max(terrain.elevation.shape)))
+    known = np.isfinite(terrain.elevation)
+    low, high = np.percentile(terrain.elevation[known], (1, 99)) if known.any() else (0.0, 1.0)
+    level = np.clip((np.where(known, terrain.elevation, low) - low) / max(high - low, 1e-6), 0, 1)
+    picture = cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_TURBO)
+    picture[~known] = (96, 96, 96)
+    picture = np.ascontiguousarray(picture[::-1, ::-1])
+    picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
+    cells = (T[:, :2, 3] - terrain.origin) / terrain.resolution
+    nx, ny = terrain.elevation.shape
+    way = np.stack([(ny - 0.5 - cells[:, 1]) * scale, (nx - 0.5 - cells[:, 0]) * scale], axis=-1)
+    cv2.polylines(picture, [np.clip(way, -1e6, 1e6).round().astype(np.int32)], False, (255, 255, 255), 2, cv2.LINE_AA)
+    words = f"{low:.2f} m (blue) to {high:.2f} m (red), cell {terrain.resolution * 100:.0f} cm"
+    cv2.putText(picture, words, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
+    cv2.imwrite(str(path), picture)
+
+
+def _decoded(path: Path, frame: bytes) -> TerrainMap:
+    try:
+        return codec.decode(frame, TerrainMap, topics.TERRAIN.max_bytes)[0]
+    except codec.DecodeError as error:
+        raise ReplayError(f"{path}: {error}; replay it with the version that wrote it") from None
+
+
+def _rounded(value: float) -> float:
+    return round(float(value), 6)

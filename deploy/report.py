@@ -1,0 +1,179 @@
+"""What a run comes to: `report.json`, the contract for scripts.
+
+Floats are rounded to six digits, NaN (nothing to measure) becomes null, keys stand in the order of the declarations.
+"""
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
+
+_NAN = float("nan")
+_DIGITS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """The usual and the worst."""
+
+    p95: float = _NAN
+    max: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Torque:
+    """Motor torque [N m] over all joints, and the root mean square of the joint where that is highest."""
+
+    p95: float = _NAN
+    max: float = _NAN
+    rms_worst_joint: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class HeightError:
+    """True height of the body less the one commanded [m]."""
+
+    mean: float = _NAN
+    rms: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """How far a planted foot moves sideways in a step [m]."""
+
+    p50: float = _NAN
+    p95: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class PoseError:
+    """Estimated less true position of the body [m]."""
+
+    rms: float = _NAN
+    final: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class MapError:
+    """Mapped less true height [m] within a metre of the robot, and the known share of the ground just ahead [1]."""
+
+    rmse: float = _NAN
+    bias: float = _NAN
+    p95: float = _NAN
+    coverage: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class StageTime:
+    """How long a stage of the work took [ms]."""
+
+    p50: float
+    p99: float
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One run, judged by the truth. Metrics of the walk are NaN when it took no step."""
+
+    scenario: str
+    seed: int
+    robot: str
+    gait: str
+    blind: bool  # the baseline without a map
+    success: bool  # goal truly reached, no fall, no servo shut down
+    reason: str  # in words
+    distance_m: float  # true progress along the starting direction
+    duration_s: float  # from the first step to the goal, or to the end of a run that did not reach it
+    speed_mps: float  # true mean over that time
+    falls: int
+    shutdowns: int  # servos that latched an error
+    steps: int
+    tilt_deg: Spread = Spread()  # against the commanded attitude
+    commanded_tilt_deg: Spread = Spread()
+    torque_nm: Torque = Torque()
+    touchdowns: int = 0
+    raised_touchdowns: int = 0  # on ground more than 5 mm over the start's: blocks and stairs
+    raised_block_touchdowns: int = 0  # of those, on blocks
+    body_height_error_m: HeightError = HeightError()
+    body_height_oscillation_m: float = _NAN  # 5th to 95th percentile of the true height, telling on level ground only
+    slip_m_per_step: Slip = Slip()
+    missteps: int = 0  # touchdowns where there truly is no foothold
+    min_stability_margin_m: float = _NAN
+    pose_error_m: PoseError = PoseError()
+    map_error_m: MapError = MapError()
+    real_time_factor: float = _NAN  # simulated over elapsed time; timing, so not the same twice
+    stages_ms: dict[str, StageTime] = field(default_factory=dict)  # timing too
+
+
+def without_timing(report: Report) -> Report:
+    """The part of a report that one seed determines."""
+    return replace(report, real_time_factor=_NAN, stages_ms={})
+
+
+def as_table(report: Report) -> dict[str, Any]:
+    """Plain nested tables, rounded, stages in alphabetical order."""
+    table: dict[str, Any] = _plain(report)
+    table["stages_ms"] = dict(sorted(table["stages_ms"].items()))
+    return table
+
+
+def to_json(report: Report) -> str:
+    """The report as JSON text that ends in a line break."""
+    return json.dumps(as_table(report), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write(report: Report, folder: Path) -> None:
+    """Write `report.json` into a folder, making it where it is missing; a half-written file is never seen."""
+    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / "report.json.part"
+    part.write_text(to_json(report), encoding="utf-8")
+    part.replace(folder / "report.json")
+
+
+def check(table: object) -> list[str]:
+    """What a table lacks to be a report, in words and with its place; nothing when it is one. Further keys are allowed."""
+    problems: list[str] = []
+    _check(table, Report, "", problems)
+    return problems
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return round(value, _DIGITS) + 0.0 if math.isfinite(value) else None  # adding zero takes the sign off -0.0
+    return value
+
+
+def _check(value: object, hint: Any, where: str, problems: list[str]) -> None:
+    place = where or "report"
+    if dataclasses.is_dataclass(hint):
+        if not isinstance(value, dict):
+            problems.append(f"{place}: a table expected, found {_shown(value)}")
+            return
+        hints = get_type_hints(hint)
+        for name, kind in hints.items():
+            path = f"{where}.{name}" if where else name
+            if name in value:
+                _check(value[name], kind, path, problems)
+            else:
+                problems.append(f"{path}: missing")
+    elif get_origin(hint) is dict:
+        if not isinstance(value, dict):
+            problems.append(f"{place}: a table expected, found {_shown(value)}")
+            return
+        for name, item in value.items():
+            _check(item, get_args(hint)[1], f"{place}.{name}", problems)
+    elif hint is float:
+        if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+            problems.append(f"{place}: a number or null expected, found {_shown(value)}")
+    elif type(value) is not hint:
+        problems.append(f"{place}: {hint.__name__} expected, found {_shown(value)}")
+
+
+def _shown(value: object) -> str:
+    return f"{type(value).__name__} {str(value)[:40]!r}"

@@ -1,0 +1,666 @@
+"""Judges a run by the truth: ends it, and says afterwards how good it was.
+
+Per message it keeps what comes and looks only for the end (a fall, the goal, the time limit); once a second it compares the
+newest map. All else is computed once, in `result`, over whole arrays.
+
+Frames: {start} lies on the true ground under the robot's starting place, x along its starting direction, z up. It is what the
+services call {world}, as the truth has it: where the robot stands before its first step, it is laid so that place and heading
+of the truth are those of the estimate, so errors count from there; its height is never taken from an estimate.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.report import HeightError, MapError, PoseError, Report, Slip, Spread, StageTime, Torque
+from deploy.walk_metrics import (
+    HeightAt,
+    angle_between,
+    debounced,
+    is_foothold,
+    slip_per_step,
+    stability_margin,
+    touchdowns,
+)
+from shared import topics
+from shared.geometry import Array, apply, inverse, rotation_z, transform, yaw_of
+from shared.messages import ActuatorState, BodyPose, GroundTruth, Message, Mode, PlannerStatus, StepPlan, TerrainMap
+from shared.robot import JOINTS, LEGS, RobotProfile
+from shared.scenario import Box, Pillars, Plane, Rubble, Scenario
+from shared.service import Inbox, Stages
+
+FALL_TILT_DEG = 35.0  # [deg]
+_FALL_COSINE = float(np.cos(np.radians(FALL_TILT_DEG)))
+_CLEARANCE = 0.005  # [m] the body's underside this near the ground is a fall
+_REST_NS = 500_000_000  # [ns] at rest once the body has kept still for so long
+_REST_MOTION = 0.003  # [m] stillness
+_LOST_NS = 2_000_000_000  # [ns] a run goes on after a servo has shut down: a latched error stays
+_MAP_PERIOD_NS = 1_000_000_000  # [ns]
+_MAP_RADIUS = 1.0  # [m] around the body, where maps are compared
+_STRIP = ((0.6, 1.2), (-0.3, 0.3))  # [m] ahead and to the side: where the next steps but one go
+_COURSE_MARGIN = 1.2  # [m] of map around the course that is kept
+_PATH_MARGIN = 0.5  # [m] around the straight path where a fall is looked up on a grid
+_RAISED = 0.005  # [m]
+_GROUND_RESOLUTION = 0.02  # [m]
+_DEBOUNCE = 2  # samples of truth, 20 ms
+_GROUNDED = 0.2  # [1] of a swing at its ends, in which a touching foot carries and does not brush
+_STALE_NS = 250_000_000  # [ns] an actuator that has been silent for longer is not walking
+_MOVED = 0.008  # [m] a touchdown this far off its fellows' pattern has been moved
+
+
+class Ground(Protocol):
+    """The true terrain."""
+
+    def height_at(self, xy: Array) -> Array:
+        """True height (n,) [m] at (n, 2) [m] {world of the simulator}."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Mosaic:
+    """All maps of a run laid over each other, the newest measurement of each cell on top."""
+
+    origin: Array  # (2,) [m] {start} centre of cell (0, 0)
+    resolution: float  # [m]
+    elevation: NDArray[np.float32]  # (nx, ny) [m] {start}, NaN where never seen
+    unacceptable: NDArray[np.bool_]  # (nx, ny) no foothold by the map's score
+    assumed: NDArray[np.bool_]  # (nx, ny) filled in, never measured
+
+
+@dataclass(frozen=True, slots=True)
+class Touchdowns:
+    """Where feet came down, in order of time."""
+
+    t: Array  # (k,) [s]
+    leg: NDArray[np.intp]  # (k,)
+    p: Array  # (k, 3) [m] {start} foot centres
+    moved: NDArray[np.bool_]  # (k,) placed elsewhere than nominal
+    raised: NDArray[np.bool_]  # (k,)
+    misstep: NDArray[np.bool_]  # (k,)
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """A run as arrays, for the picture and for whoever looks closer. Times count from the first message of truth."""
+
+    t: Array  # (n,) [s]
+    walking: NDArray[np.bool_]  # (n,)
+    p_true: Array  # (n, 3) [m] {start} body
+    height_reference: Array  # (n,) [m] {start} commanded height of the body, NaN before the actuator spoke
+    tilt: Array  # (n,) [rad] against the commanded attitude
+    torque_worst: Array  # (n,) [N m] highest of all joints
+    t_estimate: Array  # (m,) [s]
+    p_estimate: Array  # (m, 3) [m] {start} body as perception has it
+    touchdowns: Touchdowns
+    mosaic: Mosaic | None
+    blocks: Array  # (b, 4, 2) [m] {start} corners of the boxes of the true terrain
+    goal_distance: float  # [m]
+    corridor: float  # [m]
+    profile: RobotProfile
+
+
+class Scorer:
+    """Judge of one run; reads the truth, writes nothing."""
+
+    name = "scorer"
+    paced_by = topics.TRUTH
+    reads = (topics.BODY_POSE, topics.TERRAIN, topics.ACTUATOR_STATE, topics.STEP_PLAN, topics.PLANNER_STATUS)
+    writes = ()
+
+    def __init__(self, profile: RobotProfile, scenario: Scenario, seed: int, terrain: Ground | None = None):
+        """Build the true ground.
+
+        Args:
+            profile: The robot.
+            scenario: What it is to do.
+            seed: The run's; the terrain's generator is `default_rng([seed, 0])`, as the simulator's.
+            terrain: The ground, in place of the scenario's.
+        """
+        from services.simulator.terrain import build_terrain  # a robot without the simulator can import this module
+
+        self.stages = Stages()
+        self.finished = False
+        self._profile, self._scenario, self._seed = profile, scenario, seed
+        self._terrain: Ground = build_terrain(scenario, np.random.default_rng([seed, 0])) if terrain is None else terrain
+        unblocked = tuple(part for part in scenario.terrain if not isinstance(part, Box | Rubble | Pillars))
+        self._unblocked: Ground = build_terrain(replace(scenario, terrain=unblocked or (Plane(),)), np.random.default_rng(0))
+        self._truth: list[GroundTruth] = []
+        self._recent: deque[tuple[int, float, float]] = deque()  # stamp, x, y of the last half second
+        self._poses: list[BodyPose] = []
+        self._states: list[ActuatorState] = []
+        self._plans: dict[int, StepPlan] = {}  # the newest revision of each step
+        self._moved: dict[int, int] = {}  # footholds moved in each step, by the planner's word
+        self._first_step_ns: int | None = None
+        self._goal_ns: int | None = None
+        self._beside = False
+        self._stood = False  # a robot that starts on its belly has not fallen
+        self._fall = ""
+        self._shutdown_ns: int | None = None
+        self._end = ""
+        self._x = 0.0
+        self._begin_ns = 0
+        self._T_sim_start = self._T_start_sim = np.eye(4)
+        self._maps: _Maps | None = None
+        self._map_due_ns = 0
+        self._lowest = profile.body.size[2] / 2 + _CLEARANCE
+        self._trace: Trace | None = None
+
+    # -- while it runs
+
+    def step(self, truth: GroundTruth, inbox: Inbox) -> Iterable[Message]:
+        """Take in one message of truth and what the services have said."""
+        self._truth.append(truth)
+        if len(self._truth) == 1:
+            self._begin(truth)
+        self._trace = None
+        self._poses += inbox.drain(topics.BODY_POSE)
+        for state in inbox.drain(topics.ACTUATOR_STATE):
+            self._states.append(state)
+            if self._first_step_ns is None and state.mode is Mode.WALK:
+                self._first_step_ns = state.stamp_ns
+                self._anchor()
+        for plan in inbox.drain(topics.STEP_PLAN):
+            known = self._plans.get(plan.step)
+            if known is None or plan.revision >= known.revision:
+                self._plans[plan.step] = plan
+        for status in inbox.drain(topics.PLANNER_STATUS):
+            self._note(status)
+        if truth.stamp_ns >= self._map_due_ns:
+            terrain = inbox.latest(topics.TERRAIN)
+            if terrain is not None and self._poses:
+                self._map_due_ns = truth.stamp_ns + _MAP_PERIOD_NS
+                self._look_at(terrain)
+        if not self.finished:
+            self._judge(truth)
+        return ()
+
+    def doing(self) -> str:
+        """How far it is, by the truth."""
+        return self._end or f"judging: truly {self._x:.2f} of {self._scenario.goal.distance:.2f} m"
+
+    @property
+    def reason(self) -> str:
+        """Why the run is over, in words; empty while it is not."""
+        return self._end
+
+    def _begin(self, truth: GroundTruth) -> None:
+        self._begin_ns = truth.stamp_ns
+        self._lay_start(truth.T_world_body)
+        self._ground = _Ground(self._around(_PATH_MARGIN), self._T_start_sim, self._height_in_start)
+
+    def _lay_start(self, T: Array) -> None:
+        """Lay {start} under a pose (4, 4) of the body in the simulator's world."""
+        ground = float(self._terrain.height_at(T[None, :2, 3])[0])
+        # Over an abyss the robot starts on what its feet stand on.
+        level = ground if np.isfinite(ground) else float(self._truth[-1].feet[:, 2].min()) - self._profile.foot.radius
+        self._T_sim_start = transform(rotation_z(yaw_of(T)), np.array([T[0, 3], T[1, 3], level]))
+        self._T_start_sim = inverse(self._T_sim_start)
+        self._maps = None  # what was laid over the old frame
+        self._rows = self._T_start_sim[:3].tolist()
+
+    def _anchor(self) -> None:
+        """Lay {start} anew where the robot stands before its first step, so that truth and estimate agree there."""
+        newest = self._poses[-1].stamp_ns if self._poses else 0
+        poses = [p for p in self._poses if p.stamp_ns > newest - _REST_NS and self._begin_ns <= p.stamp_ns]
+        if not poses:
+            return
+        t = np.array([p.stamp_ns - self._begin_ns for p in poses], dtype=np.float64)
+        nearest = np.minimum(np.searchsorted(self._stamps(), t), len(self._truth) - 1)
+        both = zip(nearest, poses, strict=True)
+        mean = np.mean([_flat(self._truth[k].T_world_body) @ inverse(_flat(p.T_world_body)) for k, p in both], axis=0)
+        self._lay_start(transform(rotation_z(yaw_of(mean)), mean[:3, 3]))
+
+    def _around(self, margin: float) -> tuple[float, float, float, float]:
+        """Lowest and highest x, then y [m] {start}, of the course with a margin [m]."""
+        return -margin, self._scenario.goal.distance + margin, -margin, margin
+
+    def _height_in_start(self, xy: Array) -> Array:
+        """True height (n,) [m] {start} at (n, 2) [m] {start}."""
+        T = self._T_sim_start
+        return np.asarray(self._terrain.height_at(xy @ T[:2, :2].T + T[:2, 3]) - T[2, 3])
+
+    def _note(self, status: PlannerStatus) -> None:
+        self._moved[status.step] = status.moved_footholds
+
+    def _judge(self, truth: GroundTruth) -> None:
+        T, now = truth.T_world_body, truth.stamp_ns
+        position = T[:3, 3].tolist()
+        x, y, z = (sum(a * b for a, b in zip(row, position, strict=False)) + row[3] for row in self._rows)
+        self._x = x
+        goal = self._scenario.goal
+        seconds = (now - self._begin_ns) * 1e-9
+        cos_tilt = max(-1.0, float(T[2, 2]))
+        on_ground = z - self._ground.under(position[0], position[1]) < self._lowest
+        self._stood |= not on_ground
+        if cos_tilt < _FALL_COSINE:
+            self._fall = f"fell {x:.2f} m along after {seconds:.1f} s: tilted by {np.degrees(np.arccos(cos_tilt)):.0f} deg"
+        elif on_ground and self._stood:
+            self._fall = f"fell {x:.2f} m along after {seconds:.1f} s: the body touched the ground"
+        if self._shutdown_ns is None and truth.shutdown.any():
+            self._shutdown_ns = now
+        if x >= goal.distance:
+            if self._goal_ns is None and abs(y) <= goal.corridor:
+                self._goal_ns = now
+            self._beside = self._goal_ns is None
+        recent = self._recent
+        recent.append((now, x, y))
+        while now - recent[0][0] > _REST_NS:
+            recent.popleft()
+        _, x0, y0 = recent[0]
+        at_rest = now - recent[0][0] > 0.9 * _REST_NS and (x - x0) ** 2 + (y - y0) ** 2 < _REST_MOTION**2
+        if self._fall:
+            self._end = self._fall
+        elif self._shutdown_ns is not None and now - self._shutdown_ns >= _LOST_NS:
+            self._end = self._shutdown_words()
+        elif x >= goal.distance and at_rest:
+            self._end = "goal reached"
+            if self._goal_ns is None:
+                self._end = f"passed the goal line {abs(y):.2f} m beside its middle; the corridor is {goal.corridor:.2f} m wide"
+        elif seconds >= self._scenario.time_limit_s:
+            self._end = f"time limit of {self._scenario.time_limit_s:g} s, {x:.2f} of {goal.distance:.2f} m done"
+        self.finished = bool(self._end)
+
+    def _shutdown_words(self) -> str:
+        legs, joints = np.nonzero(self._truth[-1].shutdown)
+        names = [f"{LEGS[leg]} {JOINTS[joint]}" for leg, joint in zip(legs, joints, strict=True)]
+        return f"servo shut down: {', '.join(names[:4])}" + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+    def _stamps(self) -> Array:
+        return np.array([m.stamp_ns - self._begin_ns for m in self._truth], dtype=np.float64)
+
+    def _look_at(self, terrain: TerrainMap) -> None:
+        if self._maps is None or not self._maps.grid.fits(terrain):
+            grid = _Grid.of(self._around(_COURSE_MARGIN), terrain)
+            self._maps = _Maps(grid, self._height_in_start)
+        self._maps.add(terrain, self._poses[-1].T_world_body, compare=self._first_step_ns is not None)
+
+    # -- when it is over
+
+    @property
+    def trace(self) -> Trace:
+        """The run as arrays, empty where nothing came."""
+        if self._trace is None:
+            self._trace = self._make_trace()
+        return self._trace
+
+    def result(
+        self, reason: str = "", real_time_factor: float = float("nan"), stages_ms: Mapping[str, StageTime] | None = None
+    ) -> Report:
+        """Judge the run as far as it has come.
+
+        Args:
+            reason: Why the run was ended, where the scorer did not end it (what the operator or the launcher says).
+            real_time_factor: Simulated over elapsed time.
+            stages_ms: How long the services' stages took.
+        """
+        scenario, profile = self._scenario, self._profile
+        shutdowns = int(self._truth[-1].shutdown.sum()) if self._truth else 0
+        success = self._goal_ns is not None and not self._fall and not shutdowns
+        report = Report(
+            scenario=scenario.name,
+            seed=self._seed,
+            robot=profile.name,
+            gait=scenario.walk.gait,
+            blind=scenario.walk.blind,
+            success=success,
+            reason="goal reached" if success else self._failure(shutdowns, reason),
+            distance_m=self._x,
+            duration_s=0.0,
+            speed_mps=0.0,
+            falls=int(bool(self._fall)),
+            shutdowns=shutdowns,
+            steps=0,
+            real_time_factor=real_time_factor,
+            stages_ms=dict(stages_ms or {}),
+        )
+        if len(self._truth) < 2:
+            return report
+        return self._measured(report)
+
+    def _failure(self, shutdowns: int, reason: str) -> str:
+        if not self._truth:
+            return reason or "no ground truth came: is the simulator running?"
+        if self._fall:
+            return self._fall
+        if shutdowns:
+            return self._shutdown_words()
+        stopped = f"stopped {self._x:.2f} of {self._scenario.goal.distance:.2f} m along"
+        return self._end or (f"{reason} ({stopped})" if reason else stopped)
+
+    def _measured(self, report: Report) -> Report:
+        trace = self.trace
+        walking = trace.walking
+        speed, duration = self._speed()
+        stance_step = self._step_numbers()
+        report = replace(
+            report,
+            distance_m=float(trace.p_true[-1, 0]),
+            duration_s=duration,
+            speed_mps=speed,
+            pose_error_m=self._pose_error(trace),
+            map_error_m=self._maps.error() if self._maps is not None else MapError(),
+        )
+        if not walking.any():
+            return report
+        torque = np.abs(np.array([m.torque for m in self._truth]))[walking]
+        height_error = (trace.p_true[:, 2] - trace.height_reference)[walking]
+        height = trace.p_true[walking, 2]
+        feet = self._feet()[..., :2]
+        planted = self._contact() & ~self._swing() & walking[:, None]
+        # One sample in two: the margin changes slowly, and the polygons are the dearest part.
+        margin = stability_margin(feet[walking][::2], self._carrying()[walking][::2], trace.p_true[walking, :2][::2])
+        slip = slip_per_step(feet, planted, stance_step)
+        downs = trace.touchdowns
+        commanded = self._commanded_tilt()[walking]
+        return replace(
+            report,
+            steps=len(np.unique(stance_step[walking])),
+            tilt_deg=_spread(np.degrees(trace.tilt[walking])),
+            commanded_tilt_deg=_spread(np.degrees(commanded)),
+            torque_nm=Torque(
+                p95=float(np.percentile(torque, 95)),
+                max=float(torque.max()),
+                rms_worst_joint=float(np.sqrt(np.mean(torque**2, axis=0)).max()),
+            ),
+            touchdowns=len(downs.t),
+            raised_touchdowns=int(downs.raised.sum()),
+            raised_block_touchdowns=self._on_blocks(downs),
+            body_height_error_m=HeightError(float(height_error.mean()), float(np.sqrt(np.mean(height_error**2)))),
+            body_height_oscillation_m=float(np.subtract(*np.percentile(height, [95, 5]))),
+            slip_m_per_step=Slip(*np.percentile(slip, [50, 95]).tolist()) if len(slip) else Slip(),
+            missteps=int(downs.misstep.sum()),
+            min_stability_margin_m=float(np.nanmin(margin)) if np.isfinite(margin).any() else np.nan,
+        )
+
+    def _make_trace(self) -> Trace:
+        t_ns = self._stamps()
+        p_true = apply(self._T_start_sim, np.array([m.T_world_body[:3, 3] for m in self._truth]).reshape(-1, 3))
+        up_true = np.array([m.T_world_body[2, :3] for m in self._truth]).reshape(-1, 3)  # {body} the vertical
+        self._align_states(t_ns)
+        height = np.full(len(t_ns), np.nan)
+        up = np.tile([0.0, 0.0, 1.0], (len(t_ns), 1))
+        if self._states:
+            z, up_states = self._references()
+            before = t_ns < self._state_t[0]
+            height = np.where(before, np.nan, np.interp(t_ns, self._state_t, z))
+            up = up_states[self._state_of]
+        self._up_commanded = up
+        return Trace(
+            t=t_ns * 1e-9,
+            walking=self._walking,
+            p_true=p_true,
+            height_reference=height,
+            tilt=angle_between(up_true, up),
+            torque_worst=np.abs(np.array([m.torque for m in self._truth]).reshape(-1, 18)).max(axis=1),
+            t_estimate=np.array([p.stamp_ns - self._begin_ns for p in self._poses]) * 1e-9,
+            p_estimate=np.array([p.T_world_body[:3, 3] for p in self._poses]).reshape(-1, 3),
+            touchdowns=self._touchdowns(t_ns * 1e-9),
+            mosaic=self._maps.mosaic() if self._maps is not None else None,
+            blocks=self._block_corners(),
+            goal_distance=self._scenario.goal.distance,
+            corridor=self._scenario.goal.corridor,
+            profile=self._profile,
+        )
+
+    def _align_states(self, t_ns: Array) -> None:
+        """For each sample of truth the actuator's word that held then."""
+        self._state_t = np.array([s.stamp_ns - self._begin_ns for s in self._states], dtype=np.float64)
+        if not self._states:
+            self._state_of = np.zeros(len(t_ns), dtype=np.intp)
+            self._walking = np.zeros(len(t_ns), dtype=bool)
+            return
+        self._state_of = np.clip(np.searchsorted(self._state_t, t_ns, side="right") - 1, 0, None)
+        age = t_ns - self._state_t[self._state_of]
+        walk = np.array([s.mode is Mode.WALK for s in self._states])
+        self._walking = walk[self._state_of] & (age >= 0) & (age < _STALE_NS)
+
+    def _references(self) -> tuple[Array, Array]:
+        """Commanded height (m,) [m] {start} and the vertical in the commanded body (m, 3), for each word of the actuator.
+
+        A reference is {odom}'s; the plan of its step ties it to {world}.
+        """
+        numbers = np.array(sorted(self._plans) or [0])
+        ties = np.array([self._plans[n].T_world_odom for n in numbers]) if self._plans else np.eye(4)[None]
+        steps = np.array([s.step for s in self._states])
+        tie = ties[np.clip(np.searchsorted(numbers, steps, side="right") - 1, 0, None)]
+        reference = tie @ np.array([s.body_ref for s in self._states])
+        return reference[:, 2, 3], reference[:, 2, :3]
+
+    def _commanded_tilt(self) -> Array:
+        return angle_between(self._up_commanded, np.array([0.0, 0.0, 1.0]))
+
+    def _feet(self) -> Array:
+        return apply(self._T_start_sim, np.array([m.feet for m in self._truth]).reshape(-1, 6, 3))
+
+    def _contact(self) -> NDArray[np.bool_]:
+        return debounced(np.array([m.contact for m in self._truth], dtype=bool).reshape(-1, 6), _DEBOUNCE)
+
+    def _swing(self) -> NDArray[np.bool_]:
+        swing = np.array([s.swing for s in self._states]).reshape(-1, 6)
+        if not len(swing):
+            return np.zeros((len(self._truth), 6), dtype=bool)
+        return np.asarray(swing[self._state_of] & self._walking[:, None])
+
+    def _carrying(self) -> NDArray[np.bool_]:
+        """Feet (n, 6) that carry or could: in contact, and in stance by plan, about to leave or just landed."""
+        phase = np.array([s.phase for s in self._states])[self._state_of]
+        grounded = (phase < _GROUNDED) | (phase > 1.0 - _GROUNDED)
+        return np.asarray(self._contact() & (~self._swing() | grounded[:, None]))
+
+    def _step_numbers(self) -> NDArray[np.int64]:
+        steps = np.array([s.step for s in self._states] or [0])
+        return np.asarray(steps[self._state_of])
+
+    def _touchdowns(self, t: Array) -> Touchdowns:
+        found = touchdowns(self._contact(), self._swing())
+        sample = np.minimum(found[:, 0] + _DEBOUNCE, len(t) - 1)  # the foot has settled
+        leg = found[:, 1]
+        p = self._feet()[sample, leg]
+        swung = self._step_numbers()[np.maximum(found[:, 0] - 1, 0)]
+        moved = np.array([bool(self._moved_legs(int(n))[k]) for n, k in zip(swung, leg, strict=True)], dtype=bool)
+        return Touchdowns(
+            t=t[found[:, 0]],
+            leg=leg,
+            p=p,
+            moved=moved,
+            raised=self._height_in_start(p[:, :2]) > _RAISED,
+            misstep=~is_foothold(self._height_in_start, p[:, :2]),
+        )
+
+    def _moved_legs(self, step: int) -> NDArray[np.bool_]:
+        """Legs (6,) whose touchdown the planner moved.
+
+        It says how many; which ones shows in their pattern: nominal touchdowns lie alike to their resting places.
+        """
+        plan = self._plans.get(step)
+        moved = np.zeros(6, dtype=bool)
+        if plan is None or not plan.swing.any():
+            return moved
+        rest = self._profile.rest_feet()
+        offset = (apply(inverse(plan.body_goal), plan.touchdown) - rest)[:, :2]
+        strange = np.where(plan.swing, np.linalg.norm(offset - np.median(offset[plan.swing], axis=0), axis=1), -1.0)
+        count = self._moved.get(step)
+        if count is None:
+            return np.asarray(strange > _MOVED)
+        moved[np.argsort(-strange, kind="stable")[: min(count, int(plan.swing.sum()))]] = True
+        return moved
+
+    def _on_blocks(self, downs: Touchdowns) -> int:
+        T = self._T_sim_start
+        xy = downs.p[:, :2] @ T[:2, :2].T + T[:2, 3]
+        without = np.maximum(self._unblocked.height_at(xy), T[2, 3])
+        return int((self._terrain.height_at(xy) > without + _RAISED).sum())
+
+    def _speed(self) -> tuple[float, float]:
+        """Mean speed [m/s] from the first step to the goal, or to the end, and the time [s] that took."""
+        if self._first_step_ns is None:
+            return 0.0, 0.0
+        until = self._goal_ns if self._goal_ns is not None else self._truth[-1].stamp_ns
+        duration = (until - self._first_step_ns) * 1e-9
+        if duration <= 0:
+            return 0.0, 0.0
+        trace = self.trace
+        ends = np.array([self._first_step_ns - self._begin_ns, until - self._begin_ns]) * 1e-9
+        x = np.interp(ends, trace.t, trace.p_true[:, 0])
+        return float(x[1] - x[0]) / duration, duration
+
+    def _pose_error(self, trace: Trace) -> PoseError:
+        known = (trace.t_estimate >= trace.t[0]) & (trace.t_estimate <= trace.t[-1])
+        if not known.any():
+            return PoseError()
+        true = np.stack([np.interp(trace.t_estimate[known], trace.t, trace.p_true[:, k]) for k in range(3)], axis=1)
+        error = np.linalg.norm(trace.p_estimate[known] - true, axis=1)
+        return PoseError(float(np.sqrt(np.mean(error**2))), float(error[-1]))
+
+    def _block_corners(self) -> Array:
+        boxes = getattr(self._terrain, "boxes", None)
+        if boxes is None or not len(boxes):
+            return np.zeros((0, 4, 2))
+        corners = np.array([[1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1]]) * boxes.half[:, None]
+        top = np.einsum("bij,bkj->bki", boxes.R, corners) + boxes.centre[:, None]
+        return apply(self._T_start_sim, top)[..., :2]
+
+
+class _Ground:
+    """The true ground under the path on a grid, for a look at every message."""
+
+    def __init__(self, area: tuple[float, float, float, float], T_start_sim: Array, height_at: HeightAt):
+        grid = _Grid(area, _GROUND_RESOLUTION)
+        self._height = height_at(grid.points()).reshape(grid.shape).tolist()
+        self._last = grid.shape[0] - 1, grid.shape[1] - 1
+        # From the simulator's world straight to cells.
+        to_cells = T_start_sim[:2, [0, 1, 3]] / _GROUND_RESOLUTION
+        to_cells[:, 2] -= grid.origin / _GROUND_RESOLUTION
+        self._rows = to_cells.tolist()
+
+    def under(self, x: float, y: float) -> float:
+        """Height [m] {start} of the grid point nearest to a place [m] of the simulator's world."""
+        i, j = (min(max(round(a * x + b * y + c), 0), n) for (a, b, c), n in zip(self._rows, self._last, strict=True))
+        return float(self._height[i][j])
+
+
+class _Grid:
+    """Cells over an area, on which maps of one resolution and phase fall without a remainder."""
+
+    def __init__(self, area: tuple[float, float, float, float], resolution: float, phase: Array | None = None):
+        x0, x1, y0, y1 = area
+        self.resolution = resolution
+        self.origin = np.round(np.array([x0, y0]) / resolution) * resolution + (0.0 if phase is None else phase)
+        self.shape = round((x1 - x0) / resolution) + 1, round((y1 - y0) / resolution) + 1
+
+    @classmethod
+    def of(cls, area: tuple[float, float, float, float], terrain: TerrainMap) -> "_Grid":
+        """The grid on which a map's cells lie."""
+        r = terrain.resolution
+        return cls(area, r, terrain.origin - np.round(terrain.origin / r) * r)
+
+    def fits(self, terrain: TerrainMap) -> bool:
+        """Whether a map's cells lie on this grid."""
+        cells = (terrain.origin - self.origin) / self.resolution
+        return terrain.resolution == self.resolution and bool(np.all(np.abs(cells - np.round(cells)) < 1e-3))
+
+    def first(self, terrain: TerrainMap) -> NDArray[np.int64]:
+        """The cell (2,) of a map's cell (0, 0)."""
+        return np.round((terrain.origin - self.origin) / self.resolution).astype(np.int64)
+
+    def points(self) -> Array:
+        """Centres (n, 2) [m] of the cells, row by row."""
+        x, y = (self.origin[k] + self.resolution * np.arange(self.shape[k]) for k in (0, 1))
+        return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+class _Maps:
+    """The run's maps: laid over each other, and compared with the truth."""
+
+    def __init__(self, grid: _Grid, height_at: HeightAt):
+        self.grid = grid
+        self._height_at = height_at
+        self._true = np.full(grid.shape, np.nan)  # filled in where it is asked for: looking it up is dear
+        self._elevation = np.full(grid.shape, np.nan, dtype=np.float32)
+        self._unacceptable = np.zeros(grid.shape, dtype=bool)
+        self._assumed = np.zeros(grid.shape, dtype=bool)
+        self._errors: list[tuple[float, float, float]] = []
+        self._coverage: list[float] = []
+
+    def add(self, terrain: TerrainMap, T_world_body: Array, compare: bool) -> None:
+        """Lay a map over the others; with `compare` its comparison with the truth counts.
+
+        The robot believes to be at T_world_body (4, 4).
+        """
+        grid = self.grid
+        first = grid.first(terrain)
+        low = np.maximum(first, 0)
+        high = np.minimum(first + terrain.elevation.shape, grid.shape)
+        if np.any(low >= high):
+            return
+        here = (slice(low[0], high[0]), slice(low[1], high[1]))
+        there = tuple(slice(a - f, b - f) for a, b, f in zip(low, high, first, strict=True))
+        elevation, assumed, score = terrain.elevation[there], terrain.assumed[there], terrain.score[there]
+        seen = np.isfinite(elevation)
+        measured = seen & ~assumed
+        fill = measured | (seen & (np.isnan(self._elevation[here]) | self._assumed[here]))
+        np.copyto(self._elevation[here], elevation, where=fill)
+        np.copyto(self._unacceptable[here], score > 1, where=fill)
+        np.copyto(self._assumed[here], assumed, where=fill)
+        if compare:
+            x, y = (grid.origin[k] + grid.resolution * np.arange(low[k], high[k]) for k in (0, 1))
+            near = (x[:, None] - T_world_body[0, 3]) ** 2 + (y - T_world_body[1, 3]) ** 2 <= _MAP_RADIUS**2
+            self._compare(elevation, measured & near, here, (x, y))
+            self._cover(terrain, T_world_body)
+
+    def _compare(
+        self,
+        elevation: NDArray[np.float32],
+        cells: NDArray[np.bool_],
+        here: tuple[slice, slice],
+        axes: tuple[Array, Array],
+    ) -> None:
+        true = self._true[here]
+        i, j = np.nonzero(cells & np.isnan(true))
+        true[i, j] = self._height_at(np.stack([axes[0][i], axes[1][j]], axis=1))
+        error = elevation[cells] - true[cells]
+        error = error[np.isfinite(error)]  # no ground, no height to compare with
+        if len(error):
+            size = np.abs(error)
+            rank = int(0.95 * (len(size) - 1))
+            p95 = np.partition(size, rank)[rank]
+            self._errors.append((float(np.sqrt(np.mean(error**2))), float(error.mean()), float(p95)))
+
+    def _cover(self, terrain: TerrainMap, T_world_body: Array) -> None:
+        (x0, x1), (y0, y1) = _STRIP
+        r = terrain.resolution
+        ahead, side = np.meshgrid(np.arange(x0 + r / 2, x1, r), np.arange(y0 + r / 2, y1, r), indexing="ij")
+        yaw = yaw_of(T_world_body)
+        c, s = np.cos(yaw), np.sin(yaw)
+        i = np.round((T_world_body[0, 3] + c * ahead - s * side - terrain.origin[0]) / r).astype(int)
+        j = np.round((T_world_body[1, 3] + s * ahead + c * side - terrain.origin[1]) / r).astype(int)
+        nx, ny = terrain.elevation.shape
+        inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny)
+        i, j = np.where(inside, i, 0), np.where(inside, j, 0)
+        known = inside & np.isfinite(terrain.elevation[i, j]) & ~terrain.assumed[i, j]
+        self._coverage.append(float(known.mean()))
+
+    def error(self) -> MapError:
+        """Errors of the maps compared, averaged over them."""
+        if not self._errors:
+            return MapError(coverage=float(np.mean(self._coverage)) if self._coverage else np.nan)
+        rmse, bias, p95 = np.mean(self._errors, axis=0).tolist()
+        return MapError(rmse, bias, p95, float(np.mean(self._coverage)))
+
+    def mosaic(self) -> Mosaic:
+        """The maps laid over each other."""
+        return Mosaic(self.grid.origin, self.grid.resolution, self._elevation, self._unacceptable, self._assumed)
+
+
+def _flat(T: Array) -> Array:
+    """Place and heading of a pose (4, 4): the part that lies in the plane."""
+    return transform(rotation_z(yaw_of(T)), np.array([T[0, 3], T[1, 3], 0.0]))
+
+
+def _spread(values: Array) -> Spread:
+    p95, highest = np.percentile(values, [95, 100]).tolist()
+    return Spread(p95, highest)

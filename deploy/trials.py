@@ -1,0 +1,265 @@
+"""Many runs of one scenario, a seed each: how often it succeeds, and how sure that is.
+
+Every finished seed is a line of JSON in `trials.jsonl`, so a batch that was stopped goes on where it was. Lines of another
+scenario, or of the same one changed since, are not counted.
+"""
+
+import ctypes
+import hashlib
+import json
+import multiprocessing
+import os
+import signal
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deploy import report as reports
+from deploy.report import Report
+from deploy.statistics import Difference, Rate, difference, wilson
+from shared import config
+from shared.scenario import Scenario
+
+_PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when its parent dies
+Run = Callable[[Scenario, int], Report]
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """What a batch came to. Medians are over the runs that measured the quantity, NaN where none did."""
+
+    scenario: str
+    blind: bool
+    success: Rate
+    falls: int
+    runs_with_shutdown: int
+    mean_speed_mps: float  # of the successful runs
+    raised_block_touchdowns: float  # mean per run
+    median_tilt_p95_deg: float
+    median_height_error_m: float  # mean of a run, signed
+    median_final_pose_error_m: float
+    failures: dict[str, int]  # reason without its figures -> runs, most frequent first
+    failed_seeds: tuple[int, ...]
+
+
+def run_trials(
+    scenario: Scenario,
+    seeds: Iterable[int],
+    jobs: int,
+    out: Path,
+    blind: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+    run: Run | None = None,
+) -> Trials:
+    """Run every seed that has not been run yet, each in lockstep.
+
+    Args:
+        scenario: The course and the way to walk it.
+        seeds: Of the runs; each counts once.
+        jobs: How many at a time, each in a process of its own; 1 runs them in this process.
+        out: Folder for `trials.jsonl`.
+        blind: Run the baseline without a map.
+        say: Hears a line per seed.
+        run: What runs one seed, `deploy.lockstep_run.run_lockstep` by default.
+
+    Raises:
+        ValueError: No seeds, no jobs, or a line of `trials.jsonl` that is none.
+    """
+    wanted = sorted(set(seeds))
+    if not wanted or jobs < 1:
+        raise ValueError(f"at least one seed and one job expected, found {len(wanted)} seeds and {jobs} jobs")
+    scenario = replace(scenario, walk=replace(scenario.walk, blind=scenario.walk.blind or blind))
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / "trials.jsonl"
+    mark = fingerprint(scenario)
+    done = {seed: table for seed, table in _read(path, mark).items() if seed in set(wanted)}
+    if done:
+        say(f"{len(done)} of {len(wanted)} seeds are done already; see {path}")
+    left = [seed for seed in wanted if seed not in done]
+    successes = sum(table["success"] for table in done.values())
+    with path.open("a", encoding="utf-8") as lines:
+        for report in _run_all(scenario, left, min(jobs, len(left)), run or _run_lockstep):
+            table = reports.as_table(report)
+            lines.write(json.dumps({"fingerprint": mark, "report": table}, ensure_ascii=False) + "\n")
+            lines.flush()
+            done[report.seed] = table
+            successes += report.success
+            say(_line(report, len(done), len(wanted), successes))
+    return summarise(scenario.name, scenario.walk.blind, [done[seed] for seed in wanted])
+
+
+def compare(seeing: Trials, blind: Trials) -> Difference:
+    """How much more often the robot gets there with a map than without."""
+    return difference(seeing.success, blind.success)
+
+
+def summarise(name: str, blind: bool, tables: list[dict[str, Any]]) -> Trials:
+    """What a batch came to, from its reports as tables."""
+    good = [t for t in tables if t["success"]]
+    failures = Counter(_without_figures(t["reason"]) for t in tables if not t["success"])
+    return Trials(
+        scenario=name,
+        blind=blind,
+        success=wilson(len(good), len(tables)),
+        falls=sum(t["falls"] > 0 for t in tables),
+        runs_with_shutdown=sum(t["shutdowns"] > 0 for t in tables),
+        mean_speed_mps=_over(np.mean, [t["speed_mps"] for t in good]),
+        raised_block_touchdowns=_over(np.mean, [t["raised_block_touchdowns"] for t in tables]),
+        median_tilt_p95_deg=_over(np.median, [t["tilt_deg"]["p95"] for t in tables]),
+        median_height_error_m=_over(np.median, [t["body_height_error_m"]["mean"] for t in tables]),
+        median_final_pose_error_m=_over(np.median, [t["pose_error_m"]["final"] for t in tables]),
+        failures=dict(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
+        failed_seeds=tuple(t["seed"] for t in tables if not t["success"]),
+    )
+
+
+def to_json(trials: Trials, baseline: Trials | None = None) -> str:
+    """A batch as JSON text, beside its blind baseline and the difference of the two when there is one."""
+    table: dict[str, Any] = _plain(asdict(trials))
+    if baseline is not None:
+        table |= {"baseline": _plain(asdict(baseline)), "compared": _plain(asdict(compare(trials, baseline)))}
+    return json.dumps(table, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def words(trials: Trials, baseline: Trials | None = None) -> str:
+    """A batch in a few lines for people."""
+    lines = [_rate_words(trials)]
+    lines.append(
+        f"  mean speed {100 * trials.mean_speed_mps:.1f} cm/s, falls {trials.falls}, with a servo shut down "
+        f"{trials.runs_with_shutdown}, touchdowns on blocks {trials.raised_block_touchdowns:.1f} per run"
+    )
+    lines.append(
+        f"  medians: tilt p95 {trials.median_tilt_p95_deg:.2f} deg, height error {1e3 * trials.median_height_error_m:+.1f} mm, "
+        f"pose error at the end {1e3 * trials.median_final_pose_error_m:.0f} mm"
+    )
+    lines += [f"  {count:3d} x {reason}" for reason, count in trials.failures.items()]
+    if trials.failed_seeds:
+        lines.append(f"  failed seeds: {', '.join(map(str, trials.failed_seeds))}")
+    if baseline is not None:
+        d = compare(trials, baseline)
+        lines += words(baseline).splitlines()
+        lines.append(
+            f"difference {100 * d.difference:+.0f} points ({100 * d.low:+.0f} to {100 * d.high:+.0f}), 95 % intervals "
+            + ("disjoint" if d.disjoint else "overlap")
+        )
+    return "\n".join(lines)
+
+
+def fingerprint(scenario: Scenario) -> str:
+    """Changes with anything in a scenario but the folder it was read from."""
+    table = config.as_table(replace(scenario, folder="."))
+    return hashlib.blake2s(json.dumps(table, sort_keys=True).encode(), digest_size=6).hexdigest()
+
+
+def _run_lockstep(scenario: Scenario, seed: int) -> Report:
+    from deploy.lockstep_run import run_lockstep  # brings in every service
+
+    return run_lockstep(scenario, seed)
+
+
+def _run_all(scenario: Scenario, seeds: list[int], jobs: int, run: Run) -> Iterator[Report]:
+    if jobs <= 1:
+        for seed in seeds:
+            yield run(scenario, seed)
+        return
+    others = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    with (
+        _one_thread_each(),
+        ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare, initargs=(os.getpid(),)) as pool,
+    ):
+        running = [pool.submit(run, scenario, seed) for seed in seeds]
+        try:
+            for future in as_completed(running):
+                yield future.result()
+        except BaseException:  # an error, or the operator has had enough: nobody waits for the runs under way
+            for future in running:
+                future.cancel()
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+            raise
+
+
+def _prepare(parent: int) -> None:
+    """Make a worker end at Ctrl-C without a word, and with the process that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it died before the call above
+        os._exit(1)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started within compute in one thread each, so that jobs do not take each other's cores."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _read(path: Path, mark: str) -> dict[int, dict[str, Any]]:
+    """Reports on file of one scenario, by seed. A last line that was cut off counts as not run."""
+    if not path.exists():
+        return {}
+    text = path.read_text(encoding="utf-8")
+    if text and not text.endswith("\n"):
+        text = text[: text.rfind("\n") + 1]
+        path.write_text(text, encoding="utf-8")
+    found: dict[int, dict[str, Any]] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        try:
+            entry = json.loads(line)
+        except json.JSONDecodeError:
+            entry = None
+        if not isinstance(entry, dict) or reports.check(entry.get("report")):
+            raise ValueError(f"{path}, line {number}: a finished seed as JSON expected, found {line[:60]!r}; remove the line")
+        if entry.get("fingerprint") == mark:
+            found[entry["report"]["seed"]] = entry["report"]
+    return found
+
+
+def _line(report: Report, done: int, wanted: int, successes: int) -> str:
+    verdict = "goal" if report.success else "FAIL"
+    tail = f"{report.duration_s:5.1f} s  {100 * report.speed_mps:4.1f} cm/s" if report.success else report.reason
+    return f"[{done:3d}/{wanted}] seed {report.seed:3d}  {verdict}  {tail}  ({successes} of {done})"
+
+
+def _rate_words(trials: Trials) -> str:
+    r = trials.success
+    what = f"{trials.scenario}, blind" if trials.blind else trials.scenario
+    interval = f"95 %: {100 * r.low:.0f} to {100 * r.high:.0f} %"
+    return f"{what}: {r.successes} of {r.n} reached the goal, {100 * r.rate:.0f} % ({interval})"
+
+
+def _without_figures(reason: str) -> str:
+    """A reason with its numbers taken out, so that alike ones count together."""
+    out = "".join("#" if c.isdigit() else c for c in reason)
+    while "##" in out or "#.#" in out:
+        out = out.replace("#.#", "#").replace("##", "#")
+    return out
+
+
+def _over(reduce: Callable[[list[float]], Any], values: list[float | None]) -> float:
+    known = [v for v in values if v is not None]
+    return float(reduce(known)) if known else float("nan")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return round(value, 6) + 0.0 if np.isfinite(value) else None
+    return list(value) if isinstance(value, tuple) else value

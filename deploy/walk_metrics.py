@@ -1,0 +1,132 @@
+"""What recorded truth says about a walk: touchdowns, slip, stability, footholds. Arrays in, arrays out, a row per sample."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.geometry import Array
+
+Flags = NDArray[np.bool_]
+HeightAt = Callable[[Array], Array]  # (n, 2) [m] -> (n,) [m]
+
+_DISC_RADIUS = 0.010  # [m] what a foot may come to stand on around its centre
+_DISC_RANGE = 0.008  # [m] heights within that disc may differ by this
+_PLANE_MISFIT = 0.002  # [m] or more, when they lie on a plane this closely
+_MAX_SLOPE = np.tan(np.radians(35.0))  # that is no steeper than this
+
+
+def runs(flags: Flags) -> NDArray[np.intp]:
+    """First and one past the last sample (k, 2) of each run of True in (n,) flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2)
+
+
+def debounced(contact: Flags, samples: int) -> Flags:
+    """Contact (n, k) with gaps, then with touches, of at most so many samples taken out."""
+    out = contact.copy()
+    for column in out.T:
+        for begin, end in runs(~column):
+            if end - begin <= samples and begin > 0 and end < len(column):
+                column[begin:end] = True
+        for begin, end in runs(column):
+            if end - begin <= samples and begin > 0 and end < len(column):
+                column[begin:end] = False
+    return out
+
+
+def touchdowns(contact: Flags, swing: Flags) -> NDArray[np.intp]:
+    """Where swinging feet come to stand: (k, 2) sample and leg, by sample.
+
+    A swing has one touchdown: where the contact begins that outlasts its planned end. A foot that touched on the way is not
+    down yet, and one that never left the ground does not land.
+
+    Args:
+        contact: (n, legs) debounced contact.
+        swing: (n, legs) legs in the air by plan.
+    """
+    found: list[tuple[int, int]] = []
+    for leg in range(contact.shape[1]):
+        touches = runs(contact[:, leg])
+        swings = runs(swing[:, leg])
+        following = np.append(swings[1:, 0], len(contact))[: len(swings)]
+        for (begin, end), next_begin in zip(swings, following, strict=True):
+            after = touches[touches[:, 1] > end]
+            if len(after) and begin < after[0, 0] < next_begin:
+                found.append((int(after[0, 0]), leg))
+    return np.array(sorted(found), dtype=np.intp).reshape(-1, 2)
+
+
+def stability_margin(feet: Array, carrying: Flags, body: Array) -> Array:
+    """Distance (n,) [m] of the projected body centre to the nearest edge of the support polygon, negative outside.
+
+    With two feet it is less the distance to the line through them, with one to that foot; NaN with none.
+
+    Args:
+        feet: (n, legs, 2) [m] foot centres on the ground plane.
+        carrying: (n, legs) which of them span the polygon.
+        body: (n, 2) [m] body centre on the same plane.
+    """
+    legs = feet.shape[1]
+    first, second = np.nonzero(~np.eye(legs, dtype=bool))
+    edge = feet[:, second] - feet[:, first]  # (n, pairs, 2)
+    length = np.linalg.norm(edge, axis=-1)
+    normal = np.stack([-edge[..., 1], edge[..., 0]], axis=-1) / np.maximum(length, 1e-12)[..., None]  # to the left
+    of_body = np.einsum("npk,npk->np", normal, body[:, None] - feet[:, first])
+    is_edge = carrying[:, first] & carrying[:, second] & (length > 1e-9)
+    for leg in range(legs):  # an edge of the hull has all carrying feet on its left
+        of_foot = np.einsum("npk,npk->np", normal, feet[:, None, leg] - feet[:, first])
+        is_edge &= ~carrying[:, None, leg] | (of_foot > -1e-9)
+    margin = np.where(is_edge, of_body, np.inf).min(axis=1)
+    count = carrying.sum(axis=1)
+    alone = -np.linalg.norm(np.where(carrying[..., None], feet - body[:, None], 0.0), axis=-1).sum(axis=1)
+    return np.where(count >= 2, margin, np.where(count == 1, alone, np.nan))
+
+
+def slip_per_step(feet: Array, planted: Flags, step: NDArray[np.int64]) -> Array:
+    """How far each foot moved over the ground while planted, a value (m,) [m] per leg and step it was planted in.
+
+    Args:
+        feet: (n, legs, 2) [m] foot centres.
+        planted: (n, legs) in contact and in stance by plan.
+        step: (n,) number of the step being walked.
+    """
+    if len(feet) < 2:
+        return np.zeros(0)
+    both = planted[1:] & planted[:-1] & (step[1:] == step[:-1])[:, None]
+    motion = np.where(both[..., None], feet[1:] - feet[:-1], 0.0)
+    numbers, of_step = np.unique(step[1:], return_inverse=True)
+    total = np.zeros((len(numbers), feet.shape[1], 2))
+    samples = np.zeros((len(numbers), feet.shape[1]), dtype=np.int64)
+    np.add.at(total, of_step, motion)
+    np.add.at(samples, of_step, both)
+    return np.asarray(np.linalg.norm(total, axis=-1)[samples > 0])
+
+
+def angle_between(a: Array, b: Array) -> Array:
+    """Angle (n,) [rad] between unit vectors (n, 3)."""
+    return np.asarray(2.0 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=-1) / 2.0, 0.0, 1.0)))
+
+
+def is_foothold(height_at: HeightAt, xy: Array) -> Flags:
+    """Whether the true ground carries a foot at each of (n, 2) [m]: (n,).
+
+    The heights within 1 cm differ by at most 8 mm, or lie on a plane no steeper than 35 deg.
+    """
+    disc = _disc()
+    points = xy[:, None] + disc
+    z = height_at(points.reshape(-1, 2)).reshape(len(xy), len(disc))
+    ground = np.asarray(np.isfinite(z).all(axis=1))
+    z = np.where(ground[:, None], z, 0.0)
+    z = z - z.mean(axis=1, keepdims=True)
+    slope = z @ np.linalg.pinv(disc).T  # the disc's mean is zero, so heights fit without a constant
+    misfit = np.abs(z - slope @ disc.T).max(axis=1)
+    planar = (misfit <= _PLANE_MISFIT) & (np.hypot(slope[:, 0], slope[:, 1]) <= _MAX_SLOPE)
+    return np.asarray(ground & ((np.ptp(z, axis=1) <= _DISC_RANGE) | planar))
+
+
+def _disc() -> Array:
+    """Points (25, 2) [m] that cover the disc evenly: its centre and three rings."""
+    rings = [(0.0, 1), (1.0 / 3.0, 4), (2.0 / 3.0, 8), (1.0, 12)]
+    polar = [(r * _DISC_RADIUS, 2.0 * np.pi * k / n) for r, n in rings for k in range(n)]
+    return np.array([(r * np.cos(a), r * np.sin(a)) for r, a in polar])

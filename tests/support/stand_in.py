@@ -1,0 +1,91 @@
+"""A small process for the launcher's tests, in place of a service: python stand_in.py BEHAVIOUR [WORD ...] [--parent PID]."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from types import FrameType
+
+
+def main(words: list[str]) -> int:
+    if "--parent" in words:
+        at = words.index("--parent")
+        end_with(int(words[at + 1]))
+        del words[at : at + 2]
+    behaviour, *rest = words
+    return BEHAVIOURS[behaviour](*rest)
+
+
+def end_with(parent: int) -> None:
+    import ctypes
+
+    ctypes.CDLL(None).prctl(1, signal.SIGTERM)
+    if os.getppid() != parent:
+        raise SystemExit(1)
+
+
+def obedient() -> int:
+    """Ends when asked."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    return ready_and_wait()
+
+
+def stubborn() -> int:
+    """Does not end when asked."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    return ready_and_wait()
+
+
+def crash(message: str) -> int:
+    """Ends in a traceback once it gets SIGUSR1."""
+
+    def fail(_number: int, _frame: FrameType | None) -> None:
+        raise RuntimeError(message)
+
+    signal.signal(signal.SIGUSR1, fail)
+    return ready_and_wait()
+
+
+def refuse(message: str) -> int:
+    """Says what the caller got wrong."""
+    say(message)
+    return 2
+
+
+def listen(port: str) -> int:
+    """Listens on a port once it gets SIGUSR1."""
+    opened = []
+    signal.signal(signal.SIGUSR1, lambda *_: opened.append(socket.create_server(("127.0.0.1", int(port)))))
+    return ready_and_wait()
+
+
+def family() -> int:
+    """Has a child of its own that does not end when asked."""
+    child = subprocess.Popen([sys.executable, __file__, "stubborn"])
+    say(f"child {child.pid}")
+    return ready_and_wait()
+
+
+def ready_and_wait() -> int:
+    say(f"ready {os.getpid()}")
+    while True:
+        signal.pause()
+
+
+def say(text: str) -> None:
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
+BEHAVIOURS = {
+    "obedient": obedient,
+    "stubborn": stubborn,
+    "crash": crash,
+    "refuse": refuse,
+    "listen": listen,
+    "family": family,
+}
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

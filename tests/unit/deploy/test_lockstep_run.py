@@ -1,0 +1,77 @@
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from deploy.lockstep_run import assemble, run_lockstep
+from deploy.recording import Recording
+from deploy.report import without_timing
+from shared import topics
+from shared.robot import load_profile
+from shared.scenario import Fault, Goal, Plane, Scenario
+from shared.service import AnyTopic
+
+S = 1_000_000_000
+FLAT = Scenario("short", (Plane(),), Goal(1.0), time_limit_s=1.5)
+PROFILE = load_profile("phantomx_mk2")
+
+
+def frames(seed: int, until_ns: int, scenario: Scenario = FLAT) -> list[tuple[str, bytes, int]]:
+    """All that is said in a run but health, which holds how long things took."""
+    heard: list[tuple[str, bytes, int]] = []
+
+    def tap(topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        if topic is not topics.HEALTH:
+            heard.append((topic.key, frame, at_ns))
+
+    assemble(scenario, seed, PROFILE, tap).run(until_ns)
+    return heard
+
+
+def test_one_seed_makes_one_run_to_the_byte() -> None:
+    first = frames(3, S)
+    assert frames(3, S) == first
+    assert frames(4, S) != first
+
+
+def test_all_services_are_heard_at_their_rates() -> None:
+    heard = Counter(key for key, _, at_ns in frames(3, S))
+    for topic in (topics.DEPTH, topics.ACTUATOR_STATE, topics.ODOMETRY, topics.TRUTH):
+        assert abs(heard[topic.key] - topic.rate_hz) <= 0.1 * topic.rate_hz + 2, topic.key
+    assert heard[topics.BODY_POSE.key] > 20
+    assert heard[topics.SCAN.key] > 8
+    assert heard[topics.TERRAIN.key] > 3
+    assert heard[topics.COLOR.key] == 0, "nobody asked for colour"
+
+
+def test_a_service_that_is_killed_is_silent_and_comes_back() -> None:
+    faults = (Fault(0.5, "mapper", "kill", for_s=0.4),)
+    scenario = Scenario("short", (Plane(),), Goal(1.0), faults=faults)
+    times = [at_ns for key, _, at_ns in frames(3, 3 * S // 2, scenario) if key == topics.TERRAIN.key]
+    assert [t for t in times if t < 0.5 * S]
+    assert not [t for t in times if 0.5 * S <= t < 0.9 * S]
+    assert [t for t in times if t >= 0.9 * S]
+
+
+@pytest.fixture(scope="module")
+def two_runs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, object]]:
+    made = []
+    for name in ("a", "b"):
+        out = tmp_path_factory.mktemp(name)
+        made.append((out, without_timing(run_lockstep(FLAT, 3, out))))
+    return made
+
+
+def test_a_run_leaves_report_picture_and_recording(two_runs: list[tuple[Path, object]]) -> None:
+    out, report = two_runs[0]
+    assert sorted(path.name for path in out.iterdir()) == ["recording.mcap", "report.json", "summary.png"]
+    assert not report.success  # type: ignore[attr-defined]
+    assert "time limit" in report.reason  # type: ignore[attr-defined]
+
+
+def test_reports_and_recordings_of_one_seed_are_the_same(two_runs: list[tuple[Path, object]]) -> None:
+    (a, first), (b, second) = two_runs
+    assert repr(first) == repr(second), "compared as text: a metric that was not measured is NaN"
+    said = [[frame for frame in Recording(out / "recording.mcap").frames() if frame[0] != topics.HEALTH.key] for out in (a, b)]
+    assert said[0] == said[1]
+    assert len(said[0]) > 300
