@@ -53,6 +53,8 @@ class DepthSensor:
     def __post_init__(self) -> None:
         if not 0 < self.min_range < self.max_range:
             raise ValueError(f"0 < min_range < max_range expected, found {self.min_range} and {self.max_range} m")
+        if min(self.rate_hz, self.baseline, self.depth_scale) <= 0 or min(self.disparity_sigma, self.disparity_step) < 0:
+            raise ValueError(f"positive rate, baseline and scale and no negative noise expected, found {self}")
 
     def sigma(self, z: NDArray[np.float64], fx: float) -> NDArray[np.float64]:
         """One-sigma depth noise [m] at depth z [m], Gaussian and quantisation together."""

@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeVar, cast
 import msgpack
 import numpy as np
 
-from shared.messages import MAX_ITEMS, MAX_TEXT, Message, schema
+from shared.messages import MAX_ITEMS, MAX_LENGTH, MAX_TEXT, Message, schema
 
 M = TypeVar("M", bound=Message)
 
@@ -121,7 +121,7 @@ def _unpack_header(header: bytes, kind: type[Message]) -> tuple[str, int, int, l
     except (ValueError, msgpack.UnpackException, RecursionError) as error:
         raise DecodeError(f"{kind.__name__}: header is not msgpack: {type(error).__name__}") from None
     match unpacked:
-        case [str(found), int(began_ns), int(sent_ns), list(values)]:
+        case [str(found), int(began_ns), int(sent_ns), list(values)] if bool not in (type(began_ns), type(sent_ns)):
             return found, began_ns, sent_ns, values
         case _:
             raise DecodeError(f"{kind.__name__}: header of schema, two times and fields expected")
@@ -129,27 +129,31 @@ def _unpack_header(header: bytes, kind: type[Message]) -> tuple[str, int, int, l
 
 def _decode_field(frame: bytes, arrays: int, where: str, base: Any, detail: Any, value: Any) -> Any:
     if base is np.ndarray:
-        return _decode_array(frame, arrays, where, detail[0], value)
+        return _decode_array(frame, arrays, where, detail[0], len(detail[1].shape), value)
     if base is tuple:
         return tuple(value) if isinstance(value, list) else value
+    if isinstance(value, list | dict):  # perhaps so deeply nested that not even its repr could be had
+        raise DecodeError(f"{where}: a single value expected, found a {type(value).__name__}")
     if base is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if base is not Literal and isinstance(base, type) and issubclass(base, StrEnum):
         try:
             return base(value)
         except ValueError:
-            raise DecodeError(f"{where}: one of {[str(b) for b in base]} expected, found {str(value)[:40]!r}") from None
+            raise DecodeError(f"{where}: one of {[str(b) for b in base]} expected, found {value!r:.40}") from None
     return value
 
 
-def _decode_array(frame: bytes, arrays: int, where: str, dtype: np.dtype[Any], value: Any) -> Any:
+def _decode_array(frame: bytes, arrays: int, where: str, dtype: np.dtype[Any], ndim: int, value: Any) -> Any:
     match value:
-        case [str(found), list(shape), int(offset)] if all(isinstance(n, int) and n >= 0 for n in shape):
+        case [str(found), list(shape), int(offset)] if all(type(n) is int and 0 <= n <= MAX_LENGTH for n in shape):
             pass
         case _:
             raise DecodeError(f"{where}: an array's dtype, shape and offset expected")
     if found != dtype.str:
         raise DecodeError(f"{where}: an array of {dtype.str} expected, found {found[:10]!r}")
+    if len(shape) != ndim:
+        raise DecodeError(f"{where}: an array of {ndim} dimensions expected, found {len(shape)}")
     count = 1
     for n in shape:  # Python integers do not overflow
         count *= n

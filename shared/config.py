@@ -6,6 +6,7 @@ nonsense. Nothing is repaired. A union of dataclasses is told apart by the key `
 
 import dataclasses
 import difflib
+import math
 import tomllib
 import types
 from pathlib import Path
@@ -34,6 +35,8 @@ def load(path: Path, schema: type[T]) -> T:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(str(path), ["no such file"]) from None
+    except OSError as error:
+        raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(str(path), [f"not a TOML file: {error}"]) from None
     return build(table, schema, str(path))
@@ -70,7 +73,7 @@ def _build_dataclass(table: object, schema: type[Any], where: str, problems: lis
     hints = get_type_hints(schema)
     fields = {f.name: f for f in dataclasses.fields(schema) if f.init}
     before = len(problems)
-    for key in table.keys() - fields.keys():
+    for key in sorted(table.keys() - fields.keys(), key=str):
         near = difflib.get_close_matches(str(key), fields, n=1)
         known = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(sorted(fields))}"
         problems.append(f"{_join(where, str(key))}: unknown key; {known}")
@@ -105,10 +108,14 @@ def _build_value(value: object, hint: Any, where: str, problems: list[str]) -> o
         problems.append(f"{where}: one of {', '.join(map(repr, args))} expected, found {_shown(value)}")
         return _INVALID
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            problems.append(f"{where}: a number that fits 64 bits expected, found one of {value.bit_length()} bits")
+            return _INVALID
     if isinstance(hint, type) and isinstance(value, hint) and not (hint is int and isinstance(value, bool)):
-        if isinstance(value, float) and value != value:
-            problems.append(f"{where}: a number expected, found nan")
+        if isinstance(value, float) and not math.isfinite(value):
+            problems.append(f"{where}: a finite number expected, found {value}")
         return value
     problems.append(f"{where}: {_type_words(hint)} expected, found {_shown(value)}")
     return _INVALID
@@ -119,7 +126,7 @@ def _build_union(value: object, members: list[Any], where: str, problems: list[s
         return _build_value(value, members[0], where, problems)
     kinds: dict[object, Any] = {get_args(get_type_hints(m)["kind"])[0]: m for m in members}
     kind = value.get("kind") if isinstance(value, dict) else None
-    if kind not in kinds:
+    if not isinstance(kind, str) or kind not in kinds:
         near = difflib.get_close_matches(str(kind), map(str, kinds), n=1)
         known = f"did you mean {near[0]!r}?" if near else f"known kinds: {', '.join(map(str, kinds))}"
         problems.append(f"{_join(where, 'kind')}: found {_shown(kind)}; {known}")

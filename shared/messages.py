@@ -9,6 +9,7 @@ Poses are (4, 4) [m]; {world} is fixed where the robot started, {odom} is what t
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 MAX_TEXT = 2000  # characters of a text field
 MAX_ITEMS = 256  # entries of a tuple field
+_MAX_INT = 1 << 63
 MAX_LENGTH = 4_000_000  # elements along an array
 
 
@@ -58,8 +60,8 @@ class Message:
 
     def __post_init__(self) -> None:
         lengths: dict[str, int] = {}
-        for name, kind, args in schema(type(self)):
-            problem = _misfit(getattr(self, name), kind, args, lengths)
+        for name, check in _checks(type(self)):
+            problem = check(getattr(self, name), lengths)
             if problem:
                 raise ValueError(f"{type(self).__name__}.{name}: {problem}")
 
@@ -271,43 +273,89 @@ def _schema(kind: type[Message]) -> tuple[FieldSchema, ...]:
     return tuple(fields)
 
 
-def _misfit(value: object, kind: Any, detail: Any, lengths: dict[str, int]) -> str:
-    """Say what is wrong with a field's value, or nothing."""
+Check: TypeAlias = Callable[[Any, dict[str, int]], str]  # what is wrong with a value, or nothing
+
+_CHECKS: dict[type[Message], tuple[tuple[str, Check], ...]] = {}
+
+
+def _checks(kind: type[Message]) -> tuple[tuple[str, Check], ...]:
+    """The checks of a message's fields, made once: they run for every message sent and received."""
+    known = _CHECKS.get(kind)
+    if known is None:
+        known = _CHECKS[kind] = tuple((name, _check(base, detail)) for name, base, detail in schema(kind))
+    return known
+
+
+def _check(kind: Any, detail: Any) -> Check:
     if kind is np.ndarray:
-        dtype, dims = detail
-        return _array_misfit(value, dtype, dims, lengths)
+        return _array_check(*detail)
     if kind is Literal:
-        return "" if value in detail else f"one of {detail} expected, found {str(value)[:40]!r}"
+        return lambda value, _: "" if value in detail else f"one of {detail} expected, found {str(value)[:40]!r}"
     if kind is tuple:
-        if not isinstance(value, tuple) or len(value) > MAX_ITEMS:
-            return f"a tuple of at most {MAX_ITEMS} texts expected"
-        return "" if all(isinstance(v, str) and len(v) <= MAX_TEXT for v in value) else "texts expected"
-    if kind is float:
-        return "" if isinstance(value, float) and math.isfinite(value) else f"a finite number expected, found {value!r:.40}"
-    if kind is bool:
-        return "" if isinstance(value, bool) else f"true or false expected, found {value!r:.40}"
-    if kind is int:
-        return (
-            ""
-            if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 63
-            else (f"a 64-bit whole number expected, found {value!r:.40}")
-        )
-    if kind is str:
-        return "" if isinstance(value, str) and len(value) <= MAX_TEXT else f"a text of at most {MAX_TEXT} characters expected"
-    return "" if isinstance(value, kind) else f"{kind.__name__} expected, found {value!r:.40}"
+        return _check_texts
+    plain = {float: _check_float, int: _check_int, str: _check_text, bool: _check_bool}
+    if kind in plain:
+        return plain[kind]
+    return lambda value, _: "" if isinstance(value, kind) else f"{kind.__name__} expected, found {value!r:.40}"
 
 
-def _array_misfit(value: object, dtype: np.dtype[Any], dims: Dims, lengths: dict[str, int]) -> str:
-    if not isinstance(value, np.ndarray):
-        return f"an array of {dtype} expected, found {type(value).__name__}"
-    if value.dtype != dtype:
-        return f"an array of {dtype} expected, found {value.dtype}"
-    if value.ndim != len(dims.shape):
-        return f"shape {dims.shape} expected, found {value.shape}"
-    for expected, found in zip(dims.shape, value.shape, strict=True):
-        known = lengths.setdefault(expected, found) if isinstance(expected, str) else expected
+def _check_texts(value: Any, _: dict[str, int]) -> str:
+    if not isinstance(value, tuple) or len(value) > MAX_ITEMS:
+        return f"a tuple of at most {MAX_ITEMS} texts expected"
+    return "" if all(_is_text(v) for v in value) else f"texts of at most {MAX_TEXT} characters expected"
+
+
+def _check_float(value: Any, _: dict[str, int]) -> str:
+    return "" if isinstance(value, float) and math.isfinite(value) else f"a finite number expected, found {value!r:.40}"
+
+
+def _check_int(value: Any, _: dict[str, int]) -> str:
+    good = isinstance(value, int) and not isinstance(value, bool) and -_MAX_INT <= value < _MAX_INT
+    return "" if good else f"a 64-bit whole number expected, found {value!r:.40}"
+
+
+def _check_text(value: Any, _: dict[str, int]) -> str:
+    return "" if _is_text(value) else f"a text of at most {MAX_TEXT} characters expected, found {value!r:.40}"
+
+
+def _is_text(value: object) -> bool:
+    if not isinstance(value, str) or len(value) > MAX_TEXT:
+        return False
+    return value.isascii() or not any("\ud800" <= c <= "\udfff" for c in value)  # half a surrogate pair has no UTF-8
+
+
+def _check_bool(value: Any, _: dict[str, int]) -> str:
+    return "" if isinstance(value, bool) else f"true or false expected, found {value!r:.40}"
+
+
+def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
+    """The check of an array field; arrays of fixed shape take the short way."""
+    expected, names = dims.shape, any(isinstance(n, str) for n in dims.shape)
+    finite = dims.finite and dtype.kind == "f"
+
+    def check(value: Any, lengths: dict[str, int]) -> str:
+        if not isinstance(value, np.ndarray):
+            return f"an array of {dtype} expected, found {type(value).__name__}"
+        if value.dtype != dtype:
+            return f"an array of {dtype} expected, found {value.dtype}"
+        if names:
+            problem = _shape_misfit(value.shape, expected, lengths)
+            if problem:
+                return problem
+        elif value.shape != expected:
+            return f"shape {expected} expected, found {value.shape}"
+        if finite and not np.isfinite(value).all():
+            return "finite numbers expected, found NaN or infinity"
+        return ""
+
+    return check
+
+
+def _shape_misfit(shape: tuple[int, ...], expected: tuple[int | str, ...], lengths: dict[str, int]) -> str:
+    if len(shape) != len(expected):
+        return f"shape {expected} expected, found {shape}"
+    for name, found in zip(expected, shape, strict=True):
+        known = lengths.setdefault(name, found) if isinstance(name, str) else name
         if found != known or found > MAX_LENGTH:
-            return f"shape {dims.shape} expected with {expected} = {known}, found {value.shape}"
-    if dims.finite and dtype.kind == "f" and not np.isfinite(value).all():
-        return "finite numbers expected, found NaN or infinity"
+            return f"shape {expected} expected with {name} = {known}, found {shape}"
     return ""

@@ -8,6 +8,7 @@ import contextlib
 import ctypes
 import dataclasses
 import faulthandler
+import json
 import logging
 import os
 import signal
@@ -41,20 +42,21 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
         _end_with(arguments.parent)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
-    try:
-        profile = load_profile(arguments.robot)
-        settings = load_settings(schema, arguments.config, arguments.set)
-        endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace)
-        with ZenohLink(endpoints) as link:
+        # Not stop.set() itself: the signal may come while this thread holds the lock inside stop.wait(), and set() takes it.
+        signal.signal(number, lambda *_: threading.Thread(target=stop.set, name="stop").start())
+    with contextlib.ExitStack() as stack:
+        try:
+            profile = load_profile(arguments.robot)
+            settings = load_settings(schema, arguments.config, arguments.set)
+            endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace)
+            link = stack.enter_context(ZenohLink(endpoints))
             service = make(profile, settings)
-            with contextlib.ExitStack() as stack:
-                if isinstance(service, contextlib.AbstractContextManager):
-                    stack.enter_context(service)  # ports and servers are closed on the way out
-                run_live(service, link, stop)
-    except (ValueError, TransportError) as error:
-        logging.error("%s", error)
-        return 2
+            if isinstance(service, contextlib.AbstractContextManager):
+                stack.enter_context(service)  # ports and servers are closed on the way out
+        except (ValueError, TransportError) as error:
+            logging.error("%s", error)
+            return 2
+        run_live(service, link, stop)  # a ValueError in here is a bug, and ends in a traceback
     return 0
 
 
@@ -68,13 +70,21 @@ def load_settings(schema: type[S], path: str | None, assignments: Sequence[str])
     if path is not None:
         table = config.as_table(config.load(Path(path), schema))
     for assignment in assignments:
+        key, equals, value = assignment.partition("=")
+        parts = [part.strip() for part in key.split(".")]
+        if not equals or not all(part.isidentifier() for part in parts):
+            raise config.ConfigError("--set", [f"key=value expected, found {assignment!r}"])
         try:
-            table |= tomllib.loads(assignment)
+            parsed = tomllib.loads(f"value = {value}")
         except tomllib.TOMLDecodeError:
-            key, _, value = assignment.partition("=")
-            if not key.isidentifier():
-                raise config.ConfigError("--set", [f"key=value expected, found {assignment!r}"]) from None
-            table[key] = value  # a bare word is a text
+            parsed = {}
+        item = parsed["value"] if len(parsed) == 1 else value  # a bare word is a text
+        inner = table
+        for part in parts[:-1]:  # a dotted key changes one value of a nested table, not the whole table
+            inner = inner.setdefault(part, {})
+            if not isinstance(inner, dict):
+                raise config.ConfigError("--set", [f"{key}: {part} is not a table"])
+        inner[parts[-1]] = item
     return config.build(table, schema, "settings")
 
 
@@ -83,9 +93,23 @@ def assignments(settings: object) -> list[str]:
     out: list[str] = []
     for field in dataclasses.fields(settings):  # type: ignore[arg-type]
         value = getattr(settings, field.name)
-        if value != field.default:
-            out += ["--set", f"{field.name}={str(value).lower() if isinstance(value, bool) else value}"]
+        default = field.default_factory() if callable(field.default_factory) else field.default
+        if value != default and value is not None:
+            out += ["--set", f"{field.name}={_toml(config.as_table(value))}"]
     return out
+
+
+def _toml(value: object) -> str:
+    """A plain value in TOML's notation, on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_toml(str(key))} = {_toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):  # JSON's escapes are TOML's, but for DEL
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return str(value)
 
 
 def _parser(name: str, schema: type[Any]) -> argparse.ArgumentParser:

@@ -54,6 +54,8 @@ class Leg:
             raise ValueError(f"leg name out of {', '.join(LEGS)} expected, found {self.name!r}")
         if any(sign not in (-1, 1) for sign in self.servo_signs):
             raise ValueError(f"servo signs of 1 or -1 expected, found {self.servo_signs}")
+        if not all(0 <= servo <= 253 for servo in self.servo_ids):
+            raise ValueError(f"servo ids from 0 to 253 expected, found {self.servo_ids}")
         for joint, (low, high) in zip(JOINTS, self.servo_limits_deg, strict=True):
             if not -150.0 <= low < high <= 150.0:
                 raise ValueError(f"{joint} limits within -150 and 150 deg in rising order expected, found {low}, {high}")
@@ -71,6 +73,12 @@ class Servo:
     armature: float  # [kg m^2] reflected rotor inertia; unknown for most servos, so it is varied in tests
     friction: float  # [N m] dry friction
 
+    def __post_init__(self) -> None:
+        if min(self.stall_torque, self.no_load_speed, self.stiffness) <= 0 or min(self.armature, self.friction) < 0:
+            raise ValueError(f"positive torque, speed, stiffness and no negative armature or friction expected, found {self}")
+        if not 1 <= self.compliance_slope <= 254:
+            raise ValueError(f"a compliance slope from 1 to 254 expected, found {self.compliance_slope}")
+
     @property
     def damping(self) -> float:
         """Joint damping [N m s/rad] that makes stall torque and no-load speed the ends of one line."""
@@ -85,6 +93,10 @@ class Body:
     mass: float  # [kg] everything but the legs
     leg_link_masses: tuple[float, float, float]  # [kg] coxa, femur, tibia link with the servos they carry
 
+    def __post_init__(self) -> None:
+        if min(*self.size, self.mass, *self.leg_link_masses) <= 0:
+            raise ValueError(f"positive size and masses expected, found {self.size} m, {self.mass}, {self.leg_link_masses} kg")
+
     @property
     def total_mass(self) -> float:
         """Mass of the whole robot [kg]."""
@@ -96,6 +108,10 @@ class Foot:
     """The foot is a sphere around the end of the tibia."""
 
     radius: float  # [m]
+
+    def __post_init__(self) -> None:
+        if self.radius <= 0:
+            raise ValueError(f"a positive foot radius expected, found {self.radius} m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +127,9 @@ class Stance:
         low, high = self.body_height_range
         if not low <= self.body_height <= high:
             raise ValueError(f"body height within {low} to {high} m expected, found {self.body_height}")
+        if min(low, self.foot_radius_from_coxa, self.max_speed) <= 0:
+            found = f"{low} m, {self.foot_radius_from_coxa} m, {self.max_speed} m/s"
+            raise ValueError(f"positive heights, foot radius and speed expected, found {found}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,6 +100,11 @@ class HeightMap:
 Terrain = Plane | Box | Stairs | Pillars | Slope | Rubble | HeightMap
 
 
+def _expect(holds: bool, expected: str, found: object) -> None:
+    if not holds:
+        raise ValueError(f"{expected} expected, found {found}")
+
+
 @dataclass(frozen=True, slots=True)
 class Start:
     """Where the robot stands at the beginning."""
@@ -115,6 +120,9 @@ class Goal:
     distance: float  # [m] straight ahead from the start
     corridor: float = 0.25  # [m] how far to the side it may be
 
+    def __post_init__(self) -> None:
+        _expect(min(self.distance, self.corridor) > 0, "distance and corridor greater than 0 m", (self.distance, self.corridor))
+
 
 @dataclass(frozen=True, slots=True)
 class Walk:
@@ -125,6 +133,11 @@ class Walk:
     body_height: float = 0.10  # [m]
     lift: float = 0.04  # [m] clearance of a swinging foot over start and touchdown
     blind: bool = False  # the baseline: the planner gets no map and walks as on flat ground
+
+    def __post_init__(self) -> None:
+        _expect(self.speed > 0, "a speed greater than 0 m/s", self.speed)
+        _expect(self.body_height > 0, "a body height greater than 0 m", self.body_height)
+        _expect(self.lift > 0, "a lift greater than 0 m", self.lift)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +158,9 @@ class Variation:
     imu: bool = False
     registration: Literal["projective", "kiss-icp"] = "projective"
 
+    def __post_init__(self) -> None:
+        _expect(min(self.armature, self.friction) >= 1, "factors of at least 1", (self.armature, self.friction))
+
 
 @dataclass(frozen=True, slots=True)
 class Fault:
@@ -154,6 +170,10 @@ class Fault:
     service: Literal["perception", "mapper", "planner", "actuator"]
     kind: Literal["kill", "hang"] = "kill"
     for_s: float = 2.0  # [s] until it is back; a live run restarts a killed process by itself
+
+    def __post_init__(self) -> None:
+        _expect(self.at_s >= 0, "a time of at least 0 s", self.at_s)
+        _expect(self.for_s > 0, "an outage longer than 0 s", self.for_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +195,7 @@ class Scenario:
     def __post_init__(self) -> None:
         if not self.terrain:
             raise ValueError('at least one terrain primitive expected, found none; add [[terrain]] with kind = "plane"')
+        _expect(self.time_limit_s > 0, "a time limit greater than 0 s", self.time_limit_s)
 
 
 def load_scenario(name_or_path: str) -> Scenario:

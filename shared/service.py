@@ -60,10 +60,11 @@ class Stages:
 
     def percentiles(self) -> dict[str, tuple[float, float]]:
         """Stage -> 50th and 99th percentile [ms]."""
-        return {
-            name: (float(np.percentile(list(samples), 50)), float(np.percentile(list(samples), 99)))
-            for name, samples in self._samples.items()
-        }
+        out: dict[str, tuple[float, float]] = {}
+        for name, samples in self._samples.items():
+            p50, p99 = np.percentile(np.fromiter(samples, np.float64, len(samples)), (50.0, 99.0))
+            out[name] = (float(p50), float(p99))
+        return out
 
 
 class Inbox:
@@ -199,16 +200,17 @@ class Worker:
         began_ns = self.inbox.now_ns = self._clock()
         with self.service.stages(self.service.name):
             for made in self.service.step(message, self.inbox):
-                topic = topics.OF_TYPE[type(made)]
-                if topic not in self._writes:
+                topic = topics.OF_TYPE.get(type(made))
+                if topic is None or topic not in self._writes:
                     raise ValueError(f"{self.service.name} made a {type(made).__name__}, which its `writes` does not name")
                 self._send(topic, codec.encode(made, codec.Timing(began_ns, self._clock())), began_ns)
         self._steps += 1
-        if began_ns >= self._health_due_ns:
-            self.report_health(began_ns)
+        self.report_health(began_ns)
 
     def report_health(self, now_ns: int) -> None:
-        """Send how the service fares."""
+        """Send how the service fares, if it is time."""
+        if now_ns < self._health_due_ns:
+            return
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
         timings = self.service.stages.percentiles()
         health = Health(
@@ -265,8 +267,7 @@ def run_live(service: Service, link: Link, stop: threading.Event) -> None:
         elif arrived.wait(0.2):
             arrived.clear()
             worker.arrived()
-        else:
-            worker.report_health(clock())  # alive, though nothing comes in
+        worker.report_health(clock())  # also while nothing comes in, or nothing that decodes
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,7 +301,16 @@ class Lockstep:
             tap: Sees every frame as it is sent, with the time; what a recorder or a test listens at.
             latency_s: Topic key -> delay [s], for topics whose delay differs from the table's.
             outages: What goes away, and when.
+
+        Raises:
+            ValueError: An outage of a service that is not there, or a latency of a topic that is not.
         """
+        unknown = {o.service for o in outages} - makers.keys()
+        if unknown:
+            raise ValueError(f"outages of {', '.join(makers)} expected, found {', '.join(sorted(unknown))}")
+        strange = (latency_s or {}).keys() - {t.key for t in topics.TOPICS}
+        if strange:
+            raise ValueError(f"latencies of keys of the topic table expected, found {', '.join(sorted(strange))}")
         self.now_ns = 0
         self._makers = makers
         self._tap = tap
@@ -343,8 +353,8 @@ class Lockstep:
     def _wanted(self, topic: AnyTopic) -> bool:
         return bool(self._readers.get(topic.key))
 
-    def _away(self, name: str) -> bool:
-        return any(o.service == name and o.from_ns <= self.now_ns < o.until_ns for o in self._outages)
+    def _outage(self, name: str) -> Outage | None:
+        return next((o for o in self._outages if o.service == name and o.from_ns <= self.now_ns < o.until_ns), None)
 
     def _schedule(self, at_ns: int, rank: int, act: Callable[[], None]) -> None:
         self._sequence += 1
@@ -352,7 +362,7 @@ class Lockstep:
 
     def _schedule_beat(self, name: str, at_ns: int, period_ns: int, order: int) -> None:
         def beat() -> None:
-            if not self._away(name):
+            if self._outage(name) is None:
                 self._workers[name].tick()
             self._schedule_beat(name, at_ns + period_ns, period_ns, order)
 
@@ -366,9 +376,10 @@ class Lockstep:
 
     def _deliver(self, topic: AnyTopic, frame: bytes) -> None:
         for name in self._readers[topic.key]:
-            if self._away(name):
+            outage = self._outage(name)
+            if outage is not None and outage.kill:
                 continue
             worker = self._workers[name]
-            worker.inbox.receive(topic, frame, self.now_ns)
-            if worker.service.paced_by is topic:
+            worker.inbox.receive(topic, frame, self.now_ns)  # a hung service finds it waiting
+            if outage is None and worker.service.paced_by is topic:
                 worker.arrived()

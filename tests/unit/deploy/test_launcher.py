@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,16 +23,16 @@ class Ear:
     """Hears the children's lines and lets a test wait for one."""
 
     def __init__(self) -> None:
-        self.lines: queue.Queue[tuple[str, str]] = queue.Queue()
+        self.lines: dict[str, queue.Queue[str]] = defaultdict(queue.Queue)
 
     def __call__(self, name: str, line: str) -> None:
-        self.lines.put((name, line))
+        self.lines[name].put(line)
 
     def wait_for(self, name: str, start: str) -> str:
         until = time.monotonic() + PATIENCE_S
         while True:
-            heard, line = self.lines.get(timeout=max(0.01, until - time.monotonic()))
-            if heard == name and line.startswith(start):
+            line = self.lines[name].get(timeout=max(0.01, until - time.monotonic()))
+            if line.startswith(start):
                 return line.removeprefix(start).strip()
 
 
@@ -227,6 +228,9 @@ def test_a_frozen_child_is_no_orphan_either(watched: list[int]) -> None:
     watched.append(child)
     frozen = int(Path(f"/proc/self/fdinfo/{child}").read_text().split("Pid:")[1].split()[0])
     os.kill(frozen, signal.SIGSTOP)
+    until = time.monotonic() + PATIENCE_S
+    while Path(f"/proc/{frozen}/stat").read_text().rpartition(")")[2].split()[0] != "T" and time.monotonic() < until:
+        assert not gone(child, 0.01)
     driver.kill()
     driver.communicate(timeout=PATIENCE_S)
     assert gone(child)
