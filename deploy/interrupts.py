@@ -3,7 +3,6 @@
 import ctypes
 import os
 import signal
-import threading
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -23,7 +22,6 @@ class Interrupts:
 
     def __init__(self) -> None:
         self.count = 0
-        self._asked = threading.Event()
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Self:
@@ -43,10 +41,5 @@ class Interrupts:
         """Whether somebody has asked twice: no more waiting."""
         return self.count > 1
 
-    def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait until somebody asks, or the time [s] is over; whether somebody has."""
-        return self._asked.wait(timeout_s)
-
     def _count(self, _number: int, _frame: FrameType | None) -> None:
-        self.count += 1
-        self._asked.set()
+        self.count += 1  # and no more: the main thread may hold any lock just now

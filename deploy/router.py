@@ -4,12 +4,13 @@ import argparse
 import logging
 import signal
 import sys
-import threading
 from collections.abc import Sequence
 
 from deploy.interrupts import end_with
 from deploy.process_table import ROUTER_ENDPOINT
 from shared.transport import Router, TransportError
+
+_ENDS = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -21,13 +22,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="router: %(message)s")
     if arguments.parent:
         end_with(arguments.parent)
-    stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)  # before the router's threads, which inherit it
     try:
         with Router(tuple(arguments.listen or (ROUTER_ENDPOINT,))):
             logging.info("listening on %s", ", ".join(arguments.listen or (ROUTER_ENDPOINT,)))
-            stop.wait()
+            signal.sigwait(_ENDS)
     except TransportError as error:
         logging.error("%s", error)
         return 2

@@ -310,7 +310,7 @@ def _check_float(value: Any, _: dict[str, int]) -> str:
 
 
 def _check_int(value: Any, _: dict[str, int]) -> str:
-    good = isinstance(value, int) and not isinstance(value, bool) and -_MAX_INT <= value < _MAX_INT
+    good = isinstance(value, int) and not isinstance(value, bool) and abs(value) < _MAX_INT
     return "" if good else f"a 64-bit whole number expected, found {value!r:.40}"
 
 

@@ -12,8 +12,10 @@ from pathlib import Path
 import pytest
 
 from deploy import launcher as launcher_module
+from deploy import process_table
 from deploy.launcher import Ended, Launcher, free_port, how_it_ended, last_words, port_taken
 from deploy.process_table import Command
+from shared.transport import Endpoints, ZenohLink
 
 STAND_IN = str(Path(__file__).parents[2] / "support" / "stand_in.py")
 PATIENCE_S = 20.0  # for a busy machine; nothing waits that long when all is well
@@ -107,7 +109,7 @@ def test_who_does_not_listen_is_killed_in_bounded_time(ear: Ear, watched: list[i
         assert all(gone(fd, 0) for fd in watched)
 
 
-def test_who_needs_another_ends_before_it(ear: Ear, watched: list[int]) -> None:
+def test_who_needs_another_ends_before_it(ear: Ear, watched: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     port = free_port()
     with Launcher(
         [command("bus", "listen", str(port), ready_port=port), command("user", "obedient", after=("bus",))], ear
@@ -117,17 +119,20 @@ def test_who_needs_another_ends_before_it(ear: Ear, watched: list[int]) -> None:
         while "user" not in launcher.names() and time.monotonic() < until:
             launcher.wait(0.05)
         ear.wait_for("user", "ready")
-        bus, user = (os.pidfd_open(launcher.pid(name)) for name in ("bus", "user"))
-        watched += [bus, user]
-        order: list[int] = []
+        user = os.pidfd_open(launcher.pid("user"))
+        watched.append(user)
+        before: list[bool] = []
 
-        def look() -> bool:
-            order.extend(fd for fd in (bus, user) if fd not in order and gone(fd, 0))
-            return False
+        def ask(child: launcher_module._Child, number: signal.Signals) -> None:
+            if child.command.name == "bus" and number == signal.SIGTERM:
+                before.append(gone(user, 0))
+            send(child, number)
 
-        launcher.stop(look)
-        look()
-        assert order == [user, bus]
+        send = launcher_module._signal
+        monkeypatch.setattr(launcher_module, "_signal", ask)
+        monkeypatch.setattr(launcher_module, "GRACE_S", 2 * PATIENCE_S)
+        launcher.stop()
+        assert before == [True]
 
 
 def test_asking_twice_kills_at_once(ear: Ear, watched: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -188,6 +193,7 @@ import sys
 from deploy.interrupts import Interrupts
 from deploy.launcher import Launcher
 from deploy.process_table import Command
+from shared.transport import Endpoints, ZenohLink
 
 def hear(name, line):
     sys.stdout.write(line + "\\n")
@@ -273,3 +279,20 @@ def test_an_exit_status_in_words() -> None:
 
 def test_free_ports_are_free() -> None:
     assert not port_taken(free_port())
+
+
+def test_the_router_as_a_process_is_ready_when_its_port_is_taken_and_ends_when_asked(ear: Ear) -> None:
+    port = free_port()
+    made = process_table.router_command(f"tcp/127.0.0.1:{port}")
+    with Launcher([made, command("user", "obedient", after=("router",))], ear) as launcher:
+        until = time.monotonic() + PATIENCE_S
+        while "user" not in launcher.names() and time.monotonic() < until:
+            assert launcher.wait(0.05) == []
+        with ZenohLink(Endpoints((f"tcp/127.0.0.1:{port}",))):
+            pass
+        router = os.pidfd_open(launcher.pid("router"))
+        os.kill(launcher.pid("router"), signal.SIGTERM)
+        assert gone(router)
+        os.close(router)
+        (ended,) = launcher.wait(PATIENCE_S)
+        assert (ended.how, ended.restarted) == ("exit status 0", True)
