@@ -17,17 +17,20 @@ from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception import tum
 from services.perception.config import Settings as PerceptionSettings
+from services.perception.motion import constant_velocity
 from services.perception.service import Perception
 from services.perception.trajectory import TrajectoryError, trajectory_error
 from shared import codec, topics
 from shared.camera import DepthSensor
-from shared.geometry import Array, transform
-from shared.messages import BodyPose, DepthImage, Message, TerrainMap, Tick
+from shared.geometry import Array, inverse, log_so3, transform
+from shared.messages import BodyPose, DepthImage, Message, Odometry, TerrainMap, Tick
 from shared.robot import Camera, RobotProfile, load_profile
 from shared.service import AnyTopic, Every, Inbox, Lockstep, Service, Stages, Worker
 
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
 _SHOW_NS = 1_000_000_000
+_HAND_CELLS = 512  # along each edge of the map: a hand-held camera sees further than the robot steps
+_HAND_SIGMA = 0.01  # [m] and [rad] by which a hand's motion from picture to picture differs from the one before
 
 
 class ReplayError(ValueError):
@@ -52,12 +55,15 @@ class HandHeld(Camera):
 
 
 class Player:
-    """A camera that plays a sequence: a service that writes the pictures when their time has come."""
+    """A camera that plays a sequence: a service that writes the pictures when their time has come.
+
+    It also says where {odom} begins, for the guess of `ConstantVelocity` to start from.
+    """
 
     name = "player"
     paced_by = Every(5_000_000)
     reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = (topics.DEPTH,)
+    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.ODOMETRY)
 
     def __init__(self, sequence: tum.Recording):
         self.stages = Stages()
@@ -72,6 +78,8 @@ class Player:
 
     def step(self, tick: Tick, _: Inbox) -> Iterator[Message]:
         """The pictures that are due."""
+        if self.played == 0:
+            yield odometry(0, np.eye(4), 0.0, 0.0)
         while not self.finished and self._stamps_ns[self.played] <= tick.stamp_ns:
             yield DepthImage(self._stamps_ns[self.played], self._depth(self.played))
             self.played += 1
@@ -85,6 +93,41 @@ class Player:
     def doing(self) -> str:
         """How far it is."""
         return f"playing picture {self.played} of {len(self._stamps_ns)}"
+
+
+class ConstantVelocity:
+    """Stands in for the legs where there are none: after each pose, where the next is if the motion goes on."""
+
+    name = "constant velocity"
+    paced_by = topics.BODY_POSE
+    reads: tuple[AnyTopic, ...] = ()
+    writes: tuple[AnyTopic, ...] = (topics.ODOMETRY,)
+
+    def __init__(self, period_ns: int):
+        self.stages = Stages()
+        self._period_ns = period_ns
+        self._before: BodyPose | None = None
+        self._travelled = 0.0
+        self._turned = 0.0
+
+    def step(self, pose: BodyPose, _: Inbox) -> Iterator[Message]:
+        """The expected pose one picture on, in {odom}: what registration corrected since is in `T_world_odom`."""
+        before, self._before = self._before or pose, pose
+        span_ns = pose.stamp_ns - before.stamp_ns
+        T_next = constant_velocity(before.T_world_body, pose.T_world_body, span_ns, self._period_ns)
+        motion = inverse(pose.T_world_body) @ T_next
+        self._travelled += float(np.linalg.norm(motion[:3, 3]))
+        self._turned += float(np.linalg.norm(log_so3(motion[:3, :3])))
+        yield odometry(pose.stamp_ns + self._period_ns, inverse(pose.T_world_odom) @ T_next, self._travelled, self._turned)
+
+    def doing(self) -> str:
+        """How far it has come."""
+        return f"guessing, {self._travelled:.2f} m so far"
+
+
+def odometry(stamp_ns: int, T_odom_body: Array, travelled: float, turned: float) -> Odometry:
+    """Odometry (lengths [m], angles [rad]) of a body that does not stand on legs."""
+    return Odometry(stamp_ns, T_odom_body, travelled, turned, stance=np.zeros(6, dtype=np.bool_), reliable=True)
 
 
 def replay_folder(
@@ -160,7 +203,7 @@ def replay_recording(path: Path, out: Path, progress: Progress) -> dict[str, Any
     if not recording.complete:
         progress.say(f"{path} was cut off; replayed as far as it goes")
     pairs = [(terrain, made[terrain.stamp_ns]) for terrain in recorded if terrain.stamp_ns in made]
-    stages = mapper.service.stages.percentiles() if mapper else {}
+    stages = _stages(mapper.service) if mapper else {}
     return {
         "source": path.name,
         "about": {key: value for key, value in recording.about.items() if key != "frame_layout"},
@@ -171,6 +214,18 @@ def replay_recording(path: Path, out: Path, progress: Progress) -> dict[str, Any
         "map_error_m": map_difference(pairs),
         "stages_ms": {name: {"p50": _rounded(p50), "p99": _rounded(p99)} for name, (p50, p99) in sorted(stages.items())},
     }
+
+
+def hand_held_settings(registration: Literal["projective", "kiss-icp"]) -> PerceptionSettings:
+    """Perception that believes a guess of constant velocity as far as a hand keeps to one, and maps as far as a Kinect sees."""
+    return PerceptionSettings(
+        method=registration,
+        scan_range=3.0,
+        odometry_drift=0.1,
+        odometry_turn=0.1,
+        odometry_floor=_HAND_SIGMA,
+        odometry_level=_HAND_SIGMA,
+    )
 
 
 def map_difference(pairs: Iterable[tuple[TerrainMap, TerrainMap]]) -> dict[str, float | None]:
@@ -280,16 +335,24 @@ def _play(
     player = Player(sequence)
     makers: dict[str, Callable[[], Service]] = {
         "player": lambda: player,
-        "perception": lambda: Perception(profile, PerceptionSettings(method=registration)),
-        "mapper": lambda: Mapper(profile, MapperSettings()),
+        "perception": lambda: Perception(profile, hand_held_settings(registration)),
+        "mapper": lambda: Mapper(profile, MapperSettings(cells=_HAND_CELLS)),
+        "constant velocity": lambda: ConstantVelocity(round(1e9 / profile.camera.sensor.rate_hz)),
     }
-    lockstep = Lockstep(makers, tap)
+    # The guess must be there before the next picture, as a hand-held camera's perception would make it by itself.
+    lockstep = Lockstep(makers, tap, latency_s={topics.BODY_POSE.key: 0.001, topics.ODOMETRY.key: 0.001})
     while not player.finished:
         lockstep.run(lockstep.now_ns + _SHOW_NS)
         progress.say(f"{player.doing()}, {len(poses)} poses")
     lockstep.run(lockstep.now_ns + _SETTLE_NS)
-    stages = {**lockstep.service("perception").stages.percentiles(), **lockstep.service("mapper").stages.percentiles()}
+    stages = {**_stages(lockstep.service("perception")), **_stages(lockstep.service("mapper"))}
     return poses, newest[0] if newest else None, stages, sum(not pose.ok for pose in poses)
+
+
+def _stages(service: Service) -> dict[str, tuple[float, float]]:
+    """Stage -> 50th and 99th percentile [ms], named as in report.json."""
+    found = service.stages.percentiles()
+    return {s if s == service.name else f"{service.name}.{s}": v for s, v in found.items() if not s.startswith("latency ")}
 
 
 def _error(truth: tum.Trajectory | None, stamps_ns: NDArray[np.int64], T_estimate: Array) -> TrajectoryError | None:

@@ -7,12 +7,15 @@ import numpy as np
 
 from services.mapper.config import Settings
 from services.mapper.elevation import ElevationGrid, FusionModel, fill_small_holes
-from services.mapper.score import WalkabilityScorer
+from services.mapper.score import ScoreWeights, WalkabilityScorer
 from shared import topics
 from shared.geometry import Array, apply
 from shared.messages import ActuatorState, BodyPose, Message, Scan, TerrainMap
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
+
+# What is unknown may be the edge of a block seen from below, so a foot keeps as far from it as from an edge.
+_WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 
 
 class Mapper:
@@ -31,7 +34,7 @@ class Mapper:
         self._foot_radius = profile.foot.radius
         model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx)
         self._grid = ElevationGrid(settings.cells, settings.resolution, model)
-        self._scorer = WalkabilityScorer((settings.cells, settings.cells), settings.resolution)
+        self._scorer = WalkabilityScorer((settings.cells, settings.cells), settings.resolution, _WEIGHTS)
         self._seeded = False
         self._scans = 0
         self._known = 0.0  # share of the cells

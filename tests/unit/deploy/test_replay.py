@@ -13,8 +13,8 @@ from services.mapper.service import Mapper
 from services.perception import tum
 from shared import codec, topics
 from shared.camera import Intrinsics
-from shared.geometry import from_xyz_rpy
-from shared.messages import BodyPose, DepthImage, Scan, TerrainMap, Tick
+from shared.geometry import exp_se3, from_xyz_rpy, transform
+from shared.messages import BodyPose, DepthImage, Odometry, Scan, TerrainMap, Tick
 from shared.robot import load_profile
 from shared.service import AnyTopic, Inbox, Stages, Worker
 
@@ -69,9 +69,9 @@ def test_pictures_come_once_in_order_and_never_early(folder: Path) -> None:
     inbox = Inbox((), Stages())
     played: list[DepthImage] = []
     for beat in range(40):
-        made = list(player.step(Tick(beat * 5_000_000), inbox))
-        assert all(m.stamp_ns <= beat * 5_000_000 for m in made)  # type: ignore[attr-defined]
-        played += made  # type: ignore[arg-type]
+        made = [m for m in player.step(Tick(beat * 5_000_000), inbox) if isinstance(m, DepthImage)]
+        assert all(m.stamp_ns <= beat * 5_000_000 for m in made)
+        played += made
     assert player.finished
     assert [m.depth[0, 0] for m in played] == [1000, 1001, 1002, 1003, 1004]
     assert played[0].stamp_ns == 0
@@ -159,3 +159,58 @@ def test_a_profile_for_a_sequence_keeps_the_robot(folder: Path) -> None:
     found = replay.profile_for(tum.read_recording(folder))
     assert found.camera.intrinsics == INTRINSICS
     assert replace(found, camera=default.camera) == default
+
+
+def test_a_steady_motion_is_guessed_exactly_through_perceptions_own_bookkeeping() -> None:
+    """Perception composes its correction with the guess, so together they must give the next true pose."""
+    guess = replay.ConstantVelocity(S // 30)
+    inbox = Inbox((), Stages())
+    step = exp_se3(np.array([0.01, -0.004, 0.002, 0.01, 0.02, -0.03]))
+    rng = np.random.default_rng(0)
+    T = np.eye(4)
+    for i in range(6):
+        T_world_odom = exp_se3(rng.normal(0.0, 0.1, 6))  # whatever registration has corrected so far
+        pose = BodyPose(i * S // 30, T, T_world_odom, np.zeros((6, 6)), 1.0, True, "")
+        (said,) = guess.step(pose, inbox)
+        assert isinstance(said, Odometry)
+        assert said.reliable
+        assert abs(said.stamp_ns - (i + 1) * S / 30) <= 2
+        if i:
+            assert np.allclose(T_world_odom @ said.T_odom_body, T @ step, atol=1e-8)
+        T = T @ step
+    assert guess.doing().startswith("guessing")
+
+
+def test_a_simulated_sequence_replays_onto_its_truth(tmp_path: Path) -> None:
+    """A camera that moves steadily past a wall with a step in it and a floor, drawn by the rays of its pixels."""
+    profile = load_profile("phantomx_mk2")
+    camera = tum.Camera(Intrinsics(640, 480, 570.0, 570.0, 319.5, 239.5), 1000.0, 30.0, np.array([0.0, 0.0, -1.0]))
+    with tum.RecordingWriter(tmp_path / "sequence", camera) as writer:
+        for i in range(12):
+            T = from_xyz_rpy((0.004 * i, 0.003 * i, 0.45), (0.0, 0.0, 0.003 * i)) @ transform(
+                profile.camera.T_body_camera[:3, :3], np.zeros(3)
+            )
+            writer.add(i * S // 30, corner(camera.intrinsics, T), T)
+    table = replay.replay_folder(tmp_path / "sequence", tmp_path, Silent())
+    assert table["poses"] == 12
+    assert table["poses_not_ok"] == 0
+    assert table["pose_error_m"]["rms"] < 0.005
+    assert (tmp_path / "map.png").stat().st_size > 1000
+    written = tum.read_trajectory(tmp_path / "trajectory.txt")
+    assert len(written.stamps_ns) == 12
+    assert set(table["stages_ms"]) >= {"perception", "perception.registration", "mapper"}
+
+
+def corner(intrinsics: Intrinsics, T_world_camera: np.ndarray) -> np.ndarray:
+    """Depth [mm] of a floor at z = 0 with a block on it, a wall at x = 1.6 and one at y = 0.9."""
+    rays = intrinsics.points(np.ones((intrinsics.height, intrinsics.width))) @ T_world_camera[:3, :3].T
+    p = T_world_camera[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(rays[..., 2] < 0, -p[2] / rays[..., 2], np.inf)
+        for axis, at in ((0, 1.6), (1, 0.9)):
+            depth = np.minimum(depth, np.where(rays[..., axis] > 0, (at - p[axis]) / rays[..., axis], np.inf))
+        top = (0.08 - p[2]) / rays[..., 2]
+        hit = p + top[..., None] * rays
+        on_block = (rays[..., 2] < 0) & (np.abs(hit[..., 0] - 1.0) < 0.15) & (np.abs(hit[..., 1]) < 0.2)
+    depth = np.where(on_block, np.minimum(depth, top), depth)
+    return np.where((depth > 0.5) & (depth < 3.5), depth * 1000, 0).round().astype(np.uint16)
