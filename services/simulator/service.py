@@ -30,7 +30,7 @@ from shared.service import AnyTopic, Every, Inbox, Stages
 
 _MOTORS = {"AX-12A": AX_12A_MOTOR, "RX-64": RX_64_MOTOR}
 _MODELS = {model.name: model for model in dxl.MODELS}
-_MAX_LAG_NS = 200_000_000  # [ns] a machine that is slower than real time falls behind rather than racing to catch up
+_MAX_LAG_NS = 1_000_000_000  # [ns] how far it may fall behind and catch up; goals written meanwhile take effect in their order
 _SHUTDOWN = ServoError.OVERLOAD | ServoError.OVERHEATING
 _DT = TIME_STEP_NS * 1e-9  # [s]
 
