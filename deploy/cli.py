@@ -200,7 +200,8 @@ def _run_live(arguments: argparse.Namespace) -> int:
         raise InputError(f"{scenario.name} breaks services, which only who started them can; leave --connect out")
     progress = _progress(arguments.json)
     out = _out(arguments, f"{scenario.name}-{arguments.seed}")
-    from deploy.interrupts import Interrupts, end_with
+    from deploy.interrupts import Interrupts
+    from shared.host import end_with
 
     with Interrupts() as interrupts:
         if getattr(arguments, "parent", None):

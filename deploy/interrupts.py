@@ -1,20 +1,10 @@
 """Ctrl-C and its relatives as a state to look at, so that no cleaning up is ever torn apart by an exception."""
 
-import ctypes
-import os
 import signal
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when its parent dies
-
-
-def end_with(parent: int) -> None:
-    """Have this process asked to end when its parent, the process with this id, has ended."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # it died before the call above
-        raise SystemExit(1)
 
 
 class Interrupts:

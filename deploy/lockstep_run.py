@@ -20,6 +20,7 @@ from services.planner.service import Planner
 from services.simulator.bus import MemoryPort
 from services.simulator.config import Settings as SimulatorSettings
 from services.simulator.service import Simulator
+from shared.host import keep_memory
 from shared.robot import RobotProfile, load_profile
 from shared.scenario import Fault, Scenario
 from shared.service import AnyTopic, Lockstep, Outage, Service
@@ -33,6 +34,7 @@ class LockstepRun:
     """The services of a run on simulated time, with those who attend it."""
 
     def __init__(self, scenario: Scenario, seed: int, profile: RobotProfile, tap: Tap = lambda _topic, _frame, _at_ns: None):
+        keep_memory()
         self.scenario = scenario
         self.attendance = Attendance(profile, scenario, seed)
         self._lockstep: Lockstep | None = None

@@ -6,8 +6,8 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from deploy.interrupts import end_with
 from deploy.process_table import ROUTER_ENDPOINT
+from shared.host import end_with
 from shared.transport import Router, TransportError
 
 _ENDS = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}

@@ -6,8 +6,8 @@ python -m deploy.warm_up
 import argparse
 import sys
 
-from deploy.interrupts import end_with
 from deploy.lockstep_run import assemble
+from shared.host import end_with
 from shared.robot import load_profile
 from shared.scenario import load_scenario
 

@@ -1,11 +1,10 @@
-"""The process around a service: arguments, signals, last words. Every `services/<name>/__main__.py` is a call of `run`.
+"""The process around a service: arguments, signals, last words. Every `services/<name>/__main__.py` is a call of `main`.
 
 python -m services.planner --robot phantomx_mk2 --connect tcp/127.0.0.1:7447 --set blind=true
 """
 
 import argparse
 import contextlib
-import ctypes
 import dataclasses
 import faulthandler
 import json
@@ -17,16 +16,24 @@ import threading
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from shared import config
+from shared.host import end_with, keep_memory
 from shared.robot import RobotProfile, load_profile
 from shared.service import Service, run_live
 from shared.transport import Endpoints, TransportError, ZenohLink
 
 S = TypeVar("S")
 
-_PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when its parent dies, so that nothing is orphaned
+
+def main(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service]) -> NoReturn:
+    """Run one service and end the process; everything is closed by then, so the interpreter's own teardown is left out."""
+    status = run(name, schema, make)
+    logging.shutdown()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
 
 
 def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], argv: Sequence[str] | None = None) -> int:
@@ -39,7 +46,8 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format=f"{name}: %(message)s")
     faulthandler.enable()
     if arguments.parent:
-        _end_with(arguments.parent)
+        end_with(arguments.parent)
+    keep_memory()
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         # Not stop.set() itself: the signal may come while this thread holds the lock inside stop.wait(), and set() takes it.
@@ -123,9 +131,3 @@ def _parser(name: str, schema: type[Any]) -> argparse.ArgumentParser:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one setting of: {known}")
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     return parser
-
-
-def _end_with(parent: int) -> None:
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # it died before the call above
-        raise SystemExit(1)

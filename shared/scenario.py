@@ -146,7 +146,6 @@ class CameraOptions:
 
     noise: bool = True
     dropouts: bool = True
-    wide_field: bool = False  # a 120 x 100 deg scanner in place of the profile's camera
 
 
 @dataclass(frozen=True, slots=True)

@@ -104,11 +104,12 @@ class Inbox:
         found = self._newest.get(topic.key)
         return cast(M, found[0]) if found else None
 
-    def fresh(self, topic: Topic[M]) -> M | None:
-        """The newest message, or None once it came longer ago than three of its periods."""
+    def fresh(self, topic: Topic[M], within_s: float | None = None) -> M | None:
+        """The newest message, or None once it came longer ago than `within_s`, by default three of its periods."""
         self.drain(topic)
         found = self._newest.get(topic.key)
-        if found is None or self.now_ns - found[1] > topic.fresh_for_ns:
+        age_ns = topic.fresh_for_ns if within_s is None else within_s * 1e9
+        if found is None or self.now_ns - found[1] > age_ns:
             return None
         return cast(M, found[0])
 

@@ -1,9 +1,7 @@
 """The actuator's process: `python -m services.actuator --connect tcp/127.0.0.1:7447 --set port=/dev/ttyUSB0`."""
 
-import sys
-
 from services.actuator.config import Settings
 from services.actuator.service import Actuator
 from shared import process
 
-sys.exit(process.run("actuator", Settings, Actuator))
+process.main("actuator", Settings, Actuator)

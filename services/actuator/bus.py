@@ -88,7 +88,7 @@ class ServoReading:
     error: ServoError
 
 
-def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIMEOUT_NS) -> serial.SerialBase:
+def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIMEOUT_NS) -> Port:
     """Open a serial device (`/dev/ttyUSB0`) or a network port (`socket://host:port`).
 
     Args:

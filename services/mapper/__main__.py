@@ -1,9 +1,7 @@
 """The mapper's process: `python -m services.mapper --connect tcp/127.0.0.1:7447`."""
 
-import sys
-
 from services.mapper.config import Settings
 from services.mapper.service import Mapper
 from shared import process
 
-sys.exit(process.run("mapper", Settings, Mapper))
+process.main("mapper", Settings, Mapper)

@@ -9,7 +9,7 @@ class Settings:
     """How the pose is found and what of a frame is passed on."""
 
     method: Literal["projective", "kiss-icp"] = "projective"  # kiss-icp suits wide-field scanners
-    scan_every: int = 2  # frames per scan that is passed on: 15 Hz of 30
+    scan_rate_hz: float = 15.0  # of the scans that are passed on, at most
     scan_range: float = 1.5  # [m] horizontally from the camera
     scan_points: int = 6000  # at most: 60 kB
     # How far leg odometry is believed, as one sigma of the motion between two frames.
@@ -19,5 +19,5 @@ class Settings:
     odometry_level: float = 0.003  # [m] and [rad] of height, roll and pitch, in which the legs bend
 
     def __post_init__(self) -> None:
-        if self.scan_every < 1:
-            raise ValueError(f"scan_every of 1 or more expected, found {self.scan_every}")
+        if self.scan_rate_hz <= 0:
+            raise ValueError(f"a positive scan_rate_hz expected, found {self.scan_rate_hz}")

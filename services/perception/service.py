@@ -41,6 +41,7 @@ class Perception:
         self._T_world_body: Array = np.eye(4)
         self._last: Motion | None = None
         self._frames = 0
+        self._scan_every = max(1, round(profile.camera.sensor.rate_hz / settings.scan_rate_hz))
         self._words = "waiting for the first frame"
 
     def doing(self) -> str:
@@ -68,7 +69,7 @@ class Perception:
         self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
         self._last = motion
         yield self._pose(found)
-        if self._frames % self._settings.scan_every == 0:
+        if self._frames % self._scan_every == 0:
             with self.stages("reduction"):
                 scan = self._scan(image, found)
             yield scan

@@ -1,9 +1,7 @@
 """The planner's process: `python -m services.planner --connect tcp/127.0.0.1:7447`."""
 
-import sys
-
 from services.planner.config import Settings
 from services.planner.service import Planner
 from shared import process
 
-sys.exit(process.run("planner", Settings, Planner))
+process.main("planner", Settings, Planner)

@@ -19,6 +19,8 @@ class Settings:
     plan_from: float = 0.55  # phase of a step from which the next one is planned
     retarget_until: float = 0.45  # phase until which touchdowns of the running step may move
     retarget_from_m: float = 0.004  # [m] smaller moves are not worth it
+    pose_age_s: float = 0.4  # [s] since an older pose came the planner waits; between two the legs' odometry carries it on
+    map_age_s: float = 0.8  # [s] likewise for the map
     revise_s: float = 0.10  # [s] between revisions of a plan
 
     def __post_init__(self) -> None:

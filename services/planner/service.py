@@ -73,7 +73,8 @@ class Planner:
 
     def _plan(self, state: ActuatorState, inbox: Inbox) -> StepPlan | None:
         """The plan to send now, or none and the reason in the status."""
-        pose, command = inbox.fresh(topics.BODY_POSE), inbox.fresh(topics.VELOCITY)
+        pose = inbox.fresh(topics.BODY_POSE, self._settings.pose_age_s)
+        command = inbox.fresh(topics.VELOCITY)
         if state.mode not in (Mode.WALK, Mode.HOLD):
             return self._hold("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
         if pose is None:
@@ -96,7 +97,7 @@ class Planner:
         if self._settings.blind:
             feet = _feet_in_world(state, pose)[~state.swing]
             return flat_terrain(state.stamp_ns, feet[:, :2].mean(axis=0), float(feet[:, 2].mean()) - self._profile.foot.radius)
-        map_ = inbox.fresh(topics.TERRAIN)
+        map_ = inbox.fresh(topics.TERRAIN, self._settings.map_age_s)
         return None if map_ is None else Terrain(map_)
 
     def _next_step(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain) -> StepPlan | None:

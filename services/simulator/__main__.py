@@ -1,9 +1,7 @@
 """The simulator's process: `python -m services.simulator --set scenario=steps --set bus_port=7450`."""
 
-import sys
-
 from services.simulator.config import Settings
 from services.simulator.service import Simulator
 from shared import process
 
-sys.exit(process.run("simulator", Settings, Simulator))
+process.main("simulator", Settings, Simulator)

@@ -68,11 +68,19 @@ class DepthCamera:
         raw = np.empty(shape, dtype=np.uint16)
         frame_key = _mix(np.uint32(self._key ^ np.uint32((self._frames * 0x9E3779B9) & 0xFFFFFFFF)))
         limits = np.array([self.sensor.min_range, self.sensor.max_range, self.sensor.depth_scale])
-        _disparity_to_raw(
-            inverse_depth, raw, frame_key, self._bf, self._sigma, self._counts, self._gauss, self._raw_of_count, limits
+        _expose(
+            inverse_depth,
+            raw,
+            frame_key,
+            self._bf,
+            self._sigma,
+            self._counts,
+            self._gauss,
+            self._raw_of_count,
+            limits,
+            self._camera,
+            self._dropouts,
         )
-        if self._dropouts:
-            _drop(inverse_depth, raw, _mix(np.uint32(frame_key ^ np.uint32(0x5BD1E995))), self._camera, self._bf)
         self._frames += 1
         return raw
 
@@ -106,14 +114,8 @@ def _mix(x: np.uint32) -> np.uint32:
 
 
 @compiled
-def _hash(pixel: np.uint32, key: np.uint32) -> np.uint32:
-    """32 random bits of a pixel."""
-    return _mix(np.uint32(np.uint32(pixel * np.uint32(0x9E3779B1)) ^ key))
-
-
-@compiled
-def _disparity_to_raw(
-    inverse_depth: NDArray[np.float32],
+def _expose(
+    w: NDArray[np.float32],
     raw: NDArray[np.uint16],
     key: np.uint32,
     bf: float,
@@ -122,82 +124,128 @@ def _disparity_to_raw(
     gauss: NDArray[np.float32],
     raw_of_count: NDArray[np.uint16],
     limits: Array,
+    camera: Array,
+    dropouts: bool,
 ) -> None:
-    """Noise in disparity, quantised through a table or else inverted; bf [px m], sigma [px], counts per pixel."""
+    """Noise in disparity, quantised through a table or else inverted; then pixels taken away.
+
+    bf [px m], sigma [px], counts per pixel. A pixel has 32 random bits: the upper choose its noise, the lower its loss.
+    Every step is a loop of its own over a row, free of branches wherever it can be, so that it runs in vectors.
+    """
     rows, columns = raw.shape
     nearest, farthest, scale = limits
-    shift = np.uint32(32 - _GAUSS_BITS)
-    to_count, spread = np.float32(bf * counts), np.float32(sigma * counts)
-    top = len(raw_of_count) - 1
+    to_count, spread, half = np.float32(bf * counts), np.float32(sigma * counts), np.float32(0.5)
+    top = np.int32(len(raw_of_count) - 1)
     # What no noise brings back into range: the table ends at 3.7 sigma, and quantisation moves a pixel by half a count.
     reach = (4.0 * sigma + (1.0 / counts if counts > 0.0 else 0.0)) / bf + 1e-3
     darkest, brightest = np.float32(max(1.0 / farthest - reach, 1e-9)), np.float32(1.0 / nearest + reach)
+    bits = np.zeros(columns, dtype=np.uint32)
+    noise = np.zeros(columns, dtype=np.float32)
+    lost = np.zeros(columns, dtype=np.uint16)
+    seen_at = np.zeros(columns, dtype=np.float32)
+    u = np.arange(columns).astype(np.float32)
+    x = (np.arange(columns) - camera[2]).astype(np.float32)
+    inner = max(columns - 2, 0)
     for row in range(rows):
-        line, out = inverse_depth[row], raw[row]
+        line, out = w[row], raw[row]
+        # 1. Rows without a pixel near the range: half of a picture of a walking robot's near ground.
+        inside = np.uint32(0)
+        for column in range(columns):
+            inside |= np.uint32((line[column] >= darkest) & (line[column] <= brightest))
+        if inside == 0:
+            out[:] = 0
+            continue
+        # 2. Noise and range.
         seed = np.uint32(row * columns)
         for column in range(columns):
-            w = line[column]
-            if w < darkest or w > brightest:
+            h = np.uint32(np.uint32(np.uint32(seed + np.uint32(column)) * np.uint32(0x9E3779B1)) ^ key)
+            h = np.uint32(np.uint32(h ^ (h >> np.uint32(16))) * np.uint32(0x7FEB352D))
+            h = np.uint32(np.uint32(h ^ (h >> np.uint32(15))) * np.uint32(0x846CA68B))
+            bits[column] = np.uint32(h ^ (h >> np.uint32(16)))
+        if sigma > 0.0:
+            for column in range(columns):
+                noise[column] = gauss[bits[column] >> np.uint32(32 - _GAUSS_BITS)]
+        if top >= 0:
+            for column in range(columns):
+                # What is out of reach counts 0; too near lies beyond the table, whose last entry is 0 as is its first.
+                near = line[column] if (line[column] >= darkest) & (line[column] <= brightest) else np.float32(0.0)
+                count = np.int32(near * to_count + noise[column] * spread + half)
+                count = count if near > np.float32(0.0) else np.int32(0)
+                out[column] = raw_of_count[np.uint32(min(max(count, np.int32(0)), top))]
+        else:
+            for column in range(columns):
                 out[column] = 0
-                continue
-            noise = np.float32(0.0)
-            if sigma > 0.0:
-                noise = gauss[_hash(np.uint32(seed + np.uint32(column)), key) >> shift]
-            if top >= 0:
-                # Too near lies beyond the table, whose last entry is 0 as is its first.
-                count = int(w * to_count + noise * spread + np.float32(0.5))
-                out[column] = raw_of_count[min(max(count, 0), top)]
-            else:
-                d = w * bf + noise * sigma
-                z = bf / d if d > 0.0 else np.inf
-                value = np.rint(z * scale)
-                out[column] = np.uint16(value) if nearest <= z <= farthest and value <= 65535.0 else np.uint16(0)
+                if darkest <= line[column] <= brightest:
+                    d = line[column] * bf + noise[column] * sigma
+                    z = bf / d if d > 0.0 else np.inf
+                    value = np.rint(z * scale)
+                    if nearest <= z <= farthest and value <= 65535.0:
+                        out[column] = np.uint16(value)
+        if not dropouts:
+            continue
+        # 3. In the projector's picture a point lies at u - d. Right of a pixel, whatever lies further left there hides it.
+        for column in range(columns):
+            seen_at[column] = u[column] - np.float32(bf) * line[column]
+        folded = np.uint32(0)
+        for column in range(columns - 1):
+            folded |= np.uint32(seen_at[column] > seen_at[column + 1])
+        if folded != 0:
+            leftmost = np.float32(np.inf)
+            for column in range(columns - 1, -1, -1):
+                if seen_at[column] > leftmost + np.float32(_SHADOW_MARGIN):
+                    out[column] = 0
+                leftmost = min(leftmost, seen_at[column])
+        # 4. Grazed surfaces, and the losses at random.
+        _graze(
+            line[:inner],
+            line[1:],
+            line[2:],
+            w[max(row - 1, 0), 1:],
+            w[min(row + 1, rows - 1), 1:],
+            bits[1:],
+            x[1:],
+            np.float32(row - camera[3]),
+            np.float32(camera[0]),
+            np.float32(camera[1]),
+            out[1:],
+        )
+        out[0] = out[columns - 1] = 0  # without a neighbour on one side
 
 
 @compiled
-def _drop(w: NDArray[np.float32], raw: NDArray[np.uint16], key: np.uint32, camera: Array, bf: float) -> None:
-    """Take away pixels in the projector's shadow, on grazed surfaces, and at random."""
-    rows, columns = w.shape
-    fx, fy, cy = np.float32(camera[0]), np.float32(camera[1]), np.float32(camera[3])
-    per_fx, per_fy = np.float32(1.0 / camera[0]), np.float32(1.0 / camera[1])
-    b = np.float32(bf)
-    low, width = np.float32(GRAZING[0]), np.float32((GRAZING[1] - GRAZING[0]) / (1.0 - RANDOM_LOSS))
-    likely = np.float32(1.0 - RANDOM_LOSS)
-    to_unit = np.float32(2.0**-32)
+def _graze(
+    before: NDArray[np.float32],
+    line: NDArray[np.float32],
+    after: NDArray[np.float32],
+    above: NDArray[np.float32],
+    below: NDArray[np.float32],
+    bits: NDArray[np.uint32],
+    x: NDArray[np.float32],
+    y: np.float32,
+    fx: np.float32,
+    fy: np.float32,
+    out: NDArray[np.uint16],
+) -> None:
+    """Take away pixels of a row on grazed surfaces and at random; x and y [px] from the optical axis."""
     one = np.float32(1.0)
-    x_of_column = (np.arange(1, columns - 1) - camera[2]).astype(np.float32)
-    for row in range(rows):
-        # In the projector's picture a point lies at u - d. Right of a pixel, whatever lies further left there hides it.
-        leftmost = np.float32(np.inf)
-        for column in range(columns - 1, -1, -1):
-            if w[row, column] > 0.0:
-                seen_at = np.float32(column) - b * w[row, column]
-                if seen_at > leftmost + np.float32(_SHADOW_MARGIN):
-                    raw[row, column] = 0
-                leftmost = min(leftmost, seen_at)
-        before, after = w[row, : columns - 2], w[row, 2:]
-        above, below = w[max(row - 1, 0), 1:], w[min(row + 1, rows - 1), 1:]
-        line, out = w[row, 1:], raw[row, 1:]
-        y = np.float32(row) - cy
-        seed = np.uint32(row * columns)
-        for k in range(columns - 2):
-            if out[k] == 0:
-                continue
-            here = line[k]
-            # Of both neighbours the one nearer in depth: an edge of a level surface does not make it steep.
-            one_side, other = here - before[k], after[k] - here
-            wu = one_side if abs(one_side) < abs(other) else other
-            one_side, other = here - above[k], below[k] - here
-            wv = one_side if abs(one_side) < abs(other) else other
-            x = x_of_column[k]
-            # On a plane 1/z = w is linear in the pixel; its gradient gives the normal, and w = normal . ray.
-            nx, ny, nz = fx * wu, fy * wv, here - wu * x - wv * y
-            rx, ry = x * per_fx, y * per_fy
-            chance = np.float32(_hash(np.uint32(seed + np.uint32(k)), key)) * to_unit
-            # Kept with a probability that grows linearly with the cosine of incidence, compared squared.
-            needed = low + width * chance
-            squares = (nx * nx + ny * ny + nz * nz) * (one + rx * rx + ry * ry)
-            kept = (chance < likely) & (here * here > needed * needed * squares)
-            if not kept:
-                out[k] = 0
-        raw[row, 0] = raw[row, columns - 1] = 0  # without a neighbour on one side
+    per_fx, per_fy = one / fx, one / fy
+    low, width = np.float32(GRAZING[0]), np.float32((GRAZING[1] - GRAZING[0]) / (1.0 - RANDOM_LOSS))
+    likely, to_unit = np.float32(1.0 - RANDOM_LOSS), np.float32(2.0 ** (_GAUSS_BITS - 32))
+    mask = np.uint32((1 << (32 - _GAUSS_BITS)) - 1)
+    ry2 = one + (y * per_fy) * (y * per_fy)
+    for k in range(len(before)):
+        here = line[k]
+        # Of both neighbours the one nearer in depth: an edge of a level surface does not make it steep.
+        one_side, other = here - before[k], after[k] - here
+        wu = one_side if abs(one_side) < abs(other) else other
+        one_side, other = here - above[k], below[k] - here
+        wv = one_side if abs(one_side) < abs(other) else other
+        # On a plane 1/z = w is linear in the pixel; its gradient gives the normal, and w = normal . ray.
+        nx, ny, nz = fx * wu, fy * wv, here - wu * x[k] - wv * y
+        rx = x[k] * per_fx
+        chance = np.float32(np.int32(bits[k] & mask)) * to_unit
+        # Kept with a probability that grows linearly with the cosine of incidence, compared squared.
+        needed = low + width * chance
+        squares = (nx * nx + ny * ny + nz * nz) * (ry2 + rx * rx)
+        kept = (chance < likely) & (here * here > needed * needed * squares)
+        out[k] = out[k] if kept else np.uint16(0)

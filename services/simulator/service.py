@@ -131,7 +131,7 @@ class Simulator:
 
     def _observe(self, now_ns: int, inbox: Inbox) -> Iterator[Message]:
         """What the camera, the IMU and the scorer get at this instant."""
-        if self._due(topics.DEPTH, now_ns):
+        if self._due(topics.DEPTH, now_ns, self._profile.camera.sensor.rate_hz):
             with self.stages("render"):
                 picture = self._renderer.inverse_depth(self._camera_pose(), self.world.robot_solids())
             with self.stages("depth noise"):
@@ -144,12 +144,12 @@ class Simulator:
         if self._due(topics.TRUTH, now_ns):
             yield self._truth(now_ns)
 
-    def _due(self, topic: AnyTopic, now_ns: int) -> bool:
-        """Whether a topic's next beat has come; beats are even multiples of its period."""
+    def _due(self, topic: AnyTopic, now_ns: int, rate_hz: float | None = None) -> bool:
+        """Whether a topic's next beat has come; beats are even multiples of its period, or of another rate's."""
         due_ns = self._due_ns[topic.key]
         if now_ns < due_ns:
             return False
-        period_ns = round(1e9 / topic.rate_hz)
+        period_ns = round(1e9 / (rate_hz or topic.rate_hz))
         self._due_ns[topic.key] = due_ns + period_ns * (1 + (now_ns - due_ns) // period_ns)
         return True
 
