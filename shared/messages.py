@@ -130,7 +130,7 @@ class BodyPose(Message):
     """Where the body is; perception -> mapper, planner, operator."""
 
     T_world_body: Pose
-    T_world_odom: Pose  # correction: world pose of the body = T_world_odom @ T_odom_body at any time near the stamp
+    T_world_odom: Pose  # correction: T_world_odom @ T_odom_body is where the body is at any time near, its tilt averaged
     covariance: Annotated[NDArray[np.float64], Dims(6, 6)]  # [m^2, m rad, rad^2] position, then rotation, {world}
     overlap: float  # [1] share of the scan that met the reference
     ok: bool  # False: registration failed and odometry alone stands behind the pose

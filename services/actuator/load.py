@@ -33,6 +33,19 @@ def foot_forces(feet: Array, share: Array, weight: float, p_com: Array) -> Array
     return np.asarray(np.maximum(forces, 0.0))
 
 
+def link_torques(profile: RobotProfile, q: Array) -> Array:
+    """Motor torques (6, 3) [N m] that hold the legs' own links up, the body level, at joint angles q (6, 3) [rad].
+
+    The links' masses are taken to sit in their middles.
+    """
+    _, femur_mass, tibia_mass = profile.body.leg_link_masses
+    femur, tibia = profile.links.femur * np.cos(q[:, 1]), profile.links.tibia * np.cos(q[:, 1] + q[:, 2])
+    torques = np.zeros((6, 3))
+    torques[:, 2] = GRAVITY * tibia_mass * tibia / 2
+    torques[:, 1] = torques[:, 2] + GRAVITY * (femur_mass / 2 + tibia_mass) * femur
+    return torques
+
+
 def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array, R_level_body: Array) -> Array:
     """What to add to joint angles so that the loaded servos come to rest at them.
 
@@ -48,6 +61,6 @@ def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array,
     """
     forces = np.zeros((6, 3))
     forces[:, 2] = foot_forces(feet @ R_level_body.T, share, profile.body.total_mass * GRAVITY, np.zeros(3))
-    torques = joint_torques(profile, q, forces @ R_level_body)
+    torques = joint_torques(profile, q, forces @ R_level_body) + link_torques(profile, q)
     limit = profile.servo.stall_torque
     return np.asarray(np.clip(torques, -limit, limit) / profile.servo.stiffness)

@@ -12,11 +12,13 @@ class Settings:
     scan_rate_hz: float = 15.0  # of the scans that are passed on, at most
     scan_range: float = 1.5  # [m] horizontally from the camera
     scan_points: int = 6000  # at most: 60 kB
-    # How far leg odometry is believed, as one sigma of the motion between two frames.
-    odometry_drift: float = 0.04  # [1] of the way travelled
-    odometry_turn: float = 0.05  # [1] of the heading turned
-    odometry_floor: float = 0.0002  # [m] and [rad] of x, y and yaw at a standstill
-    odometry_level: float = 0.003  # [m] and [rad] of height, roll and pitch, in which the legs bend
+    # How far leg odometry is believed, as one sigma of the motion between two frames. Wide figures cost nothing where the
+    # scene shows nothing, since there the prior stands whatever its weight; where it shows something, slips are caught.
+    odometry_drift: float = 0.10  # [1] of the way travelled
+    odometry_turn: float = 0.10  # [1] of the heading turned
+    odometry_floor: float = 0.001  # [m] and [rad] of x, y and yaw: feet slip without notice
+    odometry_level: float = 0.01  # [m] and [rad] of height, roll and pitch: the legs bend and slip, and any floor shows those three
+    tilt_s: float = 3.0  # [s] over which the tilt of the legs' frame is averaged
 
     def __post_init__(self) -> None:
         if self.scan_rate_hz <= 0:
