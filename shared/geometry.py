@@ -4,6 +4,8 @@
 `T_world_body @ T_body_camera`. A twist is (6,): linear part first, then angular.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -36,6 +38,15 @@ def rotation_z(angle: ArrayLike) -> Array:
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
     """Rotation R = Rz(yaw) Ry(pitch) Rx(roll): (..., 3) [rad] roll, pitch, yaw -> (..., 3, 3)."""
     rpy = np.asarray(rpy, dtype=np.float64)
+    if rpy.ndim == 1:  # the control loop makes one at a time; there the general way costs ten times as much
+        (cr, cp, cy), (sr, sp, sy) = map(math.cos, rpy), map(math.sin, rpy)
+        return np.array(
+            [
+                [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+                [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+                [-sp, cp * sr, cp * cr],
+            ]
+        )
     cr, cp, cy = (np.cos(rpy[..., i]) for i in range(3))
     sr, sp, sy = (np.sin(rpy[..., i]) for i in range(3))
     rows = [

@@ -1,9 +1,11 @@
 """How the body moves by its standing legs: the expected motion of Masri 2016 (section 4), measured instead of assumed."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array, align_rigid, apply, log_so3, orthonormal
+from shared.geometry import Array, align_rigid, apply, yaw_of
 from shared.kinematics import leg_points
 from shared.robot import RobotProfile
 
@@ -54,9 +56,9 @@ class LegOdometry:
         self.reliable = bool(held.sum() >= _MIN_LEGS)
         if self.reliable:
             previous = self.T_odom_body
-            self.T_odom_body = orthonormal(align_rigid(self.feet[held], self.anchors[held]))
+            self.T_odom_body = align_rigid(self.feet[held], self.anchors[held])
             self.travelled += float(np.linalg.norm(self.T_odom_body[:2, 3] - previous[:2, 3]))
-            self.turned += float(abs(log_so3(previous[:3, :3].T @ self.T_odom_body[:3, :3])[2]))
+            self.turned += abs(math.remainder(yaw_of(self.T_odom_body) - yaw_of(previous), math.tau))
         fresh = standing & ~self._standing
         self.anchors[fresh] = apply(self.T_odom_body, self.feet[fresh])
         self._standing = standing.copy()

@@ -59,19 +59,29 @@ def nearest_foothold(
     Returns:
         The foothold, or how many cells failed which test.
     """
+    # Where nothing speaks against it, the foot lands where the gait wants it; that is the rule, so it is looked at first.
+    found = _search(terrain, nominal[None], others, min_distance, reachable)
+    if isinstance(found, Foothold):
+        return found
     xy = terrain.centres(nominal + offsets)
-    xy[0] = nominal  # where nothing speaks against it, the foot lands where the gait wants it
+    return _search(terrain, xy, others, min_distance, reachable, nominal)
+
+
+def _search(
+    terrain: Terrain, xy: Array, others: Array, min_distance: float, reachable: Reachable, nominal: Array | None = None
+) -> Foothold | NoFoothold:
+    """The first of (n, 2) [m] {world} places that carries a foot."""
     scores = terrain.scores(xy)
     footing = terrain.footing(xy)
     unknown = ~np.isfinite(scores) | ~np.isfinite(footing)
     rough = ~unknown & (scores > ACCEPTABLE)
-    near = np.linalg.norm(xy[:, None] - others, axis=2).min(axis=1, initial=np.inf) < min_distance
+    near = ((xy[:, None] - others) ** 2).sum(axis=2).min(axis=1, initial=np.inf) < min_distance**2
     candidates = np.flatnonzero(~unknown & ~rough & ~near)
     points = np.column_stack([xy[candidates], footing[candidates]])
     within = reachable(points) if len(points) else np.zeros(0, dtype=bool)
     if within.any():
-        best = int(np.argmax(within))
-        return Foothold(points[best], float(np.linalg.norm(points[best, :2] - nominal)))
+        best = points[int(np.argmax(within))]
+        return Foothold(best, 0.0 if nominal is None else float(np.linalg.norm(best[:2] - nominal)))
     counts = Counter(
         {
             "not seen": int(unknown.sum()),
@@ -81,4 +91,5 @@ def nearest_foothold(
         }
     )
     words = ", ".join(f"{n} {what}" for what, n in counts.most_common() if n)
-    return NoFoothold(f"no foothold within {np.linalg.norm(offsets[-1]) * 100:.0f} cm of its place: of {len(xy)} cells {words}")
+    radius = 0.0 if nominal is None else float(np.linalg.norm(xy[-1] - nominal))
+    return NoFoothold(f"no foothold within {radius * 100:.0f} cm of its place: of {len(xy)} cells {words}")

@@ -11,7 +11,7 @@ from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, of
 from services.planner.gait import nominal_touchdowns
 from services.planner.terrain import Terrain
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, yaw_of
-from shared.kinematics import body_inverse, within_limits
+from shared.kinematics import body_inverse, leg_inverse, within_limits
 from shared.messages import VelocityCommand
 from shared.robot import LEGS, RobotProfile
 from shared.stability import support_margin
@@ -159,9 +159,10 @@ class StridePlanner:
 
     def _reaches(self, leg: int, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
         """Which of (n, 3) [m] {world} foot centres one leg reaches from a body pose."""
-        feet = np.zeros((len(feet_world), 6, 3))
-        feet[:, leg] = apply(inverse(T_world_body), feet_world)
-        return np.asarray(within_limits(self._profile, body_inverse(self._profile, feet))[:, leg].all(axis=1))
+        profile = self._profile
+        q = leg_inverse(apply(profile.T_coxa_body[leg] @ inverse(T_world_body), feet_world), profile.links)
+        limits = profile.joint_limits[leg]
+        return np.asarray(((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=1))  # NaN, out of reach, is in no limits
 
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
         """Which leg would be overstretched at the end of the step, in words, or nothing."""

@@ -180,6 +180,7 @@ class ServoBank:
         self._q = np.zeros(n) if q is None else np.array(q, dtype=np.float64)  # [rad]
         self._qd, self._load = np.zeros(n), np.zeros(n)  # [rad/s], fraction of stall
         self._setpoint = self._q.copy()  # [rad] where the ramp to the goal is, margin not considered
+        self._measured = False  # the tables show what the servos measure
         self._out = ServoCommand(np.zeros(n), np.zeros(n), np.zeros(n))
         self._dirty = True  # a table changed since the settings below were made
         self._goal, self._speed, self._limit = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -197,8 +198,8 @@ class ServoBank:
 
     def read(self, row: int, address: int, size: int) -> bytes:
         """Bytes of one servo's control table; measured values are those of the last physics step."""
-        if address < _LIVE_END and address + size > _LIVE_START:
-            self._refresh(row)
+        if address < _LIVE_END and address + size > _LIVE_START and not self._measured:
+            self._refresh()
         start = row * dxl.TABLE_SIZE + address
         return bytes(self._bytes[start : start + size])
 
@@ -242,6 +243,7 @@ class ServoBank:
         Returns:
             The position controllers for the coming step.
         """
+        self._measured = False
         self._q[:] = q
         self._qd[:] = qd
         np.divide(torque, self.motor.stall_torque, out=self._load)
@@ -339,17 +341,17 @@ class ServoBank:
     def _position_ticks(self, row: int) -> int:
         return min(max(dxl.ticks_from_angle(float(self._q[row])), 0), dxl.TICK_MAX)
 
-    def _refresh(self, row: int) -> None:
-        """Put the measured values of one servo into its table."""
-        start = row * dxl.TABLE_SIZE
-        dxl.PRESENT_STATE.pack_into(
-            self._bytes,
-            start + _LIVE_START,
-            self._position_ticks(row),
-            dxl.register_from_speed(float(self._qd[row])),
-            dxl.register_from_load(float(self._load[row])),
-            min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255),
-            min(max(round(float(self.temperature[row])), 0), 255),
-        )
-        moving = abs(float(self._goal[row] - self._setpoint[row])) > dxl.TICK_RAD and not self._limp[row]
-        self._bytes[start + dxl.MOVING.address] = moving
+    def _refresh(self) -> None:
+        """Put what all servos measure into their tables: once a physics step at most, when somebody looks."""
+        self._measured = True
+        position = np.clip(np.rint(dxl.TICK_CENTRE + self._q / dxl.TICK_RAD), 0, dxl.TICK_MAX)
+        self._column(dxl.PRESENT_POSITION)[:] = position.astype(np.uint16)
+        for register, value, unit in (
+            (dxl.PRESENT_SPEED, self._qd, dxl.SPEED_RAD_S),
+            (dxl.PRESENT_LOAD, self._load, dxl.LOAD_UNIT),
+        ):
+            size = np.minimum(np.rint(np.abs(value) / unit), dxl.DIRECTION_CW - 1)
+            self._column(register)[:] = np.where((value < 0) & (size > 0), size + dxl.DIRECTION_CW, size).astype(np.uint16)
+        self._column(dxl.PRESENT_VOLTAGE)[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
+        self._column(dxl.PRESENT_TEMPERATURE)[:] = np.clip(np.rint(self.temperature), 0, 255).astype(np.uint8)
+        self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._limp
