@@ -44,6 +44,7 @@ class Process:
     side: Literal["robot", "either", "simulation"]  # where it may run; "simulation" stands in for the hardware
     restarts: int  # times that a run starts it again after it died
     settings: Callable[[Choices], dict[str, Value]] = field(compare=False)
+    nice: int = 0  # how far it gives way where cores are short: the servos' side never does
     after: tuple[str, ...] = ()  # processes that must be ready before it starts
     ready_port: Callable[[Choices], int] = field(default=lambda _: 0, compare=False)  # listens there once ready, 0: at once
 
@@ -64,9 +65,9 @@ def _actuator(choices: Choices) -> dict[str, Value]:
 TABLE: tuple[Process, ...] = (
     Process("simulator", "services.simulator", "simulation", 0, _simulator, ready_port=lambda choices: choices.bus_port),
     Process("actuator", "services.actuator", "robot", 3, _actuator, after=("simulator",)),
-    Process("perception", "services.perception", "robot", 3, _perception),
-    Process("mapper", "services.mapper", "either", 3, lambda _: {}),
-    Process("planner", "services.planner", "either", 3, lambda choices: {"blind": choices.blind}),
+    Process("perception", "services.perception", "robot", 3, _perception, nice=2),
+    Process("mapper", "services.mapper", "either", 3, lambda _: {}, nice=5),
+    Process("planner", "services.planner", "either", 3, lambda choices: {"blind": choices.blind}, nice=2),
 )
 
 
@@ -118,7 +119,7 @@ def commands(
         Command(
             name=p.name,
             arguments=(
-                *("-m", p.module, "--robot", chosen.robot, *_meeting(endpoints)),
+                *("-m", p.module, "--robot", chosen.robot, *_meeting(endpoints), *_giving_way(p.nice)),
                 *_set([assignment(key, value) for key, value in p.settings(chosen).items()]),
                 *_set((extra or {}).get(p.name, ())),
             ),
@@ -129,6 +130,10 @@ def commands(
         )
         for p in processes
     )
+
+
+def _giving_way(nice: int) -> tuple[str, ...]:
+    return ("--nice", str(nice)) if nice else ()
 
 
 def assignment(key: str, value: Value) -> str:

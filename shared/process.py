@@ -47,6 +47,7 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
     faulthandler.enable()
     if arguments.parent:
         end_with(arguments.parent)
+    os.nice(arguments.nice)
     keep_memory()
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -129,5 +130,6 @@ def _parser(name: str, schema: type[Any]) -> argparse.ArgumentParser:
     parser.add_argument("--namespace", default="sextant", help="prefix of every key; runs with different ones do not meet")
     parser.add_argument("--config", help="TOML file with settings")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one setting of: {known}")
+    parser.add_argument("--nice", type=int, default=0, help="how far to give way to others where cores are short, 0 to 19")
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     return parser
