@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from shared.camera import DepthSensor, Intrinsics
 from shared.compiled import compiled
-from shared.geometry import inverse, skew
 
 Array = NDArray[Any]  # what compiled functions take: numbers of any width
 
@@ -54,7 +53,8 @@ class BlockFrame:
         middle = (self.block - 1) / 2
         self.x = (self.block * np.arange(self.shape[1]) + middle - intrinsics.cx) / intrinsics.fx
         self.y = (self.block * np.arange(self.shape[0]) + middle - intrinsics.cy) / intrinsics.fy
-        self.table, self.pixel_sigma = inverse_depth_table(intrinsics, sensor)
+        self._bounds, self._scale = raw_bounds(sensor), sensor.depth_scale
+        self.pixel_sigma = inverse_depth_sigma(intrinsics, sensor)
         self.sigma = self.pixel_sigma / math.sqrt(max(1.0, self.block**2 / _CORRELATION))
         self.inverse_depth = np.zeros(self.shape)
         self._points = np.zeros((self.shape[0] * self.shape[1], 3))
@@ -69,7 +69,16 @@ class BlockFrame:
         check_depth(depth_raw, self._intrinsics)
         max_variance = (3.0 * self.pixel_sigma) ** 2
         self.valid = _reduce_blocks(
-            depth_raw, self.table, self.block, _MIN_FILLED, max_variance, self.x, self.y, self.inverse_depth, self._points
+            depth_raw,
+            self._bounds,
+            self._scale,
+            self.block,
+            _MIN_FILLED,
+            max_variance,
+            self.x,
+            self.y,
+            self.inverse_depth,
+            self._points,
         )
 
     @property
@@ -104,7 +113,6 @@ class Keyframes:
         self._age = np.zeros(stored, dtype=np.int64)
         self._count = 0
         self._stored = 0
-        self._sums = np.zeros(82)
 
     def __len__(self) -> int:
         return self._count
@@ -134,10 +142,8 @@ class Keyframes:
     def is_news(self, T_world_camera: NDArray[np.float64], overlap: float) -> bool:
         """Whether a pose is farther, or turned more, than allowed from every keyframe; a quarter if few points overlap."""
         share = 1.0 if overlap >= _OVERLAP_WANTED else 0.25
-        poses = self._poses[: self._count]
-        near = np.linalg.norm(poses[:, :3, 3] - T_world_camera[:3, 3], axis=-1) < share * self._distance
-        cosine = (np.einsum("kij,ij->k", poses[:, :3, :3], T_world_camera[:3, :3]) - 1.0) / 2.0
-        return not bool(np.any(near & (cosine > math.cos(share * self._angle))))
+        cosine = math.cos(share * self._angle)
+        return not bool(_is_near(self._poses[: self._count], T_world_camera, share * self._distance, cosine))
 
     def select(self, T_world_camera: NDArray[np.float64]) -> NDArray[np.int64]:
         """Keyframes to match a frame at a pose with: those that share most surface with it, and first an old one.
@@ -145,8 +151,7 @@ class Keyframes:
         The oldest that shares half as much as the best holds the drift down.
         """
         frame, n = self._frame, self._count
-        transforms = inverse(self._poses[:n]) @ T_world_camera
-        shares = _shares_seen(frame.points, frame.x, frame.y, self._planes[:n], transforms)
+        shares = _shares_seen(frame.points, frame.x, frame.y, self._planes[:n], self._poses[:n], T_world_camera)
         order = np.argsort(-shares, kind="stable")
         enough = order[shares[order] >= 0.5 * shares[order[0]]]
         oldest = enough[np.argmin(self._age[enough])]
@@ -161,22 +166,25 @@ class Keyframes:
             gate: [m] farthest plane that a point is matched with.
             stride: Every how many points.
         """
-        frame, sums = self._frame, self._sums
-        H, g, N = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
-        matched, facing, squares, best = 0.0, 0.0, 0.0, 0.0
-        for phase, (k, T) in enumerate(zip(chosen, inverse(self._poses[chosen]) @ T_world_camera, strict=True)):
-            # Each keyframe is matched with other points, so that together they use most of them.
-            _accumulate(frame.points, phase % stride, stride, frame.x, frame.y, self._planes[k], T, frame.sigma, gate, sums)
-            # From the keyframe's axes and origin to world axes at the camera.
-            R = self._poses[k, :3, :3]
-            M = np.zeros((6, 6))
-            M[:3, :3] = M[3:, 3:] = R
-            M[3:, :3] = -skew(T_world_camera[:3, 3] - self._poses[k, :3, 3]) @ R
-            H += M @ sums[:36].reshape(6, 6) @ M.T
-            N += M @ sums[36:72].reshape(6, 6) @ M.T
-            g += M @ sums[72:78]
-            best = max(best, sums[78] / max(sums[81], 1.0))
-            matched, facing, squares = matched + sums[78], facing + sums[79], squares + sums[80]
+        frame = self._frame
+        H, g, N, tally = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6)), np.zeros(4)
+        _match(
+            frame.points,
+            stride,
+            frame.x,
+            frame.y,
+            self._planes,
+            self._poses,
+            chosen,
+            T_world_camera,
+            frame.sigma,
+            gate,
+            H,
+            g,
+            N,
+            tally,
+        )
+        matched, facing, squares, best = tally.tolist()
         rmse = math.sqrt(squares / matched) if matched else math.nan
         return Match(H, g, N, len(chosen), best, matched / max(facing, 1.0), rmse)
 
@@ -193,20 +201,25 @@ def check_depth(depth_raw: NDArray[np.uint16], intrinsics: Intrinsics) -> None:
         )
 
 
-def inverse_depth_table(intrinsics: Intrinsics, sensor: DepthSensor) -> tuple[NDArray[np.float32], float]:
-    """Inverse depth (65536,) [1/m] by raw value, 0 where invalid or out of range, and its one-sigma noise [1/m]."""
-    z = np.arange(65536) / sensor.depth_scale
-    inside = (z >= sensor.min_range) & (z <= sensor.max_range)
-    table = np.where(inside, 1.0 / np.where(inside, z, 1.0), 0.0).astype(np.float32)
+def raw_bounds(sensor: DepthSensor) -> tuple[int, int]:
+    """Lowest and highest raw value within range."""
+    z = np.arange(1, 65536) / sensor.depth_scale
+    inside = np.flatnonzero((z >= sensor.min_range) & (z <= sensor.max_range)) + 1
+    return (int(inside[0]), int(inside[-1])) if len(inside) else (1, 0)
+
+
+def inverse_depth_sigma(intrinsics: Intrinsics, sensor: DepthSensor) -> float:
+    """One-sigma noise [1/m] of a pixel's inverse depth."""
     disparity_sigma = float(sensor.sigma(np.array(1.0), intrinsics.fx))
     rounding = 1.0 / (sensor.depth_scale * math.sqrt(12.0))
-    return table, math.hypot(disparity_sigma, rounding)
+    return math.hypot(disparity_sigma, rounding)
 
 
 @compiled
 def _reduce_blocks(
     raw: Array,
-    table: Array,
+    bounds: tuple[int, int],
+    scale: float,
     block: int,
     min_filled: float,
     max_variance: float,
@@ -215,56 +228,80 @@ def _reduce_blocks(
     out: Array,
     points: Array,
 ) -> int:
-    """Inverse depth at the centre of each block from the plane through its pixels, 0 where there is none, and points."""
+    """Inverse depth at the centre of each block from the plane through its pixels, 0 where there is none, and points.
+
+    Sums are taken down the columns of a row of blocks first, in loops without branches, which run in vectors.
+    """
     rows, columns = out.shape
+    width = columns * block
     middle = (block - 1) / 2.0
     whole = block * block
     needed = max(1, math.ceil(min_filled * whole))
+    first, last, scale32 = np.int32(bounds[0]), np.int32(bounds[1]), np.float32(scale)
+    # By column: pixels, the sums of v and v^2, and of w, w^2 and w v.
+    pixels, of_v, of_vv = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    of_w, of_ww, of_wv = np.empty(width), np.empty(width), np.empty(width)
     valid = 0
     for i in range(rows):
+        inside = np.int32(0)
+        for a in range(block):
+            line = raw[i * block + a]
+            for c in range(width):
+                r = np.int32(line[c])
+                inside |= np.int32((r >= first) & (r <= last))
+        out[i, :] = 0.0
+        if inside == 0:
+            continue
+        for a in range(block):
+            line = raw[i * block + a]
+            v, v32, vv32 = a - middle, np.float32(a - middle), np.float32((a - middle) * (a - middle))
+            if a == 0:
+                pixels[:], of_v[:], of_vv[:], of_w[:], of_ww[:], of_wv[:] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for c in range(width):
+                r = np.int32(line[c])
+                there = np.float32((r >= first) & (r <= last))
+                w = np.float64(there * (scale32 / np.float32(max(r, np.int32(1)))))
+                pixels[c] += there
+                of_v[c] += there * v32
+                of_vv[c] += there * vv32
+                of_w[c] += w
+                of_ww[c] += w * w
+                of_wv[c] += w * v
         for j in range(columns):
-            out[i, j] = 0.0
-            n = 0
-            s = ss = swu = swv = 0.0
-            first = table[raw[i * block + block // 2, j * block + block // 2]]
-            for a in range(block):
-                for b in range(block):
-                    w = table[raw[i * block + a, j * block + b]]
-                    if w != 0.0:
-                        d = w - first  # small numbers keep their digits in the squares below
-                        n += 1
-                        s += d
-                        ss += d * d
-                        swu += d * (b - middle)
-                        swv += d * (a - middle)
+            n = s = ss = swu = swv = 0.0
+            for b in range(block):
+                c = j * block + b
+                n += pixels[c]
+                s += of_w[c]
+                ss += of_ww[c]
+                swu += of_w[c] * (b - middle)
+                swv += of_wv[c]
             if n < needed:
                 continue
             su = sv = suv = 0.0
             suu = svv = whole * (whole - 1.0) / 12.0
             if n < whole:
                 suu = svv = 0.0
-                for a in range(block):
-                    for b in range(block):
-                        if table[raw[i * block + a, j * block + b]] != 0.0:
-                            u, v = b - middle, a - middle
-                            su += u
-                            sv += v
-                            suu += u * u
-                            svv += v * v
-                            suv += u * v
+                for b in range(block):
+                    c, u = j * block + b, b - middle
+                    su += u * pixels[c]
+                    sv += of_v[c]
+                    suu += u * u * pixels[c]
+                    svv += of_vv[c]
+                    suv += u * of_v[c]
             mean = s / n
-            if n >= 4:  # enough for a plane and its residual
+            if n >= 4.0:  # enough for a plane and its residual
                 cuu, cvv, cuv = suu - su * su / n, svv - sv * sv / n, suv - su * sv / n
                 cwu, cwv = swu - s * su / n, swv - s * sv / n
                 det = cuu * cvv - cuv * cuv
                 if det < 1e-9:
                     continue
                 gu, gv = (cwu * cvv - cwv * cuv) / det, (cwv * cuu - cwu * cuv) / det
-                if ss - s * mean - gu * cwu - gv * cwv > max_variance * (n - 3):
+                if ss - s * mean - gu * cwu - gv * cwv > max_variance * (n - 3.0):
                     continue
                 mean -= (gu * su + gv * sv) / n
-            out[i, j] = first + mean
-            z = 1.0 / out[i, j]
+            out[i, j] = mean
+            z = 1.0 / mean
             points[valid, 0] = x[j] * z
             points[valid, 1] = y[i] * z
             points[valid, 2] = z
@@ -319,14 +356,39 @@ def _fit_planes(inverse_depth: Array, x: Array, y: Array, sigma: float, limit: f
 
 
 @compiled
-def _shares_seen(points: Array, x: Array, y: Array, planes: Array, transforms: Array) -> Array:
+def _relative(T_world_a: Array, T_world_b: Array, out: Array) -> None:
+    """T_a_b (4, 4) of two poses; the last row is left alone."""
+    for i in range(3):
+        for j in range(4):
+            out[i, j] = 0.0
+            for k in range(3):
+                out[i, j] += T_world_a[k, i] * (T_world_b[k, j] - (T_world_a[k, 3] if j == 3 else 0.0))
+
+
+@compiled
+def _is_near(poses: Array, T: Array, distance: float, cosine: float) -> bool:
+    """Whether a pose is within a distance [m], and turned by less than an angle of a cosine, of one of some poses."""
+    for n in range(len(poses)):
+        square, trace = 0.0, 0.0
+        for i in range(3):
+            square += (poses[n, i, 3] - T[i, 3]) ** 2
+            for j in range(3):
+                trace += poses[n, i, j] * T[i, j]
+        if square < distance * distance and (trace - 1.0) / 2.0 > cosine:
+            return True
+    return False
+
+
+@compiled
+def _shares_seen(points: Array, x: Array, y: Array, planes: Array, poses: Array, T_world_camera: Array) -> Array:
     """Share of some 200 points of a frame that lie near a plane of each keyframe."""
-    shares = np.zeros(len(transforms))
+    shares = np.zeros(len(poses))
+    T = np.empty((4, 4))
     step = max(1, len(points) // 200)
     rows, columns = planes.shape[1], planes.shape[2]
     to_column, to_row = 1.0 / (x[1] - x[0]), 1.0 / (y[1] - y[0])
-    for k in range(len(transforms)):
-        T = transforms[k]
+    for k in range(len(poses)):
+        _relative(poses[k], T_world_camera, T)
         count, seen = 0, 0
         for n in range(0, len(points), step):
             qx, qy, qz = points[n, 0], points[n, 1], points[n, 2]
@@ -470,3 +532,56 @@ def _accumulate(
     sums[72], sums[73], sums[74], sums[75], sums[76], sums[77] = g0, g1, g2, g3, g4, g5
     sums[78], sums[79], sums[80] = matched, facing, squares
     sums[81] = max(tried - rough, tried / 2)
+
+
+@compiled
+def _match(
+    points: Array,
+    stride: int,
+    x: Array,
+    y: Array,
+    planes: Array,
+    poses: Array,
+    chosen: Array,
+    T_world_camera: Array,
+    sigma: float,
+    gate: float,
+    H: Array,
+    g: Array,
+    N: Array,
+    tally: Array,
+) -> None:
+    """Add up the matches with some keyframes; tally: matched, facing, squares, best overlap, as in `Match`."""
+    T, sums, M, half = np.empty((4, 4)), np.empty(82), np.zeros((6, 6)), np.empty((6, 6))
+    for phase in range(len(chosen)):
+        pose = poses[chosen[phase]]
+        _relative(pose, T_world_camera, T)
+        # Each keyframe is matched with other points, so that together they use most of them.
+        _accumulate(points, phase % stride, stride, x, y, planes[chosen[phase]], T, sigma, gate, sums)
+        # From the keyframe's axes and origin to world axes at the camera: M = [[R, 0], [-skew(t) R, R]].
+        tx, ty = T_world_camera[0, 3] - pose[0, 3], T_world_camera[1, 3] - pose[1, 3]
+        tz = T_world_camera[2, 3] - pose[2, 3]
+        for j in range(3):
+            for i in range(3):
+                M[i, j] = M[3 + i, 3 + j] = pose[i, j]
+            M[3, j] = tz * pose[1, j] - ty * pose[2, j]
+            M[4, j] = tx * pose[2, j] - tz * pose[0, j]
+            M[5, j] = ty * pose[0, j] - tx * pose[1, j]
+        for block in range(2):
+            out = H if block == 0 else N
+            for i in range(6):
+                for j in range(6):
+                    half[i, j] = 0.0
+                    for k in range(6):
+                        half[i, j] += M[i, k] * sums[36 * block + 6 * k + j]
+            for i in range(6):
+                for j in range(6):
+                    for k in range(6):
+                        out[i, j] += half[i, k] * M[j, k]
+        for i in range(6):
+            for k in range(6):
+                g[i] += M[i, k] * sums[72 + k]
+        tally[0] += sums[78]
+        tally[1] += sums[79]
+        tally[2] += sums[80]
+        tally[3] = max(tally[3], sums[78] / max(sums[81], 1.0))

@@ -6,7 +6,6 @@ Masri 2016, section 4.1.1, cuts a box out of the cloud; here the cloud is never 
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,8 @@ Array = NDArray[Any]
 _JUMP = 0.015  # [m] depth step over two pixels, beyond noise and slope, that parts two surfaces
 _SURFACE = 0.010  # [m] height, beyond noise, by which a point lies below the surface a foot would stand on
 _NOISE = 3.0  # [sigma] of the depth noise on top of either
+_CARRYING = 0.3  # share of a cell's pixels below which its upper surface is an edge of the cell beside it
+_RECORD = 16  # numbers kept of a cell: a cache line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,7 +28,7 @@ class ReducedScan:
     """One point per cell seen, nearest cells first where there were too many."""
 
     origin: NDArray[np.float64]  # (3,) [m] {world} on a cell corner next to the camera
-    points: NDArray[np.int16]  # (n, 3) [mm] {world} from origin, mean of a cell's upper surface, 1 mm inside its border
+    points: NDArray[np.int16]  # (n, 3) [mm] {world} from origin, mean of a cell's surface, 1 mm inside its border
     count: NDArray[np.uint8]  # (n,) pixels on that surface, 255 for more
     spread: NDArray[np.uint8]  # (n,) [mm] from the lowest to the highest pixel of the cell on any surface, 255 for more
 
@@ -43,7 +44,10 @@ def reduce_scan(
     max_points: int = 6000,
     ceiling: float = math.inf,
 ) -> ReducedScan:
-    """Bin the pixels of a frame by world x and y; each cell keeps the mean of its upper surface.
+    """Bin the pixels of a frame by world x and y; each cell keeps the mean of one surface.
+
+    That is the upper one if it holds 30 % of the cell's pixels: a block that reaches a little into a cell, or noise
+    that carries its edge there, does not fill it. Otherwise it is the lower one.
 
     Pixels between two surfaces are dropped first: on both sides of such a pixel, along a row or a column, depth
     jumps, one way in front and the other way behind, or there is no return.
@@ -75,15 +79,16 @@ def reduce_scan(
     origin = np.floor(T_world_camera[:3, 3] / resolution) * resolution
     T = T_world_camera.copy()
     T[:3, 3] -= origin
-    depth, noise, jump = _tables(sensor, intrinsics.fx)
     half = math.ceil(max_range / resolution) + 2
-    cell_of = np.full((2 * half, 2 * half), -1, dtype=np.int32)
-    cells = np.empty((min(depth_raw.size, cell_of.size), 8))
+    cell_of = np.full((2 * half) ** 2, -1, dtype=np.int32)
+    cells = np.empty((min(depth_raw.size, cell_of.size), _RECORD), dtype=np.float32)
+    bounds = _raw_bounds(sensor)
+    noise = _NOISE * float(sensor.sigma(np.array(1.0), intrinsics.fx))  # [1/m] of a depth, over its square
     n = _bin(
         depth_raw,
-        depth,
+        bounds,
+        1.0 / sensor.depth_scale,
         noise,
-        jump,
         (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx,
         (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy,
         T,
@@ -91,41 +96,33 @@ def reduce_scan(
         max_range,
         ceiling,
         0.25 * resolution * intrinsics.fx,
+        half,
         cell_of,
         cells,
     )
-    kept = cells[:n]
+    squares = _squares(cells[:n])
+    chosen = np.arange(n)
     if n > max_points:
-        squares = (kept[:, 1] / kept[:, 0] - T[0, 3]) ** 2 + (kept[:, 2] / kept[:, 0] - T[1, 3]) ** 2
         farthest = np.partition(squares, max_points - 1)[max_points - 1]
-        kept = kept[np.flatnonzero(squares <= farthest)[:max_points]]
-    means = kept[:, 1:4] / kept[:, :1]
-    millimetres = np.round(1000.0 * means)
-    # Rounding must not carry a point across, or onto, the border of its cell.
-    corner = 1000.0 * resolution * np.floor(means[:, :2] / resolution)
-    millimetres[:, :2] = np.clip(millimetres[:, :2], np.floor(corner + 1.0), np.ceil(corner + 1000.0 * resolution - 1.0))
-    points = np.clip(millimetres, -32767, 32767).astype(np.int16)
-    count = np.minimum(kept[:, 0], 255).astype(np.uint8)
-    spread = np.minimum(np.round(1000.0 * (kept[:, 6] - kept[:, 5])), 255).astype(np.uint8)
+        chosen = np.flatnonzero(squares <= farthest)[:max_points]
+    points = np.empty((len(chosen), 3), dtype=np.int16)
+    count, spread = np.empty(len(chosen), dtype=np.uint8), np.empty(len(chosen), dtype=np.uint8)
+    _write(cells, chosen, T[:3, 3].copy(), resolution, half, points, count, spread)
     return ReducedScan(origin, points, count, spread)
 
 
-@lru_cache(maxsize=8)
-def _tables(sensor: DepthSensor, fx: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
-    """By raw value (65536,): depth [m], 0 where invalid; its noise as a share of it; the raw step that is a jump."""
-    z = np.arange(65536) / sensor.depth_scale
-    depth = np.where((z >= sensor.min_range) & (z <= sensor.max_range), z, 0.0)
-    noise = _NOISE * sensor.sigma(z, fx)
-    jump = np.minimum((_JUMP + noise) * sensor.depth_scale, 65536).astype(np.int32)
-    return depth, noise / np.maximum(z, 1e-9), jump
+def _raw_bounds(sensor: DepthSensor) -> tuple[int, int]:
+    """Lowest and highest raw value within range."""
+    lowest = math.ceil(sensor.min_range * sensor.depth_scale - 1e-6)
+    return max(lowest, 1), min(math.floor(sensor.max_range * sensor.depth_scale + 1e-6), 65535)
 
 
 @compiled
 def _bin(
     raw: Array,
-    depth: Array,
-    noise: Array,
-    jump: Array,
+    bounds: tuple[int, int],
+    unit: float,
+    noise: float,
     x: Array,
     y: Array,
     T: Array,
@@ -133,85 +130,170 @@ def _bin(
     max_range: float,
     ceiling: float,
     dense: float,
+    half: int,
     cell_of: Array,
     cells: Array,
 ) -> int:
-    """Sum the pixels of each cell's upper surface: cells (n, 8) hold count, sums of x, y, z, top, lowest, highest.
+    """Sum the pixels of each cell's upper and lower surface; returns how many cells there are.
 
-    Rows run from the top of the image down, so that of a step the tread comes before its face. Nearer than `dense`
-    four pixels or more fall side by side into a cell, and every second is read.
+    cells (n, 16): pixels and sums of x, y, z of the upper surface and of the lower one, highest, lowest, pixels of any
+    surface, and the cell; lengths from the camera. A surface is what lies within noise of the highest, or the lowest,
+    pixel. Nearer than `dense` four pixels or more fall side by side into a cell, and every second is read.
+
+    What a pixel says by itself is worked out in loops over a row without branches, which run in vectors.
     """
     rows, columns = raw.shape
-    half = cell_of.shape[0] // 2
-    per_cell = 1.0 / resolution
-    range2 = max_range * max_range
-    tx, ty, tz = T[0, 3], T[1, 3], T[2, 3]
+    side = 2 * half
+    per_cell, scale = np.float32(1.0 / resolution), np.float32(unit)
+    offset_x, offset_y = np.float32(T[0, 3] / resolution + half), np.float32(T[1, 3] / resolution + half)
+    range2, ceiling32, dense32 = np.float32(max_range * max_range), np.float32(ceiling), np.float32(dense)
+    first, last = np.int32(bounds[0]), np.int32(bounds[1])
+    jump, jump2 = np.float32(_JUMP / unit), np.float32(noise * unit)  # [raw units] of a depth in those
+    surface, noise32 = np.float32(_SURFACE), np.float32(noise)
+    gx, gy, gz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    for j in range(columns):
+        gx[j], gy[j], gz[j] = T[0, 0] * x[j], T[1, 0] * x[j], T[2, 0] * x[j]
+    px, py, pz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    band, key = np.empty(columns, np.float32), np.empty(columns, np.int32)
+    read, steady = np.empty(columns, np.int32), np.empty(columns, np.int32)
+    taken = np.empty(columns + 1, np.uint32)
+    zero, one = np.float32(0.0), np.float32(1.0)
     n = 0
     for i in range(rows):
-        ax, ay, az = T[0, 1] * y[i] + T[0, 2], T[1, 1] * y[i] + T[1, 2], T[2, 1] * y[i] + T[2, 2]
+        line = raw[i]
+        # 1. Half of a walking robot's picture is ground below the range: rows without a return.
+        inside = np.int32(0)
         for j in range(columns):
-            r = np.int32(raw[i, j])
-            z = depth[r]
-            if z == 0.0 or (z < dense and (i + j) % 2 == 1):
-                continue
-            limit = jump[r]
-            flying = False
-            for along in range(2):
-                di, dj = (0, 2) if along == 0 else (2, 0)
-                # Beyond the image's border nothing speaks against the pixel.
-                before = np.int32(raw[i - di, j - dj]) if i >= di and j >= dj else r
-                if before != 0 and abs(r - before) <= limit:
-                    continue
-                after = np.int32(raw[i + di, j + dj]) if i + di < rows and j + dj < columns else r
-                if after != 0 and abs(after - r) <= limit:
-                    continue
-                if before != 0 and after != 0:
-                    if (r > before) != (after > r):  # nearer, or farther, than both sides: thin, but there
-                        continue
-                    # A slope seen at a grazing angle goes on beyond; a pixel in the air lies between two that do not.
-                    slope = np.int32(0)
-                    if i >= 2 * di and j >= 2 * dj and raw[i - 2 * di, j - 2 * dj] != 0:
-                        slope = abs(before - np.int32(raw[i - 2 * di, j - 2 * dj]))
-                    if i + 2 * di < rows and j + 2 * dj < columns and raw[i + 2 * di, j + 2 * dj] != 0:
-                        other = abs(np.int32(raw[i + 2 * di, j + 2 * dj]) - after)
-                        if other > slope:
-                            slope = other
-                    if 2 * min(abs(r - before), abs(after - r)) <= 2 * limit + 3 * slope:
-                        continue
-                flying = True
-                break
-            if flying:
-                continue
-            px = (T[0, 0] * x[j] + ax) * z + tx
-            py = (T[1, 0] * x[j] + ay) * z + ty
-            pz = (T[2, 0] * x[j] + az) * z + tz
-            dx, dy, dz = px - tx, py - ty, pz - tz
-            if dx * dx + dy * dy > range2 or dz > ceiling:
-                continue
-            a, b = int(px * per_cell + half), int(py * per_cell + half)  # positive, so that int() rounds down
-            k = cell_of[a, b]
+            r = np.int32(line[j])
+            inside |= np.int32((r >= first) & (r <= last))
+        if inside == 0:
+            continue
+        # 2. Which pixels are read, where they lie, and in which cell.
+        ax = np.float32(T[0, 1] * y[i] + T[0, 2])
+        ay = np.float32(T[1, 1] * y[i] + T[1, 2])
+        az = np.float32(T[2, 1] * y[i] + T[2, 2])
+        odd = np.int32(i & 1)
+        for j in range(columns):
+            r = np.int32(line[j])
+            z = np.float32(r) * scale
+            dx, dy, dz = (gx[j] + ax) * z, (gy[j] + ay) * z, (gz[j] + az) * z
+            px[j], py[j], pz[j] = dx, dy, dz
+            band[j] = surface + noise32 * z * abs(dz)
+            near = (dx * dx + dy * dy <= range2) & (dz <= ceiling32)
+            every = (z >= dense32) | (((np.int32(j) ^ odd) & np.int32(1)) == np.int32(0))
+            read[j] = np.int32((r >= first) & (r <= last) & near & every)
+        for j in range(columns):
+            # Positive, so that int() rounds down; of pixels that are read, inside.
+            a, b = np.int32(px[j] * per_cell + offset_x), np.int32(py[j] * per_cell + offset_y)
+            key[j] = (a * np.int32(side) + b) * read[j]
+        # 3. Which of them go on, within noise, to one side along the column and along the row; beyond the image's
+        # border nothing speaks against them.
+        above, below = raw[i - 2 if i >= 2 else i], raw[i + 2 if i + 2 < rows else i]
+        for j in range(columns):
+            r, a, b = np.int32(line[j]), np.int32(above[j]), np.int32(below[j])
+            limit = np.int32(jump + jump2 * (np.float32(r) * np.float32(r)))
+            steady[j] = np.int32(((abs(r - a) <= limit) & (a != 0)) | ((abs(b - r) <= limit) & (b != 0)))
+        for j in range(2, columns - 2):
+            r, a, b = np.int32(line[j]), np.int32(line[j - 2]), np.int32(line[j + 2])
+            limit = np.int32(jump + jump2 * (np.float32(r) * np.float32(r)))
+            steady[j] &= np.int32(((abs(r - a) <= limit) & (a != 0)) | ((abs(b - r) <= limit) & (b != 0)))
+        for j in range(columns):
+            if read[j] > steady[j]:
+                steady[j] = np.int32(not _is_flying(raw, i, j, jump, jump2))
+        # 4. Into the cells. Sums are kept, begun anew or left alone by factors: branches would be guessed wrong.
+        m = 0
+        for j in range(columns):
+            taken[m] = np.uint32(j)
+            m += read[j] & steady[j]
+        for t in range(m):
+            j = taken[t]
+            height, reach = pz[j], band[j]
+            k = cell_of[np.uint32(key[j])]
             if k < 0:
-                cell_of[a, b] = n
-                cells[n, 0] = 1.0
-                cells[n, 1] = px
-                cells[n, 2] = py
-                cells[n, 3] = cells[n, 4] = cells[n, 5] = cells[n, 6] = pz
+                k = cell_of[np.uint32(key[j])] = np.int32(n)
                 n += 1
-                continue
-            band = _SURFACE + noise[r] * abs(dz)  # depth errs along the ray: its share in height
-            top = cells[k, 4]
-            if pz < cells[k, 5]:
-                cells[k, 5] = pz
-            if pz > cells[k, 6]:
-                cells[k, 6] = pz
-            if pz < top - band:  # a surface below the one kept
-                continue
-            if pz > top + band:  # one above it
-                cells[k, 0] = cells[k, 1] = cells[k, 2] = cells[k, 3] = 0.0
-            if pz > top:
-                cells[k, 4] = pz
-            cells[k, 0] += 1.0
-            cells[k, 1] += px
-            cells[k, 2] += py
-            cells[k, 3] += pz
+                cell = cells[np.uint32(k)]
+                for part in range(8):
+                    cell[part] = zero
+                cell[10] = zero
+                cell[8], cell[9] = -np.float32(np.inf), np.float32(np.inf)
+                cell[11], cell[12] = np.float32(key[j] // side), np.float32(key[j] % side)
+            cell = cells[np.uint32(k)]
+            u, v = px[j], py[j]
+            top, bottom = cell[8], cell[9]
+            kept, added = one - np.float32(height > top + reach), np.float32(height >= top - reach)
+            count, x_sum, y_sum, z_sum = cell[0], cell[1], cell[2], cell[3]
+            cell[0], cell[1] = count * kept + added, x_sum * kept + u * added
+            cell[2], cell[3] = y_sum * kept + v * added, z_sum * kept + height * added
+            kept, added = one - np.float32(height < bottom - reach), np.float32(height <= bottom + reach)
+            count, x_sum, y_sum, z_sum = cell[4], cell[5], cell[6], cell[7]
+            cell[4], cell[5] = count * kept + added, x_sum * kept + u * added
+            cell[6], cell[7] = y_sum * kept + v * added, z_sum * kept + height * added
+            cell[8], cell[9] = max(top, height), min(bottom, height)
+            cell[10] += one
+    for k in range(n):
+        cell = cells[k]
+        if cell[0] < np.float32(_CARRYING) * cell[10]:
+            cell[0], cell[1], cell[2], cell[3] = cell[4], cell[5], cell[6], cell[7]
     return n
+
+
+@compiled
+def _is_flying(raw: Array, i: int, j: int, jump: np.float32, jump2: np.float32) -> bool:
+    """Whether a pixel hangs between two surfaces, along its row or its column."""
+    rows, columns = raw.shape
+    r = np.int32(raw[i, j])
+    limit = np.int32(jump + jump2 * np.float32(r) * np.float32(r))
+    for along in range(2):
+        di, dj = (0, 2) if along == 0 else (2, 0)
+        # Beyond the image's border nothing speaks against the pixel.
+        before = np.int32(raw[i - di, j - dj]) if i >= di and j >= dj else r
+        if before != 0 and abs(r - before) <= limit:
+            continue
+        after = np.int32(raw[i + di, j + dj]) if i + di < rows and j + dj < columns else r
+        if after != 0 and abs(after - r) <= limit:
+            continue
+        if before != 0 and after != 0:
+            if (r > before) != (after > r):  # nearer, or farther, than both sides: thin, but there
+                continue
+            # A slope seen at a grazing angle goes on beyond; a pixel in the air lies between two that do not.
+            slope = np.int32(0)
+            if i >= 2 * di and j >= 2 * dj and raw[i - 2 * di, j - 2 * dj] != 0:
+                slope = abs(before - np.int32(raw[i - 2 * di, j - 2 * dj]))
+            if i + 2 * di < rows and j + 2 * dj < columns and raw[i + 2 * di, j + 2 * dj] != 0:
+                other = abs(np.int32(raw[i + 2 * di, j + 2 * dj]) - after)
+                if other > slope:
+                    slope = other
+            if 2 * min(abs(r - before), abs(after - r)) <= 2 * limit + 3 * slope:
+                continue
+        return True
+    return False
+
+
+@compiled
+def _squares(cells: Array) -> Array:
+    """Squared horizontal distance (n,) [m^2] of the cells' surfaces from the camera."""
+    out = np.empty(len(cells), dtype=np.float32)
+    for k in range(len(cells)):
+        x, y = cells[k, 1] / cells[k, 0], cells[k, 2] / cells[k, 0]
+        out[k] = x * x + y * y
+    return out
+
+
+@compiled
+def _write(
+    cells: Array, chosen: Array, p: Array, resolution: float, half: int, points: Array, count: Array, spread: Array
+) -> None:
+    """The chosen cells as they cross the wire; p (3,) [m] is the camera."""
+    edge = 1000.0 * resolution
+    for m in range(len(chosen)):
+        cell = cells[chosen[m]]
+        # Rounding must not carry a point across, or onto, the border of its cell.
+        for axis in range(2):
+            corner = edge * (cell[11 + axis] - half)
+            value = np.rint(1000.0 * (cell[1 + axis] / cell[0] + p[axis]))
+            value = min(max(value, np.floor(corner + 1.0)), np.ceil(corner + edge - 1.0))
+            points[m, axis] = np.int16(min(max(value, -32767.0), 32767.0))
+        points[m, 2] = np.int16(min(max(np.rint(1000.0 * (cell[3] / cell[0] + p[2])), -32767.0), 32767.0))
+        count[m] = np.uint8(min(cell[0], 255.0))
+        spread[m] = np.uint8(min(np.rint(1000.0 * (cell[8] - cell[9])), 255.0))

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from services.perception.keyframes import BlockFrame, Keyframes, Match
 from shared.camera import DepthSensor, Intrinsics
-from shared.geometry import exp_so3, orthonormal, transform
+from shared.compiled import compiled
+from shared.geometry import orthonormal
 
 _GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the farthest plane a point is matched with
 _SLIP = 0.01  # [m] and [rad] first step expected beyond the prior's spread
@@ -22,6 +23,7 @@ _STRIDE = 4  # every how many points are matched with one keyframe
 _CONVERGED = 1e-4  # [m] and [rad] step that ends the iteration
 _INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors: ten count as one
 _SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise alone: below nothing is believed, above all
+_SWEEPS = 12  # of Jacobi's method at most; six of them reach the last digit of a (6, 6) matrix
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
@@ -175,21 +177,90 @@ def belief(match: Match) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         The (6, 6) matrix B of the normal equations to believe, B H and B g, and the unit twists (k, 6) of the
         directions not believed at all.
     """
-    scale = np.trace(match.N) / 6.0
-    if scale == 0.0:
+    if not match.N.any():
         return np.zeros((6, 6)), np.eye(6)
-    L = np.linalg.cholesky(match.N + 1e-9 * scale * np.eye(6))
-    inverse_L = np.linalg.inv(L)
-    ratio, U = np.linalg.eigh(inverse_L @ match.H @ inverse_L.T)
-    share = np.clip((ratio - _SNR_OPEN) / (_SNR_KNOWN - _SNR_OPEN), 0.0, 1.0)
-    B = _INFORMATION_SHARE / match.keyframes * (L @ (U * share) @ U.T @ inverse_L)
-    directions = (inverse_L.T @ U[:, share == 0.0]).T
-    return B, directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    B, directions, unknown = _fade(match.H, match.N)
+    return _INFORMATION_SHARE / match.keyframes * B, directions[unknown]
+
+
+@compiled
+def _product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A B of small matrices, without calling a library."""
+    out = np.zeros((A.shape[0], B.shape[1]))
+    for i in range(A.shape[0]):
+        for j in range(B.shape[1]):
+            for k in range(A.shape[1]):
+                out[i, j] += A[i, k] * B[k, j]
+    return out
+
+
+@compiled
+def _fade(H: NDArray[np.float64], N: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """B of `belief` before its factor; six unit twists, and which of them are unknown. N is not zero."""
+    scale = 0.0
+    for i in range(6):
+        scale += N[i, i] / 6.0
+    # 1. N = L L^T (Cholesky), and L inverted.
+    L, inverse_L = np.zeros((6, 6)), np.zeros((6, 6))
+    for i in range(6):
+        for j in range(i + 1):
+            rest = N[i, j] + (1e-9 * scale if i == j else 0.0)
+            for k in range(j):
+                rest -= L[i, k] * L[j, k]
+            L[i, j] = np.sqrt(max(rest, 1e-12 * scale)) if i == j else rest / L[j, j]
+    for j in range(6):
+        for i in range(j, 6):
+            rest = 1.0 if i == j else 0.0
+            for k in range(j, i):
+                rest -= L[i, k] * inverse_L[k, j]
+            inverse_L[i, j] = rest / L[i, i]
+    # 2. L^-1 H L^-T = U diag(ratio) U^T, by Jacobi's rotations: cyclic, until nothing is left beside the diagonal.
+    A, U = _product(_product(inverse_L, H), inverse_L.T), np.eye(6)
+    for _ in range(_SWEEPS):
+        aside, whole = 0.0, 0.0
+        for i in range(6):
+            whole += A[i, i] * A[i, i]
+            for j in range(i):
+                aside += A[i, j] * A[i, j]
+        if aside <= 1e-24 * whole:
+            break
+        for p in range(5):
+            for q in range(p + 1, 6):
+                if A[p, q] == 0.0:
+                    continue
+                theta = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
+                t = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + np.sqrt(theta * theta + 1.0))
+                c = 1.0 / np.sqrt(t * t + 1.0)
+                s = t * c
+                for k in range(6):
+                    A[k, p], A[k, q] = c * A[k, p] - s * A[k, q], s * A[k, p] + c * A[k, q]
+                for k in range(6):
+                    A[p, k], A[q, k] = c * A[p, k] - s * A[q, k], s * A[p, k] + c * A[q, k]
+                for k in range(6):
+                    U[k, p], U[k, q] = c * U[k, p] - s * U[k, q], s * U[k, p] + c * U[k, q]
+    # 3. Directions are faded in by their ratio.
+    share = np.empty(6)
+    for k in range(6):
+        share[k] = min(max((A[k, k] - _SNR_OPEN) / (_SNR_KNOWN - _SNR_OPEN), 0.0), 1.0)
+    B = _product(_product(L, U * share), _product(U.T, inverse_L))
+    directions = _product(U.T, inverse_L)
+    for k in range(6):
+        directions[k] /= np.sqrt(np.sum(directions[k] ** 2))
+    return B, directions, share == 0.0
 
 
 def moved(T: NDArray[np.float64], twist: NDArray[np.floating]) -> NDArray[np.float64]:
     """A pose moved by an error twist (6,) in world axes at its origin."""
-    return transform(exp_so3(twist[3:]) @ T[:3, :3], T[:3, 3] + twist[:3])
+    x, y, z = twist[3:].tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    # Rodrigues, with the half angle so that small ones keep their digits.
+    a = math.sin(angle) / angle if angle > 0.0 else 1.0
+    b = 2.0 * (math.sin(angle / 2.0) / angle) ** 2 if angle > 0.0 else 0.5
+    W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    out = T.copy()
+    out[:3, :3] += (a * W + b * (W @ W)) @ T[:3, :3]
+    out[:3, 3] += twist[:3]
+    return out
 
 
 def error_twist(T: NDArray[np.float64], T_from: NDArray[np.float64]) -> NDArray[np.float64]:

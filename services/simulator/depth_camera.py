@@ -53,7 +53,7 @@ class DepthCamera:
         self._counts = 1.0 / sensor.disparity_step if quantised else 0.0  # per pixel of disparity, 0 for no quantisation
         self._sigma = sensor.disparity_sigma if noise else 0.0
         self._gauss = _gaussian_table()
-        self._raw_of_count = self._table()
+        self._first_count, self._last_count = self._counts_in_range()
         self._camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
 
     def measure(self, inverse_depth: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -76,7 +76,7 @@ class DepthCamera:
             self._sigma,
             self._counts,
             self._gauss,
-            self._raw_of_count,
+            (self._first_count, self._last_count),
             limits,
             self._camera,
             self._dropouts,
@@ -84,16 +84,16 @@ class DepthCamera:
         self._frames += 1
         return raw
 
-    def _table(self) -> NDArray[np.uint16]:
-        """Raw depth of every count of quantised disparity within range; empty without quantisation."""
+    def _counts_in_range(self) -> tuple[int, int]:
+        """Lowest and highest count of quantised disparity that gives a raw depth within range."""
         if self._counts == 0.0:
-            return np.zeros(0, dtype=np.uint16)
+            return 1, 0
         sensor = self.sensor
-        count = np.arange(ceil(self._bf / sensor.min_range * self._counts) + 2)
-        z = self._bf * self._counts / np.maximum(count, 1)
-        raw = np.rint(z * sensor.depth_scale)
-        seen = (count > 0) & (z >= sensor.min_range) & (z <= sensor.max_range) & (raw <= _MAX_RAW)
-        return np.where(seen, raw, 0).astype(np.uint16)
+        count = np.arange(1, ceil(self._bf / sensor.min_range * self._counts) + 2)
+        z = self._bf * self._counts / count
+        seen = (z >= sensor.min_range) & (z <= sensor.max_range) & (np.rint(z * sensor.depth_scale) <= _MAX_RAW)
+        within = count[seen]
+        return (int(within[0]), int(within[-1])) if len(within) else (1, 0)
 
 
 def _gaussian_table() -> NDArray[np.float32]:
@@ -122,30 +122,30 @@ def _expose(
     sigma: float,
     counts: float,
     gauss: NDArray[np.float32],
-    raw_of_count: NDArray[np.uint16],
+    counted: tuple[int, int],
     limits: Array,
     camera: Array,
     dropouts: bool,
 ) -> None:
-    """Noise in disparity, quantised through a table or else inverted; then pixels taken away.
+    """Noise in disparity, quantised or not; then pixels taken away.
 
-    bf [px m], sigma [px], counts per pixel. A pixel has 32 random bits: the upper choose its noise, the lower its loss.
-    Every step is a loop of its own over a row, free of branches wherever it can be, so that it runs in vectors.
+    bf [px m], sigma [px], counts per pixel; counted: first and last count within range. A pixel has 32 random bits: the
+    upper choose its noise, the lower its loss. Every step is a loop of its own over a row, free of branches wherever it
+    can be, so that it runs in vectors.
     """
     rows, columns = raw.shape
     nearest, farthest, scale = limits
     to_count, spread, half = np.float32(bf * counts), np.float32(sigma * counts), np.float32(0.5)
-    top = np.int32(len(raw_of_count) - 1)
+    first, last = np.int32(counted[0]), np.int32(counted[1])
+    raw_by_count = np.float32(bf * counts * scale)
     # What no noise brings back into range: the table ends at 3.7 sigma, and quantisation moves a pixel by half a count.
     reach = (4.0 * sigma + (1.0 / counts if counts > 0.0 else 0.0)) / bf + 1e-3
     darkest, brightest = np.float32(max(1.0 / farthest - reach, 1e-9)), np.float32(1.0 / nearest + reach)
     bits = np.zeros(columns, dtype=np.uint32)
     noise = np.zeros(columns, dtype=np.float32)
-    lost = np.zeros(columns, dtype=np.uint16)
     seen_at = np.zeros(columns, dtype=np.float32)
     u = np.arange(columns).astype(np.float32)
     x = (np.arange(columns) - camera[2]).astype(np.float32)
-    inner = max(columns - 2, 0)
     for row in range(rows):
         line, out = w[row], raw[row]
         # 1. Rows without a pixel near the range: half of a picture of a walking robot's near ground.
@@ -165,13 +165,13 @@ def _expose(
         if sigma > 0.0:
             for column in range(columns):
                 noise[column] = gauss[bits[column] >> np.uint32(32 - _GAUSS_BITS)]
-        if top >= 0:
+        if counts > 0.0:
             for column in range(columns):
-                # What is out of reach counts 0; too near lies beyond the table, whose last entry is 0 as is its first.
-                near = line[column] if (line[column] >= darkest) & (line[column] <= brightest) else np.float32(0.0)
-                count = np.int32(near * to_count + noise[column] * spread + half)
-                count = count if near > np.float32(0.0) else np.int32(0)
-                out[column] = raw_of_count[np.uint32(min(max(count, np.int32(0)), top))]
+                reachable = (line[column] >= darkest) & (line[column] <= brightest)
+                disparity = line[column] * to_count + noise[column] * spread + half if reachable else np.float32(0.0)
+                count = np.int32(disparity)
+                value = np.int32(raw_by_count / np.float32(max(count, first)) + half)
+                out[column] = np.uint16(value) * np.uint16((count >= first) & (count <= last))
         else:
             for column in range(columns):
                 out[column] = 0
@@ -196,27 +196,14 @@ def _expose(
                     out[column] = 0
                 leftmost = min(leftmost, seen_at[column])
         # 4. Grazed surfaces, and the losses at random.
-        _graze(
-            line[:inner],
-            line[1:],
-            line[2:],
-            w[max(row - 1, 0), 1:],
-            w[min(row + 1, rows - 1), 1:],
-            bits[1:],
-            x[1:],
-            np.float32(row - camera[3]),
-            np.float32(camera[0]),
-            np.float32(camera[1]),
-            out[1:],
-        )
+        above, below = w[max(row - 1, 0)], w[min(row + 1, rows - 1)]
+        _graze(line, above, below, bits, x, np.float32(row - camera[3]), np.float32(camera[0]), np.float32(camera[1]), out)
         out[0] = out[columns - 1] = 0  # without a neighbour on one side
 
 
 @compiled
 def _graze(
-    before: NDArray[np.float32],
     line: NDArray[np.float32],
-    after: NDArray[np.float32],
     above: NDArray[np.float32],
     below: NDArray[np.float32],
     bits: NDArray[np.uint32],
@@ -233,10 +220,10 @@ def _graze(
     likely, to_unit = np.float32(1.0 - RANDOM_LOSS), np.float32(2.0 ** (_GAUSS_BITS - 32))
     mask = np.uint32((1 << (32 - _GAUSS_BITS)) - 1)
     ry2 = one + (y * per_fy) * (y * per_fy)
-    for k in range(len(before)):
+    for k in range(1, len(line) - 1):
         here = line[k]
         # Of both neighbours the one nearer in depth: an edge of a level surface does not make it steep.
-        one_side, other = here - before[k], after[k] - here
+        one_side, other = here - line[k - 1], line[k + 1] - here
         wu = one_side if abs(one_side) < abs(other) else other
         one_side, other = here - above[k], below[k] - here
         wv = one_side if abs(one_side) < abs(other) else other
@@ -248,4 +235,4 @@ def _graze(
         needed = low + width * chance
         squares = (nx * nx + ny * ny + nz * nz) * (ry2 + rx * rx)
         kept = (chance < likely) & (here * here > needed * needed * squares)
-        out[k] = out[k] if kept else np.uint16(0)
+        out[k] = out[k] * np.uint16(kept)  # a choice would not be vectorised

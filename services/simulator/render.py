@@ -253,29 +253,31 @@ def _draw_polygon(
     last = int(np.floor(min(highest + _EDGE, rows - 1.0)))
     if first > last:
         return
-    # 2. Edges: u where an edge crosses row zero, its slope, and whether it bounds the row on the left or on the right.
+    # 2. Edges: u where an edge crosses row zero, its slope; those that bound rows on the left, then those on the right.
     # Seen from outside in an image whose v points down, the corners run counter-clockwise: left edges go down.
-    edges = 0
+    lefts, rights = 0, 0
     for i in range(m):
         j = i + 1 if i + 1 < m else 0
         rise = scratch[j, 1] - scratch[i, 1]
         if abs(rise) > 1e-12:
             slope = (scratch[j, 0] - scratch[i, 0]) / rise
-            scratch[edges, 2], scratch[edges, 3] = scratch[i, 0] - scratch[i, 1] * slope, slope
-            scratch[edges, 4] = rise
-            edges += 1
+            crossing = scratch[i, 0] - scratch[i, 1] * slope
+            if rise > 0.0:
+                scratch[lefts, 2], scratch[lefts, 3] = crossing - _EDGE, slope
+                lefts += 1
+            else:
+                scratch[rights, 4], scratch[rights, 5] = crossing + _EDGE, slope
+                rights += 1
     a, b = nx / (fx * d), ny / (fy * d)
     c = nz / d - a * cx - b * cy
     bright = _shade(nx, ny, nz, light) if rgb.shape[0] > 0 else 0.0
     # 3. Rows.
     for row in range(first, last + 1):
         left, right = 0.0, columns - 1.0
-        for i in range(edges):
-            u = scratch[i, 2] + scratch[i, 3] * row
-            if scratch[i, 4] > 0.0:
-                left = max(left, u - _EDGE)
-            else:
-                right = min(right, u + _EDGE)
+        for i in range(lefts):
+            left = max(left, scratch[i, 2] + scratch[i, 3] * row)
+        for i in range(rights):
+            right = min(right, scratch[i, 4] + scratch[i, 5] * row)
         if not left <= right:
             continue
         begin, end = int(np.ceil(left)), int(np.floor(right)) + 1
@@ -307,7 +309,7 @@ def _draw_quads(
     light: Array,
 ) -> None:
     """Draw four-cornered faces (n, 4, 3) [m] {world}, T being T_camera_world."""
-    scratch = np.empty((12, 5))
+    scratch = np.empty((12, 6))
     corners = np.empty((4, 3))
     for face in range(len(quads)):
         for i in range(4):
@@ -347,7 +349,7 @@ def _draw_field(
     size = _BLOCK + 1
     xs, ys, zs = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
     us, vs = np.empty((size, size)), np.empty((size, size))
-    scratch = np.empty((12, 5))
+    scratch = np.empty((12, 6))
     corners = np.empty((3, 3))
     for block in range(len(blocks)):
         seen = True

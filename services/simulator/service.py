@@ -32,6 +32,7 @@ _MOTORS = {"AX-12A": AX_12A_MOTOR, "RX-64": RX_64_MOTOR}
 _MODELS = {model.name: model for model in dxl.MODELS}
 _MAX_LAG_NS = 1_000_000_000  # [ns] how far it may fall behind and catch up; goals written meanwhile take effect in their order
 _SHUTDOWN = ServoError.OVERLOAD | ServoError.OVERHEATING
+_STALE_NS = 40_000_000  # [ns] by which a live simulation may be late before its servos fall silent
 _DT = TIME_STEP_NS * 1e-9  # [s]
 
 log = logging.getLogger(__name__)
@@ -92,7 +93,7 @@ class Simulator:
 
     def __enter__(self) -> Self:
         """Open the servo bus to the network, for a live run."""
-        self._server = TcpBusServer(self.bus, port=self._settings.bus_port, clock=time.monotonic_ns)
+        self._server = TcpBusServer(self.bus, port=self._settings.bus_port, answering=self._up_to_date)
         log.info("servo bus on %s", self._server.url)
         return self
 
@@ -116,6 +117,10 @@ class Simulator:
             with self._locked():
                 self._physics(self._origin_ns + self.world.time_ns)
             yield from self._observe(self._origin_ns + self.world.time_ns, inbox)
+
+    def _up_to_date(self) -> bool:
+        """Whether the physics is near the machine's clock; asked from the bus server's thread."""
+        return self._origin_ns is None or time.monotonic_ns() - self._origin_ns - self.world.time_ns < _STALE_NS
 
     def _locked(self) -> AbstractContextManager[object]:
         return nullcontext() if self._server is None else self._server.lock

@@ -31,6 +31,7 @@ class TcpBusServer:
         host: str = "127.0.0.1",
         port: int = 0,
         clock: Callable[[], int] = time.monotonic_ns,
+        answering: Callable[[], bool] = lambda: True,
     ) -> None:
         """Listen and start serving.
 
@@ -39,6 +40,8 @@ class TcpBusServer:
             host: Address to listen on.
             port: Port to listen on, 0 for a free one.
             clock: Bus time [ns]; it must run at real time, for answers are held back until it reaches them.
+            answering: Whether the physics is up to date; while it is not the servos stay silent, rather than tell where
+                they were some time ago.
 
         Raises:
             OSError: The address cannot be listened on.
@@ -47,6 +50,7 @@ class TcpBusServer:
         self.clients = 0  # connections taken so far
         self._bus = bus
         self._clock = clock
+        self._answering = answering
         self._listener = socket.create_server((host, port), backlog=1)
         self._wake, self._woken = socket.socketpair()
         self._closing = False
@@ -108,7 +112,8 @@ class TcpBusServer:
                     if not data:
                         return "client hung up"
                     with self.lock:
-                        replies.extend(self._bus.receive(data, self._clock()))
+                        answers = self._bus.receive(data, self._clock())
+                    replies.extend(answers if self._answering() else ())
                 due = bytearray()
                 now = self._clock()
                 while replies and replies[0].due_ns <= now:

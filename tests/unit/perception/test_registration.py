@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.perception.registration import Acceptance, Registration, error_twist, jump, moved
+from services.perception.keyframes import Match
+from services.perception.registration import Acceptance, Registration, belief, error_twist, jump, moved
 from services.perception.trajectory import trajectory_error
 from services.perception.tum import read_recording
 from shared.camera import DepthSensor, Intrinsics
@@ -61,6 +62,21 @@ def test_error_twist_inverts_moved():
         T = from_xyz_rpy(rng.normal(size=3), rng.normal(size=3))
         twist = rng.normal(scale=0.4, size=6)
         np.testing.assert_allclose(error_twist(moved(T, twist), T), twist, atol=1e-12)
+
+
+def test_a_direction_is_believed_by_its_information_over_that_of_noise():
+    rng = np.random.default_rng(3)
+    ratios = np.array([0.5, 1.0, 2.0, 3.5, 5.0, 1e4])
+    for _ in range(20):
+        L = np.tril(rng.normal(size=(6, 6))) + 3.0 * np.eye(6)
+        U, _ = np.linalg.qr(rng.normal(size=(6, 6)))
+        H = L @ (U * ratios) @ U.T @ L.T
+        B, unknown = belief(Match(H, np.zeros(6), L @ L.T, 2, 1.0, 1.0, 0.0))
+        share = np.clip((ratios - 2.0) / 3.0, 0.0, 1.0)
+        np.testing.assert_allclose(B @ H, 0.05 * L @ (U * share * ratios) @ U.T @ L.T, rtol=1e-5, atol=1e-5 * np.abs(H).max())
+        assert unknown.shape == (3, 6)
+        np.testing.assert_allclose(np.linalg.norm(unknown, axis=1), 1.0)
+        np.testing.assert_allclose(B @ H @ unknown.T, 0.0, atol=1e-5 * np.abs(H).max())
 
 
 def test_first_frame_is_where_its_prior_says(world):
