@@ -17,7 +17,9 @@ class Settings:
     odometry_drift: float = 0.10  # [1] of the way travelled
     odometry_turn: float = 0.10  # [1] of the heading turned
     odometry_floor: float = 0.001  # [m] and [rad] of x, y and yaw: feet slip without notice
-    odometry_level: float = 0.01  # [m] and [rad] of height, roll and pitch: the legs bend and slip, and any floor shows those three
+    odometry_level: float = (
+        0.01  # [m] and [rad] of height, roll and pitch, in which the legs bend and any floor shows the truth
+    )
     tilt_s: float = 3.0  # [s] over which the tilt of the legs' frame is averaged
 
     def __post_init__(self) -> None:

@@ -1,0 +1,168 @@
+"""Walks of real processes over Zenoh, started as their user starts them, and what becomes of them when something dies."""
+
+import json
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+import deploy
+from deploy.launcher import Launcher, free_port, port_taken
+from deploy.process_table import BUS_PORT
+from deploy.recording import Recording
+from deploy.report import check
+from shared import topics
+from shared.messages import Health
+from tests.support.commands import Command, Ear, environment, eventually, write_course
+from tests.support.composed import commands_of
+
+pytestmark = pytest.mark.live
+
+ENDS_WITHIN_S = 2.0  # after Ctrl-C
+ROUTER_PORT = 7447
+
+
+def report_in(out: Path) -> dict[str, object]:
+    table = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert not check(table)
+    assert isinstance(table, dict)
+    return table
+
+
+def skip_where_taken(*ports: int) -> None:
+    for port in ports:
+        if port_taken(port):
+            pytest.skip(f"port {port} of 127.0.0.1, which these commands use, is taken; end what listens there")
+
+
+def test_a_course_of_ones_own_is_walked_over_zenoh(tmp_path: Path) -> None:
+    course, out = write_course(tmp_path, "mine", 0.4), tmp_path / "out"
+    with Command("run", str(course), "--seed", "1000", "--out", str(out), cwd=tmp_path) as command:
+        assert command.status() == 0
+        command.gone()
+        assert "success: goal reached" in command.text()
+    report = report_in(out)
+    assert report["success"] is True
+    assert (report["scenario"], report["seed"], report["falls"], report["shutdowns"]) == ("mine", 1000, 0, 0)
+    assert {path.name for path in out.iterdir()} >= {"report.json", "summary.png", "recording.mcap"}
+    assert (out / "summary.png").read_bytes().startswith(b"\x89PNG")
+    recording = Recording(out / "recording.mcap")
+    counts = recording.counts()
+    assert recording.complete
+    assert all(counts[topic.key] for topic in (topics.ACTUATOR_STATE, topics.BODY_POSE, topics.STEP_PLAN, topics.TERRAIN))
+
+
+@pytest.mark.parametrize("service", ["perception", "mapper", "planner", "actuator"])
+def test_a_service_that_is_killed_is_named_and_started_again(service: str, tmp_path: Path) -> None:
+    course, out = write_course(tmp_path, "short", 0.5), tmp_path / "out"
+    with Command("run", str(course), "--seed", "1001", "--out", str(out), cwd=tmp_path) as command:
+        with Ear.at(command.endpoints()) as ear:
+            command.wait_for(lambda: ear.walked(2), "the walk")
+            victim = command.service(service)
+            assert victim is not None
+            os.kill(victim.pid, signal.SIGKILL)
+            command.wait_for(lambda: f"{service} ended (killed by SIGKILL)" in command.text(), "its name")
+            command.wait_for(lambda: command.service(service) not in (None, victim), "its successor")
+        status = command.status()
+        command.gone()
+        (line,) = [line for line in command.said if line.startswith(f"{service} ended")]
+        assert "started again" in line
+        assert "its last words: " in line or "without a word" in line
+    report = report_in(out)
+    assert report["falls"] == 0
+    assert (status == 0) == report["success"]
+    assert report["success"] or "no pose from perception" in str(report["reason"]), report["reason"]
+
+
+def test_a_simulator_that_is_killed_ends_the_run_with_that_reason(tmp_path: Path) -> None:
+    course, out = write_course(tmp_path, "short", 0.5), tmp_path / "out"
+    with Command("run", str(course), "--seed", "1001", "--out", str(out), cwd=tmp_path) as command:
+        command.wait_for(lambda: command.service("actuator"), "the services")
+        victim = command.service("simulator")
+        assert victim is not None
+        os.kill(victim.pid, signal.SIGKILL)
+        assert command.status() == 1
+        command.gone()
+    report = report_in(out)
+    assert report["success"] is False
+    assert "simulator ended (killed by SIGKILL)" in str(report["reason"])
+
+
+def test_two_runs_do_not_meet_and_neither_leaves_an_orphan(tmp_path: Path) -> None:
+    """One ends by Ctrl-C within two seconds, the other's launcher is killed outright."""
+    outs = {name: tmp_path / name for name in ("left", "right")}
+    words = {name: ("run", str(write_course(tmp_path, name, 2.0)), "--seed", "1002", "--out", str(outs[name])) for name in outs}
+    with Command(*words["left"], cwd=tmp_path) as left, Command(*words["right"], cwd=tmp_path) as right:
+        with Ear.at(left.endpoints()) as ear, Ear.at(right.endpoints()) as other:
+            left.wait_for(lambda: ear.walked(1), "the left walk")
+            right.wait_for(lambda: other.walked(1), "the right walk")
+            began = time.monotonic()
+            left.interrupt()
+            assert left.status() == 130
+            left.gone()
+            took = time.monotonic() - began
+            assert took <= ENDS_WITHIN_S, f"everything has ended {took:.2f} s after Ctrl-C"
+            seen = other.steps[-1]
+            right.wait_for(lambda: other.steps[-1] > seen + 1, "the right walk going on")
+        right.process.kill()
+        right.gone(10.0)
+    report = report_in(outs["left"])
+    assert report["success"] is False
+    assert "stopped by the operator" in str(report["reason"])
+    for name, out in outs.items():
+        health = [m for _, m, _ in Recording(out / "recording.mcap").messages((topics.HEALTH,)) if isinstance(m, Health)]
+        said = {m.doing for m in health if m.service == "simulator"}
+        assert said or name == "right", "a recording that was killed holds what had reached the disk"
+        assert all(f"simulating {name}," in words for words in said), "it heard its own simulator alone"
+
+
+def test_the_demo_walks_the_steps(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with Command("demo", "--seed", "1000", "--out", str(out), cwd=tmp_path) as command:
+        assert command.status() == 0
+        command.gone()
+        assert "The robot stands at its goal" in command.text()
+    report = report_in(out)
+    assert report["scenario"] == "steps"
+    assert report["success"] is True
+    assert int(str(report["raised_block_touchdowns"])) >= 12
+
+
+def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> None:
+    skip_where_taken(BUS_PORT)
+    course, out = str(write_course(tmp_path, "shared", 0.3)), tmp_path / "out"
+    meet = ("--namespace", f"test-{os.getpid()}")
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with Command("up", "all", "--scenario", course, "--listen", endpoint, *meet, cwd=tmp_path) as up:
+        up.wait_for(lambda: up.service("actuator"), "the services")
+        with Command("run", course, "--connect", endpoint, *meet, "--out", str(out), cwd=tmp_path) as run:
+            assert run.status() == 0
+            assert len(run.family()) == 0
+        assert up.running(), "who joined leaves the services alone"
+        up.interrupt()
+        assert up.status() == 130
+        up.gone()
+    assert report_in(out)["success"] is True
+
+
+def test_what_compose_yaml_starts_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    skip_where_taken(ROUTER_PORT, BUS_PORT)
+    commands = commands_of((Path(deploy.__file__).parent / "compose.yaml").read_text(encoding="utf-8"))
+    monkeypatch.chdir(tmp_path)
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    said: list[str] = []
+    ended: dict[str, str] = {}
+    with Launcher(commands, hear=lambda name, line: said.append(f"{name}: {line}")) as launcher:
+
+        def over() -> bool:
+            ended.update({e.name: e.how for e in launcher.wait(0.2)})
+            return bool(ended)
+
+        eventually(over, "the operator's end")
+        assert ended == {"operator": "exit status 0"}, "\n".join(said[-30:])
+    report = report_in(tmp_path / "runs" / "compose")
+    assert report["success"] is True
+    assert report["scenario"] == "steps"

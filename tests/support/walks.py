@@ -1,0 +1,90 @@
+"""Walks in lockstep with an ear on the wire: what a run said, message by message."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from deploy.lockstep_run import LockstepRun, assemble
+from deploy.report import Report
+from shared import codec, topics
+from shared.geometry import Array
+from shared.messages import ActuatorState, Message, PlannerStatus
+from shared.robot import load_profile
+from shared.scenario import Goal, Plane, Scenario, load_scenario
+from shared.service import AnyTopic
+from shared.topics import Topic
+
+S = 1_000_000_000
+LOOK_NS = 100_000_000  # simulated time between two looks at a run
+
+M = TypeVar("M", bound=Message)
+
+
+def flat(distance: float, **changes: Any) -> Scenario:
+    """A short course on level ground."""
+    return replace(Scenario("short", (Plane(),), Goal(distance), time_limit_s=40.0), **changes)
+
+
+def course(folder: Path, text: str) -> Scenario:
+    """A scenario as somebody would write one."""
+    path = folder / "course.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_scenario(str(path))
+
+
+@dataclass
+class Heard:
+    """Frames of some topics in the order in which they were sent."""
+
+    wanted: tuple[AnyTopic, ...]
+    frames: list[tuple[AnyTopic, bytes, int]] = field(default_factory=list)
+
+    def tap(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        if topic in self.wanted:
+            self.frames.append((topic, frame, at_ns))
+
+    def of(self, topic: Topic[M], from_s: float = 0.0, until_s: float = float("inf")) -> list[M]:
+        """Messages of a topic that were sent in a stretch of time [s]."""
+        return [
+            codec.decode(frame, topic.type)[0]
+            for sent, frame, at_ns in self.frames
+            if sent is topic and from_s <= at_ns * 1e-9 < until_s
+        ]
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A run that is over."""
+
+    report: Report
+    heard: Heard
+    run: LockstepRun
+
+    def states(self, from_s: float = 0.0, until_s: float = float("inf")) -> list[ActuatorState]:
+        return self.heard.of(topics.ACTUATOR_STATE, from_s, until_s)
+
+    def statuses(self, from_s: float = 0.0, until_s: float = float("inf")) -> list[PlannerStatus]:
+        return self.heard.of(topics.PLANNER_STATUS, from_s, until_s)
+
+    def feet(self) -> Array:
+        """Where the feet truly were, (n, 6, 3) [m] in the simulator's world."""
+        return np.array([truth.feet for truth in self.heard.of(topics.TRUTH)])
+
+
+def walk(
+    scenario: Scenario,
+    seed: int,
+    wanted: Iterable[AnyTopic] = (topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.TRUTH, topics.BODY_POSE),
+    look: Callable[[LockstepRun], None] = lambda _: None,
+) -> Walk:
+    """Walk to the end, as `run_lockstep` does, listening; `look` is called every tenth of a simulated second."""
+    heard = Heard(tuple(wanted))
+    run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap)
+    while not run.attendance.over():
+        assert run.now_ns() < 2 * scenario.time_limit_s * S, "no verdict"
+        run.run(run.now_ns() + LOOK_NS)
+        look(run)
+    return Walk(run.attendance.judge(1.0), heard, run)

@@ -1,0 +1,85 @@
+"""Every command that README.md shows exists, and some test runs its like; a command that nobody runs is found here."""
+
+import re
+import shlex
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+
+ROOT = Path(__file__).parents[1]
+
+# What a `make` target comes to.
+MAKE = {
+    "demo": ("sextant demo",),
+    "test": ("ruff check", "ruff format --check", "mypy", "lint-imports", "pytest"),
+}
+# Which test runs a `sextant` command; an option that makes it another way of running counts.
+RUN_BY = {
+    "demo": "tests/live/test_live_walk.py::test_the_demo_walks_the_steps",
+    "run": "tests/live/test_live_walk.py::test_a_course_of_ones_own_is_walked_over_zenoh",
+    "run --lockstep": "tests/walk/test_walks.py::test_over_low_blocks_and_two_stairs",
+    "run --connect": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
+    "trials": "tests/walk/test_walks.py::test_trials_of_several_seeds_at_a_time",
+    "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_tell_the_rate_and_the_baseline_beside_it",
+    "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
+    "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
+    "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
+    "compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
+    "doctor": "tests/unit/deploy/test_cli.py::test_the_doctor_fails_when_a_check_does",
+}
+SHELL = ("source .venv/bin/activate",)  # of the shell itself
+
+
+def commands(text: str) -> Iterator[list[str]]:
+    """The words of each command in the fenced `sh` blocks, comments left out."""
+    for block in re.findall(r"^```sh\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
+        for line in block.replace("\\\n", " ").splitlines():
+            words = shlex.split(line, comments=True)
+            if words and " ".join(words) not in SHELL:
+                yield words
+
+
+def way_of_running(words: list[str]) -> str:
+    """The key in RUN_BY of a `sextant` command."""
+    group = words[:2] if words[0] == "topics" else words[:1]
+    ways = [word for word in words if word in ("--lockstep", "--connect", "--blind")]
+    return " ".join(group + ways)
+
+
+README = list(commands((ROOT / "README.md").read_text(encoding="utf-8")))
+
+
+def test_the_readme_shows_its_two_commands_first() -> None:
+    assert README[:2] == [["make", "demo"], ["make", "test"]]
+
+
+@pytest.mark.parametrize("words", README, ids=" ".join)
+def test_a_command_of_the_readme_is_run_by_a_test(words: list[str]) -> None:
+    match words:
+        case ["make", target]:
+            made = subprocess.run(["make", "-n", target], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+            assert target in MAKE, f"no test knows `make {target}`"
+            assert all(part in made for part in MAKE[target]), made
+        case ["sextant", *rest]:
+            assert callable(cli._parser().parse_args(rest).command)
+            assert way_of_running(rest) in RUN_BY, f"no test runs `{' '.join(words)}`"
+        case _:
+            pytest.fail(f"no test runs `{' '.join(words)}`")
+
+
+@pytest.mark.parametrize("test", sorted(set(RUN_BY.values())))
+def test_a_test_that_runs_a_command_exists(test: str) -> None:
+    file, _, name = test.partition("::")
+    assert re.search(rf"^def {name}\(", (ROOT / file).read_text(encoding="utf-8"), re.MULTILINE), f"{test} is not there"
+
+
+def test_scenarios_named_in_the_readme_come_with_sextant() -> None:
+    from shared.scenario import load_scenario
+
+    for words in README:
+        if words[:2] in (["sextant", "run"], ["sextant", "trials"]):
+            assert load_scenario(words[2]).name == words[2]

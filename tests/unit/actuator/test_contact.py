@@ -1,0 +1,81 @@
+"""Which feet carry, told by the motors' torques alone."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from services.actuator.contact import ContactEstimate
+from shared.geometry import Array
+from shared.kinematics import body_inverse, joint_torques
+from shared.robot import load_profile
+
+Flags = NDArray[np.bool_]
+
+PROFILE = load_profile("phantomx_mk2")
+Q = body_inverse(PROFILE, PROFILE.rest_feet())
+TRIPOD = np.arange(6) % 2 == 0
+
+
+def torques(push: Array) -> Array:
+    """Motor torques (6, 3) under vertical forces (6,) [N] of the ground."""
+    return joint_torques(PROFILE, Q, push[:, None] * [0.0, 0.0, 1.0])
+
+
+def settled(estimate: ContactEstimate, push: Array) -> Flags:
+    for _ in range(20):
+        contact = estimate.update(Q, torques(push))
+    return contact
+
+
+def test_it_begins_without_contact() -> None:
+    assert not ContactEstimate(PROFILE).update(Q, np.zeros((6, 3))).any()
+
+
+def test_legs_that_are_pushed_up_carry() -> None:
+    contact = settled(ContactEstimate(PROFILE), np.where(TRIPOD, 8.0, 0.0))
+    np.testing.assert_array_equal(contact, TRIPOD)
+
+
+def test_a_leg_that_hangs_does_not() -> None:
+    assert not settled(ContactEstimate(PROFILE), np.full(6, -3.0)).any()
+
+
+def test_contact_comes_late_and_goes_late() -> None:
+    """Between the two thresholds it stays what it was."""
+    pushes = np.linspace(0.0, 4.0, 41)
+    estimate = ContactEstimate(PROFILE)
+    rising = [bool(settled(estimate, np.full(6, p))[0]) for p in pushes]
+    falling = [bool(settled(estimate, np.full(6, p))[0]) for p in pushes[::-1]][::-1]
+    assert rising == sorted(rising)
+    assert falling == sorted(falling)
+    assert rising[-1]
+    assert not falling[0]
+    assert sum(falling) > sum(rising)
+
+
+def test_one_odd_reading_does_not_lift_a_foot() -> None:
+    estimate = ContactEstimate(PROFILE)
+    settled(estimate, np.full(6, 5.0))
+    assert estimate.update(Q, torques(np.zeros(6))).all()
+
+
+def test_each_leg_is_judged_by_its_own_torques() -> None:
+    for leg in range(6):
+        push = np.zeros(6)
+        push[leg] = 6.0
+        np.testing.assert_array_equal(np.flatnonzero(settled(ContactEstimate(PROFILE), push)), [leg])
+
+
+@pytest.mark.parametrize("stretched", [np.zeros((6, 3)), np.full((6, 3), [0.0, 1.5, 0.0])])
+def test_a_stretched_leg_is_no_accident(stretched: Array) -> None:
+    """The Jacobian is singular there; the estimate stays finite, so the flags stay flags."""
+    estimate = ContactEstimate(PROFILE)
+    assert estimate.update(stretched, np.full((6, 3), 1.5)).dtype == bool
+    assert not settled(estimate, np.full(6, -5.0)).any()
+
+
+def test_what_it_returned_does_not_change_later() -> None:
+    estimate = ContactEstimate(PROFILE)
+    first = settled(estimate, np.full(6, 6.0))
+    settled(estimate, np.zeros(6))
+    assert first.all()

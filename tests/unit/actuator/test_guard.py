@@ -1,0 +1,201 @@
+"""The last gate: what it refuses and in which words, and that what it lets through can be finished alone."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+
+from services.actuator.guard import Guard
+from shared.geometry import Array, apply, from_xyz_rpy, inverse
+from shared.kinematics import body_inverse, within_limits
+from shared.messages import StepPlan
+from shared.robot import load_profile
+from shared.stability import support_margin
+
+Flags = NDArray[np.bool_]
+
+PROFILE = load_profile("phantomx_mk2")
+REST = PROFILE.rest_feet()
+START = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
+FEET = apply(START, REST)
+TRIPOD = np.arange(6) % 2 == 0
+NOBODY = np.zeros(6, dtype=bool)
+NOW = 10_000_000_000
+AGE = 0.6
+LIMITS = PROFILE.joint_limits
+
+
+def plan(**changes: Any) -> StepPlan:
+    goal = from_xyz_rpy((0.04, 0.0, PROFILE.stance.body_height), np.zeros(3))
+    good = StepPlan(
+        stamp_ns=NOW,
+        step=1,
+        revision=1,
+        T_world_odom=np.eye(4),
+        swing=TRIPOD,
+        touchdown=np.where(TRIPOD[:, None], apply(goal, REST + np.array([0.02, 0.0, 0.0])), FEET),
+        clearance=np.full(6, 0.04),
+        body_goal=goal,
+        duration=0.8,
+        stop=False,
+    )
+    return replace(good, **changes)
+
+
+def refusal(a_plan: StepPlan, guard: Guard | None = None, running: int = 0, resting: bool = True, swing: Flags = NOBODY) -> str:
+    return (guard or Guard(PROFILE, AGE)).refusal(a_plan, NOW, running, resting, swing, START, FEET)
+
+
+def goal(x: float = 0.0, roll: float = 0.0, yaw: float = 0.0, z: float = 0.1) -> Array:
+    return from_xyz_rpy((x, 0.0, z), (roll, 0.0, yaw))
+
+
+def test_a_good_plan_passes() -> None:
+    assert refusal(plan()) == ""
+
+
+FAR = apply(START, REST)
+FAR[0] += [0.15, 0.15, 0.0]
+SKEWED = np.diag([1.0, 1.0, 1.1, 1.0])
+MIRRORED = np.diag([1.0, -1.0, 1.0, 1.0])
+FOUR = np.array([True, True, True, True, False, False])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"stamp_ns": NOW - 700_000_000}, "is 0.70 s old, at most 0.60 s allowed"),
+        ({"stamp_ns": NOW + 5_000_000_000}, "stamped 5.00 s ahead of now"),
+        ({"step": 2}, "does not follow step 0"),
+        ({"step": 0}, "does not follow step 0"),
+        ({"T_world_odom": SKEWED}, "T_world_odom is not a rigid transform"),
+        ({"body_goal": MIRRORED}, "body_goal is not a rigid transform"),
+        ({"T_world_odom": np.zeros((4, 4))}, "not a rigid transform"),
+        ({"body_goal": goal(0.25)}, "would travel 0.25 m in one step"),
+        ({"body_goal": goal(roll=0.4)}, "would turn by"),
+        ({"body_goal": goal(yaw=0.6)}, "would turn by"),
+        ({"duration": 0.1}, "a step of 0.3 to 4.0 s expected, found 0.10 s"),
+        ({"duration": 9.0}, "found 9.00 s"),
+        ({"clearance": np.full(6, 0.2)}, "clearances of 0 to 0.12 m expected"),
+        ({"clearance": np.full(6, -0.01)}, "found -0.010 to -0.010 m"),
+        ({"swing": FOUR}, "only 2 legs would stand"),
+        ({"body_goal": goal(0.15)}, "mm inside its standing feet at the end"),
+        ({"touchdown": FAR}, "the touchdown of the left front leg is out of reach of its"),
+        ({"body_goal": goal(z=0.19), "touchdown": apply(goal(z=0.19), REST)}, "standing foot"),
+    ],
+)
+def test_it_says_why_it_refuses(changes: dict[str, object], words: str) -> None:
+    assert words in refusal(plan(**changes))
+
+
+def test_a_body_outside_its_standing_feet_at_the_start_is_refused() -> None:
+    outside = from_xyz_rpy((0.2, 0.0, 0.1), np.zeros(3))
+    words = Guard(PROFILE, AGE).refusal(plan(body_goal=outside), NOW, 0, True, NOBODY, outside, FEET)
+    assert "mm inside its standing feet at the start" in words
+
+
+def test_a_plan_is_accepted_once_and_only_forward() -> None:
+    guard = Guard(PROFILE, AGE)
+    assert refusal(plan(), guard) == ""
+    assert "not newer" in refusal(plan(), guard)
+    assert "not newer" in refusal(plan(stamp_ns=NOW - 1), guard)
+    assert refusal(plan(stamp_ns=NOW + 1), guard) == ""
+
+
+def test_a_refused_plan_leaves_no_trace() -> None:
+    guard = Guard(PROFILE, AGE)
+    assert refusal(plan(duration=9.0, stamp_ns=NOW + 1), guard)
+    assert refusal(plan(stamp_ns=NOW + 5_000_000_000), guard)
+    assert refusal(plan(), guard) == ""
+
+
+def test_a_step_that_is_over_is_not_revised() -> None:
+    assert "does not follow" in refusal(plan(step=4), running=4, resting=True)
+    assert refusal(plan(step=4), running=4, resting=False, swing=TRIPOD) == ""
+
+
+def test_a_revision_may_not_change_its_mind_about_the_legs() -> None:
+    assert "swings other legs" in refusal(plan(step=4), running=4, resting=False, swing=~TRIPOD)
+
+
+small = st.floats(-0.15, 0.15)
+poses = st.builds(lambda x, y, z, r, p, w: from_xyz_rpy((x, y, 0.1 + z), (r, p, w)), small, small, small, small, small, small)
+matrices = hnp.arrays(np.float64, (4, 4), elements=st.floats(-1e3, 1e3))
+
+
+@given(
+    st.one_of(poses, matrices),
+    st.one_of(st.just(np.eye(4)), poses, matrices),
+    hnp.arrays(np.bool_, 6),
+    hnp.arrays(np.float64, (6, 3), elements=st.floats(-0.05, 0.05)),
+    st.floats(-1.0, 10.0),
+    hnp.arrays(np.float64, 6, elements=st.floats(-0.1, 0.2)),
+)
+@settings(max_examples=150)
+def test_whatever_is_accepted_ends_in_reach_and_stable(
+    body_goal: Array, T_world_odom: Array, swing: Flags, shift: Array, duration: float, clearance: Array
+) -> None:
+    wild = plan(
+        body_goal=body_goal,
+        T_world_odom=T_world_odom,
+        swing=swing,
+        touchdown=np.clip(apply(body_goal, REST), -1e6, 1e6) + shift,
+        duration=duration,
+        clearance=clearance,
+    )
+    with np.errstate(all="ignore"):
+        if refusal(wild):
+            return
+    body = inverse(wild.T_world_odom) @ wild.body_goal
+    feet = np.where(swing[:, None], apply(inverse(wild.T_world_odom), wild.touchdown), FEET)
+    assert within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(body), feet))).all()
+    assert support_margin(feet[~swing][:, :2], body[:2, 3]) > 0
+    assert support_margin(FEET[~swing][:, :2], START[:2, 3]) > 0
+
+
+def test_the_property_meets_plans_that_pass() -> None:
+    """So that the property above is not empty."""
+    rng = np.random.default_rng(5)
+    passed = 0
+    for _ in range(50):
+        body = from_xyz_rpy((*rng.uniform(-0.03, 0.03, 2), 0.1), (0.0, 0.0, rng.uniform(-0.1, 0.1)))
+        passed += refusal(plan(body_goal=body, touchdown=apply(body, REST))) == ""
+    assert passed > 25
+
+
+anything = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(hnp.arrays(np.float64, (6, 3), elements=anything), st.integers(0, 2**32 - 1), st.floats(0.0, 0.1))
+@settings(max_examples=200)
+def test_goals_are_always_finite_within_limits_and_no_faster_than_the_servos(q: Array, seed: int, dt: float) -> None:
+    q_last = np.random.default_rng(seed).uniform(LIMITS[..., 0], LIMITS[..., 1])
+    with np.errstate(all="ignore"):
+        goal, warning = Guard(PROFILE, AGE).safe_goals(q, q_last, dt)
+    assert np.isfinite(goal).all()
+    assert within_limits(PROFILE, goal).all()
+    assert np.abs(goal - q_last).max() <= PROFILE.servo.no_load_speed * dt + 1e-12
+    lost = ~np.isfinite(q).all(axis=1)
+    np.testing.assert_array_equal(goal[lost], q_last[lost])
+    assert bool(warning) == bool(lost.any())
+
+
+def test_a_leg_out_of_reach_is_named() -> None:
+    q = body_inverse(PROFILE, REST)
+    q_last = q.copy()
+    q[2, 1] = np.nan
+    goal, warning = Guard(PROFILE, AGE).safe_goals(q, q_last, 0.02)
+    assert warning == "foot out of reach, held: right middle"
+    np.testing.assert_array_equal(goal, q_last)
+
+
+def test_goals_in_reach_pass_unchanged() -> None:
+    q = body_inverse(PROFILE, REST)
+    goal, warning = Guard(PROFILE, AGE).safe_goals(q + 0.01, q, 0.02)
+    np.testing.assert_allclose(goal, q + 0.01)
+    assert warning == ""

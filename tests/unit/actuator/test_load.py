@@ -1,0 +1,122 @@
+"""Ground forces by statics, and the goals that make up for the servos' spring."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from services.actuator.load import GRAVITY, foot_forces, link_torques, sag_feed_forward
+from shared.geometry import Array, from_xyz_rpy
+from shared.kinematics import body_forward, body_inverse, leg_points
+from shared.robot import load_profile
+
+Flags = NDArray[np.bool_]
+
+PROFILE = load_profile("phantomx_mk2")
+WEIGHT = PROFILE.body.total_mass * GRAVITY
+REST = PROFILE.rest_feet()
+TRIPODS = (np.arange(6) % 2 == 0, np.arange(6) % 2 == 1)
+
+
+def balance(feet: Array, forces: Array, centre: Array) -> Array:
+    """Sum of forces [N] and moments about x and y [N m] of vertical forces."""
+    arms = feet[:, :2] - centre[:2]
+    return np.array([forces.sum(), (forces * arms[:, 0]).sum(), (forces * arms[:, 1]).sum()])
+
+
+@given(st.integers(0, 2**32 - 1), st.lists(st.sampled_from([1.0, 0.7, 0.2]), min_size=6, max_size=6))
+def test_forces_balance_weight_and_moments(seed: int, share: list[float]) -> None:
+    rng = np.random.default_rng(seed)
+    feet = REST + rng.uniform(-0.02, 0.02, (6, 3))
+    centre = np.array([*rng.uniform(-0.01, 0.01, 2), 0.0])
+    forces = foot_forces(feet, np.array(share), WEIGHT, centre)
+    assert (forces >= 0).all()
+    np.testing.assert_allclose(balance(feet, forces, centre), [WEIGHT, 0.0, 0.0], atol=1e-2)
+
+
+@pytest.mark.parametrize("standing", TRIPODS)
+def test_a_tripod_carries_all_and_the_legs_in_the_air_nothing(standing: Flags) -> None:
+    forces = foot_forces(REST, standing.astype(float), WEIGHT, np.zeros(3))
+    np.testing.assert_array_equal(forces[~standing], 0.0)
+    np.testing.assert_allclose(balance(REST, forces, np.zeros(3)), [WEIGHT, 0.0, 0.0], atol=1e-2)
+
+
+def test_a_leg_takes_less_with_a_smaller_share() -> None:
+    share = np.ones(6)
+    forces = []
+    for share[2] in (1.0, 0.6, 0.3, 0.0):
+        forces.append(foot_forces(REST, share, WEIGHT, np.zeros(3))[2])
+    assert (np.diff(forces) < 0).all()
+    assert forces[-1] == 0.0
+
+
+@given(st.lists(st.floats(0, 1), min_size=6, max_size=6), st.integers(0, 2**32 - 1))
+def test_forces_stay_bounded_whatever_the_shares(share: list[float], seed: int) -> None:
+    feet = REST + np.random.default_rng(seed).uniform(-0.1, 0.1, (6, 3))
+    forces = foot_forces(feet, np.array(share), WEIGHT, np.zeros(3))
+    assert np.isfinite(forces).all()
+    assert (forces >= 0).all()
+    assert forces.max() < 1e3 * WEIGHT
+
+
+def test_the_goal_of_a_loaded_femur_lies_below_where_it_is_to_rest() -> None:
+    q = body_inverse(PROFILE, REST)
+    sag = sag_feed_forward(PROFILE, q, REST, np.ones(6), np.eye(3))
+    assert (sag[:, 1] < 0).all()  # down: the ground pushes the foot, and with it the femur, up
+    beyond = body_forward(PROFILE, q + sag)
+    assert (beyond[:, 2] < REST[:, 2]).all()  # so the feet are commanded into the ground
+
+
+def test_without_a_load_the_legs_hold_up_themselves() -> None:
+    """By virtual work: the torque lifts the middles of the links as the joint turns."""
+    rng = np.random.default_rng(2)
+    q = rng.uniform(PROFILE.joint_limits[..., 0], PROFILE.joint_limits[..., 1])
+    torque = PROFILE.servo.stiffness * sag_feed_forward(PROFILE, q, body_forward(PROFILE, q), np.zeros(6), np.eye(3))
+    np.testing.assert_allclose(torque, link_torques(PROFILE, q), atol=1e-6)
+
+    def energy(angles: Array) -> Array:
+        points = leg_points(PROFILE, angles)[..., 2]
+        _, femur, tibia = PROFILE.body.leg_link_masses
+        middles = (points[:, 1:-1] + points[:, 2:]) / 2
+        return np.asarray(GRAVITY * (femur * middles[:, 0] + tibia * middles[:, 1]))
+
+    for joint in range(3):
+        turned = q.copy()
+        turned[:, joint] += 1e-6
+        np.testing.assert_allclose(torque[:, joint], (energy(turned) - energy(q)) / 1e-6, atol=1e-5)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_spring_comes_to_rest_where_it_is_wanted(seed: int) -> None:
+    """At the wanted angles a spring from goal to joint holds exactly the load: stiffness * (goal - q) = -J^T f."""
+    rng = np.random.default_rng(seed)
+    feet = REST + rng.uniform(-0.02, 0.02, (6, 3))
+    q = body_inverse(PROFILE, feet)
+    torque = PROFILE.servo.stiffness * sag_feed_forward(PROFILE, q, feet, np.ones(6), np.eye(3)) - link_torques(PROFILE, q)
+    forces = foot_forces(feet, np.ones(6), WEIGHT, np.zeros(3))
+    for joint in range(3):  # by virtual work, without the Jacobian: the motor's work lifts nothing but what the ground gives
+        turned = q.copy()
+        turned[:, joint] += 1e-6
+        work = forces * (body_forward(PROFILE, turned) - body_forward(PROFILE, q))[:, 2] / 1e-6
+        np.testing.assert_allclose(torque[:, joint], -work, atol=1e-4)
+
+
+def test_on_a_slope_the_downhill_legs_carry_more() -> None:
+    R_level_body = from_xyz_rpy(np.zeros(3), (0.0, np.radians(10.0), 0.0))[:3, :3]  # nose down: the front feet are downhill
+    flat, tilted = (foot_forces(REST @ R.T, np.ones(6), WEIGHT, np.zeros(3)) for R in (np.eye(3), R_level_body))
+    assert (tilted[:2] > flat[:2]).all()
+    assert (tilted[3:5] < flat[3:5]).all()
+
+
+def test_it_never_asks_for_more_than_full_torque() -> None:
+    feet = REST * [2.0, 2.0, 1.0]
+    sag = sag_feed_forward(PROFILE, np.zeros((6, 3)), feet, np.array([1.0, 0, 1.0, 0, 0, 0]), np.eye(3))
+    assert np.abs(sag).max() <= PROFILE.servo.stall_torque / PROFILE.servo.stiffness + 1e-12
+
+
+@given(st.floats(0.0, 1.0))
+def test_while_standing_up_the_load_is_taken_up_gradually(share: float) -> None:
+    q = body_inverse(PROFILE, REST)
+    none, whole, part = (sag_feed_forward(PROFILE, q, REST, np.full(6, s), np.eye(3)) for s in (0.0, 1.0, share))
+    np.testing.assert_allclose(part - none, share * (whole - none), atol=1e-3)

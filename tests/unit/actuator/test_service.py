@@ -1,0 +1,345 @@
+"""The actuator whole, on emulated servos that go where they are told: orders, plans, faults, a new beginning."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.actuator.config import Settings
+from services.actuator.service import Actuator
+from services.simulator.bus import MemoryPort, ServoBusEmulator
+from services.simulator.servos import ServoBank
+from shared import codec, topics
+from shared import dynamixel as dxl
+from shared.geometry import Array, apply, from_xyz_rpy, inverse
+from shared.kinematics import body_forward, body_inverse, joint_torques
+from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StepPlan, Tick
+from shared.robot import load_profile
+from shared.service import Inbox
+
+PROFILE = load_profile("phantomx_mk2")
+REST = PROFILE.rest_feet()
+IDS = PROFILE.servo_ids.ravel().tolist()
+PERIOD = 20_000_000
+TRIPOD = np.arange(6) % 2 == 0
+CRAWL = PROFILE.rest_feet(0.03)
+
+
+class Rig:
+    """Servos on a bus, and the actuator that owns them. A servo with torque is at its goal a cycle later."""
+
+    def __init__(self, feet: Array = REST, torque: bool = True) -> None:
+        self.now_ns = 0
+        q = PROFILE.servo_angles(body_inverse(PROFILE, feet)).ravel()
+        self.bank = ServoBank(IDS, q=q)
+        for row, angle in enumerate(q):
+            self.bank.write(row, dxl.GOAL_POSITION.address, dxl.GOAL_POSITION.encode(dxl.ticks_from_angle(angle)))
+            self.bank.write(row, dxl.TORQUE_ENABLE.address, bytes([torque]))
+        self.bus = ServoBusEmulator(self.bank)
+        self.push = np.zeros((6, 3))  # [N] {body} of the ground on the feet, as the servos feel it
+        self.order = 0
+        self.start()
+
+    def start(self) -> None:
+        """A new actuator on the same servos."""
+        self.port = MemoryPort(self.bus, lambda: self.now_ns)
+        self.actuator = Actuator(PROFILE, Settings(), self.port, self.port.now_ns)
+        self.inbox = Inbox(self.actuator.reads, self.actuator.stages)
+        self.now_ns = self.port.now_ns()
+
+    @property
+    def goals(self) -> Array:
+        """Joint angles (6, 3) that the servos are told."""
+        ticks = [int.from_bytes(self.bank.read(row, dxl.GOAL_POSITION.address, 2), "little") for row in range(18)]
+        return PROFILE.joint_angles(np.array([dxl.angle_from_ticks(t) for t in ticks]).reshape(6, 3))
+
+    @property
+    def torque(self) -> bool:
+        return all(self.bank.read(row, dxl.TORQUE_ENABLE.address, 1) == b"\x01" for row in range(18))
+
+    def hear(self, message: Message) -> None:
+        self.inbox.receive(topics.OF_TYPE[type(message)], codec.encode(message), self.now_ns)
+
+    def command(self, mode: str) -> None:
+        self.order += 1
+        self.hear(ModeCommand(self.now_ns, mode, self.order))  # type: ignore[arg-type]
+
+    def cycle(self, count: int = 1) -> ActuatorState:
+        """Let cycles pass; the last state."""
+        for _ in range(count):
+            self.now_ns = max(self.now_ns + PERIOD, self.port.now_ns())
+            self.bus.advance(self.now_ns)
+            q = self.goals if self.torque else PROFILE.joint_angles(self.bank._q.reshape(6, 3))
+            torque = PROFILE.servo_signs * joint_torques(PROFILE, q, self.push)
+            self.bank.step(PROFILE.servo_angles(q).ravel(), np.zeros(18), torque.ravel(), 0.02)
+            self.inbox.now_ns = self.now_ns
+            self.made = list(self.actuator.step(Tick(self.now_ns), self.inbox))
+        return next(m for m in self.made if isinstance(m, ActuatorState))
+
+    def plan(self, state: ActuatorState, x: float = 0.04, **changes: Any) -> StepPlan:
+        """The next step straight ahead, {world} being {odom}."""
+        goal = state.body_ref @ from_xyz_rpy((x, 0.0, 0.0), np.zeros(3))
+        feet = apply(state.T_odom_body, state.feet)
+        swing = TRIPOD if (state.step + 1) % 2 else ~TRIPOD
+        touchdown = np.where(swing[:, None], apply(goal, REST + np.array([x / 2, 0.0, 0.0])), feet)
+        touchdown[:, 2] = feet[:, 2]
+        plan = StepPlan(
+            stamp_ns=state.stamp_ns,
+            step=state.step + 1,
+            revision=1,
+            T_world_odom=np.eye(4),
+            swing=swing,
+            touchdown=touchdown,
+            clearance=np.full(6, 0.03),
+            body_goal=goal,
+            duration=0.6,
+            stop=False,
+        )
+        return replace(plan, **changes)
+
+    def walking(self) -> ActuatorState:
+        """Ordered to walk and standing."""
+        self.cycle(2)
+        self.command("walk")
+        return self.cycle()
+
+
+def test_torque_stays_as_it_was_found() -> None:
+    for torque in (True, False):
+        rig = Rig(torque=torque)
+        state = rig.cycle(5)
+        assert rig.torque == torque
+        assert state.mode == (Mode.HOLD if torque else Mode.OFF)
+
+
+def test_a_standing_robot_is_taken_over_without_a_twitch() -> None:
+    rig = Rig()
+    before = rig.goals
+    states = [rig.cycle() for _ in range(10)]
+    # What is added is the load's sag, once; then nothing moves.
+    after = rig.goals
+    assert np.abs(after - before).max() < 0.08
+    assert np.abs(states[-1].feet - states[-2].feet).max() < 1e-3
+
+
+def test_off_writes_no_goals() -> None:
+    rig = Rig(CRAWL, torque=False)
+    before = rig.goals
+    rig.cycle(20)
+    np.testing.assert_array_equal(rig.goals, before)
+
+
+def test_stand_raises_a_lying_robot_to_rest() -> None:
+    rig = Rig(CRAWL, torque=False)
+    rig.cycle(2)
+    rig.command("stand")
+    assert rig.cycle().mode is Mode.STAND
+    assert rig.cycle(2).mode is Mode.STAND
+    state = rig.cycle(round(Settings().stand_s * 50))
+    assert rig.torque
+    assert state.mode is Mode.HOLD
+    assert state.reason == "standing"
+    feet = body_forward(PROFILE, rig.goals)
+    np.testing.assert_allclose(feet[:, :2], REST[:, :2], atol=0.02)
+    assert (feet[:, 2] < REST[:, 2] + 2e-3).all()  # the sag is fed forward: beyond, never short
+
+
+def test_an_order_counts_once() -> None:
+    rig = Rig()
+    rig.cycle()
+    rig.command("stand")
+    rig.cycle()
+    rig.hear(ModeCommand(rig.now_ns, "off", rig.order))  # a number that was used
+    assert rig.cycle().mode is Mode.STAND
+    assert rig.torque
+
+
+def test_standing_up_again_is_no_leap() -> None:
+    rig = Rig()
+    rig.cycle(5)
+    before = rig.goals
+    rig.command("stand")
+    rig.cycle(2)
+    assert np.abs(rig.goals - before).max() < 0.02
+
+
+def test_off_is_obeyed_at_once() -> None:
+    rig = Rig()
+    rig.walking()
+    rig.command("off")
+    rig.cycle(2)
+    assert not rig.torque
+    rig.command("walk")  # leads nowhere from there
+    state = rig.cycle(2)
+    assert state.mode is Mode.OFF
+    assert not rig.torque
+
+
+def test_without_the_order_to_walk_a_plan_is_refused_in_words() -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.cycle(2)))
+    state = rig.cycle()
+    assert state.mode is Mode.HOLD
+    assert "not ordered to walk" in state.refused
+    assert "not ordered to walk" in rig.actuator.doing()
+
+
+def test_a_plan_is_walked_to_its_end_and_then_it_holds_with_torque_on() -> None:
+    rig = Rig()
+    state = rig.walking()
+    start, plan = state.T_odom_body, rig.plan(state)
+    rig.hear(plan)
+    modes, phases = [], []
+    for _ in range(40):
+        state = rig.cycle()
+        modes.append(state.mode)
+        phases.append(state.phase)
+    assert modes[0] is Mode.WALK
+    assert modes[-1] is Mode.HOLD
+    assert "no new plan came" in state.reason
+    assert rig.torque
+    assert state.step == plan.step
+    assert (np.diff(phases) >= 0).all()
+    assert phases[-1] == 1.0
+    assert state.refused == ""
+    assert (inverse(start) @ state.T_odom_body)[0, 3] == pytest.approx(0.04, abs=0.015)
+    held = rig.goals
+    rig.cycle(50)
+    assert np.abs(rig.goals - held).max() < 0.02
+
+
+def test_the_odometry_is_that_of_the_joints() -> None:
+    rig = Rig()
+    state = rig.walking()
+    for _ in range(3):
+        rig.hear(rig.plan(state))
+        state = rig.cycle(45)
+    odometry = next(m for m in rig.made if isinstance(m, Odometry))
+    assert odometry.reliable
+    assert odometry.stance.all()
+    assert odometry.stamp_ns == state.stamp_ns
+    np.testing.assert_array_equal(odometry.T_odom_body, state.T_odom_body)
+    np.testing.assert_allclose(state.T_odom_body[:2, 3], state.body_ref[:2, 3], atol=5e-3)
+    assert odometry.travelled >= np.linalg.norm(state.T_odom_body[:2, 3]) - 1e-9
+
+
+def test_a_refused_plan_changes_nothing() -> None:
+    rig = Rig()
+    state = rig.walking()
+    rig.hear(rig.plan(state, duration=99.0))
+    after = rig.cycle()
+    assert after.mode is Mode.HOLD
+    assert "99.00 s" in after.refused
+    assert after.step == state.step
+    rig.hear(rig.plan(after))
+    assert rig.cycle().refused == ""
+
+
+def test_an_old_plan_is_refused() -> None:
+    rig = Rig()
+    state = rig.walking()
+    plan = rig.plan(state)
+    rig.cycle(60)
+    rig.hear(plan)
+    assert "s old" in rig.cycle().refused
+
+
+def test_the_next_plan_waits_and_joins_on() -> None:
+    rig = Rig()
+    state = rig.walking()
+    first = rig.plan(state)
+    rig.hear(first)
+    state = rig.cycle(20)
+    swing = ~first.swing
+    goal = first.body_goal @ from_xyz_rpy((0.04, 0.0, 0.0), np.zeros(3))
+    touchdown = np.where(swing[:, None], apply(goal, REST + np.array([0.02, 0.0, 0.0])), first.touchdown)
+    touchdown[:, 2] = first.touchdown[:, 2]
+    rig.hear(replace(first, stamp_ns=state.stamp_ns, step=first.step + 1, swing=swing, touchdown=touchdown, body_goal=goal))
+    state = rig.cycle()
+    assert state.refused == ""
+    assert state.step == first.step
+    modes = []
+    for _ in range(20):
+        state = rig.cycle()
+        modes.append(state.mode)
+    assert state.step == first.step + 1
+    assert set(modes) == {Mode.WALK}
+
+
+def shut_down(rig: Rig, row: int) -> None:
+    rig.bank._faults[row] = int(dxl.ServoError.OVERLOAD)
+
+
+def test_a_servo_that_shuts_down_is_named_and_the_robot_holds() -> None:
+    rig = Rig()
+    state = rig.walking()
+    rig.hear(rig.plan(state))
+    rig.cycle(5)
+    shut_down(rig, IDS.index(16))
+    state = rig.cycle(5)
+    assert state.mode is Mode.FAULT
+    assert "femur servo of the right middle leg (id 16) reports overload" in state.reason
+    rig.hear(rig.plan(state))
+    assert "the mode is fault" in rig.cycle().refused
+    assert rig.torque
+    rig.command("stand")  # only off leads out
+    assert rig.cycle(2).mode is Mode.FAULT
+
+
+def test_a_fault_while_standing_up_is_not_forgotten() -> None:
+    rig = Rig(CRAWL, torque=False)
+    rig.cycle(2)
+    rig.command("stand")
+    rig.cycle(20)
+    shut_down(rig, 4)
+    assert rig.cycle(4).mode is Mode.FAULT
+    rig.bank._faults[:] = 0  # it recovers, but nobody has looked after it
+    assert rig.cycle(200).mode is Mode.FAULT
+
+
+def test_contacts_and_loads_are_those_the_servos_feel() -> None:
+    rig = Rig()
+    rig.push[TRIPOD, 2] = 8.0
+    state = rig.cycle(40)
+    np.testing.assert_array_equal(state.contact, TRIPOD)
+    expected = joint_torques(PROFILE, state.q, rig.push)
+    np.testing.assert_allclose(state.load_nm, expected, atol=0.02)
+    assert 9.0 < state.voltage < 13.0
+    assert 20.0 < state.temperature < 40.0
+
+
+def test_a_killed_actuator_comes_back_standing_as_it_stood() -> None:
+    rig = Rig()
+    state = rig.walking()
+    for _ in range(2):
+        rig.hear(rig.plan(state))
+        state = rig.cycle(45)
+    before = rig.goals
+    rig.start()
+    state = rig.cycle()
+    assert state.mode is Mode.HOLD
+    assert (state.step, state.phase) == (0, 1.0)
+    assert np.abs(rig.goals - before).max() < 0.06
+    rig.hear(rig.plan(state))
+    assert "not ordered to walk" in rig.cycle().refused  # the order does not outlive it
+    rig.order += 1
+    rig.command("walk")
+    state = rig.cycle(2)
+    rig.hear(rig.plan(state))
+    assert rig.cycle().mode is Mode.WALK
+
+
+def test_a_robot_without_servos_does_not_start() -> None:
+    rig = Rig()
+    rig.bus = ServoBusEmulator(ServoBank([1, 2, 3]))
+    with pytest.raises(RuntimeError, match="15 of 18 servos are not ready"):
+        rig.start()
+
+
+@pytest.mark.parametrize(
+    "nonsense", [{"rate_hz": 5.0}, {"read_budget_ms": 30.0}, {"unload_s": 0.0}, {"load_s": 0.29}, {"brake_s": 0.0}]
+)
+def test_nonsense_settings_are_refused(nonsense: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        Settings(**nonsense)  # type: ignore[arg-type]

@@ -1,0 +1,274 @@
+"""The walk as the legs are told it: smooth in the body's frame, through the plans' goals, at rest in the end."""
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from services.actuator.config import Settings
+from services.actuator.walker import Targets, Walker
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from shared.messages import StepPlan
+from shared.robot import load_profile
+
+Flags = NDArray[np.bool_]
+
+PROFILE = load_profile("phantomx_mk2")
+SETTINGS = Settings()
+REST = PROFILE.rest_feet()
+START = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
+TRIPOD = np.arange(6) % 2 == 0
+DT = 0.02
+DURATION = 0.8
+
+
+def body_at(x: float, y: float = 0.0, yaw: float = 0.0, z: float = PROFILE.stance.body_height) -> Array:
+    return from_xyz_rpy((x, y, z), (0.0, 0.0, yaw))
+
+
+def plan_to(number: int, goal: Array, ahead: float = 0.03, **changes: Any) -> StepPlan:
+    """A step whose swinging feet land around rest, seen from the body's goal; {world} is {odom}."""
+    swing = TRIPOD if number % 2 else ~TRIPOD
+    plan = StepPlan(
+        stamp_ns=number,
+        step=number,
+        revision=1,
+        T_world_odom=np.eye(4),
+        swing=swing,
+        touchdown=apply(goal, REST + np.array([ahead, 0.0, 0.0])),
+        clearance=np.full(6, 0.04),
+        body_goal=goal,
+        duration=DURATION,
+        stop=False,
+    )
+    return replace(plan, **changes) if changes else plan
+
+
+def new_walker() -> Walker:
+    return Walker(SETTINGS, REST.copy(), START)
+
+
+def cycle(walker: Walker, dt: float = DT) -> Targets:
+    """One cycle of a robot that is exactly where it is told to be."""
+    return walker.update(dt, walker.body_ref)
+
+
+def walk(walker: Walker, plans: list[StepPlan], dt: float = DT, rest_s: float = 0.0) -> tuple[list[Targets], Array]:
+    """Feed plans as they fit; all targets, and the body's places (n, 3)."""
+    targets, places, waiting = [], [], list(plans)
+    while waiting or not walker.resting or rest_s > 0:
+        if waiting and (walker.resting or (walker.phase > 0.5 and waiting[0].step == walker.step + 1)):
+            walker.accept(waiting.pop(0))
+        if walker.resting and not waiting:
+            rest_s -= dt
+        targets.append(cycle(walker, dt))
+        places.append(walker.body_ref[:3, 3])
+    return targets, np.array(places)
+
+
+def largest_jump(targets: list[Targets]) -> float:
+    return float(max(np.linalg.norm(b.feet - a.feet, axis=1).max() for a, b in pairwise(targets)))
+
+
+@given(st.lists(st.tuples(st.floats(-0.05, 0.07), st.floats(-0.04, 0.04), st.floats(-0.12, 0.12)), min_size=1, max_size=3))
+@settings(max_examples=10)
+def test_feet_never_jump_in_the_bodys_frame(moves: list[tuple[float, float, float]]) -> None:
+    walker, goal, plans = new_walker(), START, []
+    for number, (x, y, yaw) in enumerate(moves, 1):
+        goal = goal @ from_xyz_rpy((x, y, 0.0), (0.0, 0.0, yaw))
+        plans.append(plan_to(number, goal))
+    targets, _ = walk(walker, plans, rest_s=0.5)
+    # The longest swing is some 0.3 m in 0.6 s at a peak of twice the mean; nothing else moves as fast.
+    assert largest_jump([Targets(REST, np.ones(6), np.eye(3)), *targets]) < 2.5 * 0.3 * DT / 0.6
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.019, 0.0213])
+def test_the_body_passes_through_every_goal(dt: float) -> None:
+    walker = new_walker()
+    goals = [body_at(0.04), body_at(0.10, 0.01, 0.05), body_at(0.15, 0.0, 0.0, 0.11)]
+    for number, goal in enumerate(goals, 1):
+        walker.accept(plan_to(number, goal))
+        cycle(walker, dt)
+        while walker.phase < 1.0:
+            cycle(walker, dt)
+        np.testing.assert_allclose(walker.body_ref, goal, atol=1e-9)
+        np.testing.assert_allclose(walker.feet_odom[walker_swing(number)], landed(number, goal), atol=1e-9)
+        assert walker.step == number
+
+
+def walker_swing(number: int) -> Flags:
+    return np.asarray(TRIPOD if number % 2 else ~TRIPOD)
+
+
+def landed(number: int, goal: Array) -> Array:
+    return np.asarray(apply(goal, REST + np.array([0.03, 0.0, 0.0]))[walker_swing(number)])
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.019, 0.0199, 0.0213])
+def test_the_body_does_not_stumble_between_steps(dt: float) -> None:
+    """Steps of equal length in a row are one even motion, however the cycles fall."""
+    walker = new_walker()
+    _, places = walk(walker, [plan_to(n, body_at(0.06 * n)) for n in range(1, 6)], dt)
+    whole = np.diff(places[:, 0])[round(1.2 * DURATION / dt) : -round(0.3 * DURATION / dt)]
+    speed = 0.06 / DURATION * dt
+    at_the_seams = np.sort(whole)[3:]  # the last cycle of a step may be cut short
+    assert at_the_seams.min() > 0.9 * speed
+    assert whole.max() < 1.1 * speed
+
+
+def test_after_the_last_plan_it_comes_to_rest_and_holds() -> None:
+    walker = new_walker()
+    walk(walker, [plan_to(n, body_at(0.06 * n)) for n in (1, 2)], rest_s=1.0)
+    before = cycle(walker)
+    assert walker.resting
+    for _ in range(50):
+        after = cycle(walker)
+    np.testing.assert_allclose(after.feet, before.feet, atol=1e-6)
+    np.testing.assert_array_equal(after.share, np.ones(6))
+    coasted = walker.body_ref[0, 3] - 0.12
+    assert 0.0 <= coasted < 0.06 / DURATION * SETTINGS.brake_s * 1.5
+
+
+def test_a_stop_plan_ends_at_rest() -> None:
+    walker = new_walker()
+    walk(walker, [plan_to(1, body_at(0.06)), plan_to(2, body_at(0.10), stop=True)], rest_s=0.5)
+    np.testing.assert_allclose(walker.body_ref, body_at(0.10), atol=1e-6)
+
+
+def test_halt_forgets_the_waiting_plan_and_finishes_the_running_one() -> None:
+    walker = new_walker()
+    walker.accept(plan_to(1, body_at(0.05)))
+    for _ in range(10):
+        cycle(walker)
+    walker.accept(plan_to(2, body_at(0.10)))
+    walker.halt()
+    walk(walker, [], rest_s=0.1)
+    assert walker.step == 1
+    assert walker.resting
+    np.testing.assert_allclose(walker.feet_odom[TRIPOD], landed(1, body_at(0.05)), atol=1e-9)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 35), st.tuples(*[st.floats(-0.02, 0.02)] * 3)), max_size=3),
+    st.tuples(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02), st.floats(-0.05, 0.05)),
+)
+@settings(max_examples=10)
+def test_a_revision_moves_the_touchdowns_and_nothing_else(
+    revisions: list[tuple[int, tuple[float, float, float]]], correction: tuple[float, float, float]
+) -> None:
+    """Also when the world has moved under the odometry since: the body goes where it was going over its standing feet."""
+    plan = plan_to(1, body_at(0.06, 0.0, 0.05))
+    plain, revised = new_walker(), new_walker()
+    plain.accept(plan)
+    revised.accept(plan)
+    T_world_odom = from_xyz_rpy((*correction[:2], 0.0), (0.0, 0.0, correction[2]))
+    wanted = plan.touchdown
+    for k in range(40):
+        for at, shift in revisions:
+            if at == k and k:
+                wanted = apply(inverse(T_world_odom), plan.touchdown + shift)
+                moved = replace(
+                    plan, revision=2, T_world_odom=T_world_odom, touchdown=plan.touchdown + shift, body_goal=plan.body_goal
+                )
+                revised.accept(moved)
+        a, b = cycle(plain), cycle(revised)
+        np.testing.assert_allclose(revised.body_ref, plain.body_ref, atol=1e-9)
+        np.testing.assert_allclose(b.feet[~TRIPOD], a.feet[~TRIPOD], atol=1e-9)
+        np.testing.assert_array_equal(b.share, a.share)
+    assert revised.resting
+    if not revisions or max(at for at, _ in revisions) < 34:  # later, the foot is down already
+        np.testing.assert_allclose(revised.feet_odom[TRIPOD], wanted[TRIPOD], atol=1e-9)
+
+
+def test_shares_are_shares_and_three_legs_always_carry_all() -> None:
+    targets, _ = walk(new_walker(), [plan_to(n, body_at(0.05 * n)) for n in range(1, 5)], rest_s=0.2)
+    shares = np.array([t.share for t in targets])
+    assert (shares >= 0.0).all()
+    assert (shares <= 1.0).all()
+    assert ((shares == 1.0).sum(axis=1) >= 3).all()
+    assert np.abs(np.diff(shares, axis=0)).max() <= max(DT / SETTINGS.unload_s, DT / SETTINGS.load_s) + 1e-9
+
+
+def test_a_leg_in_the_air_carries_nothing_and_one_that_carries_stands() -> None:
+    walker, before = new_walker(), REST.copy()
+    walker.accept(plan_to(1, body_at(0.0)))
+    while walker.phase < 1.0 or walker.step == 0:
+        targets = cycle(walker)
+        flying = np.linalg.norm(targets.feet - before, axis=1) > 1e-9
+        assert not (flying & (targets.share > 1e-9)).any()
+        before = targets.feet
+
+
+def test_standing_feet_stay_put_while_the_body_moves() -> None:
+    walker = new_walker()
+    feet = walker.feet_odom
+    walker.accept(plan_to(1, body_at(0.06, 0.02, 0.1)))
+    for _ in range(40):
+        targets = cycle(walker)
+        np.testing.assert_allclose(walker.feet_odom[~TRIPOD], feet[~TRIPOD], atol=1e-9)
+        np.testing.assert_allclose(apply(walker.body_ref, targets.feet)[~TRIPOD], feet[~TRIPOD], atol=1e-9)
+
+
+def test_command_follows_what_is_measured_in_the_plane() -> None:
+    """Feet roll and slip: after a while the body is commanded where it is measured, and its feet with it."""
+    walker = new_walker()
+    measured = body_at(0.02, -0.01, 0.05)
+    feet = walker.feet_odom
+    for _ in range(300):
+        targets = walker.update(DT, measured)
+    np.testing.assert_allclose(walker.body_ref, measured, atol=1e-4)
+    np.testing.assert_allclose(targets.feet, REST, atol=1e-6)  # nothing moves in the body's frame
+    np.testing.assert_allclose(walker.feet_odom, apply(measured @ inverse(START), feet), atol=1e-4)
+
+
+@pytest.mark.parametrize(("axis", "size"), [(0, 0.006), (1, np.radians(1.0)), (2, np.radians(1.0))])
+def test_sag_is_pushed_against(axis: int, size: float) -> None:
+    """A body that hangs low, rolls or pitches has its feet commanded the other way, up to a limit."""
+    offset = np.zeros(3)
+    offset[axis] = size
+    measured = START @ from_xyz_rpy((0.0, 0.0, -offset[0]), (offset[1], offset[2], 0.0))
+    walker = new_walker()
+    for _ in range(25):
+        targets = walker.update(DT, measured)
+    lowered = targets.feet[:, 2] - REST[:, 2]
+    side, front = np.sign(REST[:, 1]), np.sign(np.round(REST[:, 0], 3))
+    if axis == 0:
+        assert (lowered < 0).all()
+    elif axis == 1:  # roll lifts the left side: its feet are drawn in, the right ones pushed out
+        assert (lowered * side > 0).all()
+    else:  # pitch lowers the front: its feet are pushed out
+        assert (lowered * front <= 1e-12).all()
+    for _ in range(300):
+        targets = walker.update(DT, measured)
+    assert np.abs(targets.feet[:, 2] - REST[:, 2]).max() < 0.03
+
+
+def test_yaw_takes_the_short_way_across_half_a_turn() -> None:
+    start = from_xyz_rpy(START[:3, 3], (0.0, 0.0, np.pi - 0.02))
+    walker = Walker(SETTINGS, REST.copy(), start)
+    goal = from_xyz_rpy(START[:3, 3], (0.0, 0.0, -np.pi + 0.03))
+    walker.accept(plan_to(1, goal))
+    previous = start
+    for _ in range(40):
+        cycle(walker)
+        assert abs(rpy_from_rotation(previous[:3, :3].T @ walker.body_ref[:3, :3])[2]) < 0.01
+        previous = walker.body_ref
+    np.testing.assert_allclose(walker.body_ref, goal, atol=1e-9)
+
+
+def test_the_stance_at_the_end_is_the_one_it_ends_in() -> None:
+    walker = new_walker()
+    np.testing.assert_allclose(walker.stance_at_end[1], walker.feet_odom)
+    walker.accept(plan_to(1, body_at(0.06)))
+    for _ in range(20):
+        cycle(walker)
+    body, feet = walker.stance_at_end
+    while not walker.resting:
+        cycle(walker)
+    np.testing.assert_allclose(body, walker.body_ref, atol=1e-9)
+    np.testing.assert_allclose(feet, walker.feet_odom, atol=1e-9)

@@ -1,0 +1,183 @@
+"""The mapper as a service: what it assumes, what it measures, when it speaks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from services.mapper.config import Settings
+from services.mapper.service import Mapper
+from services.planner.terrain import Terrain
+from shared import codec, topics
+from shared.geometry import Array, apply, from_xyz_rpy
+from shared.messages import ActuatorState, BodyPose, Message, Mode, Scan, TerrainMap
+from shared.robot import load_profile
+from shared.service import Inbox
+
+Flags = NDArray[np.bool_]
+
+PROFILE = load_profile("phantomx_mk2")
+HEIGHT = 0.10
+MS = 1_000_000
+SETTINGS = Settings(cells=200, publish_every=1)
+
+
+def legs(swing: Flags | None = None, feet: Array | None = None) -> ActuatorState:
+    flags = np.zeros(6, dtype=bool) if swing is None else swing
+    return ActuatorState(
+        stamp_ns=0,
+        mode=Mode.HOLD,
+        reason="",
+        refused="",
+        step=0,
+        phase=1.0,
+        swing=flags,
+        contact=~flags,
+        q=np.zeros((6, 3)),
+        load_nm=np.zeros((6, 3)),
+        feet=PROFILE.rest_feet(HEIGHT) if feet is None else feet,
+        T_odom_body=np.eye(4),
+        body_ref=np.eye(4),
+        voltage=11.0,
+        temperature=30.0,
+        warnings=(),
+    )
+
+
+def ground_scan(stamp_ns: int, height: float, x: tuple[float, float] = (0.5, 1.0), y: float = 0.3) -> Scan:
+    """A point in the middle of each cell of a level rectangle."""
+    cx, cy = np.meshgrid(np.arange(x[0], x[1], 0.01) + 0.005, np.arange(-y, y, 0.01) + 0.005, indexing="ij")
+    n = cx.size
+    mm = np.column_stack([cx.ravel(), cy.ravel(), np.full(n, height)]) * 1e3
+    return Scan(
+        stamp_ns=stamp_ns,
+        origin=np.zeros(3),
+        points_mm=np.rint(mm).astype(np.int16),
+        count=np.full(n, 20, dtype=np.uint8),
+        spread_mm=np.zeros(n, dtype=np.uint8),
+        p_world_camera=np.array([0.1, 0.0, 0.25]),
+        pose_variance_z=1e-6,
+        pose_ok=True,
+    )
+
+
+class Rig:
+    def __init__(self, settings: Settings = SETTINGS) -> None:
+        self.mapper = Mapper(PROFILE, settings)
+        self.inbox = Inbox([self.mapper.paced_by, *self.mapper.reads], self.mapper.stages)
+        self.now_ns = 0
+
+    def hear(self, message: Message) -> None:
+        self.inbox.receive(topics.OF_TYPE[type(message)], codec.encode(message), self.now_ns)
+
+    def stand(self, T: Array, state: ActuatorState | None = None) -> None:
+        self.hear(BodyPose(self.now_ns, T, np.eye(4), np.eye(6) * 1e-6, 1.0, True, ""))
+        self.hear(state or legs())
+
+    def scan(self, height: float = 0.0, x: tuple[float, float] = (0.5, 1.0)) -> list[TerrainMap]:
+        self.now_ns += 66 * MS
+        made = list(self.mapper.step(ground_scan(self.now_ns, height, x), self.inbox))
+        return [m for m in made if isinstance(m, TerrainMap)]
+
+
+def at(x: float = 0.0, yaw: float = 0.0, pitch: float = 0.0) -> Array:
+    return from_xyz_rpy((x, 0.0, HEIGHT), (0.0, pitch, yaw))
+
+
+def test_the_start_is_the_plane_of_the_feet_and_said_to_be_assumed() -> None:
+    rig = Rig()
+    rig.stand(at())
+    (map_,) = rig.scan()
+    ground = Terrain(map_)
+    under = np.array([[0.0, 0.0], [0.2, 0.2], [-0.2, -0.1], [0.45, 0.0]])
+    np.testing.assert_allclose(ground.heights(under), 0.0, atol=1e-6)
+    i, j = ground.cells(under)[0].T
+    assert map_.assumed[i, j].all()
+    assert (ground.scores(under) <= 1.0).all()
+    assert np.isnan(ground.heights(np.array([[-0.6, 0.0], [0.3, 0.6]]))).all()
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(0.0, 0.1), (1.0, 0.0), (-2.0, -0.08)])
+def test_the_plane_is_that_of_the_feet_however_the_body_stands(yaw: float, pitch: float) -> None:
+    rig, T = Rig(), at(yaw=yaw, pitch=pitch)
+    rig.stand(T)
+    (map_,) = rig.scan(x=(2.0, 2.01))
+    ground = Terrain(map_)
+    feet = apply(T, PROFILE.rest_feet(HEIGHT))
+    cells = ground.centres(feet[:, :2])
+    slope = np.linalg.lstsq(np.column_stack([np.ones(6), feet[:, :2]]), feet[:, 2] - PROFILE.foot.radius, rcond=None)[0]
+    np.testing.assert_allclose(ground.heights(cells), slope[0] + cells @ slope[1:], atol=1e-5)
+
+
+def test_what_is_measured_replaces_what_was_assumed() -> None:
+    rig = Rig()
+    rig.stand(at())
+    (before,) = rig.scan(x=(0.8, 1.0))
+    (after,) = rig.scan(0.02, x=(0.4, 1.0))
+    place = np.array([[0.55, 0.0]])
+    (i, j), (k, m) = Terrain(before).cells(place)[0][0], Terrain(after).cells(place)[0][0]
+    assert before.assumed[i, j]
+    assert before.elevation[i, j] == pytest.approx(0.0, abs=1e-6)
+    assert not after.assumed[k, m]
+    assert after.elevation[k, m] == pytest.approx(0.02, abs=1e-3)
+
+
+def test_the_plane_is_assumed_once() -> None:
+    rig = Rig()
+    rig.stand(at())
+    rig.scan(x=(0.8, 1.0))
+    rig.stand(at(0.5))
+    (later,) = rig.scan(x=(0.8, 1.0))
+    assert np.isnan(Terrain(later).heights(np.array([[0.75, 0.38], [1.1, 0.0]]))).all()
+
+
+def test_without_a_pose_and_legs_nothing_is_assumed() -> None:
+    rig = Rig()
+    (map_,) = rig.scan()
+    assert not map_.assumed.any()
+    assert np.isfinite(map_.elevation).any()
+    rig.stand(at())
+    (then,) = rig.scan()
+    assert then.assumed.any()
+
+
+def test_feet_in_the_air_are_no_ground() -> None:
+    """A mapper that comes new into a step."""
+    rig, swing = Rig(), np.arange(6) % 2 == 0
+    lifted = PROFILE.rest_feet(HEIGHT) + np.where(swing[:, None], [0.0, 0.0, 0.05], 0.0)
+    rig.stand(at(), legs(swing, lifted))
+    (map_,) = rig.scan(x=(0.8, 1.0))
+    np.testing.assert_allclose(Terrain(map_).heights(np.array([[0.0, 0.0], [0.2, 0.1]])), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("every", [1, 2, 4])
+def test_every_so_many_scans_make_a_map_with_the_stamp_of_the_newest(every: int) -> None:
+    rig = Rig(replace(SETTINGS, publish_every=every))
+    rig.stand(at())
+    for k in range(1, 9):
+        maps = rig.scan()
+        assert len(maps) == (k % every == 0)
+        assert all(m.stamp_ns == rig.now_ns for m in maps)
+    assert "8 scans" in rig.mapper.doing()
+
+
+def test_the_map_moves_along_and_keeps_what_it_knows() -> None:
+    rig = Rig()
+    rig.stand(at())
+    rig.scan(0.01)
+    rig.stand(at(0.4))
+    (map_,) = rig.scan(0.01, x=(0.9, 1.3))
+    centre = map_.origin + map_.resolution * (np.array(map_.elevation.shape) - 1) / 2
+    np.testing.assert_allclose(centre, [0.4, 0.0], atol=0.011)
+    assert Terrain(map_).heights(np.array([[0.6, 0.0]]))[0] == pytest.approx(0.01, abs=1e-3)
+
+
+def test_unknown_stays_unknown_in_every_layer() -> None:
+    rig = Rig()
+    rig.stand(at())
+    (map_,) = rig.scan()
+    unseen = np.isnan(map_.elevation)
+    assert unseen.any()
+    np.testing.assert_array_equal(np.isnan(map_.variance), unseen)
+    assert not map_.assumed[unseen].any()

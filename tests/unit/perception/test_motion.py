@@ -1,0 +1,134 @@
+"""What the legs say about the motion between frames."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.perception.motion import OdometryHistory, constant_velocity
+from shared.geometry import Array, exp_se3, from_xyz_rpy
+from shared.messages import Odometry
+
+MS = 1_000_000
+PERIOD = 20 * MS
+TWIST = np.array([0.1, 0.02, 0.0, 0.0, 0.0, 0.3])  # [m/s] and [rad/s] {body}
+
+
+def pose_at(ns: int) -> Array:
+    """A body that moves evenly on a screw."""
+    return exp_se3(TWIST * ns * 1e-9)
+
+
+def message(ns: int, reliable: bool = True, travelled: float | None = None, T: Array | None = None) -> Odometry:
+    far = 0.1 * ns * 1e-9 if travelled is None else travelled
+    return Odometry(ns, pose_at(ns) if T is None else T, far, 0.3 * ns * 1e-9, np.ones(6, dtype=bool), reliable)
+
+
+def heard(count: int = 50) -> OdometryHistory:
+    history = OdometryHistory()
+    for k in range(count):
+        history.add(message(k * PERIOD))
+    return history
+
+
+def test_before_anything_is_heard_nothing_is_known() -> None:
+    assert OdometryHistory().at(0) is None
+
+
+def test_before_the_first_message_nothing_is_known() -> None:
+    history = OdometryHistory()
+    history.add(message(5 * PERIOD))
+    assert history.at(4 * PERIOD) is None
+    assert history.at(5 * PERIOD) is not None
+
+
+@given(st.integers(0, 49 * PERIOD))
+def test_between_messages_it_is_the_even_motion(ns: int) -> None:
+    motion = heard().at(ns)
+    assert motion is not None
+    np.testing.assert_allclose(motion.T_odom_body, pose_at(ns), atol=1e-5)
+    assert motion.travelled == pytest.approx(0.1 * ns * 1e-9)
+    assert motion.turned == pytest.approx(0.3 * ns * 1e-9)
+
+
+@pytest.mark.parametrize("index", [0, 7, 49])
+def test_at_a_message_it_is_the_message(index: int) -> None:
+    motion = heard().at(index * PERIOD)
+    assert motion is not None
+    np.testing.assert_allclose(motion.T_odom_body, pose_at(index * PERIOD), atol=1e-12)
+
+
+def test_a_little_beyond_the_newest_it_is_carried_on() -> None:
+    motion = heard().at(49 * PERIOD + 15 * MS)
+    assert motion is not None
+    np.testing.assert_allclose(motion.T_odom_body, pose_at(49 * PERIOD + 15 * MS), atol=1e-4)
+    assert motion.reliable
+
+
+def test_far_beyond_the_newest_the_body_is_taken_to_stand_and_nobody_vouches_for_it() -> None:
+    history = heard()
+    far, farther = history.at(49 * PERIOD + 10_000 * MS), history.at(49 * PERIOD + 20_000 * MS)
+    assert far is not None
+    assert farther is not None
+    np.testing.assert_array_equal(far.T_odom_body, farther.T_odom_body)
+    assert np.linalg.norm(far.T_odom_body[:3, 3] - pose_at(49 * PERIOD)[:3, 3]) < 0.02
+    assert not far.reliable
+    alone = OdometryHistory()
+    alone.add(message(0))
+    late = alone.at(10_000 * MS)
+    assert late is not None
+    assert not late.reliable
+
+
+def test_one_unreliable_neighbour_makes_the_instant_unreliable() -> None:
+    history = OdometryHistory()
+    for k in range(6):
+        history.add(message(k * PERIOD, reliable=k != 3))
+    doubts = [not history.at(k * PERIOD // 2).reliable for k in range(11)]  # type: ignore[union-attr]
+    assert doubts == [False] * 4 + [True] * 4 + [False] * 3 or doubts == [False] * 5 + [True] * 3 + [False] * 3
+    assert any(doubts)
+
+
+def test_a_new_beginning_is_counted_and_the_old_forgotten() -> None:
+    history = heard()
+    history.add(message(50 * PERIOD, travelled=0.0, T=np.eye(4)))
+    assert history.restarts == 1
+    assert history.at(49 * PERIOD) is None
+    motion = history.at(50 * PERIOD)
+    assert motion is not None
+    np.testing.assert_array_equal(motion.T_odom_body, np.eye(4))
+
+
+def test_standing_still_is_no_new_beginning() -> None:
+    history = OdometryHistory()
+    for k in range(10):
+        history.add(message(k * PERIOD, travelled=0.25))
+    assert history.restarts == 0
+
+
+def test_what_comes_out_of_order_is_left_out() -> None:
+    history = heard(10)
+    history.add(message(5 * PERIOD, travelled=0.0, T=from_xyz_rpy((9, 9, 9), np.zeros(3))))
+    assert history.restarts == 0
+    motion = history.at(5 * PERIOD)
+    assert motion is not None
+    np.testing.assert_allclose(motion.T_odom_body, pose_at(5 * PERIOD), atol=1e-12)
+
+
+def test_only_the_last_seconds_are_kept() -> None:
+    history = heard(500)
+    assert history.at(0) is None
+    assert history.at(499 * PERIOD - 1_000 * MS) is not None
+
+
+@given(st.integers(1, 100), st.integers(0, 300))
+def test_constant_velocity_goes_on_along_the_screw(span_ms: int, since_ms: int) -> None:
+    before, last = pose_at(0), pose_at(span_ms * MS)
+    found = constant_velocity(before, last, span_ms * MS, since_ms * MS)
+    np.testing.assert_allclose(found[:3, :3], pose_at((span_ms + since_ms) * MS)[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(found[:3, 3], pose_at((span_ms + since_ms) * MS)[:3, 3], atol=2e-3)
+
+
+def test_constant_velocity_without_a_span_stands() -> None:
+    T = pose_at(30 * MS)
+    np.testing.assert_allclose(constant_velocity(T, T, 0, 30 * MS), T, atol=1e-12)

@@ -1,0 +1,193 @@
+"""Perception as a service, on frames of a made-up world."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from services.perception.config import Settings
+from services.perception.service import Perception
+from shared import codec, topics
+from shared.camera import Intrinsics
+from shared.geometry import Array, from_xyz_rpy, inverse, yaw_of
+from shared.messages import BodyPose, DepthImage, Message, Odometry, Scan
+from shared.robot import RobotProfile, load_profile
+from shared.service import Inbox
+
+MS = 1_000_000
+FRAME = 33 * MS
+HEIGHT = 0.10
+SCAN_BYTES = 60_000
+PHANTOM = load_profile("phantomx_mk2")
+SMALL = Intrinsics(320, 240, 292.5, 292.5, 159.5, 119.5)
+PROFILE = replace(PHANTOM, camera=replace(PHANTOM.camera, intrinsics=SMALL))
+
+
+def body_at(x: float, y: float = 0.0, yaw: float = 0.0) -> Array:
+    return from_xyz_rpy((x, y, HEIGHT), (0.0, 0.0, yaw))
+
+
+class Rig:
+    """Perception, and a robot that walks where it is put; odometry and camera as the test wants them."""
+
+    def __init__(self, world, scene: str = "pillars", settings: Settings | None = None, profile: RobotProfile = PROFILE):  # type: ignore[no-untyped-def]
+        self.world, self.boxes, self.profile = world, world.scenes[scene], profile
+        self.perception = Perception(profile, settings or Settings())
+        self.inbox = Inbox([self.perception.paced_by, *self.perception.reads], self.perception.stages)
+        self.now_ns = 1_000 * MS
+        self.T_odom_start: Array = np.eye(4)  # {odom} in {world of the test}
+        self.travelled = 0.0
+
+    def picture(self, T_world_body: Array) -> NDArray[np.uint16]:
+        camera = self.profile.camera
+        image: NDArray[np.uint16] = self.world.depth_image(
+            T_world_body @ camera.T_body_camera, self.boxes, intrinsics=camera.intrinsics, sensor=camera.sensor
+        )
+        return image
+
+    def odometry(self, T_odom_body: Array, reliable: bool = True) -> None:
+        message = Odometry(self.now_ns, T_odom_body, self.travelled, 0.0, np.ones(6, dtype=bool), reliable)
+        self.inbox.receive(topics.ODOMETRY, codec.encode(message), self.now_ns)
+
+    def frame(self, T: Array, odometry: Array | None = None, depth: NDArray[np.uint16] | None = None) -> list[Message]:
+        """A frame at a true pose; None for odometry that is right in every respect."""
+        self.now_ns += FRAME
+        self.inbox.now_ns = self.now_ns
+        self.travelled += 0.005
+        self.odometry(inverse(self.T_odom_start) @ T if odometry is None else odometry)
+        return self.see(T, depth)
+
+    def see(self, T: Array, depth: NDArray[np.uint16] | None = None) -> list[Message]:
+        image = DepthImage(self.now_ns, self.picture(T) if depth is None else depth)
+        return list(self.perception.step(image, self.inbox))
+
+
+def pose_of(messages: list[Message]) -> BodyPose:
+    return next(m for m in messages if isinstance(m, BodyPose))
+
+
+def test_it_waits_for_odometry_and_says_so(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    assert rig.see(body_at(0.0)) == []
+    assert "waiting for odometry" in rig.perception.doing()
+    assert rig.frame(body_at(0.0))
+
+
+def test_the_world_is_the_odometry_of_the_first_frame(world) -> None:  # type: ignore[no-untyped-def]
+    pose = pose_of(Rig(world).frame(body_at(0.2)))
+    np.testing.assert_allclose(pose.T_world_body, body_at(0.2), atol=1e-9)
+    np.testing.assert_allclose(pose.T_world_odom, np.eye(4), atol=1e-9)
+
+
+def test_an_odometry_that_began_anew_before_the_first_frame_changes_nothing(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    rig.travelled = 0.4
+    rig.odometry(body_at(0.9))
+    rig.now_ns += 20 * MS
+    rig.travelled = 0.0
+    rig.odometry(body_at(0.0))
+    rig.now_ns += 20 * MS
+    rig.perception.step(DepthImage(rig.now_ns, rig.picture(body_at(0.0))), rig.inbox)
+    pose = pose_of(rig.frame(body_at(0.0)))
+    np.testing.assert_allclose(pose.T_world_body, body_at(0.0), atol=1e-9)
+
+
+def test_it_follows_the_true_motion_with_the_odometry_as_prior(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    for k in range(8):
+        truth = body_at(0.01 * k, 0.002 * k, 0.004 * k)
+        messages = rig.frame(truth, body_at(0.0097 * k, 0.002 * k, 0.0041 * k))
+        pose = pose_of(messages)
+        assert pose.ok
+        assert pose.reason == ""
+        np.testing.assert_allclose(pose.T_world_body[:3, 3], truth[:3, 3], atol=4e-3)
+        carried = pose.T_world_odom @ body_at(0.0097 * k, 0.002 * k, 0.0041 * k)
+        np.testing.assert_allclose(carried[:3, 3], pose.T_world_body[:3, 3], atol=1e-9)  # its tilt is steadied
+        assert yaw_of(carried) == pytest.approx(yaw_of(pose.T_world_body), abs=1e-4)
+        assert np.linalg.eigvalsh(pose.covariance)[0] > 0
+    assert "overlap" in rig.perception.doing()
+
+
+def test_when_the_legs_count_from_zero_again_the_body_stays_where_it_was(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    for k in range(4):
+        before = pose_of(rig.frame(body_at(0.01 * k)))
+    rig.travelled = -0.005  # the actuator came back: all begins at zero
+    elsewhere = from_xyz_rpy((-0.7, 0.3, HEIGHT), (0.0, 0.0, 1.0))
+    after = pose_of(rig.frame(body_at(0.03), elsewhere))
+    np.testing.assert_allclose(after.T_world_body, before.T_world_body, atol=3e-3)
+    np.testing.assert_allclose((after.T_world_odom @ elsewhere)[:3, 3], after.T_world_body[:3, 3], atol=1e-9)
+    moved = elsewhere @ inverse(body_at(0.0)) @ body_at(0.01)
+    assert pose_of(rig.frame(body_at(0.04), moved)).T_world_body[0, 3] == pytest.approx(0.04, abs=4e-3)
+
+
+def test_a_frame_of_the_wrong_size_is_named_and_skipped(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    rig.frame(body_at(0.0))
+    assert rig.frame(body_at(0.0), depth=np.zeros((120, 160), dtype=np.uint16)) == []
+    assert "(240, 320) expected" in rig.perception.doing()
+    assert "found (120, 160)" in rig.perception.doing()
+    assert pose_of(rig.frame(body_at(0.005))).ok
+
+
+def test_an_empty_frame_leaves_the_odometry_and_says_why(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    rig.frame(body_at(0.0))
+    pose = pose_of(rig.frame(body_at(0.02), depth=np.zeros((240, 320), dtype=np.uint16)))
+    assert not pose.ok
+    assert pose.reason
+    assert "odometry alone" in rig.perception.doing()
+    np.testing.assert_allclose(pose.T_world_body, body_at(0.02), atol=1e-9)
+
+
+def test_on_odometry_alone_the_doubt_grows(world) -> None:  # type: ignore[no-untyped-def]
+    rig, dark = Rig(world), np.zeros((240, 320), dtype=np.uint16)
+    rig.frame(body_at(0.0))
+    spreads = [pose_of(rig.frame(body_at(0.01 * k), depth=dark)).covariance[0, 0] for k in range(1, 6)]
+    assert (np.diff(spreads) > 0).all()
+
+
+def test_legs_that_nobody_vouches_for_are_believed_less(world) -> None:  # type: ignore[no-untyped-def]
+    dark, spreads = np.zeros((240, 320), dtype=np.uint16), []
+    for reliable in (True, False):
+        rig = Rig(world)
+        rig.frame(body_at(0.0))
+        rig.now_ns += FRAME
+        rig.odometry(body_at(0.0), reliable)
+        spreads.append(np.diag(pose_of(rig.see(body_at(0.0), dark)).covariance))
+    assert (spreads[1] > spreads[0]).all()
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_every_so_many_frames_become_a_scan(world, every: int) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world, settings=Settings(scan_rate_hz=PROFILE.camera.sensor.rate_hz / every))
+    scans = [any(isinstance(m, Scan) for m in rig.frame(body_at(0.0))) for _ in range(7)]
+    assert scans == [k % every == 0 for k in range(7)]
+
+
+@pytest.mark.parametrize("scene", ["flat", "steps", "pillars"])
+def test_a_scan_of_a_whole_frame_is_no_larger_than_60_kb(world, scene: str) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world, scene, profile=PHANTOM)
+    scan = next(m for m in rig.frame(body_at(0.0)) if isinstance(m, Scan))
+    assert len(scan.points_mm) > 1000
+    assert len(codec.encode(scan)) <= SCAN_BYTES
+    full = Settings().scan_points
+    size = replace(
+        scan, points_mm=np.zeros((full, 3), np.int16), count=np.ones(full, np.uint8), spread_mm=np.ones(full, np.uint8)
+    )
+    assert len(codec.encode(size)) <= SCAN_BYTES
+
+
+def test_a_scan_lies_on_the_ground_and_carries_its_frames_health(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world, "flat", Settings(scan_rate_hz=PROFILE.camera.sensor.rate_hz))
+    messages = rig.frame(body_at(0.0))
+    scan, pose = next(m for m in messages if isinstance(m, Scan)), pose_of(messages)
+    heights = scan.origin[2] + 1e-3 * scan.points_mm[:, 2]
+    assert np.abs(np.median(heights)) < 2e-3
+    assert scan.stamp_ns == pose.stamp_ns == rig.now_ns
+    assert scan.pose_ok == pose.ok
+    assert scan.pose_variance_z == pytest.approx(pose.covariance[2, 2])
+    np.testing.assert_allclose(scan.p_world_camera, (pose.T_world_body @ PROFILE.camera.T_body_camera)[:3, 3], atol=1e-9)
+    dark = rig.frame(body_at(0.0), depth=np.zeros((240, 320), dtype=np.uint16))
+    assert not next(m for m in dark if isinstance(m, Scan)).pose_ok

@@ -1,0 +1,130 @@
+"""The search for a foothold against brute force, and the words when there is none."""
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
+from services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
+from shared.geometry import Array
+
+Flags = NDArray[np.bool_]
+
+RADIUS, RESOLUTION = 0.06, 0.01
+OFFSETS = offsets_by_distance(RADIUS, RESOLUTION)
+NOBODY = np.zeros((0, 2))
+Maker = Callable[..., Terrain]
+
+
+def everywhere(points: Array) -> Flags:
+    return np.ones(len(points), dtype=bool)
+
+
+def nowhere(points: Array) -> Flags:
+    return np.zeros(len(points), dtype=bool)
+
+
+def patchy(seed: int, bad: float) -> Terrain:
+    """Level ground of which a share is no foothold, and a tenth unknown."""
+    ground = flat_terrain(0, np.zeros(2), 0.0, half_size=0.3)
+    rng = np.random.default_rng(seed)
+    score, elevation = ground.map.score, ground.map.elevation
+    score[rng.random(score.shape) < bad] = 2.0 * ACCEPTABLE
+    unknown = rng.random(score.shape) < 0.1
+    score[unknown], elevation[unknown] = np.nan, np.nan
+    return ground
+
+
+def test_offsets_are_all_cells_within_the_radius_the_nearest_first() -> None:
+    assert (OFFSETS[0] == 0).all()
+    distance = np.linalg.norm(OFFSETS, axis=1)
+    assert (np.diff(distance) >= -1e-12).all()
+    cells = np.rint(OFFSETS / RESOLUTION).astype(int)
+    n = round(RADIUS / RESOLUTION)
+    expected = {(i, j) for i in range(-n, n + 1) for j in range(-n, n + 1) if i * i + j * j <= n * n}
+    assert {(int(i), int(j)) for i, j in cells} == expected
+    assert len(cells) == len(expected)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.3, 0.8, 0.97]), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
+@settings(max_examples=60)
+def test_the_nearest_is_really_the_nearest(seed: int, bad: float, x: float, y: float) -> None:
+    ground, nominal = patchy(seed, bad), np.array([x, y])
+    others = np.random.default_rng(seed + 1).uniform(-0.2, 0.2, (5, 2))
+    found = nearest_foothold(ground, nominal, OFFSETS, others, 0.04, lambda p: p[:, 0] > x - 0.03)
+    map_ = ground.map
+    best = np.inf
+    i0, j0 = np.rint((nominal - map_.origin) / map_.resolution).astype(int)
+    for i in range(map_.score.shape[0]):
+        for j in range(map_.score.shape[1]):
+            if (i - i0) ** 2 + (j - j0) ** 2 > (RADIUS / RESOLUTION) ** 2 or not map_.score[i, j] <= ACCEPTABLE:
+                continue
+            places = [map_.origin + map_.resolution * np.array([i, j])]
+            if (i, j) == (i0, j0):
+                places.append(nominal)
+            for place in places:
+                if np.linalg.norm(others - place, axis=1).min() >= 0.04 and place[0] > x - 0.03:
+                    best = min(best, float(np.linalg.norm(place - nominal)))
+    if np.isinf(best):
+        assert isinstance(found, NoFoothold)
+    else:
+        assert isinstance(found, Foothold)
+        assert found.moved == pytest.approx(best, abs=1e-9)
+        assert np.linalg.norm(found.p_world[:2] - nominal) == pytest.approx(found.moved)
+
+
+def test_on_good_ground_the_foot_lands_where_the_gait_wants_it() -> None:
+    nominal = np.array([0.1234, -0.0567])
+    found = nearest_foothold(flat_terrain(0, np.zeros(2), 0.07), nominal, OFFSETS, NOBODY, 0.06, everywhere)
+    assert isinstance(found, Foothold)
+    np.testing.assert_allclose(found.p_world, [*nominal, 0.07], atol=1e-7)
+    assert found.moved == 0.0
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_the_words_count_every_cell_once(seed: int) -> None:
+    ground = patchy(seed, 0.7)
+    others = np.random.default_rng(seed).uniform(-0.05, 0.05, (2, 2))
+    found = nearest_foothold(ground, np.zeros(2), OFFSETS, others, 0.05, nowhere)
+    assert isinstance(found, NoFoothold)
+    total = int(re.search(r"of (\d+) cells", found.reason)[1])  # type: ignore[index]
+    tests = {what: int(n) for n, what in re.findall(r"(\d+) (not seen|too steep|too near another|out of)", found.reason)}
+    assert total == len(OFFSETS) == sum(tests.values())
+    scores = ground.scores(ground.centres(OFFSETS))
+    assert tests.get("not seen", 0) == int(np.isnan(scores).sum())
+    assert tests.get("too steep", 0) == int((scores > ACCEPTABLE).sum())
+    assert f"within {RADIUS * 100:.0f} cm" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("score", "others", "reachable", "words"),
+    [
+        (np.nan, NOBODY, everywhere, "not seen"),
+        (5.0, NOBODY, everywhere, "too steep or too near an edge"),
+        (0.0, np.zeros((1, 2)), everywhere, "too near another foot"),
+        (0.0, NOBODY, nowhere, "out of reach"),
+    ],
+)
+def test_each_test_has_its_words(
+    make_terrain: Maker, score: float, others: Array, reachable: Callable[[Array], Flags], words: str
+) -> None:
+    ground = make_terrain(score=lambda x, y: np.full_like(x, score))
+    found = nearest_foothold(ground, np.zeros(2), OFFSETS, others, 0.2, reachable)
+    assert isinstance(found, NoFoothold)
+    assert f"of {len(OFFSETS)} cells {len(OFFSETS)} {words}" in found.reason
+
+
+def test_outside_the_map_nothing_carries() -> None:
+    ground = flat_terrain(0, np.zeros(2), 0.0, half_size=0.2)
+    assert isinstance(nearest_foothold(ground, np.array([5.0, 0.0]), OFFSETS, NOBODY, 0.0, everywhere), NoFoothold)
+
+
+def test_a_score_at_the_limit_carries(make_terrain: Maker) -> None:
+    ground = make_terrain(score=lambda x, y: np.full_like(x, ACCEPTABLE))
+    assert isinstance(nearest_foothold(ground, np.zeros(2), OFFSETS, NOBODY, 0.0, everywhere), Foothold)

@@ -1,0 +1,269 @@
+"""The planner as a service: what it waits for, what it says, what it sends."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.planner.config import Settings
+from services.planner.service import Planner
+from services.planner.terrain import Terrain, flat_terrain
+from shared import codec, topics
+from shared.geometry import Array, apply, from_xyz_rpy, inverse
+from shared.messages import ActuatorState, BodyPose, Message, Mode, PlannerStatus, StepPlan, TerrainMap, VelocityCommand
+from shared.robot import load_profile
+from shared.service import Inbox
+
+PROFILE = load_profile("phantomx_mk2")
+HEIGHT = 0.10
+MS = 1_000_000
+REST = PROFILE.rest_feet(HEIGHT)
+FLAT = flat_terrain(0, np.zeros(2), 0.0, half_size=2.0).map
+NOBODY = np.zeros(6, dtype=bool)
+Maker = Callable[..., Terrain]
+
+
+def standing(x: float = 0.0) -> Array:
+    return from_xyz_rpy((x, 0.0, HEIGHT), np.zeros(3))
+
+
+class Rig:
+    """A planner and the robot it steers, which does exactly what it is told."""
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        self.planner = Planner(PROFILE, settings or Settings())
+        self.inbox = Inbox([self.planner.paced_by, *self.planner.reads], self.planner.stages)
+        self.now_ns = 1_000 * MS
+        self.terrain: TerrainMap | None = FLAT
+        self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "")
+        self.command: VelocityCommand | None = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
+        self.state = ActuatorState(
+            stamp_ns=0,
+            mode=Mode.HOLD,
+            reason="standing",
+            refused="",
+            step=0,
+            phase=1.0,
+            swing=NOBODY,
+            contact=~NOBODY,
+            q=np.zeros((6, 3)),
+            load_nm=np.zeros((6, 3)),
+            feet=REST,
+            T_odom_body=standing(),
+            body_ref=standing(),
+            voltage=11.0,
+            temperature=30.0,
+            warnings=(),
+        )
+
+    def cycle(self, **state: Any) -> list[Message]:
+        """One actuator state later, with everything heard anew that is there."""
+        self.now_ns += 20 * MS
+        self.inbox.now_ns = self.now_ns
+        for message in (self.terrain, self.pose, self.command):
+            if message is not None:
+                fresh = replace(message, stamp_ns=self.now_ns)
+                self.inbox.receive(topics.OF_TYPE[type(fresh)], codec.encode(fresh), self.now_ns)
+        self.state = replace(self.state, stamp_ns=self.now_ns, **state)
+        return list(self.planner.step(self.state, self.inbox))
+
+    def plans(self, cycles: int = 1, **state: Any) -> list[StepPlan]:
+        return [m for _ in range(cycles) for m in self.cycle(**state) if isinstance(m, StepPlan)]
+
+    def status(self) -> PlannerStatus:
+        """The next status, a tenth of a second away at most."""
+        return next(m for _ in range(10) for m in self.cycle() if isinstance(m, PlannerStatus))
+
+    def begin(self, plan: StepPlan) -> None:
+        """The actuator begins to walk a plan."""
+        self.state = replace(self.state, mode=Mode.WALK, step=plan.step, phase=0.0, swing=plan.swing)
+
+    def finish(self, plan: StepPlan) -> None:
+        """The actuator is through with it."""
+        feet = apply(inverse(plan.body_goal), plan.touchdown)
+        body = inverse(plan.T_world_odom) @ plan.body_goal
+        self.state = replace(
+            self.state, mode=Mode.HOLD, phase=1.0, swing=NOBODY, feet=feet, body_ref=body, T_odom_body=body, step=plan.step
+        )
+
+
+def test_with_everything_there_it_steps() -> None:
+    rig = Rig()
+    (plan,) = rig.plans()
+    assert plan.step == 1
+    assert plan.stamp_ns == rig.state.stamp_ns
+    assert plan.swing.sum() == 3
+    assert plan.body_goal[0, 3] == pytest.approx(0.06 * rig.planner._settings.step_s)
+    status = rig.status()
+    assert status.state == "stepping"
+    assert rig.planner.doing().startswith("stepping")
+
+
+@pytest.mark.parametrize(
+    ("missing", "words"),
+    [("terrain", "no fresh terrain map"), ("pose", "no fresh pose"), ("command", "no fresh velocity command")],
+)
+@pytest.mark.parametrize("ever", [True, False])
+def test_without_a_fresh_input_it_waits_and_says_for_what(missing: str, words: str, ever: bool) -> None:
+    rig = Rig()
+    if ever:
+        rig.plans()
+    kept = getattr(rig, missing)
+    setattr(rig, missing, None)
+    rig.plans(60)  # what was heard grows stale
+    assert rig.plans(20) == []
+    status = rig.status()
+    assert status.state in ("waiting", "resting")
+    assert words in status.reason
+    setattr(rig, missing, kept)
+    assert rig.plans()
+
+
+@pytest.mark.parametrize("mode", [Mode.OFF, Mode.STAND, Mode.FAULT])
+def test_it_waits_for_legs_that_may_walk(mode: Mode) -> None:
+    rig = Rig()
+    rig.state = replace(rig.state, mode=mode, reason="a servo reports overload")
+    assert rig.plans(10) == []
+    assert mode in rig.status().reason
+    assert "a servo reports overload" in rig.status().reason
+
+
+def test_no_velocity_no_step() -> None:
+    rig = Rig()
+    rig.command = VelocityCommand(0, np.zeros(2), 0.0, HEIGHT, 0.04)
+    assert rig.plans(20) == []
+    assert rig.status().state == "resting"
+    rig.command = VelocityCommand(0, np.zeros(2), 0.3, HEIGHT, 0.04)  # turning on the spot is a motion
+    assert rig.plans(20)
+
+
+def test_it_never_walks_blind_and_goes_on_when_the_map_comes(make_terrain: Maker) -> None:
+    rig = Rig()
+    rig.terrain = make_terrain(lambda x, y: np.full_like(x, np.nan), lambda x, y: np.full_like(x, np.nan)).map
+    assert rig.plans(30) == []
+    status = rig.status()
+    assert status.state == "blocked"
+    assert "not seen" in status.reason
+    assert status.blocked_leg in range(6)
+    rig.terrain = FLAT
+    assert rig.plans(10)
+    assert rig.status().state == "stepping"
+    assert rig.status().blocked_leg == -1
+
+
+def test_blind_it_reads_no_map_and_steps_at_the_height_of_its_feet() -> None:
+    rig = Rig(Settings(blind=True))
+    rig.terrain = None
+    (plan,) = rig.plans()
+    np.testing.assert_allclose(plan.touchdown[plan.swing, 2], PROFILE.foot.radius, atol=1e-6)
+
+
+def test_a_walk_alternates_and_advances() -> None:
+    rig, sets, reached = Rig(), [], []
+    for number in range(1, 6):
+        plan = rig.plans(10)[-1]
+        assert plan.step == number
+        rig.begin(plan)
+        rig.plans(1, phase=0.1)
+        rig.finish(plan)
+        sets.append(plan.swing)
+        reached.append(plan.body_goal[0, 3])
+    for before, after in pairwise(sets):
+        np.testing.assert_array_equal(after, ~before)
+    np.testing.assert_allclose(np.diff(reached), 0.06 * rig.planner._settings.step_s, atol=1e-6)
+
+
+def test_the_next_step_is_planned_from_where_the_running_one_will_end() -> None:
+    rig = Rig()
+    first = rig.plans(10)[-1]
+    rig.begin(first)
+    assert rig.plans(3, phase=0.2) == []  # nothing new to say
+    second = rig.plans(10, phase=0.8)[-1]
+    assert second.step == 2
+    np.testing.assert_array_equal(second.swing, ~first.swing)
+    np.testing.assert_allclose(second.touchdown[first.swing], first.touchdown[first.swing], atol=1e-9)
+    assert second.body_goal[0, 3] - first.body_goal[0, 3] == pytest.approx(first.body_goal[0, 3], abs=1e-6)
+
+
+def test_revisions_count_up_and_stamps_with_them() -> None:
+    rig = Rig()
+    plans = rig.plans(40)
+    assert len(plans) > 2
+    assert [p.revision for p in plans] == list(range(1, len(plans) + 1))
+    assert {p.step for p in plans} == {1}
+    gaps = np.diff([p.stamp_ns for p in plans])
+    assert (gaps >= round(rig.planner._settings.revise_s * 1e9)).all()
+
+
+def test_a_newer_map_moves_the_touchdowns_of_the_running_step(make_terrain: Maker) -> None:
+    rig = Rig()
+    first = rig.plans(10)[-1]
+    rig.begin(first)
+    leg = int(np.flatnonzero(first.swing)[0])
+    bad = first.touchdown[leg, :2]
+    rig.terrain = make_terrain(score=lambda x, y: np.where(np.hypot(x - bad[0], y - bad[1]) < 0.02, 9.0, 0.0)).map
+    (revised,) = rig.plans(3, phase=0.2)
+    assert (revised.step, revised.revision) == (first.step, first.revision + 1)
+    np.testing.assert_array_equal(revised.swing, first.swing)
+    np.testing.assert_array_equal(revised.body_goal, first.body_goal)
+    moved = np.abs(revised.touchdown - first.touchdown).max(axis=1) > 1e-6
+    np.testing.assert_array_equal(np.flatnonzero(moved), [leg])
+    assert rig.plans(3, phase=0.3) == []  # said once
+
+
+def test_a_step_nearly_done_is_not_revised(make_terrain: Maker) -> None:
+    rig = Rig()
+    first = rig.plans(10)[-1]
+    rig.begin(first)
+    rig.plans(1, phase=0.1)
+    rig.terrain = make_terrain(score=lambda x, y: np.full_like(x, 0.9), height=lambda x, y: np.full_like(x, 0.02)).map
+    between = (rig.planner._settings.retarget_until + rig.planner._settings.plan_from) / 2
+    assert rig.plans(5, phase=between) == []
+
+
+def test_a_planner_that_comes_new_into_a_step_waits_for_its_end() -> None:
+    old = Rig()
+    first = old.plans(10)[-1]
+    new = Rig()
+    new.begin(replace(first, step=7))
+    assert new.plans(10, phase=0.2) == []
+    assert new.plans(10, phase=0.8) == []
+    assert "not one of mine" in new.status().reason
+    new.finish(replace(first, step=7))
+    assert {p.step for p in new.plans(10)} == {8}
+
+
+def test_an_actuator_that_begins_anew_is_followed() -> None:
+    rig = Rig()
+    for _ in range(3):
+        plan = rig.plans(10)[-1]
+        rig.begin(plan)
+        rig.plans(1, phase=0.1)
+        rig.finish(plan)
+    rig.state = replace(rig.state, step=0, phase=1.0, swing=NOBODY)
+    plans = rig.plans(10)
+    assert {p.step for p in plans} == {1}
+
+
+def test_a_pose_correction_during_a_step_moves_the_plan_with_it() -> None:
+    """The world slides under the odometry: what was planned in {odom} stays where it is there."""
+    rig = Rig()
+    first = rig.plans(10)[-1]
+    rig.begin(first)
+    shift = from_xyz_rpy((0.01, -0.02, 0.0), (0.0, 0.0, 0.05))
+    assert rig.pose is not None
+    rig.pose = replace(rig.pose, T_world_odom=shift)
+    second = rig.plans(10, phase=0.8)[-1]
+    there = apply(inverse(second.T_world_odom), second.touchdown)[first.swing]
+    np.testing.assert_allclose(there, first.touchdown[first.swing], atol=1e-9)
+
+
+def test_while_it_is_blocked_it_does_not_think_all_the_time(make_terrain: Maker) -> None:
+    rig = Rig()
+    rig.terrain = make_terrain(score=lambda x, y: np.full_like(x, 9.0)).map
+    rig.plans(50)
+    searches = len(rig.planner.stages._samples["plan step"])
+    assert searches <= 1 + 1.0 / rig.planner._settings.revise_s

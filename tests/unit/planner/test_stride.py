@@ -1,0 +1,210 @@
+"""One step: it can be walked, it is as long as the ground allows, and otherwise it says why there is none."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from services.planner.config import Settings
+from services.planner.stride import Blocked, Situation, Stride, StridePlanner
+from services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from shared.kinematics import body_inverse, within_limits
+from shared.messages import VelocityCommand
+from shared.robot import load_profile
+from shared.stability import support_margin
+
+Flags = NDArray[np.bool_]
+
+PROFILE = load_profile("phantomx_mk2")
+SETTINGS = Settings()
+PLANNER = StridePlanner(PROFILE, SETTINGS)
+HEIGHT = 0.10
+TRIPOD = np.arange(6) % 2 == 0
+FLAT = flat_terrain(0, np.zeros(2), 0.0)
+UP = np.array([0.0, 0.0, PROFILE.foot.radius])
+Maker = Callable[..., Terrain]
+
+
+def command(
+    vx: float = 0.05, vy: float = 0.0, yaw_rate: float = 0.0, height: float = HEIGHT, lift: float = 0.04
+) -> VelocityCommand:
+    return VelocityCommand(0, np.array([vx, vy]), yaw_rate, height, lift)
+
+
+def standing(
+    asked: VelocityCommand | None = None, swing: Flags = TRIPOD, T: Array | None = None, feet: Array | None = None
+) -> Situation:
+    body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)) if T is None else T
+    return Situation(body, apply(body, PROFILE.rest_feet(HEIGHT)) if feet is None else feet, swing, asked or command())
+
+
+def stride(at: Situation, terrain: Terrain = FLAT) -> Stride:
+    found = PLANNER.plan(at, terrain)
+    assert isinstance(found, Stride), found
+    return found
+
+
+def walkable(found: Stride, at: Situation) -> None:
+    """What every step promises."""
+    feet = apply(inverse(found.body_goal), found.touchdown)
+    assert within_limits(PROFILE, body_inverse(PROFILE, feet)).all()
+    np.testing.assert_array_equal(found.touchdown[~at.swing], at.feet[~at.swing])
+    for legs, body in ((~at.swing, at.T_world_body), (~at.swing, found.body_goal), (at.swing, found.body_goal)):
+        assert support_margin(found.touchdown[legs][:, :2], body[:2, 3]) >= SETTINGS.min_margin
+    apart = np.linalg.norm(found.touchdown[:, None, :2] - found.touchdown[None, :, :2], axis=2) + np.eye(6)
+    assert apart[np.ix_(at.swing, np.ones(6, dtype=bool))].min() >= SETTINGS.min_foot_distance
+    assert (found.clearance >= 0).all()
+
+
+@given(st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-0.2, 0.2), st.booleans())
+@settings(max_examples=40)
+def test_on_level_ground_it_does_what_is_commanded(vx: float, vy: float, yaw_rate: float, even: bool) -> None:
+    at = standing(command(vx, vy, yaw_rate), TRIPOD if even else ~TRIPOD)
+    found = stride(at)
+    walkable(found, at)
+    turn = (
+        float(np.clip(yaw_rate * SETTINGS.step_s, *np.radians([-SETTINGS.max_turn_deg, SETTINGS.max_turn_deg]))) * found.share
+    )
+    travel = np.array([vx, vy]) * SETTINGS.step_s
+    travel *= found.share * min(1.0, SETTINGS.max_stride / max(float(np.linalg.norm(travel)), 1e-9))
+    assert rpy_from_rotation(found.body_goal[:3, :3])[2] == pytest.approx(turn, abs=0.01)
+    assert np.linalg.norm(found.body_goal[:2, 3]) == pytest.approx(np.linalg.norm(travel), abs=1e-9)
+    assert found.body_goal[2, 3] == pytest.approx(HEIGHT)
+    np.testing.assert_allclose(found.touchdown[at.swing, 2], PROFILE.foot.radius, atol=1e-6)
+
+
+def test_moderate_commands_are_walked_whole() -> None:
+    assert stride(standing()).share == 1.0
+    assert stride(standing()).moved == 0
+
+
+def test_a_step_is_never_longer_than_allowed() -> None:
+    found = stride(standing(command(5.0, 0.0, 9.0)))
+    assert np.linalg.norm(found.body_goal[:2, 3]) <= SETTINGS.max_stride + 1e-9
+    assert rpy_from_rotation(found.body_goal[:3, :3])[2] <= np.radians(SETTINGS.max_turn_deg) + 1e-9
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_on_patchy_ground_it_steps_on_what_carries_or_says_why(seed: int) -> None:
+    ground = flat_terrain(0, np.zeros(2), 0.0)
+    ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.85] = 2.0 * ACCEPTABLE
+    at = standing()
+    found = PLANNER.plan(at, ground)
+    if isinstance(found, Blocked):
+        assert found.reason
+        return
+    walkable(found, at)
+    landed = found.touchdown[at.swing, :2]
+    assert (ground.scores(landed) <= ACCEPTABLE).all()
+    assert np.linalg.norm(landed - found.nominal[at.swing], axis=1).max() <= SETTINGS.search_radius + 0.01
+
+
+def test_it_shrinks_the_stride_before_it_gives_up(make_terrain: Maker) -> None:
+    """An abyss ahead: the nearer it is the shorter the steps, until there is none."""
+    shares = []
+    for edge in np.arange(0.34, 0.10, -0.01):
+        ground = make_terrain(score=lambda x, y, edge=edge: np.where(x > edge, 9.0, 0.0))
+        found = PLANNER.plan(standing(command(0.10)), ground)
+        shares.append(found.share if isinstance(found, Stride) else 0.0)
+    assert shares[0] == 1.0
+    assert shares[-1] == 0.0
+    assert shares == sorted(shares, reverse=True)
+    assert len(set(shares)) > 2
+
+
+def test_the_words_are_those_of_the_whole_stride(make_terrain: Maker) -> None:
+    nothing = make_terrain(score=lambda x, y: np.full_like(x, np.nan))
+    found = PLANNER.plan(standing(), nothing)
+    assert isinstance(found, Blocked)
+    assert found.leg in np.flatnonzero(TRIPOD)
+    assert found.reason.startswith("left front leg: no foothold")
+    assert "not seen" in found.reason
+
+
+def test_a_body_off_its_feet_is_named() -> None:
+    feet = apply(from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)), PROFILE.rest_feet(HEIGHT))
+    away = from_xyz_rpy((0.11, 0.0, HEIGHT), np.zeros(3))
+    found = PLANNER.plan(standing(command(0.01), T=away, feet=feet), FLAT)
+    assert isinstance(found, Blocked)
+    assert "inside its three feet" in found.reason or "stretched" in found.reason
+
+
+@pytest.mark.parametrize("rise", [0.02, 0.04, -0.03])
+def test_the_body_follows_the_ground_no_faster_than_it_may(make_terrain: Maker, rise: float) -> None:
+    ground = make_terrain(lambda x, y: np.full_like(x, rise))
+    found = stride(standing(command(0.02)), ground)
+    allowed = np.clip(rise, -SETTINGS.max_climb, SETTINGS.max_climb)
+    assert abs(found.body_goal[2, 3] - HEIGHT) <= SETTINGS.max_climb + 1e-9
+    # The floor is the mean of the three highest: going up the swinging tripod's, going down the standing one's.
+    assert found.body_goal[2, 3] - HEIGHT == pytest.approx(max(allowed, 0.0), abs=1e-6)
+    np.testing.assert_allclose(found.touchdown[TRIPOD, 2], rise + PROFILE.foot.radius, atol=1e-6)
+
+
+def test_commanded_height_is_approached() -> None:
+    found = stride(standing(command(0.0, height=0.12)))
+    assert found.body_goal[2, 3] == pytest.approx(HEIGHT + min(0.02, SETTINGS.max_climb))
+
+
+def test_a_foot_is_lifted_over_what_lies_on_its_way(make_terrain: Maker) -> None:
+    at = standing(command(0.1))
+    plain = stride(at)
+    middle = (at.feet[0, :2] + plain.touchdown[0, :2]) / 2
+    ridge = make_terrain(lambda x, y: np.where(np.hypot(x - middle[0], y - middle[1]) < 0.012, 0.06, 0.0))
+    found = stride(at, ridge)
+    assert plain.clearance[0] == pytest.approx(at.command.lift)
+    assert found.clearance[0] >= 0.06 + SETTINGS.path_margin - 0.01
+    assert found.clearance[2] == pytest.approx(at.command.lift)
+
+
+def test_what_no_foot_can_be_lifted_over_blocks(make_terrain: Maker) -> None:
+    at = standing(command(0.1))
+    middle = (at.feet[0, :2] + stride(at).touchdown[0, :2]) / 2
+    wall = make_terrain(lambda x, y: np.where((np.abs(x - middle[0]) < 0.011) & (y > 0.1), 0.2, 0.0))
+    found = PLANNER.plan(at, wall)
+    assert isinstance(found, Blocked) or np.abs(found.touchdown[0, :2] - at.feet[0, :2]).max() < 0.08
+    if isinstance(found, Blocked):
+        assert "cm of lift" in found.reason
+
+
+@pytest.mark.parametrize("heading", np.radians([30.0, 90.0, -135.0]))
+def test_plans_do_not_depend_on_where_and_which_way_the_world_lies(heading: float) -> None:
+    """Level ground turned and moved: the same step, seen from the body."""
+    T = from_xyz_rpy((0.31, -0.17, HEIGHT), (0.0, 0.0, heading))
+    here, there = stride(standing(command(0.06, 0.02, 0.1))), stride(standing(command(0.06, 0.02, 0.1), T=T))
+    T_start = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    for a, b in ((here.touchdown, there.touchdown),):
+        np.testing.assert_allclose(apply(inverse(T), b), apply(inverse(T_start), a), atol=1e-6)
+    np.testing.assert_allclose(inverse(T) @ there.body_goal, inverse(T_start) @ here.body_goal, atol=1e-9)
+
+
+def test_retargeting_on_the_same_map_changes_nothing() -> None:
+    found = stride(standing())
+    np.testing.assert_allclose(PLANNER.retarget(found, FLAT).touchdown, found.touchdown, atol=1e-9)
+
+
+def test_retargeting_moves_only_the_foot_whose_ground_turned_out_bad(make_terrain: Maker) -> None:
+    found = stride(standing())
+    bad = found.touchdown[2, :2]
+    newer = make_terrain(score=lambda x, y: np.where(np.hypot(x - bad[0], y - bad[1]) < 0.02, 9.0, 0.0))
+    moved = PLANNER.retarget(found, newer)
+    changed = np.abs(moved.touchdown - found.touchdown).max(axis=1) > 1e-6
+    np.testing.assert_array_equal(np.flatnonzero(changed), [2])
+    assert newer.scores(moved.touchdown[2:3, :2])[0] <= ACCEPTABLE
+    np.testing.assert_array_equal(moved.body_goal, found.body_goal)
+
+
+def test_retargeting_follows_the_height(make_terrain: Maker) -> None:
+    found = stride(standing())
+    moved = PLANNER.retarget(found, make_terrain(lambda x, y: np.full_like(x, 0.012)))
+    np.testing.assert_allclose(moved.touchdown[TRIPOD, 2] - found.touchdown[TRIPOD, 2], 0.012, atol=1e-6)
+
+
+def test_retargeting_keeps_its_foothold_when_the_map_has_nothing_better(make_terrain: Maker) -> None:
+    found = stride(standing())
+    nothing = make_terrain(score=lambda x, y: np.full_like(x, 9.0))
+    np.testing.assert_array_equal(PLANNER.retarget(found, nothing).touchdown, found.touchdown)

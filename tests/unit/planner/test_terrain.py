@@ -1,0 +1,79 @@
+"""The map as the planner asks it."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.planner.terrain import Terrain, flat_terrain
+
+Maker = Callable[..., Terrain]
+
+
+@pytest.fixture
+def ramp(make_terrain: Maker) -> Terrain:
+    """Rises by x / 10; no height where y > 0.5; off the origin."""
+    return make_terrain(lambda x, y: np.where(y > 0.5, np.nan, 0.1 * x), lambda x, y: np.abs(y), origin=(0.3, -0.2))
+
+
+def test_a_cell_is_centred_where_the_message_says(ramp: Terrain) -> None:
+    map_ = ramp.map
+    for i, j in ((0, 0), (7, 30), (200, 3)):
+        centre = map_.origin + map_.resolution * np.array([i, j])
+        for nudge in ((0.0, 0.0), (0.0049, -0.0049), (-0.0049, 0.0049)):
+            assert ramp.heights((centre + nudge)[None])[0] == map_.elevation[i, j]
+            np.testing.assert_allclose(ramp.centres((centre + nudge)[None])[0], centre, atol=1e-12)
+
+
+@given(st.floats(-0.5, 1.0), st.floats(-1.0, 0.4))
+def test_footing_is_exact_on_a_plane(x: float, y: float) -> None:
+    n = 300
+    flat = flat_terrain(0, np.zeros(2), 0.0, half_size=1.5)
+    flat.map.elevation[:] = 0.1 * (flat.map.origin[0] + 0.01 * np.arange(n))[:, None]
+    centre = flat.centres(np.array([[x, y]]))
+    assert flat.footing(centre)[0] == pytest.approx(0.1 * centre[0, 0], abs=1e-6)
+
+
+def test_outside_and_unseen_are_unknown(ramp: Terrain) -> None:
+    places = np.array([[9.0, 0.0], [0.0, -9.0], [-9.0, 9.0], [0.3, 0.7]])
+    assert np.isnan(ramp.heights(places)).all()
+    assert np.isnan(ramp.footing(places)).all()
+    assert np.isnan(ramp.scores(places[:3])).all()
+
+
+def test_footing_needs_its_own_cell_but_not_all_neighbours(make_terrain: Maker) -> None:
+    ground = make_terrain(lambda x, y: np.where(x > 0.005, np.nan, 0.02))
+    inside, outside = ground.footing(np.array([[0.0, 0.0], [0.01, 0.0]]))
+    assert inside == pytest.approx(0.02)
+    assert np.isnan(outside)
+
+
+def test_the_highest_along_a_way_is_found_and_what_is_unseen_is_not_it(make_terrain: Maker) -> None:
+    wall = make_terrain(lambda x, y: np.where(np.abs(x) < 0.02, 0.05, 0.0) + np.where(y > 0.3, np.nan, 0.0))
+    start = np.array([[-0.1, 0.0], [-0.1, 0.1], [0.05, 0.0], [-0.1, 0.5]])
+    end = np.array([[0.1, 0.0], [-0.04, 0.1], [0.15, 0.05], [0.1, 0.5]])
+    np.testing.assert_allclose(wall.highest_along(start, end), [0.05, 0.0, 0.0, -np.inf], atol=1e-7)
+
+
+def test_the_highest_under_a_turned_rectangle(make_terrain: Maker) -> None:
+    post = make_terrain(lambda x, y: np.where(np.hypot(x - 0.1, y) < 0.03, 0.06, 0.0))
+
+    def highest(yaw: float) -> float:
+        R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        return post.highest_under(np.array([[-0.12, -0.05], [0.12, -0.05], [-0.12, 0.05]]) @ R.T)
+
+    assert highest(0.0) == pytest.approx(0.06)
+    assert highest(np.pi) == pytest.approx(0.06)
+    assert highest(np.pi / 2) == 0.0
+    assert post.highest_under(np.array([[9.0, 9.0], [9.1, 9.0], [9.0, 9.1]])) == -np.inf
+
+
+def test_flat_terrain_is_level_and_carries_everywhere() -> None:
+    flat = flat_terrain(7, np.array([0.4, -0.3]), 0.05)
+    places = np.array([0.4, -0.3]) + np.random.default_rng(0).uniform(-0.9, 0.9, (100, 2))
+    np.testing.assert_allclose(flat.footing(places), 0.05, atol=1e-7)
+    assert (flat.scores(places) == 0).all()
+    assert flat.map.assumed.all()
+    assert flat.map.stamp_ns == 7

@@ -1,0 +1,130 @@
+"""The simulator as a service: how often it speaks, whom it serves, what time it is."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from services.simulator.config import Settings
+from services.simulator.service import Simulator
+from services.simulator.world import TIME_STEP_NS
+from shared import topics
+from shared.messages import ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
+from shared.robot import load_profile
+from shared.scenario import CameraOptions, Goal, Plane, Scenario, Variation
+from shared.service import AnyTopic, Inbox, Lockstep
+
+PROFILE = load_profile("phantomx_mk2")
+FLAT = Scenario("flat", (Plane(),), Goal(1.0))
+MS = 1_000_000
+
+
+def simulator(imu: bool = False, seed: int = 0) -> Simulator:
+    scenario = Scenario("flat", (Plane(),), Goal(1.0), camera=CameraOptions(), variation=Variation(imu=imu))
+    return Simulator(PROFILE, Settings(seed=seed), scenario)
+
+
+def run(
+    sim: Simulator, until_ns: int, wanted: tuple[AnyTopic, ...] = (), period_ns: int = 0, from_ns: int = 0
+) -> list[Message]:
+    inbox = Inbox(sim.reads, sim.stages, lambda topic: topic in wanted)
+    period = period_ns or sim.paced_by.period_ns
+    return [m for ns in range(from_ns, until_ns + 1, period) for m in sim.step(Tick(ns), inbox)]
+
+
+def test_rates_are_exact_in_count() -> None:
+    made = run(simulator(imu=True), 2_000 * MS)
+    counts = Counter(type(m) for m in made)
+    # The first of each comes at once, so two seconds from then on hold two seconds' worth.
+    first = {kind: next(m.stamp_ns for m in made if type(m) is kind) for kind in counts}
+    within = Counter(type(m) for m in made if m.stamp_ns < first[type(m)] + 2_000 * MS - 4 * TIME_STEP_NS)
+    assert set(first.values()) == {TIME_STEP_NS}
+    assert within == {DepthImage: 60, GroundTruth: 200, Imu: 200}
+    for kind, rate in ((DepthImage, 30.0), (GroundTruth, 100.0)):
+        stamps = np.array([m.stamp_ns for m in made if type(m) is kind])
+        ideal = np.arange(len(stamps)) * 1e9 / rate
+        late = stamps - ideal
+        assert (late >= 0).all()
+        assert late[1:].max() < TIME_STEP_NS + 100  # no drift: a beat is at most one physics step late
+
+
+def test_nobody_wants_colour_none_is_made() -> None:
+    assert not [m for m in run(simulator(), 300 * MS) if isinstance(m, ColorImage)]
+    made = [m for m in run(simulator(), 500 * MS, (topics.COLOR,)) if isinstance(m, ColorImage)]
+    assert len(made) == 3  # at once, and five a second
+    assert made[0].rgb.shape == (480, 640, 3)
+
+
+def test_no_imu_unless_the_scenario_has_one() -> None:
+    assert not [m for m in run(simulator(), 100 * MS) if isinstance(m, Imu)]
+
+
+def test_the_robot_stands_on_its_feet_with_torque_on() -> None:
+    sim = simulator()
+    truths = [m for m in run(sim, 500 * MS) if isinstance(m, GroundTruth)]
+    last = truths[-1]
+    assert last.contact.all()
+    assert not last.shutdown.any()
+    assert abs(last.T_world_body[2, 3] - FLAT.walk.body_height) < 0.02
+    np.testing.assert_allclose(last.T_world_body[:2, 3], 0.0, atol=5e-3)
+
+
+def test_stamps_are_those_of_whoever_paces_it() -> None:
+    """Live, the clock does not begin at zero."""
+    origin = 123_456_789_000
+    made = run(simulator(), origin + 100 * MS, from_ns=origin)
+    assert min(m.stamp_ns for m in made) > origin
+    assert max(m.stamp_ns for m in made) <= origin + 100 * MS
+
+
+def test_a_slow_machine_falls_behind_and_says_so_rather_than_racing() -> None:
+    sim = simulator()
+    run(sim, 40 * MS)
+    inbox = Inbox(sim.reads, sim.stages, lambda _: False)
+    assert "too slow" not in sim.doing()
+    before = sim.world.time_ns
+    made = list(sim.step(Tick(5_000 * MS), inbox))
+    assert sim.world.time_ns - before <= 2 * TIME_STEP_NS
+    assert "1 times too slow" in sim.doing()
+    assert len([m for m in made if isinstance(m, DepthImage)]) <= 2
+    # From there on time passes as before, on the new origin.
+    stamps = [m.stamp_ns for m in run(sim, 5_100 * MS, from_ns=5_004 * MS) if isinstance(m, GroundTruth)]
+    assert min(stamps) > 4_990 * MS
+    assert np.diff(stamps).max() <= 10 * MS + TIME_STEP_NS
+    assert "1 times too slow" in sim.doing()
+
+
+def test_a_small_delay_is_made_up_for() -> None:
+    sim = simulator()
+    run(sim, 40 * MS)
+    list(sim.step(Tick(140 * MS), Inbox(sim.reads, sim.stages, lambda _: False)))
+    assert sim.world.time_ns == 140 * MS
+    assert "too slow" not in sim.doing()
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_one_seed_one_world(seed: int) -> None:
+    frames = []
+    for _ in range(2):
+        made = run(simulator(seed=seed), 60 * MS)
+        frames.append([m for m in made if isinstance(m, DepthImage)])
+    assert len(frames[0]) == len(frames[1]) > 0
+    for a, b in zip(*frames, strict=True):
+        np.testing.assert_array_equal(a.depth, b.depth)
+    other = [m for m in run(simulator(seed=seed + 1), 60 * MS) if isinstance(m, DepthImage)]
+    assert (other[0].depth != frames[0][0].depth).any()
+
+
+def test_in_lockstep_it_makes_what_it_says_and_no_colour() -> None:
+    heard: Counter[str] = Counter()
+    lockstep = Lockstep({"simulator": simulator}, lambda topic, _frame, _ns: heard.update([topic.key]))
+    lockstep.run(200 * MS)
+    assert heard[topics.DEPTH.key] in (6, 7)
+    assert heard[topics.TRUTH.key] in (20, 21)
+    assert heard[topics.COLOR.key] == 0
+
+
+@pytest.mark.parametrize("nonsense", [{"bus_port": 70_000}, {"seed": -1}])
+def test_nonsense_settings_are_refused(nonsense: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        Settings(**nonsense)  # type: ignore[arg-type]

@@ -1,0 +1,100 @@
+"""A service goes away in the middle of a walk: the robot holds, somebody says why, and the walk goes on to its goal."""
+
+import numpy as np
+import pytest
+
+from deploy.lockstep_run import LockstepRun
+from deploy.walk_metrics import stability_margin
+from services.actuator.bus import ServoBus
+from services.simulator.bus import MemoryPort
+from services.simulator.service import Simulator
+from shared import dynamixel as dxl
+from shared import topics
+from shared.messages import Mode
+from shared.robot import load_profile
+from shared.scenario import Fault, Scenario
+from tests.support.walks import Walk, flat, walk
+
+AT_S = 4.5  # the third step is in its middle, three feet are in the air
+FOR_S = 2.5  # longer than the oldest map that is stepped on, the step that was planned on it, and the one before
+SETTLE_S = 0.5  # in which servos without a master reach the last goal
+REASONS = {
+    "perception": "no fresh pose from perception",
+    "mapper": "no fresh terrain map",
+    "planner": "no new plan came",
+}
+SERVOS = load_profile("phantomx_mk2").servo_ids.ravel().tolist()
+
+
+def course(service: str, kind: str, for_s: float = FOR_S) -> Scenario:
+    return flat(0.4, faults=(Fault(AT_S, service, kind, for_s=for_s),))  # type: ignore[arg-type]
+
+
+def assert_carried_on(found: Walk) -> None:
+    """It stood safely from the first step to the last, and came to its goal."""
+    report = found.report
+    assert report.success, report.reason
+    assert (report.falls, report.shutdowns) == (0, 0)
+    assert report.min_stability_margin_m >= 0
+    assert report.tilt_deg.max < 5
+    truth = found.heard.of(topics.TRUTH, AT_S)
+    feet = np.array([m.feet[:, :2] for m in truth])
+    contact = np.array([m.contact for m in truth], dtype=np.bool_)
+    body = np.array([m.T_world_body[:2, 3] for m in truth])
+    assert stability_margin(feet, contact, body).min() >= 0
+
+
+@pytest.mark.parametrize("kind", ["kill", "hang"])
+@pytest.mark.parametrize("service", ["perception", "mapper", "planner"])
+def test_without_a_service_the_robot_holds_says_why_and_goes_on(service: str, kind: str) -> None:
+    found = walk(course(service, kind), 1000)
+    states = found.states(AT_S, AT_S + FOR_S)
+    assert states[0].mode is Mode.WALK
+    assert states[0].swing.sum() == 3
+    first = next(i for i, state in enumerate(states) if state.mode is Mode.HOLD)
+    assert all(state.mode is Mode.HOLD and not state.swing.any() for state in states[first:]), (
+        "it holds till the service is back"
+    )
+    said = {state.reason for state in states[first:]} | {status.reason for status in found.statuses(AT_S, AT_S + FOR_S)}
+    assert any(REASONS[service] in reason for reason in said), said
+    assert_carried_on(found)
+
+
+class Servos:
+    """What the servos' goals and torques are while nobody commands them, asked over the bus."""
+
+    def __init__(self, for_s: float):
+        self.seen: list[tuple[list[int | None], list[int | None]]] = []
+        self.warnings: set[str] = set()
+        self._from_ns, self._until_ns = round((AT_S + SETTLE_S) * 1e9), round((AT_S + for_s) * 1e9)
+
+    def look(self, run: LockstepRun) -> None:
+        if self._from_ns < run.now_ns() < self._until_ns:
+            simulator = run.service("simulator")
+            assert isinstance(simulator, Simulator)
+            port = MemoryPort(simulator.bus, run.now_ns)
+            bus = ServoBus(port, SERVOS, port.now_ns)
+            goals, torques = (
+                [bus.read(servo, register) for servo in SERVOS] for register in (dxl.GOAL_POSITION, dxl.TORQUE_ENABLE)
+            )
+            self.seen.append((goals, torques))
+            self.warnings.update(run.attendance.monitor.view.warnings)
+
+
+@pytest.mark.parametrize(("kind", "for_s"), [("kill", FOR_S), ("hang", 4.5)])
+def test_without_the_actuator_the_servos_keep_goals_and_torque_and_the_walk_goes_on(kind: str, for_s: float) -> None:
+    servos = Servos(for_s)
+    found = walk(course("actuator", kind, for_s), 1000, look=servos.look)
+    assert not found.states(AT_S, AT_S + for_s), "nobody commands"
+    assert len(servos.seen) > 10
+    goals, torques = servos.seen[0]
+    assert torques == [1] * 18
+    assert None not in goals
+    assert all(seen == (goals, torques) for seen in servos.seen)
+    still = np.array([m.T_world_body[:3, 3] for m in found.heard.of(topics.TRUTH, AT_S + SETTLE_S, AT_S + for_s)])
+    assert np.ptp(still, axis=0).max() < 0.002, "it stands where it was"
+    if kind == "kill":
+        assert "torque was on at the start" in {state.reason for state in found.states(AT_S + for_s)}
+    else:
+        assert any(warning.startswith("actuator: silent") for warning in servos.warnings), servos.warnings
+    assert_carried_on(found)

@@ -1,0 +1,85 @@
+"""A walk's depth camera, recorded in the TUM RGB-D layout and played back through the real perception and mapper."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy import cli, replay
+from deploy.progress import Silent
+from deploy.tum_recording import record_tum
+from services.perception import tum
+from shared.robot import load_profile
+from shared.scenario import load_scenario
+
+ROOT = Path(__file__).parents[2]
+WALKED_S = 7.0  # [s] the robot stands up for two and a half
+STEPS = load_scenario("steps")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The beginning of a walk over the steps course."""
+    folder = tmp_path_factory.mktemp("recorded") / "sequence"
+    record_tum(STEPS, 1000, folder, WALKED_S)
+    return folder
+
+
+def test_a_recorded_walk_reads_back_with_a_true_pose_for_every_picture(recorded: Path) -> None:
+    sequence = tum.read_recording(recorded)
+    camera = load_profile(STEPS.robot).camera
+    assert abs(len(sequence) - WALKED_S * camera.sensor.rate_hz) <= 2
+    assert sequence.camera.intrinsics == camera.intrinsics
+    assert sequence.truth is not None
+    way = np.array([sequence.truth.at(int(stamp)) for stamp in sequence.stamps_ns])
+    assert way.shape == (len(sequence), 4, 4)
+    assert np.abs(np.diff(way[:, :3, 3], axis=0)).max() < 0.02, "without jumps"
+    assert way[-1, 0, 3] - way[0, 0, 3] > 0.2, "it walked ahead"
+    # Pitched down and level: the optical axis points ahead and down, the picture's right is the robot's right.
+    ahead, down = np.cos(np.radians(camera.pitch_down_deg)), np.sin(np.radians(camera.pitch_down_deg))
+    assert np.allclose(way[0, :3, 2], [ahead, 0.0, -down], atol=0.02)
+    assert np.allclose(way[0, :3, 0], [0.0, -1.0, 0.0], atol=0.02)
+    # The ground seen in the lowest rows of the first picture is where the truth says the ground is.
+    depth = sequence.depth(0) / camera.sensor.depth_scale
+    points = sequence.camera.intrinsics.points(depth)[-40:][depth[-40:] > 0]
+    assert len(points) > 1000
+    assert abs(np.median(points @ way[0, 2, :3] + way[0, 2, 3])) < 0.005
+
+
+def test_a_folder_that_holds_a_recording_is_not_overwritten(recorded: Path) -> None:
+    with pytest.raises(FileExistsError, match="holds a recording already"):
+        record_tum(STEPS, 1000, recorded, 0.1)
+
+
+def test_a_recorded_walk_replays_onto_its_truth(recorded: Path, tmp_path: Path) -> None:
+    table = replay.replay_folder(recorded, tmp_path, Silent())
+    assert table["poses"] == table["frames"]
+    assert table["pose_error_m"]["rms"] <= 0.015
+    assert (tmp_path / "map.png").stat().st_size > 1000
+    assert len(tum.read_trajectory(tmp_path / "trajectory.txt").stamps_ns) == table["poses"]
+
+
+def test_the_command_replays_a_folder_and_prints_json(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["replay", str(recorded), "--out", str(tmp_path), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert table["pose_error_m"]["rms"] <= 0.015
+    assert set(table) >= {"pose_error_m", "map_error_m", "stages_ms"}
+    assert {path.name for path in tmp_path.iterdir()} == {"map.png", "replay.json", "trajectory.txt"}
+
+
+@pytest.mark.data
+def test_a_hand_held_kinect_in_a_kitchen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = Path(os.environ.get("SEXTANT_DATA") or ROOT.parent / "shared" / "data")
+    folder = data / "kinect_kitchen"
+    if not tum.is_recording(folder):
+        pytest.skip(f"the recording kinect_kitchen is not in {data}; SEXTANT_DATA names the folder that has it")
+    assert cli.main(["replay", str(folder), "--out", str(tmp_path), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert table["frames"] == 300
+    assert table["poses"] == 300
+    assert table["pose_error_m"]["rms"] <= 0.040
+    assert (tmp_path / "map.png").stat().st_size > 1000

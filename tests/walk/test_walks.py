@@ -1,0 +1,61 @@
+"""Whole walks in lockstep on the courses that come with Sextant."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+from deploy.lockstep_run import run_lockstep
+from deploy.report import check
+from shared.scenario import load_scenario
+
+BODY_HEIGHT = 0.1  # [m] commanded
+
+
+def test_on_flat_ground_the_body_goes_level_and_knows_where_it_is(tmp_path: Path) -> None:
+    scenario = load_scenario("flat")
+    assert scenario.walk.body_height == BODY_HEIGHT
+    report = run_lockstep(scenario, 1000, tmp_path)
+    assert report.success, report.reason
+    assert (report.falls, report.shutdowns, report.missteps) == (0, 0, 0)
+    assert report.tilt_deg.p95 <= 0.5
+    assert report.body_height_oscillation_m <= 0.10 * BODY_HEIGHT
+    assert abs(report.body_height_error_m.mean) <= 0.010
+    assert report.pose_error_m.final <= 0.015 * report.distance_m
+    assert report.distance_m >= scenario.goal.distance
+    assert report.min_stability_margin_m > 0
+
+
+def test_over_low_blocks_and_two_stairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", "steps", "--lockstep", "--seed", "1002", "--out", str(tmp_path), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert table == json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert not check(table)
+    assert table["success"] is True
+    assert (table["falls"], table["shutdowns"]) == (0, 0)
+    assert table["raised_touchdowns"] >= 12
+    assert table["speed_mps"] >= 0.06
+    assert table["map_error_m"]["rmse"] < 0.01
+    unknown = [name for name, value in table.items() if value is None]
+    assert not unknown, "everything was measured"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["recording.mcap", "report.json", "summary.png"]
+
+
+def test_with_a_scanner_and_kiss_icp_between_pillars() -> None:
+    scenario = load_scenario("pillars_scanner")
+    assert scenario.variation.registration == "kiss-icp"
+    report = run_lockstep(scenario, 1000)
+    assert report.success, report.reason
+    assert (report.falls, report.shutdowns) == (0, 0)
+    assert report.pose_error_m.final < 0.05
+
+
+def test_trials_of_several_seeds_at_a_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    course = tmp_path / "short.toml"
+    course.write_text('name = "short"\n[goal]\ndistance = 0.1\n[[terrain]]\nkind = "plane"\n', encoding="utf-8")
+    words = ["trials", str(course), "--seeds", "1000:1002", "--jobs", "2", "--out", str(tmp_path / "out"), "--json"]
+    assert cli.main(words) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert (table["success"]["successes"], table["success"]["n"]) == (2, 2)
+    assert len((tmp_path / "out" / "trials.jsonl").read_text(encoding="utf-8").splitlines()) == 2
