@@ -219,6 +219,7 @@ def replay_recording(path: Path, out: Path, progress: Progress) -> dict[str, Any
 def hand_held_settings(registration: Literal["projective", "kiss-icp"]) -> PerceptionSettings:
     """Perception that believes a guess of constant velocity as far as a hand keeps to one, and maps as far as a Kinect sees."""
     return PerceptionSettings(
+        settle_s=0.0,
         method=registration,
         scan_range=3.0,
         odometry_drift=0.1,

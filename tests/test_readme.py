@@ -19,7 +19,7 @@ MAKE = {
 }
 # Which test runs a `sextant` command; an option that makes it another way of running counts.
 RUN_BY = {
-    "demo": "tests/live/test_live_walk.py::test_the_demo_walks_the_steps",
+    "demo": "tests/unit/deploy/test_cli.py::test_a_live_run_and_the_demo_end_as_the_walk_does",
     "run": "tests/live/test_live_walk.py::test_a_course_of_ones_own_is_walked_over_zenoh",
     "run --lockstep": "tests/walk/test_walks.py::test_over_low_blocks_and_two_stairs",
     "run --connect": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",

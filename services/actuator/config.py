@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+SHORTEST_STEP_S = 0.3  # [s] shorter steps are refused
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:
@@ -23,4 +25,14 @@ class Settings:
         if not 0 < self.read_budget_ms < 1e3 / self.rate_hz:
             raise ValueError(
                 f"read_budget_ms within a cycle of {1e3 / self.rate_hz:.1f} ms expected, found {self.read_budget_ms}"
+            )
+        if not (self.unload_s > 0 and self.load_s > 0 and self.unload_s + self.load_s < SHORTEST_STEP_S):
+            raise ValueError(
+                f"unload_s and load_s above 0, together below the shortest step of {SHORTEST_STEP_S} s expected, "
+                f"found {self.unload_s} and {self.load_s}"
+            )
+        if min(self.brake_s, self.stand_s, self.plan_age_s) <= 0 or self.level_gain < 0:
+            raise ValueError(
+                f"brake_s, stand_s and plan_age_s above 0 and level_gain of 0 or more expected, "
+                f"found {self.brake_s}, {self.stand_s}, {self.plan_age_s} and {self.level_gain}"
             )

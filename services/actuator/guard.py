@@ -7,6 +7,7 @@ robot stable, so the actuator can always finish it alone.
 import numpy as np
 from numpy.typing import NDArray
 
+from services.actuator.config import SHORTEST_STEP_S
 from shared.geometry import Array, apply, inverse, rpy_from_rotation
 from shared.kinematics import body_inverse, within_limits
 from shared.messages import StepPlan
@@ -16,8 +17,9 @@ from shared.stability import support_margin
 MAX_TRAVEL = 0.20  # [m] of the body in one step
 MAX_TILT = np.radians(15.0)
 MAX_TURN = np.radians(25.0)
-DURATION = (0.3, 4.0)  # [s]
+DURATION = (SHORTEST_STEP_S, 4.0)  # [s]
 MAX_CLEARANCE = 0.12  # [m]
+_RIGID = 1e-6  # [1] of a rotation's products
 MIN_MARGIN = 0.005  # [m] of the body's centre inside the standing feet
 
 
@@ -35,7 +37,16 @@ class Guard:
         self._plan_age_ns = round(plan_age_s * 1e9)
         self._last_stamp_ns = -1
 
-    def refusal(self, plan: StepPlan, now_ns: int, running: int, resting: bool, T_odom_body: Array, feet: Array) -> str:
+    def refusal(
+        self,
+        plan: StepPlan,
+        now_ns: int,
+        running: int,
+        resting: bool,
+        swing: NDArray[np.bool_],
+        T_odom_body: Array,
+        feet: Array,
+    ) -> str:
         """Why a plan must not be walked, in words; empty when it may, and then it counts as the newest.
 
         Args:
@@ -43,27 +54,33 @@ class Guard:
             now_ns: [ns] this process's monotonic time.
             running: Number of the running or last step.
             resting: Whether no step is running.
-            T_odom_body: (4, 4) where the body should be now.
-            feet: (6, 3) [m] {odom} where the feet are.
+            swing: (6,) legs that the running step swings.
+            T_odom_body: (4, 4) where the body should be when the plan sets in: for the next step, at the end of this one.
+            feet: (6, 3) [m] {odom} where the feet will be then.
         """
         reason = (
-            self._out_of_order(plan, now_ns, running, resting)
+            self._out_of_order(plan, now_ns, running, resting, swing)
+            or _malformed(plan)
             or _out_of_bounds(plan, T_odom_body)
             or self._unstable(plan, T_odom_body, feet)
-            or self._out_of_reach(plan)
+            or self._out_of_reach(plan, feet)
         )
         if not reason:
             self._last_stamp_ns = plan.stamp_ns
         return reason
 
-    def _out_of_order(self, plan: StepPlan, now_ns: int, running: int, resting: bool) -> str:
+    def _out_of_order(self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_]) -> str:
         age_ns = now_ns - plan.stamp_ns
         if age_ns > self._plan_age_ns:
             return f"plan of step {plan.step} is {age_ns * 1e-9:.2f} s old, at most {self._plan_age_ns * 1e-9:.2f} s allowed"
+        if age_ns < -self._plan_age_ns:  # accepted, it would make every later plan an old one
+            return f"plan of step {plan.step} is stamped {-age_ns * 1e-9:.2f} s ahead of now"
         if plan.stamp_ns <= self._last_stamp_ns:
             return f"plan of step {plan.step} is not newer than the last accepted one"
         if plan.step != running + 1 and (resting or plan.step != running):
             return f"plan of step {plan.step} does not follow step {running}"
+        if plan.step == running and (plan.swing != swing).any():
+            return f"a revision of step {plan.step} swings other legs than the step that is running"
         return ""
 
     def _unstable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
@@ -79,12 +96,14 @@ class Guard:
                 return f"the body would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
         return ""
 
-    def _out_of_reach(self, plan: StepPlan) -> str:
-        q = body_inverse(self._profile, apply(inverse(plan.body_goal), plan.touchdown))
-        bad: NDArray[np.bool_] = plan.swing[:, None] & ~within_limits(self._profile, q)
+    def _out_of_reach(self, plan: StepPlan, feet: Array) -> str:
+        """Whether the stance at the end asks more of a leg, swung or not, than it can."""
+        end = np.where(plan.swing[:, None], plan.touchdown, apply(plan.T_world_odom, feet))
+        bad = ~within_limits(self._profile, body_inverse(self._profile, apply(inverse(plan.body_goal), end)))
         if bad.any():
             leg, joint = np.argwhere(bad)[0]
-            return f"the touchdown of the {LEGS[leg]} leg is out of reach of its {JOINTS[joint]}"
+            what = "touchdown" if plan.swing[leg] else "standing foot"
+            return f"the {what} of the {LEGS[leg]} leg is out of reach of its {JOINTS[joint]}"
         return ""
 
     def safe_goals(self, q_goal: Array, q_last: Array, dt: float) -> tuple[Array, str]:
@@ -107,6 +126,15 @@ class Guard:
         return q, f"foot out of reach, held: {', '.join(names)}" if names else ""
 
 
+def _malformed(plan: StepPlan) -> str:
+    """Whether a pose of the plan is none."""
+    for name, T in (("T_world_odom", plan.T_world_odom), ("body_goal", plan.body_goal)):
+        R = T[:3, :3]
+        if np.abs(R @ R.T - np.eye(3)).max() > _RIGID or np.linalg.det(R) < 0 or (T[3] != (0.0, 0.0, 0.0, 1.0)).any():
+            return f"the plan's {name} is not a rigid transform"
+    return ""
+
+
 def _out_of_bounds(plan: StepPlan, T_odom_body: Array) -> str:
     """Whether the plan asks for more than a step may."""
     move = inverse(T_odom_body) @ inverse(plan.T_world_odom) @ plan.body_goal
@@ -118,5 +146,6 @@ def _out_of_bounds(plan: StepPlan, T_odom_body: Array) -> str:
     if not DURATION[0] <= plan.duration <= DURATION[1]:
         return f"a step of {DURATION[0]} to {DURATION[1]} s expected, found {plan.duration:.2f} s"
     if plan.clearance.min() < 0 or plan.clearance.max() > MAX_CLEARANCE:
-        return f"clearances of 0 to {MAX_CLEARANCE} m expected, found {plan.clearance.max():.3f} m"
+        found = f"{plan.clearance.min():.3f} to {plan.clearance.max():.3f} m"
+        return f"clearances of 0 to {MAX_CLEARANCE} m expected, found {found}"
     return ""

@@ -59,8 +59,10 @@ def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array,
     Returns:
         (6, 3) [rad], at most what the servo's full torque gives.
     """
+    # Where no leg may carry the whole of its load yet, as while it stands up, the belly lies on the ground for the rest.
+    weight = profile.body.total_mass * GRAVITY * float(share.max())
     forces = np.zeros((6, 3))
-    forces[:, 2] = foot_forces(feet @ R_level_body.T, share, profile.body.total_mass * GRAVITY, np.zeros(3))
+    forces[:, 2] = foot_forces(feet @ R_level_body.T, share, weight, np.zeros(3))
     torques = joint_torques(profile, q, forces @ R_level_body) + link_torques(profile, q)
     limit = profile.servo.stall_torque
     return np.asarray(np.clip(torques, -limit, limit) / profile.servo.stiffness)

@@ -182,7 +182,9 @@ class Actuator:
             self._refused = f"plan of step {plan.step} refused: the mode is {self._mode}, not ordered to walk"
             return
         walker = self._walker
-        self._refused = self._guard.refusal(plan, now_ns, walker.step, walker.resting, walker.body_ref, walker.feet_odom)
+        revises = plan.step == walker.step
+        body, feet = (walker.body_ref, walker.feet_odom) if revises else walker.stance_at_end
+        self._refused = self._guard.refusal(plan, now_ns, walker.step, walker.resting, walker.swing, body, feet)
         if not self._refused:
             walker.accept(plan)
             self._mode, self._reason = Mode.WALK, "walking"
@@ -198,7 +200,8 @@ class Actuator:
         if self._stand_up is not None and self._stand_up.done:
             self._stand_up = None
             self._stand_on(self._measured(), targets.feet)
-            self._mode, self._reason = Mode.HOLD, "standing"
+            if self._mode is Mode.STAND:  # a fault that came meanwhile stays one
+                self._mode, self._reason = Mode.HOLD, "standing"
         elif self._walker.resting and self._mode is Mode.WALK:
             self._mode, self._reason = Mode.HOLD, "the last accepted step is finished and no new plan came"
 
@@ -216,7 +219,8 @@ class Actuator:
         height = self._profile.foot.radius - float(measured[:, 2].mean())
         T_odom_body = from_xyz_rpy((0.0, 0.0, height), np.zeros(3))
         self._odometry = LegOdometry(self._profile, q, T_odom_body)
-        self._walker = Walker(self._settings, measured if feet is None else feet, T_odom_body)
+        ground = self._odometry.anchors[:, 2]
+        self._walker = Walker(self._settings, measured if feet is None else feet, T_odom_body, ground)
 
     def _write(self, q_goal: Array) -> None:
         servo = self._profile.servo_angles(q_goal).ravel()

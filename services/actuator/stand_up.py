@@ -21,7 +21,7 @@ class StandUp:
             duration_s: [s] for the whole.
         """
         rest = profile.rest_feet()
-        lying = profile.rest_feet(profile.body.size[2] / 2 + profile.foot.radius - _BELLY_CLEARANCE)
+        lying = profile.rest_feet(profile.body.size[2] / 2 - _BELLY_CLEARANCE)
         standing = np.abs(feet - rest).max() < 0.03
         self._way = (feet, rest) if standing else (feet, lying, rest)
         self._duration = duration_s
@@ -41,5 +41,6 @@ class StandUp:
         s = progress - leg
         s = s * s * (3 - 2 * s)
         feet = (1 - s) * self._way[leg] + s * self._way[leg + 1]
-        carrying = s if legs == 2 and leg == 1 else float(legs == 1)
+        # From goals that hold a load already, too: those include its sag, which must not be added twice.
+        carrying = s if leg == legs - 1 else 0.0
         return Targets(feet, np.full(6, carrying), np.eye(3))

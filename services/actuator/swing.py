@@ -18,13 +18,14 @@ import numpy as np
 
 from shared.geometry import Array
 
-_SIGMOID_UNIT = 0.002  # [m] over which S turns
-_RISE_UNIT = 0.02  # [m] |S| x / this is the slope of the initial rise
-_LEVEL_SHARE = 0.3  # of the clearance, over the higher end: from there on the foot arcs
-_ARC_SHARE = 0.55  # of the clearance that the arc adds; level, arc and the tail of S make up the whole
+_SIGMOID_UNIT = 0.0005  # [m] over which S turns
+_RISE_SLOPE = 6.0  # slope of the initial rise, however short the way
+_LEVEL_SHARE = 0.5  # of the clearance, over the higher end: from there on the foot arcs
+_ARC_SHARE = 0.9  # of the clearance at which the arc would peak; the tail of S adds the rest
 _FADE = (0.25, 0.50)  # shares of the way left between which S fades
 _ARC_POINTS = np.linspace(0.0, 1.0, 9)[:, None]
 _SUBSTEPS = 4  # per cycle: the field turns within a centimetre
+_NEWTON_STEPS = 8
 _NEAR = 1e-3  # [m] horizontally at the target: straight down
 
 
@@ -42,12 +43,21 @@ def flow_slope(x: Array, y: Array, v_h: Array, level: Array, rise: Array | float
     """
     above = (y - level) / _SIGMOID_UNIT
     sigmoid = 0.515 * above / (1.0 + np.abs(above)) - 0.505
-    return np.asarray(-y / x + v_h + rise * np.abs(np.minimum(sigmoid, 0.0)) * x / _RISE_UNIT)
+    return np.asarray(-y / x + v_h + rise * np.abs(np.minimum(sigmoid, 0.0)) * _RISE_SLOPE)
 
 
-def clearance_parameter(clearance: Array, length: Array) -> Array:
-    """The step height parameter v_h whose arc over a step of (n,) length [m] peaks at (n,) clearance [m]."""
-    return np.asarray(math.e * clearance / np.maximum(length, 0.02))
+def clearance_parameter(top: Array, x: Array, y: Array) -> Array:
+    """The step height parameter v_h whose arc from (n,) x and y [m] peaks at (n,) top [m] over the target.
+
+    From there the flow's solution is u s ln(1/s) + y s with u = v_h x and s the share of x that is left. Its peak,
+    u exp(y/u - 1), is the top where w = y/u solves w - ln w = 1 + ln(top/y); Newton's iteration rises to it from below.
+    """
+    y = np.maximum(y, 1e-4)
+    right = 1.0 + np.log(np.maximum(top / y, 1.0))
+    w = np.exp(-right)
+    for _ in range(_NEWTON_STEPS):
+        w = np.minimum(w + (w - np.log(w) - right) * w / (1.0 - w + 1e-9), 1.0)
+    return np.asarray(y / (w * x))
 
 
 def remaining_length(x: Array, y: Array, v_h: Array, level: Array, rise: Array | float = 1.0) -> Array:
@@ -80,7 +90,8 @@ class Swing:
         self._start_z = foot[:, 2].copy()
         self._clearance = clearance
         self._length = np.maximum(np.hypot(*(target - foot)[:, :2].T), 0.02)
-        self._v_h = clearance_parameter(_ARC_SHARE * clearance, self._length)
+        higher = np.maximum(self._start_z - target[:, 2], 0.0)
+        self._v_h = clearance_parameter(higher + _ARC_SHARE * clearance, 0.85 * self._length, higher + _LEVEL_SHARE * clearance)
 
     def update(self, target: Array, progress: float, step: float) -> Array:
         """Move on by a fraction of the swing's duration.

@@ -10,7 +10,7 @@ a path that joins the last step's speed; they take up their load again. What is 
     ref + correction  what the feet are placed against
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,25 +37,25 @@ class Targets:
 class Walker:
     """Turns step plans into foot targets, one cycle after another; all state of the walk is here."""
 
-    def __init__(self, settings: Settings, feet: Array, T_odom_body: Array):
+    def __init__(self, settings: Settings, feet: Array, T_odom_body: Array, ground: Array | None = None):
         """Begin at rest.
 
         Args:
             settings: Of the actuator.
-            feet: (6, 3) [m] {body} feet, all standing.
+            feet: (6, 3) [m] {body} feet by command, all standing.
             T_odom_body: (4, 4) where the body is.
+            ground: (6,) [m] {odom} heights of the feet as they are measured; those by command, when left out.
         """
         self.step = 0
         self.phase = 1.0
         self.swing: NDArray[np.bool_] = np.zeros(6, dtype=bool)
-        self.moving = False
         self._settings = settings
         self._T_odom_cmd = np.eye(4)
         self._ref = _coordinates(T_odom_body)  # {cmd}
         self._velocity = np.zeros(6)
         self._correction = np.zeros(6)
         self._feet = apply(T_odom_body, feet)  # (6, 3) [m] {cmd}
-        self._ground = self._feet[:, 2].copy()
+        self._ground = self._feet[:, 2].copy() if ground is None else ground.copy()
         self._share = np.ones(6)
         self._plan: StepPlan | None = None
         self._next: StepPlan | None = None
@@ -88,10 +88,22 @@ class Walker:
         """Whether no step is going on."""
         return self._plan is None
 
+    @property
+    def stance_at_end(self) -> tuple[Array, Array]:
+        """Body (4, 4) and feet (6, 3) [m], both {odom}, when the running step is over; at rest where they should be now."""
+        if self._plan is None:
+            return self.body_ref, self.feet_odom
+        T_odom_world = inverse(self._plan.T_world_odom)
+        landed = apply(T_odom_world, self._plan.touchdown)
+        return T_odom_world @ self._plan.body_goal, np.where(self._plan.swing[:, None], landed, self.feet_odom)
+
     def accept(self, plan: StepPlan) -> None:
-        """Take over a plan that the guard has passed: a revision of the running step, or the next one."""
-        if self._plan is not None and plan.step == self._plan.step:
-            self._plan = plan
+        """Take over a plan that the guard has passed: new touchdowns of the running step, or the next step."""
+        running = self._plan
+        if running is not None and plan.step == running.step:
+            # The body keeps its way over the standing feet: a goal that jumped with the pose estimate would shake them.
+            goal = plan.T_world_odom @ inverse(running.T_world_odom) @ running.body_goal
+            self._plan = replace(running, T_world_odom=plan.T_world_odom, touchdown=plan.touchdown, body_goal=goal)
         else:
             self._next = plan
 
@@ -133,9 +145,8 @@ class Walker:
         goal = _coordinates(T_cmd_world @ plan.body_goal)
         goal[3:] = self._start_ref[3:] + _wrapped(goal[3:] - self._start_ref[3:])
         end_velocity = np.zeros(6) if plan.stop else (goal - self._start_ref) / plan.duration
-        ref = _hermite(self._start_ref, self._start_velocity, goal, end_velocity, plan.duration, self._elapsed)
-        self._velocity = (ref - self._ref) / dt
-        self._ref = ref
+        way = (self._start_ref, self._start_velocity, goal, end_velocity)
+        self._ref, self._velocity = _hermite(*way, plan.duration, self._elapsed)
         self._swing_feet(before, plan, apply(T_cmd_world, plan.touchdown)[plan.swing])
         if self._elapsed >= plan.duration:
             self._land()
@@ -165,7 +176,6 @@ class Walker:
     def _brake(self, dt: float) -> None:
         self._velocity = self._velocity * np.exp(-dt / self._settings.brake_s)
         self._ref = self._ref + self._velocity * dt
-        self.moving = bool(np.abs(self._velocity[:3]).max() > 1e-3)
 
     def _follow(self, dt: float, T_odom_body: Array) -> None:
         """Move {cmd} in {odom} so that the body's place by command and by measurement become one."""
@@ -201,9 +211,11 @@ def _wrapped(angle: Array) -> Array:
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def _hermite(p0: Array, v0: Array, p1: Array, v1: Array, duration: float, t: float) -> Array:
-    """Cubic from p0 at speed v0 to p1 at speed v1: a straight line where both speeds are that of the way."""
+def _hermite(p0: Array, v0: Array, p1: Array, v1: Array, duration: float, t: float) -> tuple[Array, Array]:
+    """Place and speed on the cubic from p0 at speed v0 to p1 at speed v1: a straight line where both are that of the way."""
     s = t / duration
     h00, h10 = 2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s
     h01, h11 = -2 * s**3 + 3 * s**2, s**3 - s**2
-    return np.asarray(h00 * p0 + h10 * duration * v0 + h01 * p1 + h11 * duration * v1)
+    place = h00 * p0 + h10 * duration * v0 + h01 * p1 + h11 * duration * v1
+    speed = 6 * s * (1 - s) * (p1 - p0) / duration + (3 * s**2 - 4 * s + 1) * v0 + (3 * s**2 - 2 * s) * v1
+    return place, speed

@@ -66,8 +66,8 @@ class Mapper:
     def _assume_ground(self, pose: BodyPose, legs: ActuatorState) -> None:
         """Fill what the camera cannot see at the start with the plane of the standing feet; measurements amend it."""
         settings, T = self._settings, pose.T_world_body
-        feet = apply(T, legs.feet) - [0.0, 0.0, self._foot_radius]
-        plane = np.linalg.lstsq(np.column_stack([np.ones(6), feet[:, :2]]), feet[:, 2], rcond=None)[0]
+        feet = apply(T, legs.feet)[~legs.swing] - [0.0, 0.0, self._foot_radius]
+        plane = np.linalg.lstsq(np.column_stack([np.ones(len(feet)), feet[:, :2]]), feet[:, 2], rcond=None)[0]
         corners: Array = np.array(
             [
                 [settings.assumed_ahead, settings.assumed_aside, 0.0],

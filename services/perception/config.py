@@ -20,6 +20,7 @@ class Settings:
     odometry_level: float = (
         0.01  # [m] and [rad] of height, roll and pitch, in which the legs bend and any floor shows the truth
     )
+    settle_s: float = 0.4  # [s] for which the robot must stand still before {world} is laid
     tilt_s: float = 3.0  # [s] over which the tilt of the legs' frame is averaged
 
     def __post_init__(self) -> None:

@@ -9,6 +9,7 @@ from shared.geometry import Array, interpolate, inverse
 from shared.messages import Odometry
 
 _KEPT = 100  # messages, two seconds
+_STILL = 1.5e-3  # [m] and [rad], three times what the servos' resolution makes of a standing robot
 _MAX_EXTRAPOLATION_NS = 100_000_000  # [ns] beyond the newest message the body is taken to stand still
 
 
@@ -19,7 +20,7 @@ class Motion:
     T_odom_body: Array  # (4, 4)
     travelled: float  # [m]
     turned: float  # [rad]
-    reliable: bool
+    reliable: bool  # False where fewer than three legs carried, or nothing has been heard for long
 
 
 class OdometryHistory:
@@ -41,6 +42,14 @@ class OdometryHistory:
         self._messages.append(message)
         del self._messages[:-_KEPT]
 
+    def settled(self, for_s: float) -> bool:
+        """Whether the body has stood still for a time, as far as the newest messages tell."""
+        newest = self._messages[-1] if self._messages else None
+        if newest is None or newest.stamp_ns - self._messages[0].stamp_ns < for_s * 1e9:
+            return False
+        recent = [m.T_odom_body for m in self._messages if newest.stamp_ns - m.stamp_ns <= for_s * 1e9]
+        return max(float(np.abs(T - newest.T_odom_body).max()) for T in recent) < _STILL
+
     def at(self, stamp_ns: int) -> Motion | None:
         """Motion at an instant, interpolated, or carried on for a little beyond the newest message; None where unknown."""
         messages = self._messages
@@ -49,14 +58,16 @@ class OdometryHistory:
         after = bisect_right(messages, stamp_ns, key=lambda m: m.stamp_ns)
         a, b = (messages[after - 1], messages[after]) if after < len(messages) else (messages[max(0, after - 2)], messages[-1])
         if a is b:
-            return Motion(np.array(a.T_odom_body), a.travelled, a.turned, a.reliable)
+            recent = stamp_ns <= a.stamp_ns + _MAX_EXTRAPOLATION_NS
+            return Motion(np.array(a.T_odom_body), a.travelled, a.turned, a.reliable and recent)
         span = b.stamp_ns - a.stamp_ns
-        s = (min(stamp_ns, b.stamp_ns + _MAX_EXTRAPOLATION_NS) - a.stamp_ns) / span
+        latest_ns = b.stamp_ns + _MAX_EXTRAPOLATION_NS
+        s = (min(stamp_ns, latest_ns) - a.stamp_ns) / span
         return Motion(
             interpolate(a.T_odom_body, b.T_odom_body, s),
             a.travelled + s * (b.travelled - a.travelled),
             a.turned + s * (b.turned - a.turned),
-            a.reliable and b.reliable,
+            a.reliable and b.reliable and stamp_ns <= latest_ns,
         )
 
 

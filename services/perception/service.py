@@ -64,13 +64,17 @@ class Perception:
         if motion is None:
             self._words = "waiting for odometry from the actuator"
             return
+        if self._last is None and not self._odometry.settled(self._settings.settle_s):
+            self._words = "waiting for the legs to stand still"
+            return
         prior, covariance = self._prior(motion)
         with self.stages("registration"):
             found = self._registration.update(image.depth, image.stamp_ns, prior @ self._T_body_camera, covariance)
         self._T_world_body = found.T_world_camera @ self._T_camera_body
         self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
         self._steady_tilt(image.stamp_ns)
-        self._last = motion
+        if found.ok or self._last is None:
+            self._last = motion  # what was travelled on odometry alone goes on adding to the doubt
         yield self._pose(found, motion)
         if self._frames % self._scan_every == 0:
             with self.stages("reduction"):
@@ -84,8 +88,9 @@ class Perception:
         if self._restarts != self._odometry.restarts:
             # The legs count from zero again; until a frame says otherwise the body is where it was.
             self._restarts = self._odometry.restarts
-            self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
-            self._last = motion
+            if self._last is not None:
+                self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
+                self._last = motion
         last = self._last or motion
         way = settings.odometry_drift * max(0.0, motion.travelled - last.travelled) + settings.odometry_floor
         turn = settings.odometry_turn * max(0.0, motion.turned - last.turned) + settings.odometry_floor

@@ -63,14 +63,14 @@ def nearest_foothold(
     found = _search(terrain, nominal[None], others, min_distance, reachable)
     if isinstance(found, Foothold):
         return found
-    xy = terrain.centres(nominal + offsets)
+    xy = terrain.centres(nominal) + offsets
     return _search(terrain, xy, others, min_distance, reachable, nominal)
 
 
 def _search(
     terrain: Terrain, xy: Array, others: Array, min_distance: float, reachable: Reachable, nominal: Array | None = None
 ) -> Foothold | NoFoothold:
-    """The first of (n, 2) [m] {world} places that carries a foot."""
+    """The one of (n, 2) [m] {world} places that carries a foot and is nearest to the nominal one, None for the first."""
     scores = terrain.scores(xy)
     footing = terrain.footing(xy)
     unknown = ~np.isfinite(scores) | ~np.isfinite(footing)
@@ -80,8 +80,12 @@ def _search(
     points = np.column_stack([xy[candidates], footing[candidates]])
     within = reachable(points) if len(points) else np.zeros(0, dtype=bool)
     if within.any():
-        best = points[int(np.argmax(within))]
-        return Foothold(best, 0.0 if nominal is None else float(np.linalg.norm(best[:2] - nominal)))
+        if nominal is None:
+            return Foothold(points[int(np.argmax(within))], 0.0)
+        # The cells lie around the nominal place's cell, not around itself: their order is theirs, the distance is judged anew.
+        moved = np.where(within, np.linalg.norm(points[:, :2] - nominal, axis=1), np.inf)
+        best = int(np.argmin(moved))
+        return Foothold(points[best], float(moved[best]))
     counts = Counter(
         {
             "not seen": int(unknown.sum()),

@@ -29,7 +29,8 @@ def swinging_tripod(direction: Array, feet: Array, rest_feet: Array) -> NDArray[
     behind along the motion swings; where they are even the thesis' sextant decides.
 
     Args:
-        direction: (2,) {body} direction of motion, of length one.
+        direction: (6, 2) {body} direction in which the body moves over each foot, at most of length one; a robot that
+            turns has six of them.
         feet: (6, 3) [m] {body} standing feet.
         rest_feet: (6, 3) [m] {body} resting feet.
 
@@ -38,13 +39,25 @@ def swinging_tripod(direction: Array, feet: Array, rest_feet: Array) -> NDArray[
 
     Source: Lotriet 2024, eq. (5.15) and (5.16).
     """
-    ahead = (feet - rest_feet)[:, :2] @ direction
+    ahead = ((feet - rest_feet)[:, :2] * direction).sum(axis=1)
     lead = float(ahead[_EVEN].mean() - ahead[~_EVEN].mean())
     if abs(lead) < 0.005:  # [m] even
-        even_swings = active_sextant(direction, rest_feet) % 2 == 0
+        even_swings = active_sextant(direction.mean(axis=0), rest_feet) % 2 == 0
     else:
         even_swings = lead < 0
     return _EVEN.copy() if even_swings else np.asarray(~_EVEN)
+
+
+def directions(velocity: Array, yaw_rate: float, rest_feet: Array) -> Array:
+    """How the body moves over each resting foot (6, 2) {body}, the fastest of length one.
+
+    Args:
+        velocity: (2,) [m/s] {body} of the body.
+        yaw_rate: [rad/s] of the body.
+        rest_feet: (6, 3) [m] {body} resting feet.
+    """
+    over = velocity + yaw_rate * np.stack([-rest_feet[:, 1], rest_feet[:, 0]], axis=1)
+    return np.asarray(over / max(float(np.linalg.norm(over, axis=1).max()), 1e-9))
 
 
 def nominal_touchdowns(rest_feet: Array, T_world_body_end: Array, travel: Array) -> Array:

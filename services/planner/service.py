@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from services.planner.config import Settings
-from services.planner.gait import swinging_tripod
+from services.planner.gait import directions, swinging_tripod
 from services.planner.stride import Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, flat_terrain
 from shared import topics
@@ -107,6 +107,7 @@ class Planner:
         with self.stages("plan step"):
             found = self._strides.plan(at, terrain)
         if isinstance(found, Blocked):
+            self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
             return self._hold("blocked", found.reason, found.leg)
         self._state, self._blocked_leg = "stepping", -1
         shorter = "" if found.share == 1.0 else f" at {found.share:.0%} of the stride"
@@ -128,10 +129,9 @@ class Planner:
             moved = T_world_odom @ inverse(running.T_world_odom)  # the world as it is believed to be now
             body = moved @ running.body_goal
             feet[running.swing] = apply(moved, running.touchdown)[running.swing]
-        direction = command.velocity / max(float(np.linalg.norm(command.velocity)), 1e-9)
         rest = self._profile.rest_feet(command.body_height)
         feet_body = apply(inverse(body), feet)
-        swing = swinging_tripod(direction, feet_body, rest)
+        swing = swinging_tripod(directions(command.velocity, command.yaw_rate, rest), feet_body, rest)
         return Situation(body, feet, swing, command)
 
     def _retarget(self, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> StepPlan | None:

@@ -17,6 +17,7 @@ from shared.robot import LEGS, RobotProfile
 from shared.stability import support_margin
 
 _SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
+_MAX_CLEARANCE = 0.11  # [m] over both ends that a leg can lift its foot
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,17 +113,21 @@ class StridePlanner:
         if problem:
             return Blocked(problem)
         clearance = self._clearance(at, touchdown, terrain)
-        clearance = np.where(at.swing, np.minimum(clearance, 0.11), settings.path_margin)
+        too_high = np.flatnonzero(at.swing & (clearance > _MAX_CLEARANCE))
+        if len(too_high):
+            leg = int(too_high[0])
+            return Blocked(f"{LEGS[leg]} leg: something on its way asks for {clearance[leg] * 100:.0f} cm of lift", leg)
+        clearance = np.where(at.swing, clearance, settings.path_margin)
         return Stride(at.swing, touchdown, nominal, clearance, T_end, moved, share)
 
     def _body_way(self, at: Situation, share: float) -> tuple[Array, Array, Array]:
         """Travel (2,) [m] {body} of the step, and the body, level, at its end and one step later."""
         settings = self._settings
         duration = settings.step_s
-        travel = at.command.velocity * duration * share
-        travel = travel * min(1.0, settings.max_stride / max(float(np.linalg.norm(travel)), 1e-9))
+        travel = at.command.velocity * duration
+        travel = travel * (share * min(1.0, settings.max_stride / max(float(np.linalg.norm(travel)), 1e-9)))
         limit = np.radians(settings.max_turn_deg)
-        turn = float(np.clip(at.command.yaw_rate * duration * share, -limit, limit))
+        turn = share * float(np.clip(at.command.yaw_rate * duration, -limit, limit))
         poses = []
         yaw, position = yaw_of(at.T_world_body), at.T_world_body[:3, 3].copy()
         for _ in range(2):
@@ -181,4 +186,5 @@ class StridePlanner:
         """Clearance (6,) [m] over both ends that lifts each foot over what lies between them, too."""
         ends = np.maximum(at.feet[:, 2], touchdown[:, 2]) - self._profile.foot.radius
         between = terrain.highest_along(at.feet[:, :2], touchdown[:, :2])
-        return np.maximum(at.command.lift, between - ends + self._settings.path_margin)
+        lift = min(at.command.lift, _MAX_CLEARANCE)
+        return np.maximum(lift, between - ends + self._settings.path_margin)

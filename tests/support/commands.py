@@ -159,6 +159,10 @@ class Ear:
             case PlannerStatus():
                 self.reasons.add(message.reason)
 
+    def forget(self) -> None:
+        """Begin counting anew."""
+        self.mode, self.steps = None, []
+
     def walked(self, steps: int) -> bool:
         """Whether it walks, and has done so for some steps."""
         return self.mode is Mode.WALK and len(self.steps) > steps

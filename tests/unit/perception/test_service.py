@@ -31,9 +31,17 @@ def body_at(x: float, y: float = 0.0, yaw: float = 0.0) -> Array:
 class Rig:
     """Perception, and a robot that walks where it is put; odometry and camera as the test wants them."""
 
-    def __init__(self, world, scene: str = "pillars", settings: Settings | None = None, profile: RobotProfile = PROFILE):  # type: ignore[no-untyped-def]
+    def __init__(
+        self,
+        world,
+        scene: str = "pillars",
+        settings: Settings | None = None,
+        profile: RobotProfile = PROFILE,
+        settle_s: float = 0.0,
+    ):  # type: ignore[no-untyped-def]
         self.world, self.boxes, self.profile = world, world.scenes[scene], profile
-        self.perception = Perception(profile, settings or Settings())
+        # Most tests begin at once; that it waits for the robot to stand still has its own.
+        self.perception = Perception(profile, replace(settings or Settings(), settle_s=settle_s))
         self.inbox = Inbox([self.perception.paced_by, *self.perception.reads], self.perception.stages)
         self.now_ns = 1_000 * MS
         self.T_odom_start: Array = np.eye(4)  # {odom} in {world of the test}
@@ -78,6 +86,18 @@ def test_the_world_is_the_odometry_of_the_first_frame(world) -> None:  # type: i
     pose = pose_of(Rig(world).frame(body_at(0.2)))
     np.testing.assert_allclose(pose.T_world_body, body_at(0.2), atol=1e-9)
     np.testing.assert_allclose(pose.T_world_odom, np.eye(4), atol=1e-9)
+
+
+def test_the_world_is_laid_only_once_the_robot_stands_still(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world, settle_s=0.3)
+    first = -1
+    for k in range(30):  # it sinks for 0.3 s, then stands
+        made = rig.frame(body_at(0.0), from_xyz_rpy((0.0, 0.0, 0.1 - 0.001 * min(k, 9)), np.zeros(3)))
+        if made:
+            first = k
+            break
+        assert "stand still" in rig.perception.doing()
+    assert 0.2 < (first - 9) * FRAME * 1e-9 <= 0.34
 
 
 def test_an_odometry_that_began_anew_before_the_first_frame_changes_nothing(world) -> None:  # type: ignore[no-untyped-def]
