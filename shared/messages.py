@@ -120,6 +120,7 @@ class ActuatorState(Message):
     feet: PerJoint  # (6, 3) [m] {body} measured foot centres
     T_odom_body: Pose  # measured, the same as the odometry's
     body_ref: Pose  # {odom} where the body should be now
+    T_world_odom: Pose  # correction under which the newest accepted plan was made; what a perception that begins anew goes by
     voltage: float  # [V] lowest seen
     temperature: float  # [deg C] highest seen
     warnings: tuple[str, ...]  # in words: servos by leg and joint

@@ -25,6 +25,7 @@ from shared.service import AnyTopic, Every, Inbox, Stages
 
 _MODELS = {model.name: model for model in dxl.MODELS}
 _STANDS = 0.5  # share of its load from which a leg counts as standing
+_LIFTED = 0.01  # [m] over the standing feet from which a foot without load is in the air
 _ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
 
 
@@ -80,7 +81,8 @@ class Actuator:
         self._reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
         self._may_walk = False
         self._stand_up: StandUp | None = None
-        self._stand_on(self._q)
+        self._T_world_odom: Array = np.eye(4)
+        self._take_over(torque)
 
     def __enter__(self) -> Self:
         return self
@@ -154,6 +156,12 @@ class Actuator:
             ticks[index] = value
         return self._profile.joint_angles(np.vectorize(dxl.angle_from_ticks)(ticks).reshape(6, 3))
 
+    def _read_loads(self) -> Array:
+        """Every servo's motor torque (6, 3) [N m] in the direction of growing joint angles; zero where one does not answer."""
+        loads = [self._bus.read(i, dxl.PRESENT_LOAD) or 0 for i in self._bus.servo_ids]
+        torque = np.array([dxl.load_from_register(v) for v in loads]).reshape(6, 3) * self._profile.servo.stall_torque
+        return np.asarray(self._profile.servo_signs * torque)
+
     def _first_goals(self) -> Array:
         """The goals that stand in the servos where the joints are near them, else the measured angles."""
         goals = self._read_all(dxl.GOAL_POSITION)
@@ -187,6 +195,7 @@ class Actuator:
         self._refused = self._guard.refusal(plan, now_ns, walker.step, walker.resting, walker.swing, body, feet)
         if not self._refused:
             walker.accept(plan)
+            self._T_world_odom = plan.T_world_odom
             self._mode, self._reason = Mode.WALK, "walking"
 
     # ------------------------------------------------------------------------------------------------------------ moves
@@ -213,10 +222,21 @@ class Actuator:
         self._q_wanted = np.where(np.isfinite(q), q, self._q_wanted)
         self._write(goal)
 
-    def _stand_on(self, q: Array, feet: Array | None = None) -> None:
-        """Begin odometry and walk anew: the ground is level at z = 0 under the feet, the body over their middle."""
+    def _take_over(self, torque: bool) -> None:
+        """Begin where the robot stands; feet that were in the air, since the last actuator ended in mid-step, come down."""
+        carrying = self._contact.update(self._q, self._read_loads())
+        standing = carrying if torque and carrying.sum() >= 3 else np.ones(6, dtype=np.bool_)
+        self._stand_on(self._q, standing=standing)
+        lifted = self._odometry.anchors[:, 2] - self._profile.foot.radius > _LIFTED
+        if torque and (lifted & ~standing).any():
+            self._walker.lower(lifted & ~standing, self._profile.foot.radius)
+            self._reason = "torque was on at the start; lowering the feet that are in the air"
+
+    def _stand_on(self, q: Array, feet: Array | None = None, standing: NDArray[np.bool_] | None = None) -> None:
+        """Begin odometry and walk anew: the ground is level at z = 0 under the standing feet, the body over their middle."""
         measured = body_forward(self._profile, q)
-        height = self._profile.foot.radius - float(measured[:, 2].mean())
+        standing = np.ones(6, dtype=np.bool_) if standing is None else standing
+        height = self._profile.foot.radius - float(measured[standing, 2].mean())
         T_odom_body = from_xyz_rpy((0.0, 0.0, height), np.zeros(3))
         self._odometry = LegOdometry(self._profile, q, T_odom_body)
         ground = self._odometry.anchors[:, 2]
@@ -257,6 +277,7 @@ class Actuator:
             feet=feet,
             T_odom_body=self._odometry.T_odom_body.copy(),
             body_ref=walker.body_ref,
+            T_world_odom=self._T_world_odom.copy(),
             voltage=float(np.nanmin(self._voltage)) if np.isfinite(self._voltage).any() else 0.0,
             temperature=float(np.nanmax(self._temperature)) if np.isfinite(self._temperature).any() else 0.0,
             warnings=tuple(w for w in (self._warning,) if w),

@@ -20,6 +20,7 @@ from services.actuator.swing import Swing
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, rpy_from_rotation, transform, yaw_of
 from shared.messages import StepPlan
 
+_LOWERING_S = 1.0  # [s]
 _FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
 _LEVELLED = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of x, y, z, roll, pitch, yaw: those that a load bends
 _CORRECTION_LIMIT = np.array([0.0, 0.0, 0.025, np.radians(4), np.radians(4), 0.0])  # [m] and [rad]
@@ -127,6 +128,26 @@ class Walker:
             self._advance(dt, self._plan)
         return self._targets()
 
+    def lower(self, legs: NDArray[np.bool_], ground: float) -> None:
+        """Bring feet that hang in the air straight down to a height [m] {odom}; the others stand meanwhile."""
+        self._share[legs] = 0.0
+        touchdown = self.feet_odom
+        touchdown[legs, 2] = ground
+        self._begin(
+            StepPlan(
+                stamp_ns=0,
+                step=self.step,
+                revision=0,
+                T_world_odom=np.eye(4),
+                swing=legs.copy(),
+                touchdown=touchdown,
+                clearance=np.zeros(6),
+                body_goal=self.body_ref,
+                duration=_LOWERING_S,
+                stop=True,
+            )
+        )
+
     def halt(self) -> None:
         """Forget the plan that waits; the running step is finished, then the robot holds."""
         self._next = None
@@ -156,7 +177,7 @@ class Walker:
         begin, end = self._settings.unload_s, plan.duration - self._settings.load_s
         legs = plan.swing
         if self._elapsed <= begin:
-            self._share[legs] = 1.0 - self._elapsed / begin
+            self._share[legs] = np.minimum(self._share[legs], 1.0 - self._elapsed / begin)
             return
         if self._flight is None:
             self._flight = Swing(self._feet[legs], targets, plan.clearance[legs])

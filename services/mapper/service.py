@@ -68,10 +68,12 @@ class Mapper:
         settings, T = self._settings, pose.T_world_body
         feet = apply(T, legs.feet)[~legs.swing] - [0.0, 0.0, self._foot_radius]
         plane = np.linalg.lstsq(np.column_stack([np.ones(len(feet)), feet[:, :2]]), feet[:, 2], rcond=None)[0]
+        # In mid-course, where a mapper begins anew, there may be anything ahead: only the ground under it is taken for known.
+        ahead = settings.assumed_ahead if legs.step == 0 else float(legs.feet[:, 0].max())
         corners: Array = np.array(
             [
-                [settings.assumed_ahead, settings.assumed_aside, 0.0],
-                [settings.assumed_ahead, -settings.assumed_aside, 0.0],
+                [ahead, settings.assumed_aside, 0.0],
+                [ahead, -settings.assumed_aside, 0.0],
                 [-settings.assumed_behind, -settings.assumed_aside, 0.0],
                 [-settings.assumed_behind, settings.assumed_aside, 0.0],
             ]

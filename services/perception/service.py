@@ -23,7 +23,7 @@ class Perception:
 
     name = "perception"
     paced_by: AnyTopic = topics.DEPTH
-    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY,)
+    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE)
     writes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
@@ -67,6 +67,10 @@ class Perception:
         if self._last is None and not self._odometry.settled(self._settings.settle_s):
             self._words = "waiting for the legs to stand still"
             return
+        if self._last is None:
+            legs = inbox.latest(topics.ACTUATOR_STATE)
+            if legs is not None:  # plans were walked before this service began: {world} is still theirs
+                self._T_world_odom = np.array(legs.T_world_odom)
         prior, covariance = self._prior(motion)
         with self.stages("registration"):
             found = self._registration.update(image.depth, image.stamp_ns, prior @ self._T_body_camera, covariance)
@@ -91,6 +95,7 @@ class Perception:
             if self._last is not None:
                 self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
                 self._last = motion
+                self._stamp_ns = -1  # the tilt, too, is that of a new frame
         last = self._last or motion
         way = settings.odometry_drift * max(0.0, motion.travelled - last.travelled) + settings.odometry_floor
         turn = settings.odometry_turn * max(0.0, motion.turned - last.turned) + settings.odometry_floor

@@ -161,7 +161,7 @@ def test_what_compose_yaml_starts_walks(tmp_path: Path, monkeypatch: pytest.Monk
     with Launcher(commands, hear=lambda name, line: said.append(f"{name}: {line}")) as launcher:
 
         def over() -> bool:
-            ended.update({e.name: e.how for e in launcher.wait(0.2)})
+            ended.update({e.name: e.how for e in launcher.wait(0.2) if not e.restarted})
             return bool(ended)
 
         eventually(over, "the operator's end")

@@ -147,6 +147,7 @@ class Story:
             feet=np.zeros((6, 3)),
             T_odom_body=ref,
             body_ref=ref,
+            T_world_odom=np.eye(4),
             voltage=11.1,
             temperature=30.0,
             warnings=(),

@@ -40,7 +40,23 @@ class Robot:
         flags, zeros = np.zeros(6, dtype=bool), np.zeros((6, 3))
         self.hear(
             ActuatorState(
-                self.now, self.mode, self.reason, "", 0, 1.0, flags, flags, zeros, zeros, zeros, self.T, self.T, 11.0, 30.0, ()
+                self.now,
+                self.mode,
+                self.reason,
+                "",
+                0,
+                1.0,
+                flags,
+                flags,
+                zeros,
+                zeros,
+                zeros,
+                self.T,
+                self.T,
+                np.eye(4),
+                11.0,
+                30.0,
+                (),
             )
         )
         if self.pose_comes:

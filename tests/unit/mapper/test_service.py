@@ -39,6 +39,7 @@ def legs(swing: Flags | None = None, feet: Array | None = None) -> ActuatorState
         feet=PROFILE.rest_feet(HEIGHT) if feet is None else feet,
         T_odom_body=np.eye(4),
         body_ref=np.eye(4),
+        T_world_odom=np.eye(4),
         voltage=11.0,
         temperature=30.0,
         warnings=(),

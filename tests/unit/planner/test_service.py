@@ -54,6 +54,7 @@ class Rig:
             feet=REST,
             T_odom_body=standing(),
             body_ref=standing(),
+            T_world_odom=np.eye(4),
             voltage=11.0,
             temperature=30.0,
             warnings=(),
