@@ -20,7 +20,7 @@ from services.planner.service import Planner
 from services.simulator.bus import MemoryPort
 from services.simulator.config import Settings as SimulatorSettings
 from services.simulator.service import Simulator
-from shared.host import keep_memory
+from shared.host import keep_memory, spare_collector
 from shared.robot import RobotProfile, load_profile
 from shared.scenario import Fault, Scenario
 from shared.service import AnyTopic, Lockstep, Outage, Service
@@ -48,6 +48,7 @@ class LockstepRun:
         }
         for name, service in self.attendance.services().items():
             makers[name] = lambda service=service: service  # type: ignore[misc]
+        spare_collector()
         self._lockstep = Lockstep(makers, tap, outages=[_outage(fault) for fault in scenario.faults])
 
     def now_ns(self) -> int:

@@ -226,6 +226,7 @@ def hand_held_settings(registration: Literal["projective", "kiss-icp"]) -> Perce
         odometry_turn=0.1,
         odometry_floor=_HAND_SIGMA,
         odometry_level=_HAND_SIGMA,
+        tilt_s=1e-6,  # the guess takes the correction at its word, and a hand has no two tripods to average over
     )
 
 

@@ -25,6 +25,7 @@ REPLY_TIMEOUT_NS = 6_000_000  # [ns] 5 ms, ten times a servo's factory return de
 BAUD_RATE = 1_000_000
 _WRITE_TIMEOUT = 0.5  # [s] a port that takes no bytes for so long is gone
 _ATTEMPTS = 3  # per question outside the loop
+_PATIENCE = 3  # questions in a row that a servo may leave open before it is asked more rarely: a busy host loses answers
 _MAX_BACKOFF = 32  # a silent servo is still asked every this many turns
 _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
@@ -157,6 +158,7 @@ class ServoBus:
         self._next = 0
         self._typical_ns = _TYPICAL_NS
         self._read_ns = [-1] * n  # stamp of the newest reading
+        self._missed = [0] * n  # questions that it left open in a row
         self._backoff = [1] * n  # ask every so many turns
         self._skips = [0] * n  # turns left to skip
 
@@ -315,7 +317,7 @@ class ServoBus:
     def poll(self, budget_ns: int) -> list[ServoReading]:
         """Read the next servos of the rotation, as many as typically fit a time budget.
 
-        A servo that does not answer costs one timeout and is then asked every 2nd, 4th ... 32nd turn only.
+        A servo that does not answer costs a timeout; after the third in a row it is asked every 2nd, 4th ... 32nd turn only.
 
         Args:
             budget_ns: [ns] time for this call; 0 reads nothing. A timeout may overrun it.
@@ -337,10 +339,12 @@ class ServoBus:
             answer = self._ask(self._requests[i], self.servo_ids[i], PRESENT_STATE.size)
             done = self._clock()
             if answer is None:
-                self._backoff[i] = min(2 * self._backoff[i], _MAX_BACKOFF)
+                self._missed[i] += 1
+                if self._missed[i] > _PATIENCE:
+                    self._backoff[i] = min(2 * self._backoff[i], _MAX_BACKOFF)
                 self._skips[i] = self._backoff[i] - 1
             else:
-                self._backoff[i] = 1
+                self._missed[i], self._backoff[i] = 0, 1
                 self._read_ns[i] = start
                 self._typical_ns += (done - start - self._typical_ns) // _SMOOTHING
                 readings.append(self._reading(i, start, answer))

@@ -11,7 +11,7 @@ class Settings:
 
     port: str = "/dev/ttyUSB0"  # a serial device, or socket://host:port
     rate_hz: float = 50.0  # of the control cycle
-    read_budget_ms: float = 8.0  # [ms] of each cycle spent on reading servos
+    read_budget_ms: float = 6.5  # [ms] of each cycle spent on reading servos
     unload_s: float = 0.08  # [s] before a swing in which its legs hand over their load
     load_s: float = 0.12  # [s] at the end of a step in which landed legs take up theirs
     level_gain: float = 0.5  # [1/s] of the integrator that holds height, roll and pitch

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.bus import Port, ServoBus, ServoReading, open_port
+from services.actuator.bus import BusSetupError, Port, ServoBus, ServoReading, open_port
 from services.actuator.config import Settings
 from services.actuator.contact import ContactEstimate
 from services.actuator.guard import Guard
@@ -24,6 +24,7 @@ from shared.robot import JOINTS, LEGS, RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 _MODELS = {model.name: model for model in dxl.MODELS}
+_SETUP_PATIENCE_NS = 3_000_000_000  # [ns] that servos may take to answer: a simulation that begins is late, a hub wakes up
 _STANDS = 0.5  # share of its load from which a leg counts as standing
 _LIFTED = 0.01  # [m] over the standing feet from which a foot without load is in the air
 _ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
@@ -62,7 +63,7 @@ class Actuator:
         self._clock = clock
         self._port = port if port is not None else open_port(settings.port)
         self._bus = ServoBus(self._port, profile.servo_ids.ravel().tolist(), clock, model=_MODELS[profile.servo.model])
-        self._bus.setup()
+        self._set_up()
         self._guard = Guard(profile, settings.plan_age_s)
         self._contact = ContactEstimate(profile)
         self._q = self._read_all(dxl.PRESENT_POSITION)
@@ -76,7 +77,9 @@ class Actuator:
         self._refused = ""
         self._warning = ""
         self._last_order = -1
-        torque = all(self._bus.read(i, dxl.TORQUE_ENABLE) for i in self._bus.servo_ids)
+        self._told: tuple[Mode, str, str, int] | None = None  # what the last state message said
+        self._silent = False  # whether the last cycle sent none
+        torque = all(self._ask(i, dxl.TORQUE_ENABLE) for i in self._bus.servo_ids)
         self._mode = Mode.HOLD if torque else Mode.OFF
         self._reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
         self._may_walk = False
@@ -110,7 +113,12 @@ class Actuator:
         if self._mode is not Mode.OFF:
             self._move(dt, T_odom_body)
         yield self._odometry_message(now_ns)
-        yield self._state_message(now_ns)
+        news = (self._mode, self._reason, self._refused, self._walker.step)
+        if news != self._told or self._silent:  # every other cycle, and at once when there is something to tell
+            self._told, self._silent = news, False
+            yield self._state_message(now_ns)
+        else:
+            self._silent = True
 
     # ---------------------------------------------------------------------------------------------------------- inputs
 
@@ -146,14 +154,23 @@ class Actuator:
     def _standing(self) -> NDArray[np.bool_]:
         return np.asarray(~self._walker.swing | (self._walker.load_share > _STANDS))
 
+    def _set_up(self) -> None:
+        """Set the bus up; servos that are silent at first get some time."""
+        until = self._clock() + _SETUP_PATIENCE_NS
+        while True:
+            try:
+                self._bus.setup()
+            except BusSetupError:
+                if self._clock() >= until:
+                    raise
+            else:
+                return
+
     def _read_all(self, register: dxl.Register) -> Array:
         """Every servo's register of an angle as joint angles (6, 3) [rad]; asked until all have answered."""
         ticks = np.zeros(18)
         for index, servo_id in enumerate(self._bus.servo_ids):
-            value = next((v for v in (self._bus.read(servo_id, register) for _ in range(10)) if v is not None), None)
-            if value is None:
-                raise ConnectionError(f"servo {servo_id} stopped answering while its {register.name} was read")
-            ticks[index] = value
+            ticks[index] = self._ask(servo_id, register)
         return self._profile.joint_angles(np.vectorize(dxl.angle_from_ticks)(ticks).reshape(6, 3))
 
     def _read_loads(self) -> Array:
@@ -161,6 +178,14 @@ class Actuator:
         loads = [self._bus.read(i, dxl.PRESENT_LOAD) or 0 for i in self._bus.servo_ids]
         torque = np.array([dxl.load_from_register(v) for v in loads]).reshape(6, 3) * self._profile.servo.stall_torque
         return np.asarray(self._profile.servo_signs * torque)
+
+    def _ask(self, servo_id: int, register: dxl.Register) -> int:
+        """Value of a register; asked until the servo has answered."""
+        until = self._clock() + _SETUP_PATIENCE_NS
+        while (value := self._bus.read(servo_id, register)) is None:
+            if self._clock() >= until:
+                raise ConnectionError(f"servo {servo_id} stopped answering while its {register.name} was read")
+        return value
 
     def _first_goals(self) -> Array:
         """The goals that stand in the servos where the joints are near them, else the measured angles."""
@@ -262,7 +287,6 @@ class Actuator:
 
     def _state_message(self, stamp_ns: int) -> ActuatorState:
         walker = self._walker
-        feet = body_forward(self._profile, self._measured())
         return ActuatorState(
             stamp_ns=stamp_ns,
             mode=self._mode,
@@ -274,7 +298,7 @@ class Actuator:
             contact=self._contact.update(self._measured(), self._load),
             q=self._measured(),
             load_nm=self._load.copy(),
-            feet=feet,
+            feet=self._odometry.feet.copy(),
             T_odom_body=self._odometry.T_odom_body.copy(),
             body_ref=walker.body_ref,
             T_world_odom=self._T_world_odom.copy(),

@@ -17,6 +17,8 @@ from shared.service import AnyTopic, Inbox, Stages
 # What is unknown may be the edge of a block seen from below, so a foot keeps as far from it as from an edge.
 _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 
+_LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
+
 
 class Mapper:
     """Fuses every scan, scores the map, and publishes both around the robot."""
@@ -67,9 +69,13 @@ class Mapper:
         """Fill what the camera cannot see at the start with the plane of the standing feet; measurements amend it."""
         settings, T = self._settings, pose.T_world_body
         feet = apply(T, legs.feet)[~legs.swing] - [0.0, 0.0, self._foot_radius]
-        plane = np.linalg.lstsq(np.column_stack([np.ones(len(feet)), feet[:, :2]]), feet[:, 2], rcond=None)[0]
-        # In mid-course, where a mapper begins anew, there may be anything ahead: only the ground under it is taken for known.
-        ahead = settings.assumed_ahead if legs.step == 0 else float(legs.feet[:, 0].max())
+        plane: Array = np.linalg.lstsq(np.column_stack([np.ones(len(feet)), feet[:, :2]]), feet[:, 2], rcond=None)[0].astype(
+            np.float64
+        )
+        # In mid-course, where a mapper begins anew, there may be anything ahead: unless what is seen beyond goes on as the
+        # feet stand, only the ground under the robot is taken for known.
+        known = legs.step == 0 or self._goes_on(T, plane)
+        ahead = settings.assumed_ahead if known else float(legs.feet[:, 0].max())
         corners: Array = np.array(
             [
                 [ahead, settings.assumed_aside, 0.0],
@@ -79,6 +85,17 @@ class Mapper:
             ]
         )
         self._grid.seed_plane(apply(T, corners)[:, :2], plane)
+
+    def _goes_on(self, T_world_body: Array, plane: Array) -> bool:
+        """Whether the first ground seen ahead lies in a plane (a, bx, cy) [m] {world}."""
+        settings = self._settings
+        x, y = np.meshgrid(
+            settings.assumed_ahead + np.linspace(-0.1, 0.1, 11), np.linspace(-1, 1, 21) * settings.assumed_aside, indexing="ij"
+        )
+        points = apply(T_world_body, np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]))[:, :2]
+        above = self._grid.heights(points) - np.column_stack([np.ones(len(points)), points]) @ plane
+        seen = above[np.isfinite(above)]
+        return bool(len(seen) > 0.3 * len(points) and np.percentile(np.abs(seen), 95) < _LEVEL)
 
     def _terrain(self, stamp_ns: int) -> TerrainMap:
         with self.stages("snapshot"):

@@ -9,7 +9,7 @@ class Settings:
     """How the pose is found and what of a frame is passed on."""
 
     method: Literal["projective", "kiss-icp"] = "projective"  # kiss-icp suits wide-field scanners
-    scan_rate_hz: float = 15.0  # of the scans that are passed on, at most
+    scan_rate_hz: float = 15.0  # of the frames that are registered and passed on as scans, at most
     scan_range: float = 1.5  # [m] horizontally from the camera
     scan_points: int = 6000  # at most: 60 kB
     # How far leg odometry is believed, as one sigma of the motion between two frames. Wide figures cost nothing where the

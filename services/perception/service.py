@@ -19,7 +19,7 @@ from shared.service import AnyTopic, Inbox, Stages
 
 
 class Perception:
-    """Registers every frame with the legs' motion as the prior inside the cost; {world} is {odom} of the first frame."""
+    """Registers frames with the legs' motion as the prior inside the cost; {world} is {odom} of the first frame."""
 
     name = "perception"
     paced_by: AnyTopic = topics.DEPTH
@@ -43,7 +43,7 @@ class Perception:
         self._tilt: Array = np.zeros(2)  # [rad] roll and pitch of {odom} in {world}, steadied
         self._stamp_ns = -1
         self._frames = 0
-        self._scan_every = max(1, round(profile.camera.sensor.rate_hz / settings.scan_rate_hz))
+        self._every = max(1, round(profile.camera.sensor.rate_hz / settings.scan_rate_hz))  # frames per one that is used
         self._words = "waiting for the first frame"
 
     def doing(self) -> str:
@@ -51,9 +51,12 @@ class Perception:
         return self._words
 
     def step(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
-        """Find the pose of one frame; pass every few of them on as a scan."""
+        """Find the pose of every few frames, and pass them on as scans; between them the legs' odometry carries the pose."""
         for message in inbox.drain(topics.ODOMETRY):
             self._odometry.add(message)
+        self._frames += 1
+        if self._frames % self._every:
+            return
         expected = (self._camera.intrinsics.height, self._camera.intrinsics.width)
         if image.depth.shape != expected:
             self._words = (
@@ -80,11 +83,9 @@ class Perception:
         if found.ok or self._last is None:
             self._last = motion  # what was travelled on odometry alone goes on adding to the doubt
         yield self._pose(found, motion)
-        if self._frames % self._scan_every == 0:
-            with self.stages("reduction"):
-                scan = self._scan(image, found)
-            yield scan
-        self._frames += 1
+        with self.stages("reduction"):
+            scan = self._scan(image, found)
+        yield scan
 
     def _prior(self, motion: Motion) -> tuple[Array, Array]:
         """Expected pose (4, 4) of the body and its covariance (6, 6) [m, rad], by the legs' motion since the last frame."""

@@ -21,7 +21,7 @@ class Settings:
     retarget_from_m: float = 0.004  # [m] smaller moves are not worth it
     pose_age_s: float = 0.4  # [s] since an older pose came the planner waits; between two the legs' odometry carries it on
     map_age_s: float = 0.8  # [s] likewise for the map
-    revise_s: float = 0.10  # [s] between revisions of a plan
+    revise_s: float = 0.20  # [s] between revisions of a plan
 
     def __post_init__(self) -> None:
         if not 0.4 <= self.step_s <= 2.0:

@@ -20,7 +20,6 @@ from services.simulator.terrain import build_terrain
 from services.simulator.world import TIME_STEP_NS, Factors, World
 from shared import dynamixel as dxl
 from shared import topics
-from shared.dynamixel import ServoError
 from shared.geometry import Array
 from shared.kinematics import body_inverse
 from shared.messages import ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
@@ -31,9 +30,9 @@ from shared.service import AnyTopic, Every, Inbox, Stages
 _MOTORS = {"AX-12A": AX_12A_MOTOR, "RX-64": RX_64_MOTOR}
 _MODELS = {model.name: model for model in dxl.MODELS}
 _MAX_LAG_NS = 1_000_000_000  # [ns] how far it may fall behind and catch up; goals written meanwhile take effect in their order
-_SHUTDOWN = ServoError.OVERLOAD | ServoError.OVERHEATING
 _STALE_NS = 40_000_000  # [ns] by which a live simulation may be late before its servos fall silent
-_DT = TIME_STEP_NS * 1e-9  # [s]
+_STEPS = 2  # of the physics for which the setpoints of the servos stand; goals come every 20 ms
+_DT = _STEPS * TIME_STEP_NS * 1e-9  # [s]
 
 log = logging.getLogger(__name__)
 
@@ -53,7 +52,7 @@ class Simulator:
             settings: Of this service.
             scenario: In place of the one that the settings name.
         """
-        self.paced_by = Every(2 * TIME_STEP_NS)
+        self.paced_by = Every(_STEPS * TIME_STEP_NS)
         self.stages = Stages()
         self._profile = profile
         self._settings = settings
@@ -71,6 +70,8 @@ class Simulator:
             dropouts=scenario.camera.dropouts,
         )
         self._imu = ImuSensor(ImuNoise(), seeds[3])
+        self._signs = profile.servo_signs
+        self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
         self._bank = self._switch_on(profile, scenario)
         self.bus = ServoBusEmulator(self._bank)
         self._server: TcpBusServer | None = None
@@ -126,13 +127,12 @@ class Simulator:
         return nullcontext() if self._server is None else self._server.lock
 
     def _physics(self, now_ns: int) -> None:
-        profile, world = self._profile, self.world
+        world = self.world
         self.bus.advance(now_ns)
-        signs = profile.servo_signs
-        q, qd, torque = profile.servo_angles(world.q), signs * world.qd, signs * world.torque
+        q, qd, torque = self._signs * world.q + self._horns, self._signs * world.qd, self._signs * world.torque
         command = self._bank.step(q.ravel(), qd.ravel(), torque.ravel(), _DT)
-        setpoint = profile.joint_angles(command.setpoint.reshape(6, 3))
-        world.step(setpoint, command.stiffness.reshape(6, 3), command.torque_limit.reshape(6, 3))
+        setpoint = self._signs * (command.setpoint.reshape(6, 3) - self._horns)
+        world.step(setpoint, command.stiffness.reshape(6, 3), command.torque_limit.reshape(6, 3), _STEPS)
 
     def _observe(self, now_ns: int, inbox: Inbox) -> Iterator[Message]:
         """What the camera, the IMU and the scorer get at this instant."""
@@ -174,7 +174,7 @@ class Simulator:
             torque=np.array(world.torque),
             feet=np.array(world.p_world_foot),
             contact=np.array(world.foot_contact),
-            shutdown=np.array([self._bank.error(row) & _SHUTDOWN != 0 for row in range(18)]).reshape(6, 3),
+            shutdown=self._bank.shutdown.reshape(6, 3),
             voltage=float(self._bank.voltage),
             temperature=float(self._bank.temperature.max()),
         )

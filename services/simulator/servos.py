@@ -222,6 +222,11 @@ class ServoBank:
             self._faults[row] = 0
         self._dirty = True
 
+    @property
+    def shutdown(self) -> NDArray[np.bool_]:
+        """(n,) servos that have latched an overload or a heat fault."""
+        return np.asarray(self._faults != 0)
+
     def error(self, row: int) -> int:
         """Error bits of one servo that belong to its state and not to an instruction."""
         start = row * dxl.TABLE_SIZE

@@ -131,13 +131,14 @@ class World:
         self.place(q, T)
         return T
 
-    def step(self, setpoint: ArrayLike, stiffness: ArrayLike, torque_limit: ArrayLike) -> None:
-        """Advance by 2 ms.
+    def step(self, setpoint: ArrayLike, stiffness: ArrayLike, torque_limit: ArrayLike, steps: int = 1) -> None:
+        """Advance by so many steps of 2 ms.
 
         Args:
             setpoint: (6, 3) [rad] joint angles the servos pull to.
             stiffness: (6, 3) or scalar [N m/rad] torque per angle error.
             torque_limit: (6, 3) or scalar [N m]; zero leaves a joint limp.
+            steps: How many; what is wanted of the joints stands for all of them.
 
         Raises:
             ValueError: A setpoint is NaN or infinite.
@@ -151,9 +152,10 @@ class World:
         self._highest[...] = torque_limit
         np.negative(torque_limit, out=self._lowest)
         # In this order, positions, velocities and contacts are those after the step, at the cost of one mj_step.
-        mujoco.mj_step2(self.model, self.data)
-        mujoco.mj_step1(self.model, self.data)
-        self._steps += 1
+        for _ in range(steps):
+            mujoco.mj_step2(self.model, self.data)
+            mujoco.mj_step1(self.model, self.data)
+        self._steps += steps
         # A NaN spreads over all joints within a step.
         if not abs(self._qvel[0]) < 1e3:
             raise FloatingPointError(f"the physics has diverged at {self.time_ns / 1e9:.3f} s; see the commands that led there")
