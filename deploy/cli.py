@@ -51,6 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
     """`sextant run`: one scenario, over Zenoh or in lockstep."""
     if arguments.lockstep and arguments.connect:
         raise InputError("--lockstep runs in one process and meets nobody; leave --connect out")
+    if arguments.record_depth and not arguments.lockstep:
+        raise InputError("--record-depth writes the frames of a lockstep run; add --lockstep")
     if arguments.lockstep:
         return _run_lockstep(arguments)
     return _run_live(arguments)
@@ -187,9 +189,22 @@ def _run_lockstep(arguments: argparse.Namespace) -> int:
 
     scenario = load_scenario(arguments.scenario)
     out = _out(arguments, f"{scenario.name}-{arguments.seed}")
-    from deploy.lockstep_run import run_lockstep
+    import contextlib
 
-    return _tell(run_lockstep(scenario, arguments.seed, out, _progress(arguments.json)), out, arguments.json)
+    from deploy.lockstep_run import run_lockstep
+    from deploy.tum_recording import DepthRecorder
+    from shared.robot import load_profile
+
+    with contextlib.ExitStack() as stack:
+        taps = []
+        if arguments.record_depth:
+            try:
+                recorder = DepthRecorder(Path(arguments.record_depth), load_profile(scenario.robot))
+            except FileExistsError as error:
+                raise InputError(f"--record-depth: {error}; name a new folder") from None
+            taps.append(stack.enter_context(recorder).tap)
+        report = run_lockstep(scenario, arguments.seed, out, _progress(arguments.json), taps)
+    return _tell(report, out, arguments.json)
 
 
 def _run_live(arguments: argparse.Namespace) -> int:
@@ -244,6 +259,9 @@ def _attach(arguments: argparse.Namespace) -> "Endpoints | None":
 
 
 def _choices(arguments: argparse.Namespace) -> "Choices":
+    from dataclasses import replace
+
+    from deploy.launcher import free_port
     from deploy.process_table import Choices, choices
     from shared.scenario import load_scenario
 
@@ -252,7 +270,9 @@ def _choices(arguments: argparse.Namespace) -> "Choices":
     source = arguments.scenario or "steps"
     if source.endswith(".toml"):
         source = str(Path(source).resolve())
-    return choices(load_scenario(source), source, arguments.seed)
+    chosen = choices(load_scenario(source), source, arguments.seed)
+    # Where both ends of the simulated servo bus start here any free port will do, so two sets on one machine do not clash.
+    return replace(chosen, bus_port=free_port()) if arguments.role == "all" else chosen
 
 
 def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, tuple[str, ...]]:
@@ -358,6 +378,7 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
     one.add_argument("--lockstep", action="store_true", help="in one process on simulated time, as fast as the machine allows")
     one.add_argument("--json", action="store_true", help="print report.json; progress goes to stderr")
+    one.add_argument("--record-depth", metavar="DIR", help="also write the depth frames for `sextant replay` (with --lockstep)")
     one.add_argument("--connect", action="append", help="use services that already run, met here, e.g. tcp/127.0.0.1:7447")
     one.add_argument("--namespace", default="sextant", help="of those services (default %(default)s)")
     one.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # a launcher's id, as every process of the table has it

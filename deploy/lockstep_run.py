@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from deploy.attendance import Attendance, about
@@ -27,7 +27,7 @@ from shared.service import AnyTopic, Lockstep, Outage, Service
 
 _LOOK_NS = 250_000_000  # simulated time between two looks at whether it is over
 
-Tap = Callable[[AnyTopic, bytes, int], None]
+Tap = Callable[[AnyTopic, bytes, int], object]
 
 
 class LockstepRun:
@@ -85,6 +85,7 @@ def run_lockstep(
     seed: int,
     out: Path | None = None,
     progress: Progress | None = None,
+    taps: Sequence[Tap] = (),
 ) -> Report:
     """Run a scenario in lockstep to its end.
 
@@ -93,6 +94,7 @@ def run_lockstep(
         seed: Of everything random; one seed makes one report, its timing fields apart.
         out: Folder for report.json, summary.png and recording.mcap; None leaves nothing behind.
         progress: Where to show it.
+        taps: Each sees every frame as it is sent, with the simulated time [ns].
     """
     progress = progress or Silent()
     profile = load_profile(scenario.robot)
@@ -102,7 +104,8 @@ def run_lockstep(
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
             recorder = stack.enter_context(Recorder(out / "recording.mcap", about(scenario, seed, "lockstep")))
-        run = assemble(scenario, seed, profile, recorder.write if recorder else lambda _topic, _frame, _at_ns: None)
+        hear = [*taps, *([recorder.write] if recorder else [])]
+        run = assemble(scenario, seed, profile, lambda topic, frame, at_ns: [tap(topic, frame, at_ns) for tap in hear])
         # 2. Let simulated time pass until the run is over.
         began = time.perf_counter()
         ended_by = _run_to_the_end(run, progress)

@@ -291,7 +291,7 @@ class Lockstep:
     def __init__(
         self,
         makers: Mapping[str, Callable[[], Service]],
-        tap: Callable[[AnyTopic, bytes, int], None] = lambda _topic, _frame, _at_ns: None,
+        tap: Callable[[AnyTopic, bytes, int], object] = lambda _topic, _frame, _at_ns: None,
         latency_s: Mapping[str, float] | None = None,
         outages: Sequence[Outage] = (),
     ):

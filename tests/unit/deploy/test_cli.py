@@ -141,7 +141,7 @@ def test_a_run_ends_in_0_only_on_success(
 ) -> None:
     from deploy import lockstep_run
 
-    monkeypatch.setattr(lockstep_run, "run_lockstep", lambda _scenario, seed, _out, _progress: report(success, seed))
+    monkeypatch.setattr(lockstep_run, "run_lockstep", lambda _scenario, seed, *_: report(success, seed))
     assert cli.main(["run", "flat", "--lockstep", "--seed", "9", "--out", str(tmp_path)]) == status
     assert report(success).reason in capsys.readouterr().out
     assert cli.main(["run", "flat", "--lockstep", "--seed", "9", "--out", str(tmp_path), "--json"]) == status

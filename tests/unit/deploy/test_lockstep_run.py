@@ -38,19 +38,19 @@ def test_all_services_are_heard_at_their_rates() -> None:
     heard = Counter(key for key, _, at_ns in frames(3, S))
     for topic in (topics.DEPTH, topics.ACTUATOR_STATE, topics.ODOMETRY, topics.TRUTH):
         assert abs(heard[topic.key] - topic.rate_hz) <= 0.1 * topic.rate_hz + 2, topic.key
-    assert heard[topics.BODY_POSE.key] > 20
-    assert heard[topics.SCAN.key] > 8
-    assert heard[topics.TERRAIN.key] > 3
+    assert heard[topics.BODY_POSE.key] > 7  # of 15 a second, once the robot has stood still for a while
+    assert heard[topics.SCAN.key] > 7
+    assert heard[topics.TERRAIN.key] > 2
     assert heard[topics.COLOR.key] == 0, "nobody asked for colour"
 
 
 def test_a_service_that_is_killed_is_silent_and_comes_back() -> None:
-    faults = (Fault(0.5, "mapper", "kill", for_s=0.4),)
+    faults = (Fault(1.2, "mapper", "kill", for_s=0.4),)
     scenario = Scenario("short", (Plane(),), Goal(1.0), faults=faults)
-    times = [at_ns for key, _, at_ns in frames(3, 3 * S // 2, scenario) if key == topics.TERRAIN.key]
-    assert [t for t in times if t < 0.5 * S]
-    assert not [t for t in times if 0.5 * S <= t < 0.9 * S]
-    assert [t for t in times if t >= 0.9 * S]
+    times = [at_ns for key, _, at_ns in frames(3, 5 * S // 2, scenario) if key == topics.TERRAIN.key]
+    assert [t for t in times if t < 1.2 * S]
+    assert not [t for t in times if 1.2 * S <= t < 1.6 * S]
+    assert [t for t in times if t >= 1.6 * S]
 
 
 @pytest.fixture(scope="module")
