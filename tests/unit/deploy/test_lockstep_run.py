@@ -38,9 +38,9 @@ def test_all_services_are_heard_at_their_rates() -> None:
     heard = Counter(key for key, _, at_ns in frames(3, S))
     for topic in (topics.DEPTH, topics.ACTUATOR_STATE, topics.ODOMETRY, topics.TRUTH):
         assert abs(heard[topic.key] - topic.rate_hz) <= 0.1 * topic.rate_hz + 2, topic.key
-    assert heard[topics.BODY_POSE.key] > 7  # of 15 a second, once the robot has stood still for a while
-    assert heard[topics.SCAN.key] > 7
-    assert heard[topics.TERRAIN.key] > 2
+    assert heard[topics.BODY_POSE.key] > 2  # of 15 a second, once the robot has stood still for a while
+    assert heard[topics.SCAN.key] > 2
+    assert heard[topics.TERRAIN.key] >= 1
     assert heard[topics.COLOR.key] == 0, "nobody asked for colour"
 
 

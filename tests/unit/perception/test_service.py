@@ -28,6 +28,9 @@ def body_at(x: float, y: float = 0.0, yaw: float = 0.0) -> Array:
     return from_xyz_rpy((x, y, HEIGHT), (0.0, 0.0, yaw))
 
 
+EVERY_FRAME = Settings(scan_rate_hz=PROFILE.camera.sensor.rate_hz)
+
+
 class Rig:
     """Perception, and a robot that walks where it is put; odometry and camera as the test wants them."""
 
@@ -41,7 +44,7 @@ class Rig:
     ):  # type: ignore[no-untyped-def]
         self.world, self.boxes, self.profile = world, world.scenes[scene], profile
         # Most tests begin at once; that it waits for the robot to stand still has its own.
-        self.perception = Perception(profile, replace(settings or Settings(), settle_s=settle_s))
+        self.perception = Perception(profile, replace(settings or EVERY_FRAME, settle_s=settle_s))
         self.inbox = Inbox([self.perception.paced_by, *self.perception.reads], self.perception.stages)
         self.now_ns = 1_000 * MS
         self.T_odom_start: Array = np.eye(4)  # {odom} in {world of the test}
@@ -183,7 +186,7 @@ def test_legs_that_nobody_vouches_for_are_believed_less(world) -> None:  # type:
 def test_every_so_many_frames_become_a_scan(world, every: int) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world, settings=Settings(scan_rate_hz=PROFILE.camera.sensor.rate_hz / every))
     scans = [any(isinstance(m, Scan) for m in rig.frame(body_at(0.0))) for _ in range(7)]
-    assert scans == [k % every == 0 for k in range(7)]
+    assert scans == [(k + 1) % every == 0 for k in range(7)]
 
 
 @pytest.mark.parametrize("scene", ["flat", "steps", "pillars"])

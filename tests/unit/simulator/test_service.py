@@ -32,13 +32,16 @@ def run(
     return [m for ns in range(from_ns, until_ns + 1, period) for m in sim.step(Tick(ns), inbox)]
 
 
+BEAT_NS = 2 * TIME_STEP_NS
+
+
 def test_rates_are_exact_in_count() -> None:
     made = run(simulator(imu=True), 2_000 * MS)
     counts = Counter(type(m) for m in made)
     # The first of each comes at once, so two seconds from then on hold two seconds' worth.
     first = {kind: next(m.stamp_ns for m in made if type(m) is kind) for kind in counts}
-    within = Counter(type(m) for m in made if m.stamp_ns < first[type(m)] + 2_000 * MS - 4 * TIME_STEP_NS)
-    assert set(first.values()) == {TIME_STEP_NS}
+    within = Counter(type(m) for m in made if m.stamp_ns < first[type(m)] + 2_000 * MS - 4 * BEAT_NS)
+    assert set(first.values()) == {BEAT_NS}
     assert within == {DepthImage: 60, GroundTruth: 200, Imu: 200}
     for kind, rate in ((DepthImage, 30.0), (GroundTruth, 100.0)):
         stamps = np.array([m.stamp_ns for m in made if type(m) is kind])

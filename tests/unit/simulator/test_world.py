@@ -193,7 +193,7 @@ def test_variation_stays_within_its_bounds_and_reaches_the_model() -> None:
     np.testing.assert_allclose(world.model.dof_frictionloss[6:].reshape(6, 3), PROFILE.servo.friction * factors.joint_friction)
     foot = world.model.geom("foot left front")
     assert foot.friction[0] == pytest.approx(0.8 * factors.ground_friction)
-    with pytest.raises(ValueError, match="1 or more"):
+    with pytest.raises(ValueError, match="at least 1"):
         Factors.draw(Variation(friction=0.9), rng)
 
 
