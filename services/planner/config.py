@@ -15,6 +15,8 @@ class Settings:
     search_radius: float = 0.06  # [m] around the nominal foothold
     min_foot_distance: float = 0.06  # [m] between feet
     min_margin: float = 0.02  # [m] of the body's centre inside each support triangle
+    rough_lift: float = 0.04  # [m] clearance at least, where the map shows that the ground under a swing is uneven
+    uneven: float = 0.008  # [m] of relief from which it is
     path_margin: float = 0.015  # [m] of a swinging foot over what lies under its way
     plan_from: float = 0.55  # phase of a step from which the next one is planned
     retarget_until: float = 0.45  # phase until which touchdowns of the running step may move

@@ -183,8 +183,11 @@ class StridePlanner:
         return f"the body would be {margin * 100:.1f} cm inside its three feet {when}, {needed}"
 
     def _clearance(self, at: Situation, touchdown: Array, terrain: Terrain) -> Array:
-        """Clearance (6,) [m] over both ends that lifts each foot over what lies between them, too."""
-        ends = np.maximum(at.feet[:, 2], touchdown[:, 2]) - self._profile.foot.radius
+        """Clearance (6,) [m] over both ends that lifts each foot over what lies between them, too, and well over rough ground."""
+        settings = self._settings
+        start, end = at.feet[:, 2] - self._profile.foot.radius, touchdown[:, 2] - self._profile.foot.radius
+        higher, lower = np.maximum(start, end), np.minimum(start, end)
         between = terrain.highest_along(at.feet[:, :2], touchdown[:, :2])
-        lift = min(at.command.lift, _MAX_CLEARANCE)
-        return np.maximum(lift, between - ends + self._settings.path_margin)
+        rough = np.maximum(higher, between) - lower > settings.uneven
+        lift = np.where(rough, max(at.command.lift, settings.rough_lift), at.command.lift)
+        return np.maximum(lift, between - higher + settings.path_margin)

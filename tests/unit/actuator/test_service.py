@@ -39,6 +39,7 @@ class Rig:
         self.bus = ServoBusEmulator(self.bank)
         self.push = np.zeros((6, 3))  # [N] {body} of the ground on the feet, as the servos feel it
         self.order = 0
+        self.state: ActuatorState | None = None
         self.start()
 
     def start(self) -> None:
@@ -75,7 +76,9 @@ class Rig:
             self.bank.step(PROFILE.servo_angles(q).ravel(), np.zeros(18), torque.ravel(), 0.02)
             self.inbox.now_ns = self.now_ns
             self.made = list(self.actuator.step(Tick(self.now_ns), self.inbox))
-        return next(m for m in self.made if isinstance(m, ActuatorState))
+            self.state = next((m for m in self.made if isinstance(m, ActuatorState)), self.state)
+        assert self.state is not None
+        return self.state  # the last word: it speaks every other cycle, and when there is news
 
     def plan(self, state: ActuatorState, x: float = 0.04, **changes: Any) -> StepPlan:
         """The next step straight ahead, {world} being {odom}."""
@@ -215,6 +218,8 @@ def test_the_odometry_is_that_of_the_joints() -> None:
     for _ in range(3):
         rig.hear(rig.plan(state))
         state = rig.cycle(45)
+    if len(rig.made) == 1:  # odometry alone: the state comes with the next
+        state = rig.cycle()
     odometry = next(m for m in rig.made if isinstance(m, Odometry))
     assert odometry.reliable
     assert odometry.stance.all()

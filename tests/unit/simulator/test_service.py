@@ -40,7 +40,7 @@ def test_rates_are_exact_in_count() -> None:
     counts = Counter(type(m) for m in made)
     # The first of each comes at once, so two seconds from then on hold two seconds' worth.
     first = {kind: next(m.stamp_ns for m in made if type(m) is kind) for kind in counts}
-    within = Counter(type(m) for m in made if m.stamp_ns < first[type(m)] + 2_000 * MS - 4 * BEAT_NS)
+    within = Counter(type(m) for m in made if m.stamp_ns < first[type(m)] + 2_000 * MS - 4 * TIME_STEP_NS)
     assert set(first.values()) == {BEAT_NS}
     assert within == {DepthImage: 60, GroundTruth: 200, Imu: 200}
     for kind, rate in ((DepthImage, 30.0), (GroundTruth, 100.0)):
@@ -48,7 +48,7 @@ def test_rates_are_exact_in_count() -> None:
         ideal = np.arange(len(stamps)) * 1e9 / rate
         late = stamps - ideal
         assert (late >= 0).all()
-        assert late[1:].max() < TIME_STEP_NS + 100  # no drift: a beat is at most one physics step late
+        assert late[1:].max() < BEAT_NS + 100  # no drift: it is at most one beat of the simulator late
 
 
 def test_nobody_wants_colour_none_is_made() -> None:
