@@ -183,7 +183,7 @@ class StridePlanner:
         return f"the body would be {margin * 100:.1f} cm inside its three feet {when}, {needed}"
 
     def _clearance(self, at: Situation, touchdown: Array, terrain: Terrain) -> Array:
-        """Clearance (6,) [m] over both ends that lifts each foot over what lies between them, too, and well over rough ground."""
+        """Clearance (6,) [m] over both ends: over what lies between them, too, and more where the ground is rough."""
         settings = self._settings
         start, end = at.feet[:, 2] - self._profile.foot.radius, touchdown[:, 2] - self._profile.foot.radius
         higher, lower = np.maximum(start, end), np.minimum(start, end)
