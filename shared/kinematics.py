@@ -20,6 +20,9 @@ from shared.robot import LegLinks, RobotProfile
 SINGULAR = 1e-6  # [m] of horizontal reach, or sine of the knee: nearer to a singularity rates are not given
 
 
+_REACH_MARGIN = 1e-4  # [m] inside the reach, so that rounding does not lead out of it again
+
+
 def leg_forward(q: Array, links: LegLinks) -> Array:
     """Foot of a leg with given joint angles.
 
@@ -156,6 +159,39 @@ def body_inverse(profile: RobotProfile, feet_body: Array) -> Array:
     _check(feet_body, "feet", 6, 3)
     R, p = profile.T_body_coxa[:, :3, :3], profile.T_body_coxa[:, :3, 3]
     return leg_inverse(((feet_body - p)[..., None, :] @ R)[..., 0, :], profile.links)
+
+
+def nearest_reachable(profile: RobotProfile, feet_body: Array) -> Array:
+    """Feet moved to the nearest place that their legs' tibias allow; where they are within reach they stay, to the bit.
+
+    A foot too far away comes in along the line to the femur's axis; one too near keeps its height and moves outwards, as a
+    foot does that is lifted close to the body.
+
+    Args:
+        profile: The robot.
+        feet_body: (6, 3) [m] {body} wanted foot centres.
+
+    Returns:
+        (6, 3) [m] {body}. A foot straight above or below its femur's axis, further than the leg is long, stays.
+
+    Source: Masri 2016, section 5.4: the nearest reachable position in place of a point that is not.
+    """
+    links, T = profile.links, profile.T_coxa_body
+    p = (T[:, :3, :3] @ feet_body[:, :, None])[..., 0] + T[:, :3, 3]
+    horizontal = np.maximum(np.hypot(p[:, 0], p[:, 1]), 1e-6)
+    r, z = horizontal - links.coxa, p[:, 2]
+    d = np.hypot(r, z)
+    folded, stretched = profile.joint_limits[:, 2, 0], np.minimum(profile.joint_limits[:, 2, 1], 0.0)
+    shortest, longest = (
+        np.sqrt(links.femur**2 + links.tibia**2 + 2.0 * links.femur * links.tibia * np.cos(q)) for q in (folded, stretched)
+    )
+    near, far = d < shortest + _REACH_MARGIN, d > longest - _REACH_MARGIN
+    if not (near | far).any():
+        return feet_body
+    scale = np.where(far, (longest - _REACH_MARGIN) / np.maximum(d, 1e-6), 1.0)
+    r_new = np.where(near, np.sqrt(np.maximum((shortest + _REACH_MARGIN) ** 2 - z**2, 0.0)), r * scale)
+    moved = np.column_stack([p[:, :2] * ((links.coxa + r_new) / horizontal)[:, None], z * scale])
+    return np.where((near | far)[:, None], _to_body(profile, moved), feet_body)
 
 
 def body_forward(profile: RobotProfile, q: Array) -> Array:

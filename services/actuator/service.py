@@ -18,7 +18,7 @@ from services.actuator.walker import Targets, Walker
 from shared import dynamixel as dxl
 from shared import topics
 from shared.geometry import Array, from_xyz_rpy
-from shared.kinematics import body_forward, body_inverse
+from shared.kinematics import body_forward, body_inverse, nearest_reachable
 from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StepPlan, Tick
 from shared.robot import JOINTS, LEGS, RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
@@ -241,8 +241,9 @@ class Actuator:
 
     def _reach_for(self, targets: Targets, dt: float) -> None:
         """Send the goals that bring the feet where they shall be, under their load."""
-        q = body_inverse(self._profile, targets.feet)
-        sag = sag_feed_forward(self._profile, np.nan_to_num(q), targets.feet, targets.share, targets.R_level_body)
+        feet = nearest_reachable(self._profile, targets.feet)
+        q = body_inverse(self._profile, feet)
+        sag = sag_feed_forward(self._profile, np.nan_to_num(q), feet, targets.share, targets.R_level_body)
         goal, self._warning = self._guard.safe_goals(q + sag, self._q_goal, dt)
         self._q_wanted = np.where(np.isfinite(q), q, self._q_wanted)
         self._write(goal)

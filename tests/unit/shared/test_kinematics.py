@@ -451,3 +451,22 @@ def test_a_profile_with_other_links_keeps_the_laws() -> None:
     again = kinematics.body_forward(other, kinematics.body_inverse(other, feet))
     reached = np.isfinite(again)
     np.testing.assert_allclose(again[reached], feet[reached], rtol=0, atol=1e-9)
+
+
+@given(st.integers(0, 10_000))
+def test_the_nearest_reachable_foot_is_reachable_and_stays_where_it_was_if_it_was(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rest = PROFILE.rest_feet()
+    feet = rest + rng.normal(0.0, 0.08, (6, 3))
+    moved = kinematics.nearest_reachable(PROFILE, feet)
+    before, after = kinematics.body_inverse(PROFILE, feet), kinematics.body_inverse(PROFILE, moved)
+    tibia = PROFILE.joint_limits[:, 2]
+    above_or_below = np.isnan(after).any(axis=1)  # straight over or under the axis of its femur nothing is near
+    p_coxa = (PROFILE.T_coxa_body @ np.column_stack([feet, np.ones(6)])[:, :, None])[:, :3, 0]
+    high = np.abs(p_coxa[:, 2]) > 0.08
+    assert (~above_or_below | high | (np.hypot(p_coxa[:, 0], p_coxa[:, 1]) < 0.06)).all()
+    inside = ~above_or_below
+    assert (after[inside, 2] >= tibia[inside, 0] - 1e-6).all()
+    assert (after[inside, 2] <= np.minimum(tibia[inside, 1], 0.0) + 1e-6).all()
+    within = np.isfinite(before).all(axis=1) & (before[:, 2] > tibia[:, 0] + 0.01) & (before[:, 2] < -0.2)
+    np.testing.assert_array_equal(moved[within], feet[within])
