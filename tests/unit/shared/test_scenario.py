@@ -38,7 +38,7 @@ def test_every_course_begins_with_flat_ground() -> None:
                 assert piece.xy[0] >= 0.8
 
 
-def test_steps_is_the_course_that_the_milestone_asks_for() -> None:
+def test_steps_has_a_dozen_low_blocks_and_two_stairs() -> None:
     terrain = load_scenario("steps").terrain
     assert sum(piece.count for piece in terrain if isinstance(piece, Rubble)) >= 12
     (stairs,) = (piece for piece in terrain if isinstance(piece, Stairs))
