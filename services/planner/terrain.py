@@ -46,10 +46,18 @@ class Terrain:
         known = np.isfinite(patch)
         return np.where(known[:, 4], np.where(known, patch, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
 
-    def highest_along(self, start: Array, end: Array, points: int = 12) -> Array:
-        """Highest known ground (n,) [m] {world} on the straight ways between (n, 2) starts and ends, -inf for none."""
-        s = np.linspace(0.0, 1.0, points)[:, None, None]
-        heights = self.heights(((1 - s) * start + s * end).reshape(-1, 2)).reshape(points, -1)
+    def highest_along(self, start: Array, end: Array, half_width: float = 0.02, points: int = 12) -> Array:
+        """Highest known ground (n,) [m] {world} under straight ways between (n, 2) starts and ends, -inf for none.
+
+        A foot is as wide as it is and does not keep to the line to the millimetre: the ways are bands, `half_width` [m] to
+        either side, rounded off to nothing at their ends, which have been looked at as footholds.
+        """
+        way = end - start
+        length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-6)
+        aside = np.column_stack([-way[:, 1], way[:, 0]]) / length
+        s = np.linspace(0.0, 1.0, points)[:, None, None, None]
+        offset = np.linspace(-half_width, half_width, 5)[None, :, None, None] * np.sin(np.pi * s) ** 0.5
+        heights = self.heights((start + s * way + offset * aside).reshape(-1, 2)).reshape(points * 5, -1)
         return np.asarray(np.where(np.isfinite(heights), heights, -np.inf).max(axis=0))
 
     def highest_under(self, corners: Array, spacing: float = 0.02) -> float:
