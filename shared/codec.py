@@ -12,9 +12,11 @@ hash of the message's declaration, so two versions that disagree refuse each oth
 
 import hashlib
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Literal, TypeVar, cast
+from math import prod
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import msgpack
 import numpy as np
@@ -26,6 +28,9 @@ M = TypeVar("M", bound=Message)
 _PREFIX = struct.Struct("<I")
 _ALIGNMENT = 8
 _MAX_HEADER = 1 << 20  # [bytes]
+_INTEGER = frozenset([int])  # and not bool
+_FEW = 256  # bytes: up to there an array is not worth making
+_TRUTH_VALUES = b"\0\1"
 
 
 class DecodeError(ValueError):
@@ -40,40 +45,32 @@ class Timing:
     sent_ns: int
 
 
-_SCHEMA_IDS: dict[type[Message], str] = {}
-
-
 def schema_id(kind: type[Message]) -> str:
     """Name and hash of a message's declaration."""
-    known = _SCHEMA_IDS.get(kind)
-    if known is None:
-        known = _SCHEMA_IDS[kind] = _schema_id(kind)
-    return known
-
-
-def _schema_id(kind: type[Message]) -> str:
-    declaration = repr([(name, str(base), str(detail)) for name, base, detail in schema(kind)])
-    return f"{kind.__name__}:{hashlib.blake2s(declaration.encode(), digest_size=4).hexdigest()}"
+    return _layout(kind).schema_id
 
 
 def encode(message: Message, timing: Timing = Timing(0, 0)) -> bytes:
     """Encode a message as one frame."""
+    layout = _layout(type(message))
     fields: list[Any] = []
-    buffers: list[memoryview | bytes] = []
+    buffers: list[Any] = []
     size = 0
-    for name, kind, _ in schema(type(message)):
-        value = getattr(message, name)
-        if kind is np.ndarray:
+    for field in layout.fields:
+        value = getattr(message, field.name)
+        if field.dtype:
             array = np.ascontiguousarray(value)
-            fields.append([array.dtype.str, list(array.shape), size])
-            buffers.append(array.reshape(-1).view(np.uint8).data)
-            buffers.append(bytes(-array.nbytes % _ALIGNMENT))
-            size += array.nbytes + len(buffers[-1])
+            fields.append((field.dtype, array.shape, size))
+            buffers.append(array.data)
+            gap = -array.nbytes % _ALIGNMENT
+            if gap:
+                buffers.append(bytes(gap))
+            size += array.nbytes + gap
         else:
             fields.append(str(value) if isinstance(value, StrEnum) else value)
-    header = msgpack.packb([schema_id(type(message)), timing.began_ns, timing.sent_ns, fields], use_bin_type=True)
-    gap = bytes(-(_PREFIX.size + len(header)) % _ALIGNMENT)
-    return b"".join([_PREFIX.pack(len(header)), header, gap, *buffers])
+    header = msgpack.packb((layout.schema_id, timing.began_ns, timing.sent_ns, fields), use_bin_type=True)
+    gap = -(_PREFIX.size + len(header)) % _ALIGNMENT
+    return b"".join((_PREFIX.pack(len(header)), header, bytes(gap), *buffers))
 
 
 def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Timing]:
@@ -89,21 +86,58 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
     (length,) = _PREFIX.unpack_from(frame)
     if length > min(_MAX_HEADER, len(frame) - _PREFIX.size):
         raise DecodeError(f"{kind.__name__}: header of {length} bytes does not fit the frame of {len(frame)}")
-    found, began_ns, sent_ns, values = _unpack_header(frame[_PREFIX.size : _PREFIX.size + length], kind)
-    if found != schema_id(kind):
-        raise DecodeError(f"schema {schema_id(kind)} expected, found {found}: sender and receiver are different versions")
-    fields = schema(kind)
-    if len(values) != len(fields):
-        raise DecodeError(f"{kind.__name__}: {len(fields)} fields expected, found {len(values)}")
     start = _PREFIX.size + length
+    found, began_ns, sent_ns, values = _unpack_header(frame[_PREFIX.size : start], kind)
+    layout = _layout(kind)
+    if found != layout.schema_id:
+        raise DecodeError(f"schema {layout.schema_id} expected, found {found}: sender and receiver are different versions")
+    if len(values) != len(layout.fields):
+        raise DecodeError(f"{kind.__name__}: {len(layout.fields)} fields expected, found {len(values)}")
     arrays = start + (-start % _ALIGNMENT)
-    decoded: dict[str, Any] = {}
-    for (name, base, detail), value in zip(fields, values, strict=True):
-        decoded[name] = _decode_field(frame, arrays, f"{kind.__name__}.{name}", base, detail, value)
+    decoded = [field.decode(frame, arrays, value) for field, value in zip(layout.fields, values, strict=True)]
     try:
-        return kind(**decoded), Timing(began_ns, sent_ns)
+        return kind(*decoded), Timing(began_ns, sent_ns)
     except ValueError as error:
         raise DecodeError(str(error)) from None
+
+
+_FieldDecoder: TypeAlias = Callable[[bytes, int, Any], Any]  # frame, where its arrays begin, what the header has
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    name: str
+    dtype: str  # of an array, in the array interface's notation; empty for anything else
+    decode: _FieldDecoder
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """What the frames of one message type look like: worked out once, since a frame comes every millisecond."""
+
+    schema_id: str
+    fields: tuple[_Field, ...]
+
+
+_LAYOUTS: dict[type[Message], _Layout] = {}
+
+
+def _layout(kind: type[Message]) -> _Layout:
+    known = _LAYOUTS.get(kind)
+    if known is None:
+        fields = schema(kind)
+        declaration = repr([(name, str(base), str(detail)) for name, base, detail in fields])
+        name = f"{kind.__name__}:{hashlib.blake2s(declaration.encode(), digest_size=4).hexdigest()}"
+        known = _LAYOUTS[kind] = _Layout(name, tuple(_field(kind, *field) for field in fields))
+    return known
+
+
+def _field(kind: type[Message], name: str, base: Any, detail: Any) -> _Field:
+    where = f"{kind.__name__}.{name}"
+    if base is np.ndarray:
+        dtype, dims = detail
+        return _Field(name, dtype.str, _array_decoder(where, dtype, len(dims.shape)))
+    return _Field(name, "", _value_decoder(where, base))
 
 
 def _unpack_header(header: bytes, kind: type[Message]) -> tuple[str, int, int, list[Any]]:
@@ -127,39 +161,55 @@ def _unpack_header(header: bytes, kind: type[Message]) -> tuple[str, int, int, l
             raise DecodeError(f"{kind.__name__}: header of schema, two times and fields expected")
 
 
-def _decode_field(frame: bytes, arrays: int, where: str, base: Any, detail: Any, value: Any) -> Any:
-    if base is np.ndarray:
-        return _decode_array(frame, arrays, where, detail[0], len(detail[1].shape), value)
-    if base is tuple:
+def _value_decoder(where: str, base: Any) -> _FieldDecoder:
+    """What takes a value out of a header; whether it is as declared, the message's construction says."""
+    enum = base if base is not Literal and isinstance(base, type) and issubclass(base, StrEnum) else None
+
+    def decode_value(_frame: bytes, _arrays: int, value: Any) -> Any:
+        if isinstance(value, list | dict):  # perhaps so deeply nested that not even its repr could be had
+            raise DecodeError(f"{where}: a single value expected, found a {type(value).__name__}")
+        if enum is not None:
+            try:
+                return enum(value)
+            except ValueError:
+                raise DecodeError(f"{where}: one of {[str(b) for b in enum]} expected, found {value!r:.40}") from None
+        if base is float and type(value) is int:
+            return float(value)
+        return value
+
+    def decode_texts(_frame: bytes, _arrays: int, value: Any) -> Any:
         return tuple(value) if isinstance(value, list) else value
-    if isinstance(value, list | dict):  # perhaps so deeply nested that not even its repr could be had
-        raise DecodeError(f"{where}: a single value expected, found a {type(value).__name__}")
-    if base is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if base is not Literal and isinstance(base, type) and issubclass(base, StrEnum):
-        try:
-            return base(value)
-        except ValueError:
-            raise DecodeError(f"{where}: one of {[str(b) for b in base]} expected, found {value!r:.40}") from None
-    return value
+
+    return decode_texts if base is tuple else decode_value
 
 
-def _decode_array(frame: bytes, arrays: int, where: str, dtype: np.dtype[Any], ndim: int, value: Any) -> Any:
-    match value:
-        case [str(found), list(shape), int(offset)] if all(type(n) is int and 0 <= n <= MAX_LENGTH for n in shape):
-            pass
-        case _:
+def _array_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder:
+    """What makes a view of the frame out of an array's dtype, shape and offset."""
+    code, itemsize, truth = dtype.str, dtype.itemsize, dtype.kind == "b"
+
+    def decode_array(frame: bytes, arrays: int, value: Any) -> Any:
+        if type(value) is not list or len(value) != 3 or [*map(type, value)] != [str, list, int]:
             raise DecodeError(f"{where}: an array's dtype, shape and offset expected")
-    if found != dtype.str:
-        raise DecodeError(f"{where}: an array of {dtype.str} expected, found {found[:10]!r}")
-    if len(shape) != ndim:
-        raise DecodeError(f"{where}: an array of {ndim} dimensions expected, found {len(shape)}")
-    count = 1
-    for n in shape:  # Python integers do not overflow
-        count *= n
-    begin = arrays + offset
-    if offset < 0 or offset % _ALIGNMENT or begin + count * dtype.itemsize > len(frame):
-        raise DecodeError(f"{where}: {count} values of {dtype.str} at offset {offset} do not fit the frame")
-    if dtype.kind == "b" and np.frombuffer(frame, np.uint8, count, begin).max(initial=0) > 1:
-        raise DecodeError(f"{where}: truth values of 0 or 1 expected")
-    return cast(Any, np.frombuffer(frame, dtype, count, begin)).reshape(shape)
+        found, shape, offset = value
+        if found != code:
+            raise DecodeError(f"{where}: an array of {code} expected, found {found[:10]!r}")
+        if len(shape) != ndim:
+            raise DecodeError(f"{where}: an array of {ndim} dimensions expected, found {len(shape)}")
+        if not _INTEGER.issuperset(map(type, shape)) or min(shape) < 0 or max(shape) > MAX_LENGTH:
+            raise DecodeError(f"{where}: lengths of 0 to {MAX_LENGTH} expected, found {shape!r:.60}")
+        count = prod(shape)  # Python integers do not overflow
+        begin, end = arrays + offset, arrays + offset + count * itemsize
+        if offset < 0 or offset % _ALIGNMENT or end > len(frame):
+            raise DecodeError(f"{where}: {count} values of {code} at offset {offset} do not fit the frame")
+        if truth and not _truth_values(frame, begin, count):
+            raise DecodeError(f"{where}: truth values of 0 or 1 expected")
+        return np.ndarray(shape, dtype, frame, begin)
+
+    return decode_array
+
+
+def _truth_values(frame: bytes, begin: int, count: int) -> bool:
+    """Whether bytes of a frame are 0 or 1 each."""
+    if count <= _FEW:
+        return not frame[begin : begin + count].strip(_TRUTH_VALUES)
+    return bool(np.frombuffer(frame, np.uint8, count, begin).max() <= 1)

@@ -143,7 +143,8 @@ def quaternion_from_rotation(R: Array) -> Array:
 def transform(R: ArrayLike, p: ArrayLike) -> Array:
     """Rigid transform (..., 4, 4) of a rotation (..., 3, 3) and a translation (..., 3) [m]."""
     R, p = np.asarray(R, dtype=np.float64), np.asarray(p, dtype=np.float64)
-    out = np.zeros((*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
+    single = R.ndim == 2 and p.ndim == 1
+    out = np.zeros((4, 4) if single else (*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
     out[..., :3, :3] = R
     out[..., :3, 3] = p
     out[..., 3, 3] = 1.0
@@ -157,6 +158,9 @@ def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike) -> Array:
 
 def inverse(T: Array) -> Array:
     """Inverse of rigid transforms (..., 4, 4), by transposing the rotation."""
+    if T.ndim == 2:
+        Rt = T[:3, :3].T
+        return transform(Rt, -(Rt @ T[:3, 3]))
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return transform(Rt, -(Rt @ T[..., :3, 3, None])[..., 0])
 
