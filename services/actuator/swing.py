@@ -13,8 +13,7 @@ the last quarter of the way S fades, so that the foot does not hover and then pl
 """
 
 import math
-
-import numpy as np
+from itertools import pairwise
 
 from shared.geometry import Array
 
@@ -23,52 +22,52 @@ _RISE_SLOPE = 6.0  # slope of the initial rise, however short the way
 _LEVEL_SHARE = 0.5  # of the clearance, over the higher end: from there on the foot arcs
 _ARC_SHARE = 0.9  # of the clearance at which the arc would peak; the tail of S adds the rest
 _FADE = (0.25, 0.50)  # shares of the way left between which S fades
-_ARC_POINTS = np.linspace(0.0, 1.0, 9)[:, None]
+_ARC_SHARES = [i / 8 for i in range(9)]  # of the way left, at which the arc is measured
+_ARC_LOGS = [s * math.log(s) if s else 0.0 for s in _ARC_SHARES]
 _SUBSTEPS = 4  # per cycle: the field turns within a centimetre
 _NEWTON_STEPS = 8
 _NEAR = 1e-3  # [m] horizontally at the target: straight down
 
 
-def flow_slope(x: Array, y: Array, v_h: Array, level: Array, rise: Array | float = 1.0) -> Array:
-    """Slope dy/ds of the foot's path: how fast it rises per way towards the target.
+def flow_slope(x: float, y: float, v_h: float, level: float, rise: float = 1.0) -> float:
+    """Slope dy/ds of a foot's path: how fast it rises per way towards the target.
 
     Args:
-        x: (n,) [m] horizontal distance to the target, positive.
-        y: (n,) [m] height over the target.
-        v_h: (n,) step height parameter, see `clearance_parameter`.
-        level: (n,) [m] height over the target from which the foot arcs rather than rises (the thesis' q).
-        rise: (n,) weight of the initial rise S, 1 at first, 0 towards the end.
+        x: [m] horizontal distance to the target, positive.
+        y: [m] height over the target.
+        v_h: Step height parameter, see `clearance_parameter`.
+        level: [m] height over the target from which the foot arcs rather than rises (the thesis' q).
+        rise: Weight of the initial rise S, 1 at first, 0 towards the end.
 
     Source: Lotriet 2024, eq. (5.23)-(5.26), the latter read as 0.515 (y - q) / (1 + |y - q|) - 0.505.
     """
     above = (y - level) / _SIGMOID_UNIT
-    sigmoid = 0.515 * above / (1.0 + np.abs(above)) - 0.505
-    return np.asarray(-y / x + v_h + rise * np.abs(np.minimum(sigmoid, 0.0)) * _RISE_SLOPE)
+    sigmoid = 0.515 * above / (1.0 + abs(above)) - 0.505
+    return -y / x + v_h + rise * abs(min(sigmoid, 0.0)) * _RISE_SLOPE
 
 
-def clearance_parameter(top: Array, x: Array, y: Array) -> Array:
-    """The step height parameter v_h whose arc from (n,) x and y [m] peaks at (n,) top [m] over the target.
+def clearance_parameter(top: float, x: float, y: float) -> float:
+    """The step height parameter v_h whose arc from x and y [m] peaks at top [m] over the target.
 
     From there the flow's solution is u s ln(1/s) + y s with u = v_h x and s the share of x that is left. Its peak,
     u exp(y/u - 1), is the top where w = y/u solves w - ln w = 1 + ln(top/y); Newton's iteration rises to it from below.
     """
-    y = np.maximum(y, 1e-4)
-    right = 1.0 + np.log(np.maximum(top / y, 1.0))
-    w = np.exp(-right)
+    y = max(y, 1e-4)
+    right = 1.0 + math.log(max(top / y, 1.0))
+    w = math.exp(-right)
     for _ in range(_NEWTON_STEPS):
-        w = np.minimum(w + (w - np.log(w) - right) * w / (1.0 - w + 1e-9), 1.0)
-    return np.asarray(y / (w * x))
+        w = min(w + (w - math.log(w) - right) * w / (1.0 - w + 1e-9), 1.0)
+    return y / (w * x)
 
 
-def remaining_length(x: Array, y: Array, v_h: Array, level: Array, rise: Array | float = 1.0) -> Array:
-    """About how far (n,) [m] a foot still travels: up to the level, then along the arc; exact when it comes down."""
-    up = np.maximum(0.0, level - y) * (x > _NEAR) * rise
-    top = y + up
-    safe_x = np.maximum(x, _NEAR)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        arc = np.where(_ARC_POINTS > 0, safe_x * _ARC_POINTS * (top / safe_x - v_h * np.log(_ARC_POINTS)), 0.0)
-    arc = np.where(x > _NEAR, arc, top * _ARC_POINTS)
-    return np.asarray(up + np.hypot(np.diff(x * _ARC_POINTS, axis=0), np.diff(arc, axis=0)).sum(axis=0))
+def remaining_length(x: float, y: float, v_h: float, level: float, rise: float = 1.0) -> float:
+    """About how far [m] a foot still travels: up to the level, then along the arc; exact when it comes down."""
+    if x <= _NEAR:
+        return math.hypot(x, y)
+    up = max(0.0, level - y) * rise
+    top, u, along = y + up, v_h * x, x / (len(_ARC_SHARES) - 1)
+    arc = [s * top - u * s_log for s, s_log in zip(_ARC_SHARES, _ARC_LOGS, strict=True)]
+    return up + sum(math.hypot(along, b - a) for a, b in pairwise(arc))
 
 
 class Swing:
@@ -87,11 +86,7 @@ class Swing:
             clearance: (n,) [m] over the higher end.
         """
         self.foot = foot.copy()
-        self._start_z = foot[:, 2].copy()
-        self._clearance = clearance
-        self._length = np.maximum(np.hypot(*(target - foot)[:, :2].T), 0.02)
-        higher = np.maximum(self._start_z - target[:, 2], 0.0)
-        self._v_h = clearance_parameter(higher + _ARC_SHARE * clearance, 0.85 * self._length, higher + _LEVEL_SHARE * clearance)
+        self._flights = [_Flight(*ends) for ends in zip(foot.tolist(), target.tolist(), clearance.tolist(), strict=True)]
 
     def update(self, target: Array, progress: float, step: float) -> Array:
         """Move on by a fraction of the swing's duration.
@@ -105,25 +100,44 @@ class Swing:
             (n, 3) [m] {odom} the feet.
         """
         progress, end = min(progress, 1.0), min(progress + step, 1.0)
-        level = np.maximum(self._start_z - target[:, 2], 0.0) + _LEVEL_SHARE * self._clearance
-        advance: Array | None = None
-        for _ in range(_SUBSTEPS):
-            way = target[:, :2] - self.foot[:, :2]
-            x = np.hypot(way[:, 0], way[:, 1])
-            y = self.foot[:, 2] - target[:, 2]
-            rise = np.clip((x / self._length - _FADE[0]) / (_FADE[1] - _FADE[0]), 0.0, 1.0)
-            if advance is None:
-                advance = remaining_length(x, y, self._v_h, level, rise) * _travelled(end, progress) / _SUBSTEPS
-            far = x > _NEAR
-            safe_x = np.where(far, x, 1.0)
-            slope = flow_slope(safe_x, y, self._v_h, level, rise)
-            horizontal = np.where(far, 1.0 / np.hypot(1.0, slope), 0.0)
-            ahead = np.minimum(advance * horizontal, x)
-            self.foot[:, :2] += way * (ahead / safe_x)[:, None]
-            self.foot[:, 2] += np.where(far, advance * slope * horizontal, -np.clip(y, -advance, advance))
         if end >= 1.0:
             self.foot[:] = target
+            return self.foot
+        share = _travelled(end, progress)
+        for foot, flight, aim in zip(self.foot, self._flights, target.tolist(), strict=True):
+            foot[:] = flight.moved(foot.tolist(), aim, share)
         return self.foot
+
+
+class _Flight:
+    """One foot's way, in plain numbers: arrays of three are slower than they are short."""
+
+    def __init__(self, foot: list[float], target: list[float], clearance: float):
+        self._start_z = foot[2]
+        self._rise_by = _LEVEL_SHARE * clearance  # [m] over the higher end
+        self._length = max(math.hypot(target[0] - foot[0], target[1] - foot[1]), 0.02)
+        higher = max(foot[2] - target[2], 0.0)
+        self._v_h = clearance_parameter(higher + _ARC_SHARE * clearance, 0.85 * self._length, higher + self._rise_by)
+
+    def moved(self, foot: list[float], target: list[float], share: float) -> tuple[float, float, float]:
+        """The foot [m] after a share of the way that is left."""
+        (x_foot, y_foot, z_foot), (x_target, y_target, z_target) = foot, target
+        level = max(self._start_z - z_target, 0.0) + self._rise_by
+        advance = -1.0
+        for _ in range(_SUBSTEPS):
+            x_way, y_way = x_target - x_foot, y_target - y_foot
+            x, y = math.hypot(x_way, y_way), z_foot - z_target
+            rise = min(max((x / self._length - _FADE[0]) / (_FADE[1] - _FADE[0]), 0.0), 1.0)
+            if advance < 0.0:
+                advance = remaining_length(x, y, self._v_h, level, rise) * share / _SUBSTEPS
+            if x > _NEAR:
+                slope = flow_slope(x, y, self._v_h, level, rise)
+                horizontal = advance / math.hypot(1.0, slope)
+                ahead = min(horizontal, x) / x
+                x_foot, y_foot, z_foot = x_foot + x_way * ahead, y_foot + y_way * ahead, z_foot + slope * horizontal
+            else:
+                z_foot -= min(max(y, -advance), advance)
+        return x_foot, y_foot, z_foot
 
 
 def _travelled(end: float, begin: float) -> float:

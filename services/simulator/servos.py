@@ -62,7 +62,10 @@ RX_64_MOTOR = Motor(stall_torque=5.3, stall_current=2.6, standby_current=0.05)  
 
 _BUCKETS = 100  # of the sliding window of the mean duty
 _HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
+# Handed to compiled loops, which would freeze a constant and whose cache does not notice when another file changes.
+_UNITS = tuple(map(float, (dxl.TICK_CENTRE, dxl.TICK_RAD, dxl.TICK_MAX, dxl.SPEED_RAD_S, dxl.LOAD_UNIT, dxl.DIRECTION_CW)))
 _LIVE_START = dxl.PRESENT_POSITION.address
+_AIM_START, _AIM_END = dxl.GOAL_POSITION.address, dxl.MOVING_SPEED.address + dxl.MOVING_SPEED.size
 _LIVE_END = dxl.MOVING.address + dxl.MOVING.size
 
 
@@ -115,6 +118,55 @@ def _age(
         tripped[i] = bits
         any_tripped = any_tripped or bits != 0
     return total, any_tripped
+
+
+@compiled
+def _measure(
+    units: tuple[float, ...],
+    q: Array,
+    qd: Array,
+    load: Array,
+    position: NDArray[np.uint16],
+    speed: NDArray[np.uint16],
+    effort: NDArray[np.uint16],
+) -> None:
+    """What n servos measure, into their registers: position clipped to the range, speed and load as magnitude and sign."""
+    centre, tick, last_tick, speed_unit, load_unit, clockwise = units
+    for i in range(q.size):
+        position[i] = np.uint16(min(max(np.rint(centre + q[i] / tick), 0.0), last_tick))
+        for value, unit, register in ((qd[i], speed_unit, speed), (load[i], load_unit, effort)):
+            size = min(np.rint(abs(value) / unit), clockwise - 1.0)
+            register[i] = np.uint16(size + clockwise if value < 0.0 and size > 0.0 else size)
+
+
+@compiled
+def _pull(
+    goal: Array,
+    reach: Array,
+    limp: NDArray[np.bool_],
+    q: Array,
+    margin: Array,
+    stiffness: Array,
+    ramp: Array,
+    out_setpoint: Array,
+    out_stiffness: Array,
+) -> None:
+    """Where n servos pull to, and how stiffly: the ramp moves on to the goal by `reach` [rad] at most, in place.
+
+    margin and stiffness (2, n) are those for a pull clockwise and counterclockwise. Outside the margin the torque starts
+    from zero at its edge; inside, the setpoint is where the joint is. A limp servo's ramp starts where its joint is when
+    torque returns.
+    """
+    for i in range(goal.size):
+        step = goal[i] - ramp[i]
+        ramp[i] = goal[i] if abs(step) <= reach[i] else ramp[i] + (reach[i] if step > 0.0 else -reach[i])
+        if limp[i]:
+            ramp[i] = q[i]
+        error = ramp[i] - q[i]
+        side = 1 if error > 0.0 else 0
+        inside = min(max(error, -margin[side, i]), margin[side, i])
+        out_setpoint[i] = (error - inside) + q[i]
+        out_stiffness[i] = stiffness[side, i]
 
 
 class ServoBank:
@@ -182,13 +234,11 @@ class ServoBank:
         self._setpoint = self._q.copy()  # [rad] where the ramp to the goal is, margin not considered
         self._measured = False  # the tables show what the servos measure
         self._out = ServoCommand(np.zeros(n), np.zeros(n), np.zeros(n))
-        self._dirty = True  # a table changed since the settings below were made
+        self._aimed = self._dirty = True  # a table changed: its goals or speeds, anything else, since the values below were made
         self._goal, self._speed, self._limit = np.zeros(n), np.zeros(n), np.zeros(n)
         self._temperature_limit = np.zeros(n)
         self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
-        self._symmetric = False
         self._limp = np.ones(n, dtype=np.bool_)
-        self._ramped = False
 
     def __len__(self) -> int:
         """Number of servos."""
@@ -220,7 +270,8 @@ class ServoBank:
             self._goals[row] = self._position_ticks(row)
         if address <= dxl.TORQUE_LIMIT.address < end:
             self._faults[row] = 0
-        self._dirty = True
+        self._aimed = True
+        self._dirty |= not (_AIM_START <= address and end <= _AIM_END)
 
     @property
     def shutdown(self) -> NDArray[np.bool_]:
@@ -252,6 +303,8 @@ class ServoBank:
         self._q[:] = q
         self._qd[:] = qd
         np.divide(torque, self.motor.stall_torque, out=self._load)
+        if self._aimed:
+            self._aims()
         if self._dirty:
             self._settings()
         self._drain(self._protect(dt), dt)
@@ -290,33 +343,23 @@ class ServoBank:
         return self.supply.empty_voltage + self.charge * (self.supply.full_voltage - self.supply.empty_voltage)
 
     def _control(self, dt: float) -> ServoCommand:
-        setpoint, q, out = self._setpoint, self._q, self._out
-        if self._ramped:
-            reach = self._speed * dt  # infinite where the speed is uncontrolled
-            setpoint += np.clip(self._goal - setpoint, -reach, reach)
-        else:
-            setpoint[:] = self._goal
-        np.copyto(setpoint, q, where=self._limp)  # and starts from here when torque returns
-
-        error = setpoint - q
-        if self._symmetric:
-            margin = self._margin[0]
-        else:
-            ccw = error > 0.0
-            margin = np.where(ccw, self._margin[1], self._margin[0])
-            out.stiffness[:] = np.where(ccw, self._stiffness[1], self._stiffness[0])
-        # Outside the margin the torque starts from zero at its edge; inside, the setpoint is where the joint is.
-        np.subtract(error, np.clip(error, -margin, margin), out=out.setpoint)
-        np.add(out.setpoint, q, out=out.setpoint)
+        out = self._out
+        _pull(
+            self._goal, self._speed * dt, self._limp, self._q, self._margin, self._stiffness,
+            self._setpoint, out.setpoint, out.stiffness,
+        )  # fmt: skip
         return out
 
-    def _settings(self) -> None:
-        """Physical values of the registers, made only when a table has changed."""
-        self._dirty = False
+    def _aims(self) -> None:
+        """Goals and speeds of the registers: what a host writes in every cycle."""
+        self._aimed = False
         self._goal[:] = (self._goals - float(dxl.TICK_CENTRE)) * dxl.TICK_RAD
         speed = self._column(dxl.MOVING_SPEED)
-        self._ramped = bool(speed.any())
         self._speed[:] = np.where(speed == 0, np.inf, speed * dxl.SPEED_RAD_S)
+
+    def _settings(self) -> None:
+        """Physical values of the other registers, made only when one of them has changed."""
+        self._dirty = False
         self._temperature_limit[:] = self._column(dxl.TEMPERATURE_LIMIT)
 
         # The AX-12A knows seven slopes, the powers of two; at an error of one slope it gives its full torque.
@@ -329,8 +372,6 @@ class ServoBank:
             self._margin[i] = self._column(margin) * dxl.TICK_RAD
             steps = np.exp2(np.floor(np.log2(np.maximum(self._column(slope), 2))))
             self._stiffness[i] = self.motor.stall_torque / (steps * dxl.TICK_RAD)
-        self._symmetric = bool((self._margin[0] == self._margin[1]).all() and (np.ptp(self._stiffness, axis=0) == 0).all())
-        self._out.stiffness[:] = self._stiffness[0]
 
         wheel_mode = (self._column(dxl.CW_ANGLE_LIMIT) == 0) & (self._column(dxl.CCW_ANGLE_LIMIT) == 0)
         limit = np.minimum(self._torque_limits, self._column(dxl.MAX_TORQUE)) / float(dxl.TORQUE_LIMIT.max)
@@ -349,14 +390,8 @@ class ServoBank:
     def _refresh(self) -> None:
         """Put what all servos measure into their tables: once a physics step at most, when somebody looks."""
         self._measured = True
-        position = np.clip(np.rint(dxl.TICK_CENTRE + self._q / dxl.TICK_RAD), 0, dxl.TICK_MAX)
-        self._column(dxl.PRESENT_POSITION)[:] = position.astype(np.uint16)
-        for register, value, unit in (
-            (dxl.PRESENT_SPEED, self._qd, dxl.SPEED_RAD_S),
-            (dxl.PRESENT_LOAD, self._load, dxl.LOAD_UNIT),
-        ):
-            size = np.minimum(np.rint(np.abs(value) / unit), dxl.DIRECTION_CW - 1)
-            self._column(register)[:] = np.where((value < 0) & (size > 0), size + dxl.DIRECTION_CW, size).astype(np.uint16)
+        columns = [self._column(r) for r in (dxl.PRESENT_POSITION, dxl.PRESENT_SPEED, dxl.PRESENT_LOAD)]
+        _measure(_UNITS, self._q, self._qd, self._load, *columns)
         self._column(dxl.PRESENT_VOLTAGE)[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
         self._column(dxl.PRESENT_TEMPERATURE)[:] = np.clip(np.rint(self.temperature), 0, 255).astype(np.uint8)
         self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._limp

@@ -42,8 +42,8 @@ def test_rates_are_exact_in_count() -> None:
     first = {kind: next(m.stamp_ns for m in made if type(m) is kind) for kind in counts}
     within = Counter(type(m) for m in made if m.stamp_ns < first[type(m)] + 2_000 * MS - 4 * TIME_STEP_NS)
     assert set(first.values()) == {BEAT_NS}
-    assert within == {DepthImage: 60, GroundTruth: 200, Imu: 200}
-    for kind, rate in ((DepthImage, 30.0), (GroundTruth, 100.0)):
+    assert within == {DepthImage: 60, GroundTruth: 100, Imu: 200}
+    for kind, rate in ((DepthImage, 30.0), (GroundTruth, 50.0)):
         stamps = np.array([m.stamp_ns for m in made if type(m) is kind])
         ideal = np.arange(len(stamps)) * 1e9 / rate
         late = stamps - ideal
@@ -93,7 +93,7 @@ def test_a_slow_machine_falls_behind_and_says_so_rather_than_racing() -> None:
     # From there on time passes as before, on the new origin.
     stamps = [m.stamp_ns for m in run(sim, 5_100 * MS, from_ns=5_004 * MS) if isinstance(m, GroundTruth)]
     assert min(stamps) > 4_990 * MS
-    assert np.diff(stamps).max() <= 10 * MS + TIME_STEP_NS
+    assert np.diff(stamps).max() <= 20 * MS + TIME_STEP_NS
     assert "1 times too slow" in sim.doing()
 
 
@@ -123,7 +123,7 @@ def test_in_lockstep_it_makes_what_it_says_and_no_colour() -> None:
     lockstep = Lockstep({"simulator": simulator}, lambda topic, _frame, _ns: heard.update([topic.key]))
     lockstep.run(200 * MS)
     assert heard[topics.DEPTH.key] in (6, 7)
-    assert heard[topics.TRUTH.key] in (20, 21)
+    assert heard[topics.TRUTH.key] in (10, 11)
     assert heard[topics.COLOR.key] == 0
 
 
