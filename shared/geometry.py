@@ -26,6 +26,8 @@ def skew(v: ArrayLike) -> Array:
 
 def rotation_z(angle: ArrayLike) -> Array:
     """Rotation by an angle [rad] about z: (...,) -> (..., 3, 3)."""
+    if isinstance(angle, float):
+        return rotation_from_rpy((0.0, 0.0, angle))
     angle = np.asarray(angle, dtype=np.float64)
     out = np.zeros((*angle.shape, 3, 3))
     c, s = np.cos(angle), np.sin(angle)
@@ -39,7 +41,8 @@ def rotation_from_rpy(rpy: ArrayLike) -> Array:
     """Rotation R = Rz(yaw) Ry(pitch) Rx(roll): (..., 3) [rad] roll, pitch, yaw -> (..., 3, 3)."""
     rpy = np.asarray(rpy, dtype=np.float64)
     if rpy.ndim == 1:  # the control loop makes one at a time; there the general way costs ten times as much
-        (cr, cp, cy), (sr, sp, sy) = map(math.cos, rpy), map(math.sin, rpy)
+        angles = rpy.tolist()
+        (cr, cp, cy), (sr, sp, sy) = map(math.cos, angles), map(math.sin, angles)
         return np.array(
             [
                 [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
@@ -59,6 +62,9 @@ def rotation_from_rpy(rpy: ArrayLike) -> Array:
 
 def rpy_from_rotation(R: Array) -> Array:
     """Roll, pitch, yaw (..., 3) [rad] of (..., 3, 3) rotations; pitch in [-pi/2, pi/2]."""
+    if R.ndim == 2:
+        (ax, _, _), (ay, _, _), (az, bz, cz) = R.tolist()
+        return np.array([math.atan2(bz, cz), -math.asin(min(max(az, -1.0), 1.0)), math.atan2(ay, ax)])
     pitch = -np.arcsin(np.clip(R[..., 2, 0], -1.0, 1.0))
     roll = np.arctan2(R[..., 2, 1], R[..., 2, 2])
     yaw = np.arctan2(R[..., 1, 0], R[..., 0, 0])
@@ -191,7 +197,7 @@ def interpolate(T0: Array, T1: Array, s: float) -> Array:
 
 def yaw_of(T: Array) -> float:
     """Heading [rad] of a (4, 4) transform."""
-    return float(np.arctan2(T[1, 0], T[0, 0]))
+    return math.atan2(T[1, 0], T[0, 0])
 
 
 def orthonormal(T: Array) -> Array:
@@ -208,11 +214,12 @@ def align_rigid(source: Array, target: Array, weights: Array | None = None) -> A
     """
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3 or len(source) < 3:
         raise ValueError(f"two (n, 3) point sets with n >= 3 expected, found {source.shape} and {target.shape}")
-    w = np.ones(len(source)) if weights is None else weights
-    w = (w / w.sum())[:, None]
-    source_mean, target_mean = (w * source).sum(axis=0), (w * target).sum(axis=0)
-    u, _, vt = np.linalg.svd((w * (source - source_mean)).T @ (target - target_mean))
-    R = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
+    w = np.full(len(source), 1.0 / len(source)) if weights is None else weights / weights.sum()
+    source_mean, target_mean = w @ source, w @ target
+    u, _, vt = np.linalg.svd((source - source_mean).T @ (w[:, None] * (target - target_mean)))
+    R = vt.T @ u.T
+    if np.linalg.det(R) < 0.0:  # a reflection: turn the direction that matters least
+        R = (vt.T * [1.0, 1.0, -1.0]) @ u.T
     return transform(R, target_mean - R @ source_mean)
 
 

@@ -8,8 +8,7 @@ import heapq
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar, cast
 
@@ -43,28 +42,59 @@ class Stages:
     """Durations of the named stages of a service's work, the newest few thousand of each."""
 
     def __init__(self) -> None:
-        self._samples: dict[str, deque[float]] = {}
+        self._samples: dict[str, _Ring] = {}
 
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
+    def __call__(self, name: str) -> "_Stage":
         """Time a block as one run of a stage."""
-        began = time.perf_counter_ns()
-        try:
-            yield
-        finally:
-            self.add(name, (time.perf_counter_ns() - began) * 1e-6)
+        return _Stage(self, name)
 
     def add(self, name: str, duration_ms: float) -> None:
         """Record one duration [ms] of a stage."""
-        self._samples.setdefault(name, deque(maxlen=_SAMPLES)).append(duration_ms)
+        samples = self._samples.get(name)
+        if samples is None:
+            samples = self._samples[name] = _Ring()
+        samples.add(duration_ms)
+
+    def runs(self, name: str) -> int:
+        """How often a stage has run."""
+        return self._samples[name].count if name in self._samples else 0
 
     def percentiles(self) -> dict[str, tuple[float, float]]:
-        """Stage -> 50th and 99th percentile [ms]."""
-        out: dict[str, tuple[float, float]] = {}
-        for name, samples in self._samples.items():
-            p50, p99 = np.percentile(np.fromiter(samples, np.float64, len(samples)), (50.0, 99.0))
-            out[name] = (float(p50), float(p99))
-        return out
+        """Stage -> 50th and 99th percentile [ms], by nearest rank."""
+        return {name: samples.percentiles() for name, samples in self._samples.items()}
+
+
+class _Stage:
+    """A running stage; a context manager made of a generator would cost several times as much."""
+
+    __slots__ = ("_began", "_name", "_stages")
+
+    def __init__(self, stages: Stages, name: str):
+        self._stages, self._name = stages, name
+
+    def __enter__(self) -> None:
+        self._began = time.perf_counter_ns()
+
+    def __exit__(self, *_: object) -> None:
+        self._stages.add(self._name, (time.perf_counter_ns() - self._began) * 1e-6)
+
+
+class _Ring:
+    """The newest numbers of a stream."""
+
+    def __init__(self) -> None:
+        self._values = np.empty(_SAMPLES)
+        self.count = 0  # of all that came
+
+    def add(self, value: float) -> None:
+        self._values[self.count % _SAMPLES] = value
+        self.count += 1
+
+    def percentiles(self) -> tuple[float, float]:
+        values = self._values[: min(self.count, _SAMPLES)]
+        ranks = (round(0.50 * (len(values) - 1)), round(0.99 * (len(values) - 1)))
+        p50, p99 = np.partition(values, ranks)[[*ranks]].tolist()
+        return p50, p99
 
 
 class Inbox:

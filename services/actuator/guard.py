@@ -121,7 +121,8 @@ class Guard:
         q = np.where(lost[:, None], q_last, q_goal)
         limits = self._profile.joint_limits
         reach = self._profile.servo.no_load_speed * dt
-        q = np.clip(np.clip(q, q_last - reach, q_last + reach), limits[..., 0], limits[..., 1])
+        q = np.minimum(np.maximum(q, q_last - reach), q_last + reach)
+        q = np.minimum(np.maximum(q, limits[..., 0]), limits[..., 1])
         names = [LEGS[leg] for leg in np.flatnonzero(lost)]
         return q, f"foot out of reach, held: {', '.join(names)}" if names else ""
 

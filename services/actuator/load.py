@@ -65,4 +65,4 @@ def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array,
     forces[:, 2] = foot_forces(feet @ R_level_body.T, share, weight, np.zeros(3))
     torques = joint_torques(profile, q, forces @ R_level_body) + link_torques(profile, q)
     limit = profile.servo.stall_torque
-    return np.asarray(np.clip(torques, -limit, limit) / profile.servo.stiffness)
+    return np.asarray(np.minimum(np.maximum(torques, -limit), limit) / profile.servo.stiffness)

@@ -74,5 +74,5 @@ class LegOdometry:
 
 def _rolled(before: Array, after: Array) -> Array:
     """How far (6, 2) spheres of radius one roll when their shanks turn from one direction to another."""
-    turn = np.cross(before, after)  # rotation vector of a small turn, without the spin about the shank
-    return np.stack([turn[:, 1], -turn[:, 0]], axis=-1)  # turn x up
+    # Their cross product is the rotation vector of a small turn, without the spin about the shank; turn x up is the way.
+    return np.asarray(before[:, 2:] * after[:, :2] - before[:, :2] * after[:, 2:])

@@ -311,4 +311,5 @@ class Actuator:
 
 def _ticks(servo: Array) -> NDArray[np.int64]:
     """Goal registers (18,) of servo angles (18,) [rad]."""
-    return np.clip(np.rint(dxl.TICK_CENTRE + servo / dxl.TICK_RAD), 0, dxl.TICK_MAX).astype(np.int64)
+    ticks = np.rint(dxl.TICK_CENTRE + servo / dxl.TICK_RAD)
+    return np.minimum(np.maximum(ticks, 0.0), dxl.TICK_MAX).astype(np.int64)

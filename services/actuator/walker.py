@@ -10,6 +10,7 @@ a path that joins the last step's speed; they take up their load again. What is 
     ref + correction  what the feet are placed against
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,11 +18,22 @@ from numpy.typing import NDArray
 
 from services.actuator.config import Settings
 from services.actuator.swing import Swing
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, rpy_from_rotation, transform, yaw_of
+from shared.geometry import (
+    Array,
+    apply,
+    from_xyz_rpy,
+    inverse,
+    rotation_from_rpy,
+    rotation_z,
+    rpy_from_rotation,
+    transform,
+    yaw_of,
+)
 from shared.messages import StepPlan
 
 _LOWERING_S = 1.0  # [s]
 _FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
+_LEVEL = np.array([1.0, 1.0, 0.0])  # of x, y, z, or of roll, pitch, yaw
 _LEVELLED = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of x, y, z, roll, pitch, yaw: those that a load bends
 _CORRECTION_LIMIT = np.array([0.0, 0.0, 0.025, np.radians(4), np.radians(4), 0.0])  # [m] and [rad]
 
@@ -182,7 +194,7 @@ class Walker:
         if self._flight is None:
             self._flight = Swing(self._feet[legs], targets, plan.clearance[legs])
         self._share[legs] = max(0.0, (self._elapsed - end) / self._settings.load_s)
-        since, until = (float(np.clip((t - begin) / (end - begin), 0.0, 1.0)) for t in (before, self._elapsed))
+        since, until = (min(max((t - begin) / (end - begin), 0.0), 1.0) for t in (before, self._elapsed))
         if since < 1.0:
             self._feet[legs] = self._flight.update(targets, since, until - since)
             self._ground[legs] = targets[:, 2]
@@ -201,20 +213,22 @@ class Walker:
     def _follow(self, dt: float, T_odom_body: Array) -> None:
         """Move {cmd} in {odom} so that the body's place by command and by measurement become one."""
         ref = self.body_ref
-        way = (T_odom_body[:3, 3] - ref[:3, 3]) * [1.0, 1.0, 0.0]
-        turn = float(_wrapped(np.array(yaw_of(T_odom_body) - yaw_of(ref))))
-        about = transform(np.eye(3), ref[:3, 3])
-        step = transform(rotation_z(_FOLLOW * dt * turn), _FOLLOW * dt * way)
-        self._T_odom_cmd = about @ step @ inverse(about) @ self._T_odom_cmd
+        place = ref[:3, 3]
+        way = (T_odom_body[:3, 3] - place) * _LEVEL
+        turn = math.remainder(yaw_of(T_odom_body) - yaw_of(ref), math.tau)
+        R = rotation_z(_FOLLOW * dt * turn)
+        # Turned about the body, then moved along.
+        step = transform(R, place - R @ place + _FOLLOW * dt * way)
+        self._T_odom_cmd = step @ self._T_odom_cmd
 
     def _correct(self, dt: float, T_odom_body: Array) -> None:
         error = self._ref - _coordinates(inverse(self._T_odom_cmd) @ T_odom_body)
         error[3:] = _wrapped(error[3:])
         step = _LEVELLED * self._settings.level_gain * error * dt
-        self._correction = np.clip(self._correction + step, -_CORRECTION_LIMIT, _CORRECTION_LIMIT)
+        self._correction = np.minimum(np.maximum(self._correction + step, -_CORRECTION_LIMIT), _CORRECTION_LIMIT)
 
     def _targets(self) -> Targets:
-        level = from_xyz_rpy(np.zeros(3), self._ref[3:] * [1.0, 1.0, 0.0])[:3, :3]
+        level = rotation_from_rpy(self._ref[3:] * _LEVEL)
         feet = apply(inverse(_pose(self._ref + self._correction)), self._feet)
         return Targets(feet, self._share.copy(), level)
 

@@ -11,7 +11,7 @@ from services.planner.stride import Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, flat_terrain
 from shared import topics
 from shared.geometry import Array, apply, inverse
-from shared.messages import ActuatorState, BodyPose, Message, Mode, PlannerStatus, StepPlan, VelocityCommand
+from shared.messages import ActuatorState, BodyPose, Message, Mode, PlannerStatus, StepPlan, TerrainMap, VelocityCommand
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
 
@@ -39,6 +39,7 @@ class Planner:
         self._running: StepPlan | None = None  # the plan of the step that is being walked
         self._stride: Stride | None = None  # behind the newest plan
         self._running_stride: Stride | None = None
+        self._looked_at: tuple[Stride, TerrainMap] | None = None  # for the last retargeting
         self._due_ns = 0
         self._status_due_ns = 0
         self._state: State = "waiting"
@@ -139,6 +140,9 @@ class Planner:
         running, stride = self._running, self._running_stride
         if running is None or stride is None:
             return None
+        before, self._looked_at = self._looked_at, (stride, terrain.map)
+        if before is not None and before[0] is stride and before[1] is terrain.map:
+            return None  # nothing has changed since
         found = self._strides.retarget(stride, terrain)
         if np.abs(found.touchdown - stride.touchdown).max() < self._settings.retarget_from_m:
             return None

@@ -22,7 +22,7 @@ class Terrain:
         ij = np.rint((xy - self.map.origin) / self.map.resolution).astype(np.int64)
         shape = np.array(self.map.elevation.shape)
         inside = np.asarray(((ij >= 0) & (ij < shape)).all(axis=-1))
-        return np.clip(ij, 0, shape - 1), inside
+        return np.minimum(np.maximum(ij, 0), shape - 1), inside
 
     def heights(self, xy: Array) -> Array:
         """Heights (n,) [m] {world} at (n, 2) points, NaN where unknown."""

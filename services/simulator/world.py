@@ -78,11 +78,11 @@ class World:
         self.model: Any = spec.compile()
         self.data: Any = mujoco.MjData(self.model)
         m, d = self.model, self.data
-        self._foot_geoms = [int(m.geom(f"foot {leg.name}").id) for leg in profile.legs]
-        self._link_geoms = [int(m.geom(f"{part} {leg.name}").id) for leg in profile.legs for part in JOINTS]
+        self._foot_geoms = np.array([int(m.geom(f"foot {leg.name}").id) for leg in profile.legs])
+        self._link_geoms = np.array([int(m.geom(f"{part} {leg.name}").id) for leg in profile.legs for part in JOINTS])
         self._trunk_geom = int(m.geom("trunk").id)
         self._link_bodies = np.array(m.geom_bodyid[self._link_geoms])
-        self._radii = np.array(m.geom_size[self._link_geoms + self._foot_geoms, 0])
+        self._radii = np.array(m.geom_size[np.concatenate([self._link_geoms, self._foot_geoms]), 0])
         body = int(m.body("body").id)
         # Views into the model and its data, taken once: looking them up costs more than the step's own assignments.
         self._gain = m.actuator_gainprm.reshape(6, 3, -1)[..., 0]
@@ -193,7 +193,7 @@ class World:
     @property
     def p_world_foot(self) -> Array:
         """Centres of the feet (6, 3) [m] {world}."""
-        return np.array(self._geom_position[self._foot_geoms])
+        return np.asarray(self._geom_position[self._foot_geoms])  # chosen by indices: a copy
 
     def robot_solids(self) -> tuple[Boxes, Capsules]:
         """The robot as it stands now, for the renderer: the trunk; 18 links in the order (leg, link), then 6 feet."""
