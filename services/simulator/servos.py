@@ -234,7 +234,9 @@ class ServoBank:
         self._setpoint = self._q.copy()  # [rad] where the ramp to the goal is, margin not considered
         self._measured = False  # the tables show what the servos measure
         self._out = ServoCommand(np.zeros(n), np.zeros(n), np.zeros(n))
-        self._aimed = self._dirty = True  # a table changed: its goals or speeds, anything else, since the values below were made
+        self._aimed = self._dirty = (
+            True  # a goal or speed changed, another register changed
+        )
         self._goal, self._speed, self._limit = np.zeros(n), np.zeros(n), np.zeros(n)
         self._temperature_limit = np.zeros(n)
         self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
@@ -271,7 +273,7 @@ class ServoBank:
         if address <= dxl.TORQUE_LIMIT.address < end:
             self._faults[row] = 0
         self._aimed = True
-        self._dirty |= not (_AIM_START <= address and end <= _AIM_END)
+        self._dirty |= not (address >= _AIM_START and end <= _AIM_END)
 
     @property
     def shutdown(self) -> NDArray[np.bool_]:
@@ -390,8 +392,8 @@ class ServoBank:
     def _refresh(self) -> None:
         """Put what all servos measure into their tables: once a physics step at most, when somebody looks."""
         self._measured = True
-        columns = [self._column(r) for r in (dxl.PRESENT_POSITION, dxl.PRESENT_SPEED, dxl.PRESENT_LOAD)]
-        _measure(_UNITS, self._q, self._qd, self._load, *columns)
+        words = [self._words[:, r.address // 2] for r in (dxl.PRESENT_POSITION, dxl.PRESENT_SPEED, dxl.PRESENT_LOAD)]
+        _measure(_UNITS, self._q, self._qd, self._load, *words)
         self._column(dxl.PRESENT_VOLTAGE)[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
         self._column(dxl.PRESENT_TEMPERATURE)[:] = np.clip(np.rint(self.temperature), 0, 255).astype(np.uint8)
         self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._limp
