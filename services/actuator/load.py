@@ -12,6 +12,8 @@ from shared.kinematics import joint_torques
 from shared.robot import RobotProfile
 
 GRAVITY = 9.81  # [m/s^2]
+# Keeps the forces bounded while a tripod degenerates; it is 1e-6 of what a standing leg gives.
+_DAMPING = np.diag([1e-6, 1e-8, 1e-8])
 
 
 def foot_forces(feet: Array, share: Array, weight: float, p_com: Array) -> Array:
@@ -26,10 +28,9 @@ def foot_forces(feet: Array, share: Array, weight: float, p_com: Array) -> Array
     Returns:
         (6,) [N], zero where the share is zero. Where fewer than three legs may carry the balance is only approximate.
     """
-    A = np.stack([np.ones(6), feet[:, 0] - p_com[0], feet[:, 1] - p_com[1]])
-    AW = A * share
-    # The small diagonal keeps the solution bounded while a tripod degenerates; it is 1e-6 of what a standing leg gives.
-    forces = share * (A.T @ np.linalg.solve(AW @ A.T + np.diag([1e-6, 1e-8, 1e-8]), np.array([weight, 0.0, 0.0])))
+    A = np.ones((3, 6))
+    A[1:] = (feet[:, :2] - p_com[:2]).T
+    forces = share * (np.linalg.solve((A * share) @ A.T + _DAMPING, np.array([weight, 0.0, 0.0])) @ A)
     return np.asarray(np.maximum(forces, 0.0))
 
 

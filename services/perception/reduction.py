@@ -155,6 +155,7 @@ def _bin(
         gx[j], gy[j], gz[j] = T[0, 0] * x[j], T[1, 0] * x[j], T[2, 0] * x[j]
     px, py, pz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     band, key = np.empty(columns, np.float32), np.empty(columns, np.int32)
+    limits = np.empty(columns, np.int32)
     read, steady = np.empty(columns, np.int32), np.empty(columns, np.int32)
     taken = np.empty(columns + 1, np.uint32)
     zero, one = np.float32(0.0), np.float32(1.0)
@@ -178,6 +179,7 @@ def _bin(
             z = np.float32(r) * scale
             dx, dy, dz = (gx[j] + ax) * z, (gy[j] + ay) * z, (gz[j] + az) * z
             px[j], py[j], pz[j] = dx, dy, dz
+            limits[j] = np.int32(jump + jump2 * (np.float32(r) * np.float32(r)))
             band[j] = surface + noise32 * z * abs(dz)
             near = (dx * dx + dy * dy <= range2) & (dz <= ceiling32)
             every = (z >= dense32) | (((np.int32(j) ^ odd) & np.int32(1)) == np.int32(0))
@@ -191,11 +193,11 @@ def _bin(
         above, below = raw[i - 2 if i >= 2 else i], raw[i + 2 if i + 2 < rows else i]
         for j in range(columns):
             r, a, b = np.int32(line[j]), np.int32(above[j]), np.int32(below[j])
-            limit = np.int32(jump + jump2 * (np.float32(r) * np.float32(r)))
+            limit = limits[j]
             steady[j] = np.int32(((abs(r - a) <= limit) & (a != 0)) | ((abs(b - r) <= limit) & (b != 0)))
         for j in range(2, columns - 2):
             r, a, b = np.int32(line[j]), np.int32(line[j - 2]), np.int32(line[j + 2])
-            limit = np.int32(jump + jump2 * (np.float32(r) * np.float32(r)))
+            limit = limits[j]
             steady[j] &= np.int32(((abs(r - a) <= limit) & (a != 0)) | ((abs(b - r) <= limit) & (b != 0)))
         for j in range(columns):
             if read[j] > steady[j]:

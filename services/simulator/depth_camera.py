@@ -144,6 +144,7 @@ def _expose(
     bits = np.zeros(columns, dtype=np.uint32)
     noise = np.zeros(columns, dtype=np.float32)
     seen_at = np.zeros(columns, dtype=np.float32)
+    fold = np.zeros(columns, dtype=np.bool_)
     u = np.arange(columns).astype(np.float32)
     x = (np.arange(columns) - camera[2]).astype(np.float32)
     for row in range(rows):
@@ -186,15 +187,17 @@ def _expose(
         # 3. In the projector's picture a point lies at u - d. Right of a pixel, whatever lies further left there hides it.
         for column in range(columns):
             seen_at[column] = u[column] - np.float32(bf) * line[column]
-        folded = np.uint32(0)
         for column in range(columns - 1):
-            folded |= np.uint32(seen_at[column] > seen_at[column + 1])
-        if folded != 0:
-            leftmost = np.float32(np.inf)
-            for column in range(columns - 1, -1, -1):
-                if seen_at[column] > leftmost + np.float32(_SHADOW_MARGIN):
-                    out[column] = 0
-                leftmost = min(leftmost, seen_at[column])
+            fold[column] = seen_at[column] > seen_at[column + 1]
+        column = columns - 2
+        while column >= 0:
+            if fold[column]:
+                leftmost = seen_at[column + 1]  # of all to the right, since they are in order
+                while column >= 0 and seen_at[column] > leftmost:
+                    if seen_at[column] > leftmost + np.float32(_SHADOW_MARGIN):
+                        out[column] = 0
+                    column -= 1
+            column -= 1
         # 4. Grazed surfaces, and the losses at random.
         above, below = w[max(row - 1, 0)], w[min(row + 1, rows - 1)]
         _graze(line, above, below, bits, x, np.float32(row - camera[3]), np.float32(camera[0]), np.float32(camera[1]), out)

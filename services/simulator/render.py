@@ -213,6 +213,7 @@ def _draw_polygon(
     corners: Array,
     count: int,
     scratch: Array,
+    nearer: NDArray[np.float32],
     colour: Array,
     light: Array,
 ) -> None:
@@ -286,8 +287,10 @@ def _draw_polygon(
             line = w[row, begin:end]
             start += a * begin
             for column in range(line.size):
-                value = np.float32(start + a * ramp[column])
-                line[column] = value if value > line[column] else line[column]
+                value, old = np.float32(start + a * ramp[column]), line[column]
+                nearer[column] = value if value > old else old  # stored in place it would be a branch, and no vector
+            for column in range(line.size):
+                line[column] = nearer[column]
         else:
             for column in range(begin, end):
                 value = np.float32(start + a * column)
@@ -309,7 +312,7 @@ def _draw_quads(
     light: Array,
 ) -> None:
     """Draw four-cornered faces (n, 4, 3) [m] {world}, T being T_camera_world."""
-    scratch = np.empty((12, 6))
+    scratch, nearer = np.empty((12, 6)), np.empty(w.shape[1], np.float32)
     corners = np.empty((4, 3))
     for face in range(len(quads)):
         for i in range(4):
@@ -317,7 +320,7 @@ def _draw_quads(
                 corners[i, k] = (
                     T[k, 0] * quads[face, i, 0] + T[k, 1] * quads[face, i, 1] + T[k, 2] * quads[face, i, 2] + T[k, 3]
                 )
-        _draw_polygon(w, rgb, camera, ramp, corners, 4, scratch, colours[face], light)
+        _draw_polygon(w, rgb, camera, ramp, corners, 4, scratch, nearer, colours[face], light)
 
 
 @compiled
@@ -349,7 +352,7 @@ def _draw_field(
     size = _BLOCK + 1
     xs, ys, zs = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
     us, vs = np.empty((size, size)), np.empty((size, size))
-    scratch = np.empty((12, 6))
+    scratch, nearer = np.empty((12, 6)), np.empty(w.shape[1], np.float32)
     corners = np.empty((3, 3))
     for block in range(len(blocks)):
         seen = True
@@ -388,7 +391,7 @@ def _draw_field(
                         corners[0, 0], corners[0, 1], corners[0, 2] = px, py, pz
                         corners[1, 0], corners[1, 1], corners[1, 2] = qx, qy, qz
                         corners[2, 0], corners[2, 1], corners[2, 2] = rx, ry, rz
-                        _draw_polygon(w, rgb, camera, ramp, corners, 3, scratch, colour, light)
+                        _draw_polygon(w, rgb, camera, ramp, corners, 3, scratch, nearer, colour, light)
                         continue
                     top = int(np.ceil(max(min(pv, qv, rv) - _EDGE, 0.0)))
                     bottom = int(np.floor(min(max(pv, qv, rv) + _EDGE, rows - 1.0)))
