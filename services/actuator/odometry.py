@@ -57,7 +57,7 @@ class LegOdometry:
         if self.reliable:
             previous = self.T_odom_body
             self.T_odom_body = align_rigid(self.feet[held], self.anchors[held])
-            self.travelled += float(np.linalg.norm(self.T_odom_body[:2, 3] - previous[:2, 3]))
+            self.travelled += math.hypot(*(self.T_odom_body[:2, 3] - previous[:2, 3]).tolist())
             self.turned += abs(math.remainder(yaw_of(self.T_odom_body) - yaw_of(previous), math.tau))
         fresh = standing & ~self._standing
         self.anchors[fresh] = apply(self.T_odom_body, self.feet[fresh])
@@ -69,7 +69,7 @@ class LegOdometry:
         points = leg_points(self._profile, q)
         self.feet = points[:, 3]
         shank = points[:, 2] - points[:, 3]
-        return np.asarray(shank @ self.T_odom_body[:3, :3].T / np.linalg.norm(shank, axis=1, keepdims=True))
+        return np.asarray(shank @ (self.T_odom_body[:3, :3].T / self._profile.links.tibia))
 
 
 def _rolled(before: Array, after: Array) -> Array:

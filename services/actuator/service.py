@@ -303,10 +303,15 @@ class Actuator:
             T_odom_body=self._odometry.T_odom_body.copy(),
             body_ref=walker.body_ref,
             T_world_odom=self._T_world_odom.copy(),
-            voltage=float(np.nanmin(self._voltage)) if np.isfinite(self._voltage).any() else 0.0,
-            temperature=float(np.nanmax(self._temperature)) if np.isfinite(self._temperature).any() else 0.0,
+            voltage=_known(np.fmin.reduce(self._voltage)),
+            temperature=_known(np.fmax.reduce(self._temperature)),
             warnings=tuple(w for w in (self._warning,) if w),
         )
+
+
+def _known(value: float) -> float:
+    """A number, or zero while there is none."""
+    return 0.0 if np.isnan(value) else float(value)
 
 
 def _ticks(servo: Array) -> NDArray[np.int64]:

@@ -234,9 +234,7 @@ class ServoBank:
         self._setpoint = self._q.copy()  # [rad] where the ramp to the goal is, margin not considered
         self._measured = False  # the tables show what the servos measure
         self._out = ServoCommand(np.zeros(n), np.zeros(n), np.zeros(n))
-        self._aimed = self._dirty = (
-            True  # a goal or speed changed, another register changed
-        )
+        self._aimed = self._dirty = True  # a goal or speed changed, another register changed
         self._goal, self._speed, self._limit = np.zeros(n), np.zeros(n), np.zeros(n)
         self._temperature_limit = np.zeros(n)
         self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
