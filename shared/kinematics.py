@@ -253,9 +253,9 @@ def leg_points(profile: RobotProfile, q: Array) -> Array:
     links = profile.links
     c1, s1, reach, z, shank_x, shank_z = _planar(q, links)
     points = np.zeros((*q.shape[:-1], 4, 3))
-    for point, outward in enumerate((links.coxa, reach - shank_x, reach), start=1):
-        points[..., point, 0], points[..., point, 1] = outward * c1, outward * s1
-    points[..., 2, 2], points[..., 3, 2] = z - shank_z, z
+    points[..., 1, 0], points[..., 1, 1] = links.coxa * c1, links.coxa * s1
+    points[..., 2, 0], points[..., 2, 1], points[..., 2, 2] = (reach - shank_x) * c1, (reach - shank_x) * s1, z - shank_z
+    points[..., 3, 0], points[..., 3, 1], points[..., 3, 2] = reach * c1, reach * s1, z
     R, p = profile.T_body_coxa[:, :3, :3], profile.T_body_coxa[:, :3, 3]
     return np.asarray(points @ np.swapaxes(R, -1, -2) + p[:, None, :])
 

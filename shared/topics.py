@@ -1,7 +1,8 @@
 """The topic table: what travels under which key, how often, how it is delivered, and how long it takes.
 
 `latency_s` is what lockstep delays a message by: from the start of the step that makes it to its receipt, computing included.
-The defaults are the 99th percentiles of a live run on two cores (`sextant run steps --json` prints them under stages_ms).
+The defaults are the 99th percentiles of live runs on two cores, the median of five (`sextant run steps --json` prints a run's
+under stages_ms); of what such a run does not carry (colour, IMU) or does not time (health), that of its like.
 """
 
 from dataclasses import dataclass
@@ -47,19 +48,19 @@ class Topic(Generic[M]):
 
 _KIB = 1024
 
-DEPTH = Topic("camera/depth", m.DepthImage, 30.0, Delivery.LATEST, Lane.BULK, 4096 * _KIB, 0.012)
+DEPTH = Topic("camera/depth", m.DepthImage, 30.0, Delivery.LATEST, Lane.BULK, 4096 * _KIB, 0.010)
 COLOR = Topic("camera/color", m.ColorImage, 5.0, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.015)
 IMU = Topic("imu", m.Imu, 100.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.003)
-ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CONTROL, 4 * _KIB, 0.008)
-ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.008)
-BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.025)
-SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.025)
-TERRAIN = Topic("mapper/terrain", m.TerrainMap, 7.5, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.030)
-STEP_PLAN = Topic("planner/step", m.StepPlan, 20.0, Delivery.EVERY, Lane.CONTROL, 8 * _KIB, 0.010)
-PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.010)
-VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.003)
+ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CONTROL, 4 * _KIB, 0.013)
+ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.015)
+BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.010)
+SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.012)
+TERRAIN = Topic("mapper/terrain", m.TerrainMap, 7.5, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.039)
+STEP_PLAN = Topic("planner/step", m.StepPlan, 20.0, Delivery.EVERY, Lane.CONTROL, 8 * _KIB, 0.009)
+PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.007)
+VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
 MODE = Topic("operator/mode", m.ModeCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
-TRUTH = Topic("simulator/truth", m.GroundTruth, 50.0, Delivery.EVERY, Lane.BULK, 8 * _KIB, 0.003)
+TRUTH = Topic("simulator/truth", m.GroundTruth, 50.0, Delivery.EVERY, Lane.BULK, 8 * _KIB, 0.009)
 HEALTH = Topic("health", m.Health, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003)
 
 TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
