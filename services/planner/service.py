@@ -1,13 +1,14 @@
 """The planner: Lotriet's state machine of resting and stepping, on the newest map and pose."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from services.planner.config import Settings
 from services.planner.gait import directions, swinging_tripod
-from services.planner.stride import Blocked, Situation, Stride, StridePlanner
+from services.planner.stride import SHARES, Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, flat_terrain
 from shared import topics
 from shared.geometry import Array, apply, inverse
@@ -18,6 +19,8 @@ from shared.service import AnyTopic, Inbox, Stages
 State = Literal["waiting", "resting", "stepping", "blocked"]
 
 _STATUS_PERIOD_NS = 100_000_000
+_ANSWER_NS = 100_000_000  # [ns] after a plan the actuator's word is about it
+_NEW_COURSE = (0.02, 0.1)  # [m/s] and [rad/s] by which a command must differ to be another one
 _STILL = 1e-3  # [m/s] and [rad/s]
 
 
@@ -40,6 +43,9 @@ class Planner:
         self._stride: Stride | None = None  # behind the newest plan
         self._running_stride: Stride | None = None
         self._looked_at: tuple[Stride, TerrainMap] | None = None  # for the last retargeting
+        self._refused: StepPlan | None = None  # the newest plan of which the actuator has said so
+        self._refusals = 0  # of plans for the step that comes next
+        self._asked: VelocityCommand | None = None  # what was commanded when they began
         self._due_ns = 0
         self._status_due_ns = 0
         self._state: State = "waiting"
@@ -105,8 +111,15 @@ class Planner:
         at = self._situation(state, pose, command)
         if at is None:
             return self._hold("waiting", "the running step is not one of mine; waiting for its end")
+        self._hear_refusal(state, command)
+        kept_off = max(0, self._refusals - 1)  # the first time the same may pass, by newer estimates
+        if kept_off >= 2 * len(SHARES):
+            return self._hold("blocked", f"the actuator refuses every step: {state.refused}")
+        other_tripod, passed_over = divmod(kept_off, len(SHARES))
+        if other_tripod:
+            at = replace(at, swing=~at.swing)
         with self.stages("plan step"):
-            found = self._strides.plan(at, terrain)
+            found = self._strides.plan(at, terrain, passed_over)
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
             return self._hold("blocked", found.reason, found.leg)
@@ -117,6 +130,15 @@ class Planner:
         revision = self._sent.revision + 1 if self._sent is not None and self._sent.step == number else 1
         self._stride = found
         return self._message(state, pose, found, number, revision)
+
+    def _hear_refusal(self, state: ActuatorState, command: VelocityCommand) -> None:
+        """Count how often the actuator has refused the next step: sent as it was, it would be refused again."""
+        sent = self._sent
+        if sent is None or sent.step != state.step + 1 or _differ(command, self._asked):
+            self._refusals, self._asked = 0, command
+        elif state.refused and state.stamp_ns - sent.stamp_ns >= _ANSWER_NS and self._refused is not sent:
+            self._refusals += 1
+            self._refused = sent
 
     def _situation(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand) -> Situation | None:
         """Where the robot will stand when the running step is over."""
@@ -182,3 +204,11 @@ class Planner:
 def _feet_in_world(state: ActuatorState, pose: BodyPose) -> Array:
     """Measured feet (6, 3) [m] {world}."""
     return apply(pose.T_world_odom @ state.T_odom_body, state.feet)
+
+
+def _differ(a: VelocityCommand, b: VelocityCommand | None) -> bool:
+    """Whether two commands ask for different steps."""
+    if b is None:
+        return True
+    velocity, yaw_rate = _NEW_COURSE
+    return bool(np.abs(a.velocity - b.velocity).max() > velocity or abs(a.yaw_rate - b.yaw_rate) > yaw_rate)

@@ -16,7 +16,7 @@ from shared.messages import VelocityCommand
 from shared.robot import LEGS, RobotProfile
 from shared.stability import support_margin
 
-_SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
+SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
 _MAX_CLEARANCE = 0.11  # [m] over both ends that a leg can lift its foot
 
 
@@ -67,10 +67,10 @@ class StridePlanner:
         self._foot_up = np.array([0.0, 0.0, profile.foot.radius])  # [m] from the ground to a foot's centre
         self._offsets = offsets_by_distance(settings.search_radius, resolution)
 
-    def plan(self, at: Situation, terrain: Terrain) -> Stride | Blocked:
-        """The longest step towards the command that the terrain allows."""
+    def plan(self, at: Situation, terrain: Terrain, passed_over: int = 0) -> Stride | Blocked:
+        """The longest step towards the command that the terrain allows, the longest few passed over."""
         first: Blocked | None = None
-        for share in _SHARES:
+        for share in SHARES[passed_over:]:
             found = self._attempt(at, terrain, share)
             if isinstance(found, Stride):
                 return found

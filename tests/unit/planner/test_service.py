@@ -268,3 +268,36 @@ def test_while_it_is_blocked_it_does_not_think_all_the_time(make_terrain: Maker)
     rig.plans(50)
     searches = rig.planner.stages.runs("plan step")
     assert searches <= 1 + 1.0 / rig.planner._settings.revise_s
+
+
+def test_a_refused_step_is_not_asked_for_again_and_again() -> None:
+    """First once more, by newer estimates; then shorter; then with the other legs; then it says that nothing helps."""
+    rig = Rig()
+    first, again, *others = rig.plans(200, refused="the touchdown of the left front leg is out of reach")
+    np.testing.assert_array_equal(again.touchdown, first.touchdown)
+    travel = [p.body_goal[0, 3] for p in (again, *others)]
+    other_legs = [bool((p.swing != first.swing).any()) for p in (again, *others)]
+    turn = other_legs.index(True)
+    assert all(other_legs[turn:])
+    for part in (travel[:turn], travel[turn:]):
+        assert len(part) > 1
+        assert (np.diff(part) < 0).all()
+    assert rig.status().state == "blocked"
+    assert rig.status().reason == "the actuator refuses every step: the touchdown of the left front leg is out of reach"
+
+
+def test_another_command_is_tried_whatever_was_refused_before() -> None:
+    rig = Rig()
+    rig.plans(200, refused="out of reach")
+    assert rig.status().state == "blocked"
+    rig.command = VelocityCommand(0, np.array([-0.06, 0.0]), 0.0, HEIGHT, 0.04)
+    assert rig.plans(10)
+
+
+def test_an_accepted_step_ends_the_caution() -> None:
+    rig = Rig()
+    plan = rig.plans(60, refused="out of reach")[-1]
+    rig.begin(plan)
+    rig.plans(1, phase=0.1, refused="")
+    rig.finish(plan)
+    assert rig.plans(10)[-1].body_goal[0, 3] - plan.body_goal[0, 3] == pytest.approx(0.06 * Settings().step_s, abs=1e-6)

@@ -416,7 +416,8 @@ def test_the_tap_sees_what_nobody_reads() -> None:
 def test_in_lockstep_the_measured_latency_is_the_configured_one() -> None:
     run, _ = system()
     run.run(200 * MS)
-    assert run.service("planner").stages.percentiles()[f"latency {VELOCITY.key}"] == pytest.approx((3.0, 3.0), abs=1e-9)
+    expected_ms = VELOCITY.latency_s * 1e3
+    assert run.service("planner").stages.percentiles()[f"latency {VELOCITY.key}"] == pytest.approx((expected_ms,) * 2)
 
 
 # ----------------------------------------------------------------------------------------------------- live
