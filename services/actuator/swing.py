@@ -9,7 +9,7 @@ Without S its solution is y = v_h x ln(L/x): it peaks at v_h L / e, where x = L/
 thesis' step height parameter, follows from a clearance h as e h / L. S goes from about -1 to 0 where y passes the level q
 (5.26); its constants shape a sigmoid only, the two lengths that make it one are chosen here. The level is that of the higher
 end of the step, so a foot rises beside a riser before it goes over it, and leaves an edge before it goes down behind it; in
-the last quarter of the way S fades, so that the foot does not hover and then plunge.
+the last third of the way S fades, so that the foot does not hover and then plunge.
 """
 
 import math
@@ -19,9 +19,9 @@ from shared.geometry import Array
 
 _SIGMOID_UNIT = 0.0005  # [m] over which S turns
 _RISE_SLOPE = 6.0  # slope of the initial rise, however short the way
-_LEVEL_SHARE = 0.5  # of the clearance, over the higher end: from there on the foot arcs
+_LEVEL_SHARE = 0.8  # of the clearance, over the higher end: from there on the foot arcs; what stands in its way may stand close
 _ARC_SHARE = 0.9  # of the clearance at which the arc would peak; the tail of S adds the rest
-_FADE = (0.25, 0.50)  # shares of the way left between which S fades
+_FADE = (0.15, 0.35)  # shares of the way left between which S fades
 _ARC_SHARES = [i / 8 for i in range(9)]  # of the way left, at which the arc is measured
 _ARC_LOGS = [s * math.log(s) if s else 0.0 for s in _ARC_SHARES]
 _SUBSTEPS = 4  # per cycle: the field turns within a centimetre
