@@ -52,8 +52,13 @@ class Acceptance:
     min_overlap: float = 0.3  # share of points that found a plane
     min_agreement: float = 0.5  # share of points facing a plane that lie on it
     max_rmse: float = 0.010  # [m] point-to-plane
-    jump_distance: float = 0.02  # [m] departure from the prior allowed on top of four sigma
-    jump_angle: float = 0.02  # [rad] likewise
+    # Departure from the prior allowed on top of four sigma. A floor tells height, roll and pitch beyond doubt, and a foot
+    # that slips off an edge tilts the robot by degrees at once; along the floor a frame may have been matched with the wrong
+    # block.
+    jump_distance: float = 0.02  # [m] in x and y
+    jump_angle: float = 0.02  # [rad] in yaw
+    jump_height: float = 0.05  # [m] in z
+    jump_tilt: float = 0.15  # [rad] in roll and pitch
     patience: int = 15  # failed frames in a row after which the map starts anew at the prior
 
 
@@ -309,7 +314,8 @@ def objection(match: Match, acceptance: Acceptance) -> str:
 def jump(T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArray[np.float64], acceptance: Acceptance) -> str:
     """Why a pose is too far from its prior to be true, or nothing."""
     twist = np.abs(error_twist(T, T_prior))
-    margin = np.repeat([acceptance.jump_distance, acceptance.jump_angle], 3)
+    level, tilt = acceptance.jump_distance, acceptance.jump_tilt
+    margin = np.array([level, level, acceptance.jump_height, tilt, tilt, acceptance.jump_angle])
     allowed = 4.0 * np.sqrt(np.diag(covariance)) + margin
     worst = int(np.argmax(twist / allowed))
     if twist[worst] <= allowed[worst]:

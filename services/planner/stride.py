@@ -17,6 +17,7 @@ from shared.robot import LEGS, RobotProfile
 from shared.stability import support_margin
 
 SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
+_DESCENT = np.array([0.0, 0.0, 0.03])  # [m] over a foothold, from where a foot comes straight down
 _MAX_CLEARANCE = 0.11  # [m] over both ends that a leg can lift its foot
 
 
@@ -158,7 +159,8 @@ class StridePlanner:
 
         def reachable(points: Array) -> NDArray[np.bool_]:
             feet_world = points + self._foot_up
-            return self._reaches(leg, feet_world, T_end) & self._reaches(leg, feet_world, T_after)
+            from_above = self._reaches(leg, feet_world + _DESCENT, T_end)  # a folded leg comes down further out
+            return from_above & self._reaches(leg, feet_world, T_end) & self._reaches(leg, feet_world, T_after)
 
         return nearest_foothold(terrain, nominal, self._offsets, others, self._settings.min_foot_distance, reachable)
 
