@@ -364,7 +364,7 @@ def test_seeding_takes_any_simple_polygon_and_clips_it_to_the_window() -> None:
 
 def test_small_holes_are_bridged_exactly_on_a_plane_and_nothing_else_is_touched() -> None:
     i, j = np.mgrid[:30, :40]
-    plane = (0.002 * i - 0.001 * j + 0.5).astype(np.float32)
+    plane = (0.0015 * i - 0.0005 * j + 0.5).astype(np.float32)
     holed = plane.copy()
     holed[5, 5] = holed[10, :] = np.nan
     holed[20:22, 5:7] = np.nan
@@ -389,6 +389,13 @@ def test_holes_across_an_edge_and_the_frontier_stay_unknown() -> None:
     wide = np.zeros((12, 12), dtype=np.float32)
     wide[4:6] = np.nan
     np.testing.assert_array_equal(np.isnan(fill_small_holes(wide)), np.isnan(wide))
+
+
+def test_a_trench_between_blocks_of_about_one_height_is_no_hole() -> None:
+    blocks = np.full((12, 12), 0.029, dtype=np.float32)
+    blocks[6:] = 0.023
+    blocks[6] = np.nan  # in the shadow of the nearer block
+    np.testing.assert_array_equal(np.isnan(fill_small_holes(blocks)), np.isnan(blocks))
 
 
 # ---- a scene of low blocks, seen by a walking camera with true poses

@@ -192,6 +192,8 @@ def test_a_jump_is_measured_against_the_prior():
     covariance = np.diag([0.01, 0.002, 0.002, 0.01, 0.01, 0.01]) ** 2
     assert jump(moved(T, np.array([0.059, 0, 0, 0, 0, 0.059])), T, covariance, acceptance) == ""
     assert "jump of 0.061 m in x" in jump(moved(T, np.array([0.061, 0, 0, 0, 0, 0])), T, covariance, acceptance)
+    assert jump(moved(T, np.array([0, 0, 0.055, 0.15, -0.15, 0])), T, covariance, acceptance) == ""  # a floor tells these
+    assert "deg in pitch" in jump(moved(T, np.array([0, 0, 0, 0, 0.2, 0])), T, covariance, acceptance)
     assert "deg in yaw" in jump(moved(T, np.array([0, 0, 0, 0, 0, 0.07])), T, covariance, acceptance)
 
 
