@@ -46,7 +46,7 @@ _COURSE_MARGIN = 1.2  # [m] of map around the course that is kept
 _PATH_MARGIN = 0.5  # [m] around the straight path where a fall is looked up on a grid
 _RAISED = 0.005  # [m]
 _GROUND_RESOLUTION = 0.02  # [m]
-_DEBOUNCE = 1  # samples of truth, 20 ms
+_DEBOUNCE = max(1, round(0.02 * topics.TRUTH.rate_hz))  # samples of truth, 20 ms
 _GROUNDED = 0.2  # [1] of a swing at its ends, in which a touching foot carries and does not brush
 _STALE_NS = 250_000_000  # [ns] an actuator that has been silent for longer is not walking
 _MOVED = 0.008  # [m] a touchdown this far off its fellows' pattern has been moved
@@ -351,8 +351,7 @@ class Scorer:
         height = trace.p_true[walking, 2]
         feet = self._feet()[..., :2]
         planted = self._contact() & ~self._swing() & walking[:, None]
-        # One sample in two: the margin changes slowly, and the polygons are the dearest part.
-        margin = stability_margin(feet[walking][::2], self._carrying()[walking][::2], trace.p_true[walking, :2][::2])
+        margin = stability_margin(feet[walking], self._carrying()[walking], trace.p_true[walking, :2])
         slip = slip_per_step(feet, planted, stance_step)
         downs = trace.touchdowns
         commanded = self._commanded_tilt()[walking]

@@ -195,8 +195,9 @@ def _array_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder
             raise DecodeError(f"{where}: an array of {code} expected, found {found[:10]!r}")
         if len(shape) != ndim:
             raise DecodeError(f"{where}: an array of {ndim} dimensions expected, found {len(shape)}")
+        # Types first: a list from the wire may be so deeply nested that not even its repr could be had.
         if not _INTEGER.issuperset(map(type, shape)) or min(shape) < 0 or max(shape) > MAX_LENGTH:
-            raise DecodeError(f"{where}: lengths of 0 to {MAX_LENGTH} expected, found {shape!r:.60}")
+            raise DecodeError(f"{where}: whole numbers from 0 to {MAX_LENGTH} expected as lengths")
         count = prod(shape)  # Python integers do not overflow
         begin, end = arrays + offset, arrays + offset + count * itemsize
         if offset < 0 or offset % _ALIGNMENT or end > len(frame):

@@ -25,7 +25,7 @@ def skew(v: ArrayLike) -> Array:
 
 
 def rotation_z(angle: ArrayLike) -> Array:
-    """Rotation by an angle [rad] about z: (...,) -> (..., 3, 3)."""
+    """Rotation by a finite angle [rad] about z: (...,) -> (..., 3, 3)."""
     if isinstance(angle, float):
         return rotation_from_rpy((0.0, 0.0, angle))
     angle = np.asarray(angle, dtype=np.float64)

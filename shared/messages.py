@@ -111,6 +111,8 @@ class ActuatorState(Message):
     mode: Mode
     reason: str  # why this mode, in words
     refused: str  # why the last plan was refused, in words; empty when the last was accepted
+    refused_ns: int  # stamp of the newest plan that was refused for what it asks of the legs; -1 for none
+    plan_ns: int  # stamp of the plan that is being walked, or was last; -1 before the first
     step: int  # number of the step being walked, or of the last one finished
     phase: float  # [1] 0 to 1 through the step, 1 when it is done
     swing: LegFlags  # legs in the air by plan

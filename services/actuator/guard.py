@@ -37,17 +37,8 @@ class Guard:
         self._plan_age_ns = round(plan_age_s * 1e9)
         self._last_stamp_ns = -1
 
-    def refusal(
-        self,
-        plan: StepPlan,
-        now_ns: int,
-        running: int,
-        resting: bool,
-        swing: NDArray[np.bool_],
-        T_odom_body: Array,
-        feet: Array,
-    ) -> str:
-        """Why a plan must not be walked, in words; empty when it may, and then it counts as the newest.
+    def untimely(self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_]) -> str:
+        """Why a plan comes too late, too early or out of order, in words, or nothing; another one may be welcome.
 
         Args:
             plan: The plan.
@@ -55,21 +46,7 @@ class Guard:
             running: Number of the running or last step.
             resting: Whether no step is running.
             swing: (6,) legs that the running step swings.
-            T_odom_body: (4, 4) where the body should be when the plan sets in: for the next step, at the end of this one.
-            feet: (6, 3) [m] {odom} where the feet will be then.
         """
-        reason = (
-            self._out_of_order(plan, now_ns, running, resting, swing)
-            or _malformed(plan)
-            or _out_of_bounds(plan, T_odom_body)
-            or self._unstable(plan, T_odom_body, feet)
-            or self._out_of_reach(plan, feet)
-        )
-        if not reason:
-            self._last_stamp_ns = plan.stamp_ns
-        return reason
-
-    def _out_of_order(self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_]) -> str:
         age_ns = now_ns - plan.stamp_ns
         if age_ns > self._plan_age_ns:
             return f"plan of step {plan.step} is {age_ns * 1e-9:.2f} s old, at most {self._plan_age_ns * 1e-9:.2f} s allowed"
@@ -82,6 +59,24 @@ class Guard:
         if plan.step == running and (plan.swing != swing).any():
             return f"a revision of step {plan.step} swings other legs than the step that is running"
         return ""
+
+    def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
+        """Why a plan must not be walked, in words; empty when it may, and then it counts as the newest.
+
+        Args:
+            plan: The plan.
+            T_odom_body: (4, 4) where the body should be when the plan sets in: for the next step, at the end of this one.
+            feet: (6, 3) [m] {odom} where the feet will be then.
+        """
+        reason = (
+            _malformed(plan)
+            or _out_of_bounds(plan, T_odom_body)
+            or self._unstable(plan, T_odom_body, feet)
+            or self._out_of_reach(plan, feet)
+        )
+        if not reason:
+            self._last_stamp_ns = plan.stamp_ns
+        return reason
 
     def _unstable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
         """Whether the standing legs carry the body where it is and where it goes."""

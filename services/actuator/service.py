@@ -74,7 +74,7 @@ class Actuator:
         self._voltage = np.full(18, np.nan)
         self._temperature = np.full(18, np.nan)
         self._last_ns = -1
-        self._refused = ""
+        self._refused, self._refused_ns = "", -1
         self._warning = ""
         self._last_order = -1
         self._told: tuple[Mode, str, str, int] | None = None  # what the last state message said
@@ -113,7 +113,7 @@ class Actuator:
         if self._mode is not Mode.OFF:
             self._move(dt, T_odom_body)
         yield self._odometry_message(now_ns)
-        news = (self._mode, self._reason, self._refused, self._walker.step)
+        news = (self._mode, self._reason, self._refused, self._walker.plan_ns)
         if news != self._told or self._silent:  # every other cycle, and at once when there is something to tell
             self._told, self._silent = news, False
             yield self._state_message(now_ns)
@@ -217,8 +217,13 @@ class Actuator:
         walker = self._walker
         revises = plan.step == walker.step
         body, feet = (walker.body_ref, walker.feet_odom) if revises else walker.stance_at_end
-        self._refused = self._guard.refusal(plan, now_ns, walker.step, walker.resting, walker.swing, body, feet)
-        if not self._refused:
+        self._refused = self._guard.untimely(plan, now_ns, walker.step, walker.resting, walker.swing)
+        if self._refused:
+            return
+        self._refused = self._guard.unwalkable(plan, body, feet)
+        if self._refused:
+            self._refused_ns = plan.stamp_ns
+        else:
             walker.accept(plan)
             self._T_world_odom = plan.T_world_odom
             self._mode, self._reason = Mode.WALK, "walking"
@@ -293,6 +298,8 @@ class Actuator:
             mode=self._mode,
             reason=self._reason,
             refused=self._refused,
+            refused_ns=self._refused_ns,
+            plan_ns=walker.plan_ns,
             step=walker.step,
             phase=float(walker.phase),
             swing=walker.swing.copy(),

@@ -60,6 +60,7 @@ class Walker:
             ground: (6,) [m] {odom} heights of the feet as they are measured; those by command, when left out.
         """
         self.step = 0
+        self.plan_ns = -1  # [ns] stamp of the plan that is walked, or was last
         self.phase = 1.0
         self.swing: NDArray[np.bool_] = np.zeros(6, dtype=bool)
         self._settings = settings
@@ -115,6 +116,7 @@ class Walker:
         running = self._plan
         if running is not None and plan.step == running.step:
             # The body keeps its way over the standing feet: a goal that jumped with the pose estimate would shake them.
+            self.plan_ns = plan.stamp_ns
             goal = plan.T_world_odom @ inverse(running.T_world_odom) @ running.body_goal
             self._plan = replace(running, T_world_odom=plan.T_world_odom, touchdown=plan.touchdown, body_goal=goal)
         else:
@@ -147,7 +149,7 @@ class Walker:
         touchdown[legs, 2] = ground
         self._begin(
             StepPlan(
-                stamp_ns=0,
+                stamp_ns=-1,
                 step=self.step,
                 revision=0,
                 T_world_odom=np.eye(4),
@@ -166,6 +168,7 @@ class Walker:
 
     def _begin(self, plan: StepPlan) -> None:
         self._plan, self._next = plan, None
+        self.plan_ns = plan.stamp_ns
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
         self._start_ref, self._start_velocity = self._ref.copy(), self._velocity.copy()
         self._flight = None

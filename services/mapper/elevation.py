@@ -308,15 +308,13 @@ class ElevationGrid:
         return out
 
 
-def fill_small_holes(elevation: NDArray[np.float32], max_relief: float = 0.005) -> NDArray[np.float32]:
+def fill_small_holes(elevation: NDArray[np.float32], max_relief: float = 0.015) -> NDArray[np.float32]:
     """Copy of a map with its small holes bridged, for the scorer; the map itself keeps unknown unknown.
 
-    An unseen cell with at least five seen ones among its eight neighbours, all within max_relief of each other, gets
-    the mean over the opposite pairs both seen: five of eight hold at least one such pair, so the value is interpolated,
-    exact on a plane, never extrapolated. So single cells, lines one cell wide (skipped at grazing angles) and blocks
-    of 2x2 are bridged; wider holes, the frontier and holes across an edge stay NaN. The relief is no more than noise and a
-    gentle slope make of it: a trench between two blocks of about one height, in which the camera sees nothing, is no hole
-    to bridge.
+    An unseen cell with at least seven seen ones among its eight neighbours, all within max_relief of each other, gets
+    the mean over the opposite pairs both seen: it is interpolated, exact on a plane, never extrapolated. So single cells
+    and pairs are bridged. Lines stay NaN, however narrow: a trench between two blocks, into which the camera does not
+    see, looks the same. So do wider holes, the frontier and holes across an edge.
 
     Args:
         elevation: (nx, ny) [m], NaN where unseen.
@@ -502,5 +500,5 @@ def _bridge_holes(elevation: NDArray[np.float32], max_relief: float, filled: NDA
                 if not (np.isnan(a) or np.isnan(b)):
                     pairs += 1
                     total += 0.5 * (a + b)
-            if seen >= 5 and highest - lowest <= max_relief:
+            if seen >= 7 and highest - lowest <= max_relief:
                 filled[i, j] = total / pairs

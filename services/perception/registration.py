@@ -59,6 +59,7 @@ class Acceptance:
     jump_angle: float = 0.02  # [rad] in yaw
     jump_height: float = 0.05  # [m] in z
     jump_tilt: float = 0.15  # [rad] in roll and pitch
+    lever: float = 0.3  # [m] over the ground that the camera is at most: a tilt about the feet moves it in x and y, too
     patience: int = 15  # failed frames in a row after which the map starts anew at the prior
 
 
@@ -315,7 +316,8 @@ def jump(T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArr
     """Why a pose is too far from its prior to be true, or nothing."""
     twist = np.abs(error_twist(T, T_prior))
     level, tilt = acceptance.jump_distance, acceptance.jump_tilt
-    margin = np.array([level, level, acceptance.jump_height, tilt, tilt, acceptance.jump_angle])
+    swept = acceptance.lever * float(min(max(twist[3], twist[4]), tilt))
+    margin = np.array([level + swept, level + swept, acceptance.jump_height, tilt, tilt, acceptance.jump_angle])
     allowed = 4.0 * np.sqrt(np.diag(covariance)) + margin
     worst = int(np.argmax(twist / allowed))
     if twist[worst] <= allowed[worst]:

@@ -1,13 +1,14 @@
 """The planner: Lotriet's state machine of resting and stepping, on the newest map and pose."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from services.planner.config import Settings
 from services.planner.gait import directions, swinging_tripod
+from services.planner.refusals import WAYS, Refusals, way_of
 from services.planner.stride import SHARES, Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, flat_terrain
 from shared import topics
@@ -19,8 +20,9 @@ from shared.service import AnyTopic, Inbox, Stages
 State = Literal["waiting", "resting", "stepping", "blocked"]
 
 _STATUS_PERIOD_NS = 100_000_000
-_ANSWER_NS = 100_000_000  # [ns] after a plan the actuator's word is about it
-_NEW_COURSE = (0.02, 0.1)  # [m/s] and [rad/s] by which a command must differ to be another one
+_TRY_AGAIN_NS = 2_000_000_000  # [ns] after every way of taking a step was refused
+_KEPT = 15  # plans remembered besides the newest
+_NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] by which a command must differ to be another one
 _STILL = 1e-3  # [m/s] and [rad/s]
 
 
@@ -38,19 +40,17 @@ class Planner:
         self._profile = profile
         self._settings = settings
         self._strides = StridePlanner(profile, settings)
-        self._sent: StepPlan | None = None  # the newest plan
-        self._running: StepPlan | None = None  # the plan of the step that is being walked
-        self._stride: Stride | None = None  # behind the newest plan
-        self._running_stride: Stride | None = None
-        self._looked_at: tuple[Stride, TerrainMap] | None = None  # for the last retargeting
-        self._refused: StepPlan | None = None  # the newest plan of which the actuator has said so
-        self._refusals = 0  # of plans for the step that comes next
+        self._sent: list[_Sent] = []  # that may yet be walked, the newest last
+        self._running: _Sent | None = None  # what is being walked, or was last
+        self._refusals = Refusals()
         self._asked: VelocityCommand | None = None  # what was commanded when they began
+        self._looked_at: tuple[Stride, TerrainMap] | None = None  # for the last retargeting
         self._due_ns = 0
         self._status_due_ns = 0
         self._state: State = "waiting"
         self._reason = "starting"
         self._blocked_leg = -1
+        self._moved = 0
 
     def doing(self) -> str:
         """State and reason."""
@@ -60,29 +60,38 @@ class Planner:
         """Follow the legs; plan when it is time to."""
         self._follow(state)
         if state.stamp_ns >= self._due_ns:
-            plan = self._plan(state, inbox)
-            if plan is not None:
+            sent = self._plan(state, inbox)
+            if sent is not None:
                 self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
-                self._sent = plan
-                yield plan
+                self._sent = [*self._sent[-_KEPT:], sent]
+                self._moved = sent.stride.moved
+                yield sent.plan
         if state.stamp_ns >= self._status_due_ns:
             self._status_due_ns = state.stamp_ns + _STATUS_PERIOD_NS
             yield self._status(state)
 
     def _follow(self, state: ActuatorState) -> None:
-        """Notice when a plan begins to be walked."""
-        if self._sent is not None and state.step == self._sent.step and self._running is not self._sent:
-            if self._running is None or self._running.step != self._sent.step:
+        """Notice which plan is walked, and which was refused."""
+        running = self._running
+        if running is None or running.plan.stamp_ns != state.plan_ns:
+            self._running = next((s for s in self._sent if s.plan.stamp_ns == state.plan_ns), None)
+            # None: the actuator walks something else, or began anew.
+            if self._running is not None and (running is None or running.plan.step != self._running.plan.step):
                 self._due_ns = 0  # a new step: its touchdowns may be looked at at once
-            self._running, self._running_stride = self._sent, self._stride
-        if self._running is not None and state.step != self._running.step:
-            self._running = self._running_stride = None  # the actuator walks something else, or began anew
+                self._refusals.forget()
+        refused = next((s for s in self._sent if s.plan.stamp_ns == state.refused_ns), None)
+        if refused is not None:
+            self._sent.remove(refused)
+            waiting = state.phase < 1.0 and any(s.plan.step == refused.plan.step for s in self._sent)
+            if refused.plan.step == state.step + 1 and not waiting:
+                self._refusals.add(refused.way, state.refused)
 
-    def _plan(self, state: ActuatorState, inbox: Inbox) -> StepPlan | None:
+    def _plan(self, state: ActuatorState, inbox: Inbox) -> "_Sent | None":
         """The plan to send now, or none and the reason in the status."""
         pose = inbox.fresh(topics.BODY_POSE, self._settings.pose_age_s)
         command = inbox.fresh(topics.VELOCITY)
         if state.mode not in (Mode.WALK, Mode.HOLD):
+            self._refusals.forget()
             return self._hold("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
         if pose is None:
             return self._hold("waiting", "no fresh pose from perception")
@@ -94,6 +103,7 @@ class Planner:
         if state.phase < 1.0 and state.phase < self._settings.retarget_until:
             return self._retarget(state, pose, terrain)
         if np.abs(command.velocity).max() < _STILL and abs(command.yaw_rate) < _STILL:
+            self._refusals.forget()
             return self._hold("resting", "no velocity is commanded")
         if state.phase < self._settings.plan_from:
             return None
@@ -107,38 +117,39 @@ class Planner:
         map_ = inbox.fresh(topics.TERRAIN, self._settings.map_age_s)
         return None if map_ is None else Terrain(map_)
 
-    def _next_step(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain) -> StepPlan | None:
+    def _next_step(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain) -> "_Sent | None":
         at = self._situation(state, pose, command)
         if at is None:
             return self._hold("waiting", "the running step is not one of mine; waiting for its end")
-        self._hear_refusal(state, command)
-        kept_off = max(0, self._refusals - 1)  # the first time the same may pass, by newer estimates
-        if kept_off >= 2 * len(SHARES):
-            return self._hold("blocked", f"the actuator refuses every step: {state.refused}")
-        other_tripod, passed_over = divmod(kept_off, len(SHARES))
-        if other_tripod:
-            at = replace(at, swing=~at.swing)
+        if _differ(command, self._asked):
+            self._refusals.forget()
+            self._asked = command
         with self.stages("plan step"):
-            found = self._strides.plan(at, terrain, passed_over)
+            found, other_tripod = self._choose(at, terrain)
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
+            if self._refusals.count:
+                self._refusals.give_up()
+                self._due_ns = state.stamp_ns + _TRY_AGAIN_NS
+                return self._hold("blocked", self._refusals.words())
             return self._hold("blocked", found.reason, found.leg)
-        self._state, self._blocked_leg = "stepping", -1
-        shorter = "" if found.share == 1.0 else f" at {found.share:.0%} of the stride"
-        self._reason = f"{found.moved} of 3 footholds moved from their nominal place{shorter}"
-        number = state.step + 1
-        revision = self._sent.revision + 1 if self._sent is not None and self._sent.step == number else 1
-        self._stride = found
-        return self._message(state, pose, found, number, revision)
+        if self._refusals.given_up:
+            self._state, self._reason = "blocked", self._refusals.words()
+        else:
+            self._state, self._blocked_leg = "stepping", -1
+            shorter = "" if found.share == 1.0 else f" at {found.share:.0%} of the stride"
+            self._reason = f"{found.moved} of 3 footholds moved from their nominal place{shorter}"
+        return self._send(state, pose, found, state.step + 1, way_of(found.share, other_tripod))
 
-    def _hear_refusal(self, state: ActuatorState, command: VelocityCommand) -> None:
-        """Count how often the actuator has refused the next step: sent as it was, it would be refused again."""
-        sent = self._sent
-        if sent is None or sent.step != state.step + 1 or _differ(command, self._asked):
-            self._refusals, self._asked = 0, command
-        elif state.refused and state.stamp_ns - sent.stamp_ns >= _ANSWER_NS and self._refused is not sent:
-            self._refusals += 1
-            self._refused = sent
+    def _choose(self, at: Situation, terrain: Terrain) -> tuple[Stride | Blocked, bool]:
+        """The step to take and whether the other tripod takes it, which is for refused steps alone."""
+        passed_over, other = self._refusals.passed_over, replace(at, swing=~at.swing)
+        found: Stride | Blocked = Blocked("every step was refused")
+        if passed_over < len(SHARES):
+            found = self._strides.plan(at, terrain, passed_over)
+        if isinstance(found, Blocked) and self._refusals.count and passed_over < WAYS:
+            return self._strides.plan(other, terrain, max(0, passed_over - len(SHARES))), True
+        return found, False
 
     def _situation(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand) -> Situation | None:
         """Where the robot will stand when the running step is over."""
@@ -149,30 +160,33 @@ class Planner:
             running = self._running
             if running is None:
                 return None
-            moved = T_world_odom @ inverse(running.T_world_odom)  # the world as it is believed to be now
-            body = moved @ running.body_goal
-            feet[running.swing] = apply(moved, running.touchdown)[running.swing]
+            plan = running.plan
+            moved = T_world_odom @ inverse(plan.T_world_odom)  # the world as it is believed to be now
+            body = moved @ plan.body_goal
+            feet[plan.swing] = apply(moved, plan.touchdown)[plan.swing]
         rest = self._profile.rest_feet(command.body_height)
         feet_body = apply(inverse(body), feet)
         swing = swinging_tripod(directions(command.velocity, command.yaw_rate, rest), feet_body, rest)
         return Situation(body, feet, swing, command)
 
-    def _retarget(self, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> StepPlan | None:
+    def _retarget(self, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
         """A revision of the running step, when the newer map moves a touchdown by more than a little."""
-        running, stride = self._running, self._running_stride
-        if running is None or stride is None:
+        running = self._running
+        if running is None:
             return None
+        stride = running.stride
         before, self._looked_at = self._looked_at, (stride, terrain.map)
         if before is not None and before[0] is stride and before[1] is terrain.map:
             return None  # nothing has changed since
         found = self._strides.retarget(stride, terrain)
         if np.abs(found.touchdown - stride.touchdown).max() < self._settings.retarget_from_m:
             return None
-        self._stride = found
-        return self._message(state, pose, found, running.step, running.revision + 1)
+        return self._send(state, pose, found, running.plan.step, running.way)
 
-    def _message(self, state: ActuatorState, pose: BodyPose, stride: Stride, number: int, revision: int) -> StepPlan:
-        return StepPlan(
+    def _send(self, state: ActuatorState, pose: BodyPose, stride: Stride, number: int, way: int) -> "_Sent":
+        """A plan of a step, as the next revision of it."""
+        revision = 1 + max((s.plan.revision for s in self._sent if s.plan.step == number), default=0)
+        plan = StepPlan(
             stamp_ns=state.stamp_ns,
             step=number,
             revision=revision,
@@ -184,8 +198,9 @@ class Planner:
             duration=self._settings.step_s,
             stop=False,
         )
+        return _Sent(plan, stride, way)
 
-    def _hold(self, state: State, reason: str, leg: int = -1) -> StepPlan | None:
+    def _hold(self, state: State, reason: str, leg: int = -1) -> "_Sent | None":
         """No plan, and why."""
         self._state, self._reason, self._blocked_leg = state, reason, leg
         return None
@@ -196,7 +211,7 @@ class Planner:
             state=self._state,
             reason=self._reason,
             step=state.step,
-            moved_footholds=0 if self._stride is None else self._stride.moved,
+            moved_footholds=self._moved,
             blocked_leg=self._blocked_leg,
         )
 
@@ -206,9 +221,18 @@ def _feet_in_world(state: ActuatorState, pose: BodyPose) -> Array:
     return apply(pose.T_world_odom @ state.T_odom_body, state.feet)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sent:
+    """A plan and what is behind it."""
+
+    plan: StepPlan
+    stride: Stride
+    way: int  # of taking the step, see `services.planner.refusals`
+
+
 def _differ(a: VelocityCommand, b: VelocityCommand | None) -> bool:
     """Whether two commands ask for different steps."""
     if b is None:
         return True
-    velocity, yaw_rate = _NEW_COURSE
-    return bool(np.abs(a.velocity - b.velocity).max() > velocity or abs(a.yaw_rate - b.yaw_rate) > yaw_rate)
+    change = np.abs([*(a.velocity - b.velocity), a.yaw_rate - b.yaw_rate, a.body_height - b.body_height, a.lift - b.lift])
+    return bool((change > _NEW_COURSE).any())

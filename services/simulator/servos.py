@@ -62,7 +62,8 @@ RX_64_MOTOR = Motor(stall_torque=5.3, stall_current=2.6, standby_current=0.05)  
 
 _BUCKETS = 100  # of the sliding window of the mean duty
 _HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
-# Handed to compiled loops, which would freeze a constant and whose cache does not notice when another file changes.
+# Handed to the compiled loops: they would freeze a constant, and their cache does not notice when another file changes. The
+# error bits above are the protocol's and will not.
 _UNITS = tuple(map(float, (dxl.TICK_CENTRE, dxl.TICK_RAD, dxl.TICK_MAX, dxl.SPEED_RAD_S, dxl.LOAD_UNIT, dxl.DIRECTION_CW)))
 _LIVE_START = dxl.PRESENT_POSITION.address
 _AIM_START, _AIM_END = dxl.GOAL_POSITION.address, dxl.MOVING_SPEED.address + dxl.MOVING_SPEED.size
@@ -234,7 +235,7 @@ class ServoBank:
         self._setpoint = self._q.copy()  # [rad] where the ramp to the goal is, margin not considered
         self._measured = False  # the tables show what the servos measure
         self._out = ServoCommand(np.zeros(n), np.zeros(n), np.zeros(n))
-        self._aimed = self._dirty = True  # a goal or speed changed, another register changed
+        self._aims_changed = self._others_changed = True  # a goal or speed changed, another register changed
         self._goal, self._speed, self._limit = np.zeros(n), np.zeros(n), np.zeros(n)
         self._temperature_limit = np.zeros(n)
         self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
@@ -270,8 +271,8 @@ class ServoBank:
             self._goals[row] = self._position_ticks(row)
         if address <= dxl.TORQUE_LIMIT.address < end:
             self._faults[row] = 0
-        self._aimed = True
-        self._dirty |= not (address >= _AIM_START and end <= _AIM_END)
+        self._aims_changed = True
+        self._others_changed |= not (address >= _AIM_START and end <= _AIM_END)
 
     @property
     def shutdown(self) -> NDArray[np.bool_]:
@@ -303,12 +304,12 @@ class ServoBank:
         self._q[:] = q
         self._qd[:] = qd
         np.divide(torque, self.motor.stall_torque, out=self._load)
-        if self._aimed:
+        if self._aims_changed:
             self._aims()
-        if self._dirty:
+        if self._others_changed:
             self._settings()
         self._drain(self._protect(dt), dt)
-        if self._dirty:  # a shutdown
+        if self._others_changed:  # a shutdown
             self._settings()
         return self._control(dt)
 
@@ -330,7 +331,7 @@ class ServoBank:
             down = (self._tripped & self.tables[:, dxl.SHUTDOWN.address] != 0) & (self._torque_limits != 0)
             if down.any():
                 self._torque_limits[down] = 0
-                self._dirty = True
+                self._others_changed = True
         return float(duty_sum)
 
     def _drain(self, duty_sum: float, dt: float) -> None:
@@ -352,14 +353,14 @@ class ServoBank:
 
     def _aims(self) -> None:
         """Goals and speeds of the registers: what a host writes in every cycle."""
-        self._aimed = False
+        self._aims_changed = False
         self._goal[:] = (self._goals - float(dxl.TICK_CENTRE)) * dxl.TICK_RAD
         speed = self._column(dxl.MOVING_SPEED)
         self._speed[:] = np.where(speed == 0, np.inf, speed * dxl.SPEED_RAD_S)
 
     def _settings(self) -> None:
         """Physical values of the other registers, made only when one of them has changed."""
-        self._dirty = False
+        self._others_changed = False
         self._temperature_limit[:] = self._column(dxl.TEMPERATURE_LIMIT)
 
         # The AX-12A knows seven slopes, the powers of two; at an error of one slope it gives its full torque.

@@ -48,7 +48,8 @@ def plan(**changes: Any) -> StepPlan:
 
 
 def refusal(a_plan: StepPlan, guard: Guard | None = None, running: int = 0, resting: bool = True, swing: Flags = NOBODY) -> str:
-    return (guard or Guard(PROFILE, AGE)).refusal(a_plan, NOW, running, resting, swing, START, FEET)
+    guard = guard or Guard(PROFILE, AGE)
+    return guard.untimely(a_plan, NOW, running, resting, swing) or guard.unwalkable(a_plan, START, FEET)
 
 
 def goal(x: float = 0.0, roll: float = 0.0, yaw: float = 0.0, z: float = 0.1) -> Array:
@@ -95,7 +96,7 @@ def test_it_says_why_it_refuses(changes: dict[str, object], words: str) -> None:
 
 def test_a_body_outside_its_standing_feet_at_the_start_is_refused() -> None:
     outside = from_xyz_rpy((0.2, 0.0, 0.1), np.zeros(3))
-    words = Guard(PROFILE, AGE).refusal(plan(body_goal=outside), NOW, 0, True, NOBODY, outside, FEET)
+    words = Guard(PROFILE, AGE).unwalkable(plan(body_goal=outside), outside, FEET)
     assert "mm inside its standing feet at the start" in words
 
 

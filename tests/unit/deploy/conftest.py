@@ -138,6 +138,8 @@ class Story:
             mode=Mode.WALK if walking else Mode.HOLD,
             reason="",
             refused="",
+            refused_ns=-1,
+            plan_ns=-1,
             step=step,
             phase=phase,
             swing=self.swing(step) if walking else _NONE,

@@ -44,6 +44,8 @@ class Robot:
                 self.mode,
                 self.reason,
                 "",
+                -1,
+                -1,
                 0,
                 1.0,
                 flags,

@@ -21,7 +21,9 @@ def state(
     stamp_ns: int, mode: Mode = Mode.WALK, reason: str = "", refused: str = "", warnings: tuple[str, ...] = ()
 ) -> ActuatorState:
     no, zero, eye = np.zeros(6, dtype=np.bool_), np.zeros((6, 3)), np.eye(4)
-    return ActuatorState(stamp_ns, mode, reason, refused, 1, 0.5, no, no, zero, zero, zero, eye, eye, eye, 11.1, 40.0, warnings)
+    return ActuatorState(
+        stamp_ns, mode, reason, refused, -1, -1, 1, 0.5, no, no, zero, zero, zero, eye, eye, eye, 11.1, 40.0, warnings
+    )
 
 
 def health(stamp_ns: int, service: str, refused: int = 0, **stages: float) -> Health:

@@ -30,6 +30,8 @@ def legs(swing: Flags | None = None, feet: Array | None = None) -> ActuatorState
         mode=Mode.HOLD,
         reason="",
         refused="",
+        refused_ns=-1,
+        plan_ns=-1,
         step=0,
         phase=1.0,
         swing=flags,

@@ -193,6 +193,9 @@ def test_a_jump_is_measured_against_the_prior():
     assert jump(moved(T, np.array([0.059, 0, 0, 0, 0, 0.059])), T, covariance, acceptance) == ""
     assert "jump of 0.061 m in x" in jump(moved(T, np.array([0.061, 0, 0, 0, 0, 0])), T, covariance, acceptance)
     assert jump(moved(T, np.array([0, 0, 0.055, 0.15, -0.15, 0])), T, covariance, acceptance) == ""  # a floor tells these
+    foot = np.array([-0.1, 0.15, -0.25])  # from the camera: about it the robot tips when another one slips off an edge
+    tipped = np.array([0.0, 0.14, 0.0])
+    assert jump(moved(T, np.concatenate([-np.cross(tipped, foot), tipped])), T, covariance, acceptance) == ""
     assert "deg in pitch" in jump(moved(T, np.array([0, 0, 0, 0, 0.2, 0])), T, covariance, acceptance)
     assert "deg in yaw" in jump(moved(T, np.array([0, 0, 0, 0, 0, 0.07])), T, covariance, acceptance)
 

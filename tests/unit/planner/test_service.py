@@ -10,6 +10,7 @@ import pytest
 
 from services.planner.config import Settings
 from services.planner.service import Planner
+from services.planner.stride import SHARES
 from services.planner.terrain import Terrain, flat_terrain
 from shared import codec, topics
 from shared.geometry import Array, apply, from_xyz_rpy, inverse
@@ -45,6 +46,8 @@ class Rig:
             mode=Mode.HOLD,
             reason="standing",
             refused="",
+            refused_ns=-1,
+            plan_ns=-1,
             step=0,
             phase=1.0,
             swing=NOBODY,
@@ -80,7 +83,7 @@ class Rig:
 
     def begin(self, plan: StepPlan) -> None:
         """The actuator begins to walk a plan."""
-        self.state = replace(self.state, mode=Mode.WALK, step=plan.step, phase=0.0, swing=plan.swing)
+        self.state = replace(self.state, mode=Mode.WALK, step=plan.step, phase=0.0, swing=plan.swing, plan_ns=plan.stamp_ns)
 
     def finish(self, plan: StepPlan) -> None:
         """The actuator is through with it."""
@@ -244,7 +247,7 @@ def test_an_actuator_that_begins_anew_is_followed() -> None:
         rig.begin(plan)
         rig.plans(1, phase=0.1)
         rig.finish(plan)
-    rig.state = replace(rig.state, step=0, phase=1.0, swing=NOBODY)
+    rig.state = replace(rig.state, step=0, phase=1.0, swing=NOBODY, plan_ns=-1)
     plans = rig.plans(10)
     assert {p.step for p in plans} == {1}
 
@@ -270,10 +273,21 @@ def test_while_it_is_blocked_it_does_not_think_all_the_time(make_terrain: Maker)
     assert searches <= 1 + 1.0 / rig.planner._settings.revise_s
 
 
+def refused(rig: Rig, cycles: int, why: str = "out of reach", until: int = 1000) -> list[StepPlan]:
+    """What the planner sends, until so many plans have come, to an actuator that refuses all but the last."""
+    plans: list[StepPlan] = []
+    for _ in range(cycles):
+        if len(plans) == until:
+            break
+        newest = plans[-1].stamp_ns if plans else -1
+        plans += rig.plans(refused=why if plans else "", refused_ns=newest)
+    return plans
+
+
 def test_a_refused_step_is_not_asked_for_again_and_again() -> None:
     """First once more, by newer estimates; then shorter; then with the other legs; then it says that nothing helps."""
     rig = Rig()
-    first, again, *others = rig.plans(200, refused="the touchdown of the left front leg is out of reach")
+    first, again, *others = refused(rig, 100)
     np.testing.assert_array_equal(again.touchdown, first.touchdown)
     travel = [p.body_goal[0, 3] for p in (again, *others)]
     other_legs = [bool((p.swing != first.swing).any()) for p in (again, *others)]
@@ -283,21 +297,113 @@ def test_a_refused_step_is_not_asked_for_again_and_again() -> None:
         assert len(part) > 1
         assert (np.diff(part) < 0).all()
     assert rig.status().state == "blocked"
-    assert rig.status().reason == "the actuator refuses every step: the touchdown of the left front leg is out of reach"
+    assert rig.status().reason == "the actuator refuses every step that the ground allows: out of reach"
 
 
-def test_another_command_is_tried_whatever_was_refused_before() -> None:
+def test_a_robot_that_was_refused_everything_tries_again_now_and_then_and_says_blocked_meanwhile() -> None:
     rig = Rig()
-    rig.plans(200, refused="out of reach")
+    assert len(refused(rig, 100)) <= 2 * len(SHARES) + 1
+    plan = next(p for _ in range(110) for p in rig.plans())
     assert rig.status().state == "blocked"
-    rig.command = VelocityCommand(0, np.array([-0.06, 0.0]), 0.0, HEIGHT, 0.04)
+    rig.begin(plan)
+    rig.plans(1, phase=0.1)
+    rig.finish(plan)
     assert rig.plans(10)
+    assert rig.status().state == "stepping"
+
+
+def test_where_the_ground_forbids_shorter_steps_the_other_legs_are_asked(make_terrain: Maker) -> None:
+    rig = Rig()
+    (first,) = rig.plans()
+    near = first.touchdown[first.swing, :2]
+
+    def only_there(x: Array, y: Array) -> Array:  # the first choice alone carries the tripod whose turn it is
+        at = (np.hypot(x[..., None] - near[:, 0], y[..., None] - near[:, 1]) < 0.005).any(axis=-1)
+        theirs = (np.hypot(x[..., None] - near[:, 0], y[..., None] - near[:, 1]) < 0.12).any(axis=-1)
+        return np.where(theirs & ~at, 9.0, 0.0)
+
+    rig = Rig()
+    rig.terrain = make_terrain(score=only_there).map
+    plans = refused(rig, 60)
+    assert any((p.swing != first.swing).any() for p in plans)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"velocity": np.array([-0.06, 0.0])},
+        {"yaw_rate": 0.2},
+        {"body_height": HEIGHT - 0.02},
+        {"lift": 0.06},
+    ],
+)
+def test_another_command_is_tried_at_once_whatever_was_refused_before(change: dict[str, Any]) -> None:
+    rig = Rig()
+    refused(rig, 100)
+    assert rig.status().state == "blocked"
+    assert rig.command is not None
+    rig.command = replace(rig.command, **change)
+    rig.planner._due_ns = 0
+    assert rig.plans(2)
+    assert rig.status().state == "stepping"
+
+
+def test_a_rest_ends_the_caution() -> None:
+    rig = Rig()
+    refused(rig, 100)
+    asked, rig.command = rig.command, VelocityCommand(0, np.zeros(2), 0.0, HEIGHT, 0.04)
+    rig.plans(110)
+    rig.command = asked
+    assert rig.plans(12)
+    assert rig.status().state == "stepping"
+
+
+def test_an_untimely_plan_is_sent_again_as_it_was() -> None:
+    rig = Rig()
+    plans = rig.plans(100, refused="plan of step 1 refused: the mode is hold, not ordered to walk")
+    assert len(plans) > 5
+    np.testing.assert_array_equal(plans[-1].body_goal, plans[0].body_goal)
 
 
 def test_an_accepted_step_ends_the_caution() -> None:
     rig = Rig()
-    plan = rig.plans(60, refused="out of reach")[-1]
+    plan = refused(rig, 100, until=4)[-1]
     rig.begin(plan)
     rig.plans(1, phase=0.1, refused="")
     rig.finish(plan)
     assert rig.plans(10)[-1].body_goal[0, 3] - plan.body_goal[0, 3] == pytest.approx(0.06 * Settings().step_s, abs=1e-6)
+
+
+def test_a_refused_revision_is_not_taken_for_what_is_walked() -> None:
+    rig = Rig()
+    first = rig.plans(10)[-1]
+    rig.begin(first)
+    rig.plans(1, phase=0.1)
+    (second,) = rig.plans(1, phase=0.6)
+    third = rig.plans(12, phase=0.7)[-1]
+    assert (third.step, third.revision) == (2, second.revision + 1)
+    rig.plans(1, phase=0.8, refused="out of reach", refused_ns=third.stamp_ns)
+    rig.finish(first)
+    rig.begin(second)
+    rig.plans(1, phase=0.0)
+    assert rig.planner._running is not None
+    assert rig.planner._running.plan.revision == second.revision
+    assert rig.planner._refusals.count == 0  # the one that was accepted waited
+
+
+def test_the_same_map_is_searched_once_for_better_footholds(make_terrain: Maker) -> None:
+    rig = Rig()
+    first = rig.plans(10)[-1]
+    rig.begin(first)
+    searches: list[object] = []
+    retarget = rig.planner._strides.retarget
+    rig.planner._strides.retarget = lambda *args: (searches.append(args), retarget(*args))[1]  # type: ignore[method-assign]
+    terrain = rig.planner._terrain
+    kept = make_terrain()
+    rig.planner._terrain = lambda *_: kept  # type: ignore[method-assign]
+    rig.plans(5, phase=0.2)
+    assert len(searches) == 1
+    kept = make_terrain()
+    rig.plans(5, phase=0.2)
+    assert len(searches) == 2
+    rig.planner._terrain = terrain  # type: ignore[method-assign]

@@ -52,7 +52,7 @@ def walkable(found: Stride, at: Situation) -> None:
     """What every step promises."""
     feet = apply(inverse(found.body_goal), found.touchdown)
     assert within_limits(PROFILE, body_inverse(PROFILE, feet)).all()
-    from_above = within_limits(PROFILE, body_inverse(PROFILE, feet + [0.0, 0.0, 0.03]))
+    from_above = within_limits(PROFILE, body_inverse(PROFILE, feet + np.array([0.0, 0.0, 0.03])))
     assert from_above[at.swing].all()  # nor does a foot come down from the side
     np.testing.assert_array_equal(found.touchdown[~at.swing], at.feet[~at.swing])
     for legs, body in ((~at.swing, at.T_world_body), (~at.swing, found.body_goal), (at.swing, found.body_goal)):

@@ -1,0 +1,39 @@
+"""What is left to try when the actuator refuses the next step: once more the same, shorter, with the other legs, nothing."""
+
+from services.planner.stride import SHARES
+
+WAYS = 2 * len(SHARES)  # of taking a step: each share of the travel with the tripod whose turn it is, then with the other
+
+
+def way_of(share: float, other_tripod: bool) -> int:
+    """Number of a way, in the order in which they are tried."""
+    return SHARES.index(share) + len(SHARES) * other_tripod
+
+
+class Refusals:
+    """The refusals of one step that the robot is to take, forgotten when it takes it or is asked for something else."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: nothing has been refused."""
+        self.count = 0
+        self.passed_over = 0  # ways that need not be tried
+        self.reason = ""  # of the last refusal, in words
+        self.given_up = False  # until something changes; it is tried again now and then all the same
+
+    def add(self, way: int, reason: str) -> None:
+        """Note that a way was refused. The first time the same may pass, by newer estimates."""
+        self.count += 1
+        self.reason = reason
+        if self.count > 1:
+            self.passed_over = max(self.passed_over, way + 1)
+
+    def give_up(self) -> None:
+        """Note that no way is left; the next attempt starts with the first."""
+        self.given_up, self.passed_over = True, 0
+
+    def words(self) -> str:
+        """Why nothing goes on."""
+        return f"the actuator refuses every step that the ground allows: {self.reason}"
