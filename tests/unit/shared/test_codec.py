@@ -319,6 +319,18 @@ def test_a_truth_value_of_two_is_refused() -> None:
     assert "truth values of 0 or 1" in refusal(bytes(frame), m.Odometry)
 
 
+@pytest.mark.parametrize("where", [0, 70_000, -1])
+def test_nor_does_it_pass_in_a_large_array(where: int) -> None:
+    n = 300
+    layer = np.zeros((n, n), dtype=np.float32)
+    flags = np.zeros((n, n), dtype=np.bool_)
+    frame = bytearray(codec.encode(m.TerrainMap(0, 0.01, np.zeros(2), layer, layer, layer, flags)))
+    assert codec.decode(bytes(frame), m.TerrainMap)
+    begin = len(frame) - n * n  # the flags are the last array, and no gap follows them
+    frame[begin + where % (n * n)] = 2
+    assert "truth values of 0 or 1" in refusal(bytes(frame), m.TerrainMap)
+
+
 def test_what_is_too_large_is_refused_unread() -> None:
     frame = codec.encode(example(m.ColorImage))
     assert f"at most {len(frame) - 1} bytes expected, found {len(frame)}" in refusal(frame, m.ColorImage, len(frame) - 1)
@@ -333,6 +345,17 @@ def test_deep_nesting_is_refused(depth: int, kind: type[Message], position: int)
     header = b"\x94" + msgpack.packb(codec.schema_id(kind)) + b"\x00\x00" + b"\xdc" + struct.pack(">H", n) + fields
     assert refusal(framed(kind, header), kind)
     assert refusal(framed(kind, nested), kind)
+
+
+@pytest.mark.parametrize("depth", [1, 500, 900, 980, 990, 1000, 1010, 1020, 5000])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_deep_nesting_within_an_array_is_refused(depth: int, place: int) -> None:
+    nested = b"\x91" * depth + b"\x01"
+    parts = [msgpack.packb("<f8"), b"\x91\x03", b"\x00"]
+    parts[place] = b"\x91" + nested if place == 1 else nested
+    array = b"\x93" + b"".join(parts)
+    header = b"\x94" + msgpack.packb(codec.schema_id(m.Imu)) + b"\x00\x00" + b"\x93\x00" + array + array
+    assert refusal(framed(m.Imu, header), m.Imu)
 
 
 HUGE_CLAIMS = {

@@ -153,6 +153,17 @@ def test_stages_give_percentiles() -> None:
     assert 0.0 <= found["look"][0] < 1000.0
 
 
+def test_stages_forget_the_oldest() -> None:
+    stages = Stages()
+    for ms in range(10_000):
+        stages.add("plan", float(ms))
+    p50, p99 = stages.percentiles()["plan"]
+    assert p50 > 10_000 - 4_096
+    assert p99 > p50
+    assert stages.runs("plan") == 10_000
+    assert stages.runs("unheard of") == 0
+
+
 def test_a_failing_stage_is_timed_and_fails() -> None:
     stages = Stages()
     with pytest.raises(KeyError), stages("bad"):
