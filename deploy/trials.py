@@ -32,8 +32,16 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 
 
 @dataclass(frozen=True, slots=True)
+class Figure:
+    """One quantity over the runs that measured it, NaN where none did."""
+
+    median: float
+    worst: float
+
+
+@dataclass(frozen=True, slots=True)
 class Trials:
-    """What a batch came to. Medians are over the runs that measured the quantity, NaN where none did."""
+    """What a batch came to."""
 
     scenario: str
     blind: bool
@@ -41,10 +49,12 @@ class Trials:
     falls: int
     runs_with_shutdown: int
     mean_speed_mps: float  # of the successful runs
-    raised_block_touchdowns: float  # mean per run
-    median_tilt_p95_deg: float
-    median_height_error_m: float  # mean of a run, signed
-    median_final_pose_error_m: float
+    block_touchdowns: Figure  # of a run, on raised blocks; the worst is the fewest
+    tilt_p95_deg: Figure
+    height_error_m: Figure  # mean of a run, its size
+    height_oscillation_m: Figure
+    final_pose_error: Figure  # [1] share of the way
+    real_time_factor: Figure  # with other jobs beside it
     failures: dict[str, int]  # reason without its figures -> runs, most frequent first
     failed_seeds: tuple[int, ...]
 
@@ -111,10 +121,12 @@ def summarise(name: str, blind: bool, tables: list[dict[str, Any]]) -> Trials:
         falls=sum(t["falls"] > 0 for t in tables),
         runs_with_shutdown=sum(t["shutdowns"] > 0 for t in tables),
         mean_speed_mps=_over(np.mean, [t["speed_mps"] for t in good]),
-        raised_block_touchdowns=_over(np.mean, [t["raised_block_touchdowns"] for t in tables]),
-        median_tilt_p95_deg=_over(np.median, [t["tilt_deg"]["p95"] for t in tables]),
-        median_height_error_m=_over(np.median, [t["body_height_error_m"]["mean"] for t in tables]),
-        median_final_pose_error_m=_over(np.median, [t["pose_error_m"]["final"] for t in tables]),
+        block_touchdowns=_figure([t["raised_block_touchdowns"] for t in tables], min),
+        tilt_p95_deg=_figure([t["tilt_deg"]["p95"] for t in tables]),
+        height_error_m=_figure([_size(t["body_height_error_m"]["mean"]) for t in tables]),
+        height_oscillation_m=_figure([t["body_height_oscillation_m"] for t in tables]),
+        final_pose_error=_figure([_share(t["pose_error_m"]["final"], t["distance_m"]) for t in tables]),
+        real_time_factor=_figure([t["real_time_factor"] for t in tables], min),
         failures=dict(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
         failed_seeds=tuple(t["seed"] for t in tables if not t["success"]),
     )
@@ -133,12 +145,19 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
     lines = [_rate_words(trials)]
     lines.append(
         f"  mean speed {100 * trials.mean_speed_mps:.1f} cm/s, falls {trials.falls}, with a servo shut down "
-        f"{trials.runs_with_shutdown}, touchdowns on blocks {trials.raised_block_touchdowns:.1f} per run"
+        f"{trials.runs_with_shutdown}"
     )
-    lines.append(
-        f"  medians: tilt p95 {trials.median_tilt_p95_deg:.2f} deg, height error {1e3 * trials.median_height_error_m:+.1f} mm, "
-        f"pose error at the end {1e3 * trials.median_final_pose_error_m:.0f} mm"
+    figures = (
+        ("touchdowns on blocks", trials.block_touchdowns, 1.0, ".0f", ""),
+        ("tilt p95", trials.tilt_p95_deg, 1.0, ".2f", " deg"),
+        ("height error", trials.height_error_m, 1e3, ".1f", " mm"),
+        ("height oscillation", trials.height_oscillation_m, 1e3, ".1f", " mm"),
+        ("pose error at the end", trials.final_pose_error, 1e2, ".2f", " % of the way"),
+        ("speed of computing", trials.real_time_factor, 1.0, ".1f", " x real time"),
     )
+    lines.append("  median (worst) of a run:")
+    for name, figure, unit, form, of in figures:
+        lines.append(f"    {name} {unit * figure.median:{form}} ({unit * figure.worst:{form}}){of}")
     lines += [f"  {count:3d} x {reason}" for reason, count in trials.failures.items()]
     if trials.failed_seeds:
         lines.append(f"  failed seeds: {', '.join(map(str, trials.failed_seeds))}")
@@ -250,6 +269,18 @@ def _without_figures(reason: str) -> str:
     while "##" in out or "#.#" in out:
         out = out.replace("#.#", "#").replace("##", "#")
     return out
+
+
+def _figure(values: list[float | None], worst: Callable[[list[float]], float] = max) -> Figure:
+    return Figure(_over(np.median, values), _over(worst, values))
+
+
+def _size(value: float | None) -> float | None:
+    return None if value is None else abs(value)
+
+
+def _share(error: float | None, way: float | None) -> float | None:
+    return None if error is None or not way else error / abs(way)
 
 
 def _over(reduce: Callable[[list[float]], Any], values: list[float | None]) -> float:

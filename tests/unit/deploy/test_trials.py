@@ -35,8 +35,10 @@ def _report(scenario, seed):
         40,
         tilt_deg=Spread(float(seed), 10.0),
         raised_block_touchdowns=12 + seed,
-        body_height_error_m=HeightError(0.001 * seed, 0.01),
+        body_height_error_m=HeightError(-0.001 * seed, 0.01),
+        body_height_oscillation_m=0.001,
         pose_error_m=PoseError(0.01, float("nan") if seed == 1 else 0.02),
+        real_time_factor=3.0,
     )
 
 
@@ -60,10 +62,11 @@ def test_a_batch_is_counted(tmp_path):
     assert result.failed_seeds == (1, 3, 5, 6, 7, 9)
     assert result.failures == {"fell # m along": 5, "servo shut down: left rear femur": 1}
     assert result.mean_speed_mps == pytest.approx(0.1 + 0.001 * (0 + 2 + 4 + 8) / 4)
-    assert result.raised_block_touchdowns == pytest.approx(16.5)
-    assert result.median_tilt_p95_deg == pytest.approx(4.5)
-    assert result.median_height_error_m == pytest.approx(0.0045)
-    assert result.median_final_pose_error_m == pytest.approx(0.02)
+    assert result.block_touchdowns == trials.Figure(16.5, 12.0)
+    assert result.tilt_p95_deg == trials.Figure(4.5, 9.0)
+    assert (result.height_error_m.median, result.height_error_m.worst) == pytest.approx((0.0045, 0.009))
+    assert (result.final_pose_error.median, result.final_pose_error.worst) == pytest.approx((0.02 / 2.5,) * 2)
+    assert "touchdowns on blocks 16 (12)" in trials.words(result)
     assert len(said) == 10
     assert "seed   3  FAIL" in said[3]
     assert "(4 of 10)" in said[-1]
@@ -113,7 +116,7 @@ def test_json_of_a_batch_without_a_success_is_strict(tmp_path):
     result = trials.run_trials(SCENARIO, [1], 1, tmp_path, run=Runner())
     table = json.loads(trials.to_json(result), parse_constant=lambda name: pytest.fail(name))
     assert table["mean_speed_mps"] is None
-    assert table["median_final_pose_error_m"] is None
+    assert table["final_pose_error"] == {"median": None, "worst": None}
     assert table["failed_seeds"] == [1]
 
 
