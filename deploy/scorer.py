@@ -16,9 +16,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.map_metrics import Grid, GroundHeights, MapJudge, Mosaic
 from deploy.report import HeightError, MapError, PoseError, Report, Slip, Spread, StageTime, Torque
 from deploy.walk_metrics import (
-    HeightAt,
     angle_between,
     debounced,
     is_foothold,
@@ -40,12 +40,9 @@ _REST_NS = 500_000_000  # [ns] at rest once the body has kept still for so long
 _REST_MOTION = 0.003  # [m] stillness
 _LOST_NS = 2_000_000_000  # [ns] a run goes on after a servo has shut down: a latched error stays
 _MAP_PERIOD_NS = 1_000_000_000  # [ns]
-_MAP_RADIUS = 1.0  # [m] around the body, where maps are compared
-_STRIP = ((0.6, 1.2), (-0.3, 0.3))  # [m] ahead and to the side: where the next steps but one go
 _COURSE_MARGIN = 1.2  # [m] of map around the course that is kept
 _PATH_MARGIN = 0.5  # [m] around the straight path where a fall is looked up on a grid
 _RAISED = 0.005  # [m]
-_GROUND_RESOLUTION = 0.02  # [m]
 _DEBOUNCE = max(1, round(0.02 * topics.TRUTH.rate_hz))  # samples of truth, 20 ms
 _GROUNDED = 0.2  # [1] of a swing at its ends, in which a touching foot carries and does not brush
 _STALE_NS = 250_000_000  # [ns] an actuator that has been silent for longer is not walking
@@ -58,17 +55,6 @@ class Ground(Protocol):
     def height_at(self, xy: Array) -> Array:
         """True height (n,) [m] at (n, 2) [m] {world of the simulator}."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class Mosaic:
-    """All maps of a run laid over each other, the newest measurement of each cell on top."""
-
-    origin: Array  # (2,) [m] {start} centre of cell (0, 0)
-    resolution: float  # [m]
-    elevation: NDArray[np.float32]  # (nx, ny) [m] {start}, NaN where never seen
-    unacceptable: NDArray[np.bool_]  # (nx, ny) no foothold by the map's score
-    assumed: NDArray[np.bool_]  # (nx, ny) filled in, never measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +130,7 @@ class Scorer:
         self._x = 0.0
         self._begin_ns = 0
         self._T_sim_start = self._T_start_sim = np.eye(4)
-        self._maps: _Maps | None = None
+        self._maps: MapJudge | None = None
         self._map_due_ns = 0
         self._lowest = profile.body.size[2] / 2 + _CLEARANCE
         self._trace: Trace | None = None
@@ -190,7 +176,7 @@ class Scorer:
     def _begin(self, truth: GroundTruth) -> None:
         self._begin_ns = truth.stamp_ns
         self._lay_start(truth.T_world_body)
-        self._ground = _Ground(self._around(_PATH_MARGIN), self._T_start_sim, self._height_in_start)
+        self._ground = GroundHeights(self._around(_PATH_MARGIN), self._T_start_sim, self._height_in_start)
 
     def _lay_start(self, T: Array) -> None:
         """Lay {start} under a pose (4, 4) of the body in the simulator's world."""
@@ -274,8 +260,8 @@ class Scorer:
 
     def _look_at(self, terrain: TerrainMap) -> None:
         if self._maps is None or not self._maps.grid.fits(terrain):
-            grid = _Grid.of(self._around(_COURSE_MARGIN), terrain)
-            self._maps = _Maps(grid, self._height_in_start)
+            grid = Grid.of(self._around(_COURSE_MARGIN), terrain)
+            self._maps = MapJudge(grid, self._height_in_start)
         self._maps.add(terrain, self._poses[-1].T_world_body, compare=self._first_step_ns is not None)
 
     # -- when it is over
@@ -522,137 +508,6 @@ class Scorer:
         corners = np.array([[1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1]]) * boxes.half[:, None]
         top = np.einsum("bij,bkj->bki", boxes.R, corners) + boxes.centre[:, None]
         return apply(self._T_start_sim, top)[..., :2]
-
-
-class _Ground:
-    """The true ground under the path on a grid, for a look at every message."""
-
-    def __init__(self, area: tuple[float, float, float, float], T_start_sim: Array, height_at: HeightAt):
-        grid = _Grid(area, _GROUND_RESOLUTION)
-        self._height = height_at(grid.points()).reshape(grid.shape).tolist()
-        self._last = grid.shape[0] - 1, grid.shape[1] - 1
-        # From the simulator's world straight to cells.
-        to_cells = T_start_sim[:2, [0, 1, 3]] / _GROUND_RESOLUTION
-        to_cells[:, 2] -= grid.origin / _GROUND_RESOLUTION
-        self._rows = to_cells.tolist()
-
-    def under(self, x: float, y: float) -> float:
-        """Height [m] {start} of the grid point nearest to a place [m] of the simulator's world."""
-        i, j = (min(max(round(a * x + b * y + c), 0), n) for (a, b, c), n in zip(self._rows, self._last, strict=True))
-        return float(self._height[i][j])
-
-
-class _Grid:
-    """Cells over an area, on which maps of one resolution and phase fall without a remainder."""
-
-    def __init__(self, area: tuple[float, float, float, float], resolution: float, phase: Array | None = None):
-        x0, x1, y0, y1 = area
-        self.resolution = resolution
-        self.origin = np.round(np.array([x0, y0]) / resolution) * resolution + (0.0 if phase is None else phase)
-        self.shape = round((x1 - x0) / resolution) + 1, round((y1 - y0) / resolution) + 1
-
-    @classmethod
-    def of(cls, area: tuple[float, float, float, float], terrain: TerrainMap) -> "_Grid":
-        """The grid on which a map's cells lie."""
-        r = terrain.resolution
-        return cls(area, r, terrain.origin - np.round(terrain.origin / r) * r)
-
-    def fits(self, terrain: TerrainMap) -> bool:
-        """Whether a map's cells lie on this grid."""
-        cells = (terrain.origin - self.origin) / self.resolution
-        return terrain.resolution == self.resolution and bool(np.all(np.abs(cells - np.round(cells)) < 1e-3))
-
-    def first(self, terrain: TerrainMap) -> NDArray[np.int64]:
-        """The cell (2,) of a map's cell (0, 0)."""
-        return np.round((terrain.origin - self.origin) / self.resolution).astype(np.int64)
-
-    def points(self) -> Array:
-        """Centres (n, 2) [m] of the cells, row by row."""
-        x, y = (self.origin[k] + self.resolution * np.arange(self.shape[k]) for k in (0, 1))
-        return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-
-
-class _Maps:
-    """The run's maps: laid over each other, and compared with the truth."""
-
-    def __init__(self, grid: _Grid, height_at: HeightAt):
-        self.grid = grid
-        self._height_at = height_at
-        self._true = np.full(grid.shape, np.nan)  # filled in where it is asked for: looking it up is dear
-        self._elevation = np.full(grid.shape, np.nan, dtype=np.float32)
-        self._unacceptable = np.zeros(grid.shape, dtype=bool)
-        self._assumed = np.zeros(grid.shape, dtype=bool)
-        self._errors: list[tuple[float, float, float]] = []
-        self._coverage: list[float] = []
-
-    def add(self, terrain: TerrainMap, T_world_body: Array, compare: bool) -> None:
-        """Lay a map over the others; with `compare` its comparison with the truth counts.
-
-        The robot believes to be at T_world_body (4, 4).
-        """
-        grid = self.grid
-        first = grid.first(terrain)
-        low = np.maximum(first, 0)
-        high = np.minimum(first + terrain.elevation.shape, grid.shape)
-        if np.any(low >= high):
-            return
-        here = (slice(low[0], high[0]), slice(low[1], high[1]))
-        there = tuple(slice(a - f, b - f) for a, b, f in zip(low, high, first, strict=True))
-        elevation, assumed, score = terrain.elevation[there], terrain.assumed[there], terrain.score[there]
-        seen = np.isfinite(elevation)
-        measured = seen & ~assumed
-        fill = measured | (seen & (np.isnan(self._elevation[here]) | self._assumed[here]))
-        np.copyto(self._elevation[here], elevation, where=fill)
-        np.copyto(self._unacceptable[here], score > 1, where=fill)
-        np.copyto(self._assumed[here], assumed, where=fill)
-        if compare:
-            x, y = (grid.origin[k] + grid.resolution * np.arange(low[k], high[k]) for k in (0, 1))
-            near = (x[:, None] - T_world_body[0, 3]) ** 2 + (y - T_world_body[1, 3]) ** 2 <= _MAP_RADIUS**2
-            self._compare(elevation, measured & near, here, (x, y))
-            self._cover(terrain, T_world_body)
-
-    def _compare(
-        self,
-        elevation: NDArray[np.float32],
-        cells: NDArray[np.bool_],
-        here: tuple[slice, slice],
-        axes: tuple[Array, Array],
-    ) -> None:
-        true = self._true[here]
-        i, j = np.nonzero(cells & np.isnan(true))
-        true[i, j] = self._height_at(np.stack([axes[0][i], axes[1][j]], axis=1))
-        error = elevation[cells] - true[cells]
-        error = error[np.isfinite(error)]  # no ground, no height to compare with
-        if len(error):
-            size = np.abs(error)
-            rank = int(0.95 * (len(size) - 1))
-            p95 = np.partition(size, rank)[rank]
-            self._errors.append((float(np.sqrt(np.mean(error**2))), float(error.mean()), float(p95)))
-
-    def _cover(self, terrain: TerrainMap, T_world_body: Array) -> None:
-        (x0, x1), (y0, y1) = _STRIP
-        r = terrain.resolution
-        ahead, side = np.meshgrid(np.arange(x0 + r / 2, x1, r), np.arange(y0 + r / 2, y1, r), indexing="ij")
-        yaw = yaw_of(T_world_body)
-        c, s = np.cos(yaw), np.sin(yaw)
-        i = np.round((T_world_body[0, 3] + c * ahead - s * side - terrain.origin[0]) / r).astype(int)
-        j = np.round((T_world_body[1, 3] + s * ahead + c * side - terrain.origin[1]) / r).astype(int)
-        nx, ny = terrain.elevation.shape
-        inside = (i >= 0) & (i < nx) & (j >= 0) & (j < ny)
-        i, j = np.where(inside, i, 0), np.where(inside, j, 0)
-        known = inside & np.isfinite(terrain.elevation[i, j]) & ~terrain.assumed[i, j]
-        self._coverage.append(float(known.mean()))
-
-    def error(self) -> MapError:
-        """Errors of the maps compared, averaged over them."""
-        if not self._errors:
-            return MapError(coverage=float(np.mean(self._coverage)) if self._coverage else np.nan)
-        rmse, bias, p95 = np.mean(self._errors, axis=0).tolist()
-        return MapError(rmse, bias, p95, float(np.mean(self._coverage)))
-
-    def mosaic(self) -> Mosaic:
-        """The maps laid over each other."""
-        return Mosaic(self.grid.origin, self.grid.resolution, self._elevation, self._unacceptable, self._assumed)
 
 
 def _flat(T: Array) -> Array:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.map_metrics import Mosaic
 from deploy.report import Report
-from deploy.scorer import Mosaic, Trace
+from deploy.scorer import Trace
 from shared.robot import LEGS
 
 _SIZE = (16.0, 12.0)  # [in]
