@@ -1,7 +1,7 @@
 """Many runs of one scenario, a seed each: how often it succeeds, and how sure that is.
 
 Every finished seed is a line of JSON in `trials.jsonl`, so a batch that was stopped goes on where it was. Lines of another
-scenario, or of the same one changed since, are not counted.
+scenario, or of the same one changed since, or of another version of the program, are not counted.
 """
 
 import ctypes
@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +25,10 @@ from deploy import report as reports
 from deploy.report import Report
 from deploy.statistics import Difference, Rate, difference, wilson
 from shared import config
-from shared.scenario import Scenario
+from shared.scenario import HeightMap, Scenario
 
 _PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when its parent dies
+_PACKAGES = ("shared", "services", "deploy")
 Run = Callable[[Scenario, int], Report]
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
@@ -172,9 +174,26 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
 
 
 def fingerprint(scenario: Scenario) -> str:
-    """Changes with anything in a scenario but the folder it was read from."""
+    """Changes with whatever decides about a run but its seed: the scenario, the files that it names, and the program."""
     table = config.as_table(replace(scenario, folder="."))
-    return hashlib.blake2s(json.dumps(table, sort_keys=True).encode(), digest_size=6).hexdigest()
+    digest = hashlib.blake2s(json.dumps(table, sort_keys=True).encode() + _program(), digest_size=6)
+    named = [Path(scenario.folder) / part.file for part in scenario.terrain if isinstance(part, HeightMap)]
+    for path in [*named, Path(scenario.robot)]:
+        if path.is_file():
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@cache
+def _program() -> bytes:
+    """A digest of Sextant's code, profiles and scenarios."""
+    digest = hashlib.blake2s()
+    root = Path(__file__).parent.parent
+    for package in _PACKAGES:
+        for path in sorted((root / package).rglob("*")):
+            if path.suffix in (".py", ".toml"):
+                digest.update(f"{path.relative_to(root).as_posix()}\0".encode() + path.read_bytes())
+    return digest.digest()
 
 
 def _run_lockstep(scenario: Scenario, seed: int) -> Report:

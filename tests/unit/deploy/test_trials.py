@@ -9,7 +9,7 @@ import pytest
 from deploy import report as reports
 from deploy import trials
 from deploy.report import HeightError, PoseError, Report, Spread
-from shared.scenario import Goal, Plane, Scenario
+from shared.scenario import Goal, HeightMap, Plane, Scenario
 
 SCENARIO = Scenario("made up", (Plane(),), Goal(2.5))
 
@@ -93,6 +93,17 @@ def test_a_changed_scenario_is_run_anew(tmp_path):
     trials.run_trials(faster, range(3), 1, tmp_path, run=runner)
     assert runner.seeds == [0, 1, 2]
     trials.run_trials(moved, range(3), 1, tmp_path, run=Runner(until=0))
+
+
+def test_another_program_or_another_ground_is_run_anew(tmp_path, monkeypatch):
+    ground = replace(SCENARIO, terrain=(HeightMap("ground.npy", 0.01, (0.0, 0.0)),), folder=str(tmp_path))
+    (tmp_path / "ground.npy").write_bytes(b"one")
+    before = trials.fingerprint(ground)
+    assert before == trials.fingerprint(ground)
+    (tmp_path / "ground.npy").write_bytes(b"another")
+    changed = trials.fingerprint(ground)
+    monkeypatch.setattr(trials, "_program", lambda: b"another version")
+    assert len({before, changed, trials.fingerprint(ground)}) == 3
 
 
 def test_the_blind_baseline_is_kept_apart_and_compared(tmp_path):
