@@ -28,6 +28,7 @@ _PYTHON = (3, 11)
 _CORES = 2
 _DISK_WARN, _DISK_FAIL = 2 << 30, 200 << 20  # [bytes]
 _ROUND_TRIPS = 50
+_PINGS, _PATIENCE_NS = 3, 50_000_000  # a servo that answers late, or once in a while, is there
 _SLOW_MS = 5.0  # a loopback round trip takes well under a millisecond
 
 
@@ -187,12 +188,12 @@ def _ping_servos(name: str, port: str, robot: str) -> Iterator[Check]:
     try:
         profile = load_profile(robot)
         ids = [int(i) for i in profile.servo_ids.ravel()]
-        bus = ServoBus(open_port(port), ids, time.monotonic_ns)
+        bus = ServoBus(open_port(port, timeout_ns=_PATIENCE_NS), ids, time.monotonic_ns, reply_timeout_ns=_PATIENCE_NS)
     except (BusGone, ConfigError) as error:
         yield Check(name, Level.FAIL, str(error), "close what else uses the port, or give another")
         return
     try:
-        silent = [i for i in ids if bus.ping(i) is None]
+        silent = [i for i in ids if all(bus.ping(i) is None for _ in range(_PINGS))]
     except BusGone as error:
         yield Check(name, Level.FAIL, str(error), "check plug and cable")
         return

@@ -45,6 +45,7 @@ _PATH_MARGIN = 0.5  # [m] around the straight path where a fall is looked up on 
 _RAISED = 0.005  # [m]
 _DEBOUNCE = max(1, round(0.02 * topics.TRUTH.rate_hz))  # samples of truth, 20 ms
 _GROUNDED = 0.2  # [1] of a swing at its ends, in which a touching foot carries and does not brush
+_HANGING = 0.003  # [m] a standing foot over its ground catches the body after a degree of tilt
 _STALE_NS = 250_000_000  # [ns] an actuator that has been silent for longer is not walking
 _MOVED = 0.008  # [m] a touchdown this far off its fellows' pattern has been moved
 
@@ -431,10 +432,16 @@ class Scorer:
         return np.asarray(swing[self._state_of] & self._walking[:, None])
 
     def _carrying(self) -> NDArray[np.bool_]:
-        """Feet (n, 6) that carry or could: in contact, and in stance by plan, about to leave or just landed."""
+        """Feet (n, 6) that carry, or would as soon as the body leaned on them.
+
+        In contact and in stance by plan, about to leave or just landed; or in stance and no more than a little over its ground.
+        """
         phase = np.array([s.phase for s in self._states])[self._state_of]
         grounded = (phase < _GROUNDED) | (phase > 1.0 - _GROUNDED)
-        return np.asarray(self._contact() & (~self._swing() | grounded[:, None]))
+        stance, feet = ~self._swing(), self._feet()
+        ground = self._height_in_start(feet[..., :2].reshape(-1, 2)).reshape(stance.shape)
+        hangs_low = feet[..., 2] - self._profile.foot.radius - ground < _HANGING
+        return np.asarray(self._contact() & (stance | grounded[:, None]) | (stance & hangs_low))
 
     def _step_numbers(self) -> NDArray[np.int64]:
         steps = np.array([s.step for s in self._states] or [0])
