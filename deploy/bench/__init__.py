@@ -1,0 +1,1 @@
+"""What the stages are worth: accuracy on rebuilt scenes, and speed against peers."""

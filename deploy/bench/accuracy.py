@@ -1,0 +1,186 @@
+"""How right pose and map are: rides through the real perception and mapper, through the codec, judged by the truth."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
+from deploy.bench.scenes import Scene
+from services.mapper.config import Settings as MapperSettings
+from services.mapper.service import Mapper
+from services.perception.config import Settings as PerceptionSettings
+from services.perception.service import Perception
+from services.simulator.render import Renderer
+from shared import codec, topics
+from shared.geometry import Array, apply
+from shared.messages import BodyPose, TerrainMap
+from shared.service import AnyTopic, Lockstep
+
+Cells = NDArray[np.bool_]
+
+_SETTLE_NS = 500_000_000  # simulated time after the last picture, for what is still on its way
+_EDGE = 0.03  # [m] jump in height that is an edge to be found
+_STEEP = 0.01  # [m] jump over half a cell that makes cells beside it no part of an even surface
+_INTERIOR = 0.02  # [m] from an edge
+_BESIDE = 3  # cells on either side of a true edge, in which both sides must be known for it to be found
+_LOST = 0.05  # [m] an edge that is further off was not found
+_REACH = 2  # cells by which noise may carry a point out of view
+
+
+@dataclass(frozen=True, slots=True)
+class RideResult:
+    """One ride, judged."""
+
+    drift: float  # [m] error of the place at the end
+    legs_drift: float  # [m] the same of the odometry
+    refused: int  # frames whose registration was refused
+    rmse: float  # [m] over all measured cells
+    interior_rmse: float  # [m] over those further than 2 cm from an edge
+    bias: float  # [m] over all
+    edge: float  # [m] median distance from a true edge to the mapped one, NaN without edges
+    coverage: float  # share of the cells in view that are known
+    invented: int  # known cells that were never in view
+
+
+def measure(
+    scene: Scene,
+    seed: int,
+    errors: Errors | None = None,
+    method: Literal["projective", "kiss-icp"] = "projective",
+) -> RideResult:
+    """Ride over a scene, whose terrain, errors and noise are drawn by the seed."""
+    rngs = [np.random.default_rng([seed, k]) for k in range(3)]
+    way = ride(scene(rngs[0]), rngs[1], errors or Errors())
+    camera = CarriedCamera(way, rngs[2])
+    poses: list[BodyPose] = []
+    maps: list[TerrainMap] = []
+
+    def tap(topic: AnyTopic, frame: bytes, _: int) -> None:
+        if topic is topics.BODY_POSE:
+            poses.append(codec.decode(frame, BodyPose)[0])
+        elif topic is topics.TERRAIN:
+            maps[:] = [codec.decode(frame, TerrainMap)[0]]
+
+    settings = PerceptionSettings(settle_s=0.0, scan_rate_hz=way.profile.camera.sensor.rate_hz, method=method)
+    lockstep = Lockstep(
+        {
+            "carried camera": lambda: camera,
+            "perception": lambda: Perception(way.profile, settings),
+            "mapper": lambda: Mapper(way.profile, MapperSettings()),
+        },
+        tap,
+        latency_s={topics.ODOMETRY.key: 0.001},  # it comes fifty times a second from a robot, here with each picture
+    )
+    lockstep.run(int(way.stamps_ns[-1]) + _SETTLE_NS)
+    return _judged(way, poses, maps[0], settings.scan_range)
+
+
+def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, scan_range: float) -> RideResult:
+    end = way.T_world_body[-1, :3, 3]
+    truth = _Truth(way.terrain, terrain)
+    known = np.isfinite(terrain.elevation)
+    seen = _in_view(way, terrain, scan_range)
+    error = (terrain.elevation - truth.heights)[known & np.isfinite(truth.heights)]
+    interior = known & (truth.edge_distance > _INTERIOR) & np.isfinite(truth.heights)
+    return RideResult(
+        drift=float(np.linalg.norm(poses[-1].T_world_body[:3, 3] - end)),
+        legs_drift=float(np.linalg.norm(way.T_odom_body[-1, :3, 3] - end)),
+        refused=sum(not pose.ok for pose in poses),
+        rmse=_rms(error),
+        interior_rmse=_rms((terrain.elevation - truth.heights)[interior]),
+        bias=float(error.mean()),
+        edge=_edge_error(truth, terrain.elevation),
+        coverage=float(known[seen].mean()),
+        invented=int((known & ~cv2.dilate(seen.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2)).astype(bool)).sum()),
+    )
+
+
+class _Truth:
+    """The ground under a map's cells, and where its edges are."""
+
+    def __init__(self, ground: "object", terrain: TerrainMap):
+        nx, ny = terrain.elevation.shape
+        half = terrain.resolution / 2
+        x0, y0 = terrain.origin
+        fine = ground.raster(x0, y0, 2 * nx - 1, 2 * ny - 1, half)  # type: ignore[attr-defined]
+        fine = np.where(np.isfinite(fine), fine, np.nan)
+        self.heights: Array = fine[::2, ::2]
+        self.step = half
+        self.edges = _edge_points(fine, _EDGE)  # (k, 2) in half cells
+        steep = np.zeros(fine.shape, dtype=np.uint8)
+        points = _edge_points(fine, _STEEP)
+        for rounded in (np.floor(points), np.ceil(points)):
+            i, j = rounded.astype(int).T
+            steep[i, j] = 1
+        distance = (
+            cv2.distanceTransform(1 - steep, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) if steep.any() else np.full(fine.shape, 9e9)
+        )
+        self.edge_distance = np.asarray(distance[::2, ::2] * half)  # (nx, ny) [m]
+
+
+def _edge_points(z: Array, jump: float) -> Array:
+    """Points (k, 2), in grid steps, midway between neighbours whose heights differ by more than a jump [m]."""
+    found = []
+    for axis in (0, 1):
+        at = np.argwhere(np.abs(np.diff(z, axis=axis)) > jump).astype(np.float64)
+        at[:, axis] += 0.5
+        found.append(at)
+    return np.concatenate(found)
+
+
+def _edge_error(truth: _Truth, elevation: NDArray[np.float32]) -> float:
+    """Median distance [m] from true edges, where both of their sides are mapped, to the nearest mapped edge."""
+    mapped = 2.0 * _edge_points(elevation.astype(np.float64), _EDGE)
+    if not len(truth.edges):
+        return float("nan")
+    known = np.isfinite(elevation).astype(np.uint8)
+    whole = cv2.erode(known, np.ones((2 * _BESIDE + 1,) * 2))
+    cells = np.clip(np.round(truth.edges / 2).astype(int), 0, np.array(elevation.shape) - 1)
+    edges = truth.edges[whole[cells[:, 0], cells[:, 1]] > 0]
+    if not len(edges) or not len(mapped):
+        return float("nan") if not len(edges) else _LOST
+    canvas = np.ones((2 * elevation.shape[0], 2 * elevation.shape[1]), dtype=np.uint8)
+    # On a grid twice as fine again, on which midpoints of cells and of half cells both fall on whole numbers.
+    canvas = np.ones((4 * elevation.shape[0], 4 * elevation.shape[1]), dtype=np.uint8)
+    i, j = (2 * mapped).astype(int).T
+    canvas[i, j] = 0
+    distance = cv2.distanceTransform(canvas, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    i, j = (2 * edges).astype(int).T
+    return float(np.median(np.minimum(distance[i, j] * truth.step / 2, _LOST)))
+
+
+def _in_view(way: Ride, terrain: TerrainMap, scan_range: float) -> Cells:
+    """Cells (nx, ny) of a map into which an undisturbed picture of the ride shows."""
+    camera = way.profile.camera
+    renderer = Renderer(way.terrain, camera.intrinsics)
+    shape = terrain.elevation.shape
+    seen = np.zeros(shape, dtype=bool)
+    for T in way.T_world_camera:
+        depth = renderer.depth(T)
+        inside = (depth >= camera.sensor.min_range) & (depth <= camera.sensor.max_range)
+        points = apply(T, camera.intrinsics.points(np.where(inside, depth, 1.0))[inside])
+        points = points[np.hypot(*(points[:, :2] - T[:2, 3]).T) <= scan_range]
+        i, j = np.round((points[:, :2] - terrain.origin) / terrain.resolution).astype(int).T
+        on_map = (i >= 0) & (j >= 0) & (i < shape[0]) & (j < shape[1])
+        seen[i[on_map], j[on_map]] = True
+    return seen
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
+
+
+def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
+    """Figure -> its median and its worst (largest, of coverage least) over rides."""
+    rides = list(results)
+    out = {}
+    for name in (f.name for f in fields(RideResult)):
+        values = np.array([getattr(r, name) for r in rides], dtype=np.float64)
+        values = np.abs(values[np.isfinite(values)])
+        if len(values):
+            out[name] = float(np.median(values)), float(values.min() if name == "coverage" else values.max())
+    return out

@@ -1,0 +1,71 @@
+"""Scenes that are rebuilt for each seed: on them registration and maps are measured.
+
+The seven of `MAPPED` are those of the published budgets for elevation maps (facts on performance: flat, slope, steps, gap,
+boxes, rough, mixed); the four of `REGISTERED` differ in how much of the motion they show.
+"""
+
+from collections.abc import Callable, Mapping
+
+import cv2
+import numpy as np
+
+from services.simulator.solids import Boxes, HeightField
+from services.simulator.terrain import Terrain, build_terrain
+from shared.scenario import Box, Goal, Pillars, Plane, Rubble, Scenario, Slope, Stairs
+from shared.scenario import Terrain as Part
+
+Scene = Callable[[np.random.Generator], Terrain]
+
+_WIDTH = 4.0  # [m] of what reaches across the whole view
+_ROUGH_STEP = 0.02  # [m] grid of the rough ground
+_ROUGH_WAVE = 0.12  # [m] sigma of the filter that makes it
+_ROUGH_HEIGHT = 0.14  # [m] peak to peak
+
+
+def _built(*parts: Part) -> Scene:
+    def build(rng: np.random.Generator) -> Terrain:
+        return build_terrain(Scenario("bench", parts, Goal(1.0)), rng)
+
+    return build
+
+
+def _rough(rng: np.random.Generator) -> Terrain:
+    """Smooth random ground without edges."""
+    shape = round(5.0 / _ROUGH_STEP), round(_WIDTH / _ROUGH_STEP)
+    noise = cv2.GaussianBlur(rng.standard_normal(shape), (0, 0), _ROUGH_WAVE / _ROUGH_STEP)
+    heights = (noise - noise.mean()) / np.ptp(noise) * _ROUGH_HEIGHT
+    empty = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+    return Terrain(empty, HeightField(heights, _ROUGH_STEP, (-1.0, -_WIDTH / 2)), None)
+
+
+_PLATFORMS = (  # 0.7 m of gap from x = 1 m on
+    Box((-0.5, 0.0), (3.0, _WIDTH), 0.0),
+    Box((3.7, 0.0), (4.0, _WIDTH), 0.0),
+    Plane(height=-0.5),
+)
+
+MAPPED: Mapping[str, Scene] = {
+    "flat": _built(Plane()),
+    "slope": _built(Plane(), Slope((0.8, 0.0), 15.0, 4.0, _WIDTH)),
+    "steps": _built(Plane(), Stairs((1.0, 0.0), 0.12, 0.45, 6, _WIDTH)),
+    "gap": _built(*_PLATFORMS),
+    "boxes": _built(Plane(), Rubble((0.7, 3.2), (-0.8, 0.8), 14, (0.15, 0.40), (0.05, 0.20), gap=0.05)),
+    "rough": _rough,
+    "mixed": _built(
+        Plane(),
+        Rubble((0.6, 1.4), (-0.7, 0.7), 6, (0.12, 0.30), (0.04, 0.15), gap=0.05),
+        Slope((1.6, 0.6), 15.0, 0.8, 1.0),
+        Stairs((1.7, -0.6), 0.10, 0.35, 3, 1.0),
+    ),
+}
+
+REGISTERED: Mapping[str, Scene] = {
+    "stairs+pillars": _built(
+        Plane(),
+        Stairs((1.5, 0.0), 0.10, 0.35, 4, 1.4),
+        Pillars(((0.9, 0.35), (1.0, -0.4), (1.4, 0.55), (1.3, -0.6)), 0.10, 0.15),
+    ),
+    "sparse boxes": _built(Plane(), Rubble((0.7, 3.2), (-0.7, 0.7), 6, (0.10, 0.25), (0.05, 0.12), gap=0.2)),
+    "stairs": _built(Plane(), Stairs((1.0, 0.0), 0.10, 0.35, 6, 1.4)),
+    "flat": _built(Plane()),
+}
