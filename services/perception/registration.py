@@ -6,11 +6,12 @@ x, y and yaw, stays as expected.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from services.perception.anchor import AnchorMap, surface_points
 from services.perception.keyframes import BlockFrame, Keyframes, Match
 from shared.camera import DepthSensor, Intrinsics
 from shared.compiled import compiled
@@ -24,6 +25,8 @@ _CONVERGED = 1e-4  # [m] and [rad] step that ends the iteration
 _INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors: ten count as one
 _SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise alone: below nothing is believed, above all
 _SWEEPS = 12  # of Jacobi's method at most; six of them reach the last digit of a (6, 6) matrix
+_USUAL_SHARE = 0.05  # of each good frame in the usual distance of surfaces
+_LOST_SIGMA = 0.03  # [m] and [rad] by which a place that was searched for is known
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
@@ -51,7 +54,9 @@ class Acceptance:
     min_measured: float = 0.02  # share of the image's blocks that carry a depth
     min_overlap: float = 0.3  # share of points that found a plane
     min_agreement: float = 0.5  # share of points facing a plane that lie on it
-    max_rmse: float = 0.010  # [m] point-to-plane
+    max_rmse: float = 0.010  # [m] point-to-plane, and
+    rmse_factor: float = 3.0  # of what it has been lately, plus
+    rmse_margin: float = 0.001  # [m]
     # Departure from the prior allowed on top of four sigma. A floor tells height, roll and pitch beyond doubt, and a foot
     # that slips off an edge tilts the robot by degrees at once; along the floor a frame may have been matched with the wrong
     # block.
@@ -60,13 +65,18 @@ class Acceptance:
     jump_height: float = 0.05  # [m] in z
     jump_tilt: float = 0.15  # [rad] in roll and pitch
     lever: float = 0.3  # [m] over the ground that the camera is at most: a tilt about the feet moves it in x and y, too
-    patience: int = 15  # failed frames in a row after which the map starts anew at the prior
+    max_misfit: float = 0.015  # share of points outside of what is known of their places, above which the pose is doubted
+    doubt: int = 3  # doubtful or failed frames in a row after which the frame is searched for around its prior
+    search_every: int = 8  # frames, while it stays so
+    patience: int = 60  # failed frames in a row after which the map starts anew at the prior
 
 
 class Registration:
     """Camera poses from depth frames, each registered against the keyframes that see the same place.
 
-    Keyframes keep the pose they were taken at, so standing still or coming back adds no drift.
+    Keyframes keep the pose they were taken at, so standing still or coming back adds no drift. What they have seen is kept
+    as a coarse map, too: a frame that registers well but lies across that map is doubted, and one that does not register, or
+    is doubted for a while, is searched for in it.
     """
 
     def __init__(
@@ -79,12 +89,21 @@ class Registration:
         stored_keyframes: int = 32,
         keyframe_distance: float = 0.12,
         keyframe_angle: float = 0.12,
+        max_range: float = 2.5,
     ) -> None:
-        """Set up for one camera; see `Keyframes` for the numbers."""
+        """Set up for one camera; see `Keyframes` for the numbers.
+
+        Surfaces beyond a range [m] are cropped (Masri 2016, section 4.2): a triangulating camera bends what is far away.
+        """
         self._acceptance = acceptance or Acceptance()
+        sensor = replace(sensor, max_range=min(sensor.max_range, max_range))
         self._frame = BlockFrame(intrinsics, sensor)
         self._keyframes = Keyframes(self._frame, stored_keyframes, active_keyframes, keyframe_distance, keyframe_angle)
-        self._failures = 0
+        self._anchor = AnchorMap(float(sensor.sigma(np.array(1.0), intrinsics.fx)))
+        self._usual_rmse = self._acceptance.max_rmse  # [m]
+        self._failures = 0  # in a row
+        self._doubtful = 0  # frames in a row, failed ones included
+        self._believed = 0  # frames for which doubt is put aside: the ground has changed, not the place
 
     @property
     def keyframe_poses(self) -> NDArray[np.float64]:
@@ -120,18 +139,65 @@ class Registration:
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, None, reason)
         if len(self._keyframes) == 0:
-            self._keyframes.add(T_world_camera_prior)
+            self._remember(T_world_camera_prior)
             return first(stamp_ns, T_world_camera_prior, prior_covariance)
 
+        # 1. The nearest pose that fits.
         T, covariance, degenerate, match = self._align(T_world_camera_prior, information)
-
-        reason = objection(match, self._acceptance) or jump(T, T_world_camera_prior, prior_covariance, self._acceptance)
+        reason = self._objection(match) or jump(T, T_world_camera_prior, prior_covariance, self._acceptance)
+        # 2. Where that is in doubt, the map says whether there is a better one.
+        doubted = self._is_doubted(T) if not reason else True
+        self._doubtful = self._doubtful + 1 if doubted else 0
+        if self._is_time_to_search():
+            found = self._search(T_world_camera_prior if reason else T)
+            if isinstance(found, str):
+                if reason:
+                    reason = f"{reason}; {found}"
+                else:
+                    self._believed = self._acceptance.search_every  # what is seen has changed, not the place
+            else:
+                T, covariance, degenerate, match = found
+                reason, doubted, self._doubtful = "", False, 0
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
+        # 3. Good frames that see something new extend the map.
         self._failures = 0
-        if self._keyframes.is_news(T, match.overlap):
-            self._keyframes.add(T)
+        if not doubted:
+            self._usual_rmse += _USUAL_SHARE * (match.rmse - self._usual_rmse)
+            if self._keyframes.is_news(T, match.overlap):
+                self._remember(T)
         return Registered(stamp_ns, T, covariance, match.overlap, match.rmse, degenerate, True, "")
+
+    def _objection(self, match: Match) -> str:
+        """Why a match is not to be trusted; surfaces must be as near to each other as they use to be."""
+        limits = self._acceptance
+        usual = limits.rmse_factor * self._usual_rmse + limits.rmse_margin
+        return objection(match, replace(limits, max_rmse=min(limits.max_rmse, usual)))
+
+    def _is_doubted(self, T: NDArray[np.float64]) -> bool:
+        self._believed = max(0, self._believed - 1)
+        return self._believed == 0 and self._anchor.misfit(self._frame.points, T) > self._acceptance.max_misfit
+
+    def _is_time_to_search(self) -> bool:
+        since = self._doubtful - self._acceptance.doubt
+        return since >= 0 and since % self._acceptance.search_every == 0
+
+    def _search(
+        self, T_expected: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Match] | str:
+        """A better place in the map, registered there; or why there is none, in words."""
+        found = self._anchor.find(self._frame.points, T_expected)
+        if found.T_world_camera is None:
+            return found.reason
+        T, covariance, degenerate, match = self._align(found.T_world_camera, np.eye(6) / _LOST_SIGMA**2)
+        reason = self._objection(match)
+        return reason or (T, covariance, degenerate, match)
+
+    def _remember(self, T: NDArray[np.float64]) -> None:
+        """Make the frame as last loaded a keyframe, and a part of the map."""
+        self._keyframes.add(T)
+        frame = self._frame
+        self._anchor.add(surface_points(frame.inverse_depth, frame.x, frame.y), T)
 
     def _align(
         self, T_prior: NDArray[np.float64], information: NDArray[np.float64]
@@ -166,7 +232,8 @@ class Registration:
         if self._failures >= self._acceptance.patience and match is not None:
             # The prior has drifted too far to find the way back: start a map of its own there.
             self._keyframes.clear()
-            self._keyframes.add(T_prior)
+            self._anchor.clear()
+            self._remember(T_prior)
             reason = f"{reason}; {self._failures} frames in a row failed, the map starts anew at the prior"
             self._failures = 0
         return refused(stamp_ns, T_prior, prior_covariance, match, reason)

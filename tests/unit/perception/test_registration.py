@@ -205,10 +205,39 @@ def test_a_lost_map_starts_anew_after_many_failures(world):
     T = world.camera_pose(0.0)
     registration.update(world.depth_image(T), 0, T, TIGHT)
     far = world.camera_pose(3.0)
-    results = [registration.update(world.depth_image(far), i, far, WIDE) for i in range(1, 20)]
+    results = [registration.update(world.depth_image(far), i, far, WIDE) for i in range(1, 70)]
     assert not results[0].ok
     restarted = next(i for i, r in enumerate(results) if "anew" in r.reason)
     assert all(r.ok for r in results[restarted + 1 :])
+
+
+def test_a_robot_that_was_carried_off_finds_itself_again(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(3)
+    for x in np.arange(0.0, 0.6, 0.05):
+        T = world.camera_pose(x)
+        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    expected = world.camera_pose(0.55)
+    T = world.camera_pose(0.35, 0.2, np.radians(15.0))  # put down elsewhere: the legs know nothing of it
+    depth = world.depth_image(T, world.scenes["pillars"], rng)
+    for i in range(5):
+        found = registration.update(depth, i, expected, WIDE)
+        expected = found.T_world_camera
+    assert found.ok
+    assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
+
+
+def test_surfaces_further_apart_than_usual_are_refused(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(4)
+    T = world.camera_pose(0.0)
+    for i in range(60):
+        registration.update(world.depth_image(T, world.scenes["steps"], rng), i, T, TIGHT)
+    rough = world.depth_image(T, world.scenes["steps"], rng).astype(np.int64)
+    bumps = np.kron(rng.choice([-9, 9], (30, 40)), np.ones((16, 16), dtype=np.int64))  # [mm] as no surface there has been
+    found = registration.update(np.where(rough > 0, rough + bumps, 0).astype(np.uint16), 60, T, TIGHT)
+    assert not found.ok
+    assert "mm apart" in found.reason
 
 
 @pytest.mark.parametrize("fill", [0, 1, 499, 65535])
