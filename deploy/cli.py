@@ -149,6 +149,30 @@ def replay(arguments: argparse.Namespace) -> int:
     return SUCCESS
 
 
+def bench_accuracy(arguments: argparse.Namespace) -> int:
+    """`sextant bench accuracy`: how right pose and map are, on rebuilt scenes."""
+    from deploy.bench import accuracy
+
+    out = _out(arguments, "bench-accuracy")
+    rows = accuracy.tables(arguments.seeds, arguments.jobs, _progress(arguments.json).say)
+    return _tell_bench(accuracy.in_words(rows), accuracy.to_json(rows), out / "accuracy.json", arguments.json)
+
+
+def bench_speed(arguments: argparse.Namespace) -> int:
+    """`sextant bench speed`: how fast the stages are beside their peers."""
+    from deploy.bench import speed
+
+    out = _out(arguments, "bench-speed")
+    timings, missing = speed.registration(arguments.seeds, say=_progress(arguments.json).say)
+    return _tell_bench(speed.in_words(timings, missing), speed.to_json(timings, missing), out / "speed.json", arguments.json)
+
+
+def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:
+    path.write_text(text, encoding="utf-8")
+    _say(text.rstrip() if as_json else f"{words}\nwritten to {path}")
+    return SUCCESS
+
+
 def list_topics(arguments: argparse.Namespace) -> int:
     """`sextant topics list`: the topic table."""
     from shared.topics import TOPICS
@@ -409,6 +433,13 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
     one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
 
+    group = commands.add_parser("bench", help="what the stages are worth").add_subparsers(required=True, metavar="WHAT")
+    one = add("accuracy", bench_accuracy, "ride over rebuilt scenes: errors of pose and map through the real services", group)
+    one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
+    _add_bench(one)
+    one = add("speed", bench_speed, "time registration beside its peers, frame by frame in one run", group)
+    _add_bench(one)
+
     group = commands.add_parser("topics", help="what travels on the wire").add_subparsers(required=True, metavar="WHAT")
     one = add("list", list_topics, "print the topic table", group)
     one.add_argument("--json", action="store_true", help="as JSON")
@@ -422,6 +453,12 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--scenario", default="steps", help="name of the scenario (default %(default)s)")
     one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
     return parser
+
+
+def _add_bench(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=_seeds, default=range(1000, 1003), metavar="A:B", help="rides (default 1000:1003)")
+    parser.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
 
 
 def _add_seed_and_out(parser: argparse.ArgumentParser) -> None:

@@ -17,12 +17,12 @@ from pathlib import Path
 from shared.config import ConfigError
 
 _ROLES: dict[str, tuple[str, ...]] = {  # the extras of pyproject.toml, by the modules they bring
-    "core": ("msgpack", "numpy", "zenoh"),
+    "core": ("msgpack", "numpy", "zenoh", "zstandard"),
     "actuator": ("serial",),
     "perception": ("cv2", "kiss_icp", "numba"),
     "mapper": ("cv2", "numba"),
     "simulator": ("cv2", "mujoco", "numba"),
-    "recording": ("cv2", "matplotlib", "mcap", "zstandard"),
+    "recording": ("cv2", "matplotlib", "mcap"),
 }
 _PYTHON = (3, 11)
 _CORES = 2

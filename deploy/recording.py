@@ -22,7 +22,8 @@ from shared.messages import Message
 from shared.service import AnyTopic, Link
 
 ENCODING = "sextant"
-_CHUNK_BYTES = 4 << 20
+_CHUNK_BYTES = 256 << 10  # what is lost at most when the process is killed
+_FLUSH_NS = 1_000_000_000  # between handing over to the system what chunks are full
 _QUEUE_FRAMES = 2000  # frames that may wait for the disk in a live run
 
 # Pictures would be nine tenths of a file, and asking for colour makes the simulator render it.
@@ -33,7 +34,9 @@ THINNED_NS: Mapping[AnyTopic, int] = {topics.TERRAIN: 1_000_000_000}
 FRAME_LAYOUT = (
     "uint32 little-endian header length | header | padding to 8 bytes | arrays, each padded to 8 bytes. "
     "The header is msgpack [schema, began_ns, sent_ns, [field, ...]] with the fields in the order of the channel's schema; "
-    "an array field is [dtype, [length, ...], offset into the arrays], dtype in NumPy's notation."
+    "an array field is [dtype, [length, ...], offset into the arrays], dtype in NumPy's notation. "
+    "A packed one has the number of its bytes behind that: a Zstandard frame of its differences along the first axis, column by "
+    "column, zigzag coded, the lowest bytes of all of them first."
 )
 
 
@@ -54,7 +57,7 @@ def describe(kind: type[Message]) -> str:
 def _described(base: Any, detail: Any) -> dict[str, Any]:
     if base is np.ndarray:
         dtype, dims = detail
-        return {"type": "array", "dtype": dtype.str, "shape": list(dims.shape), "finite": dims.finite}
+        return {"type": "array", "dtype": dtype.str, "shape": list(dims.shape), "finite": dims.finite, "packed": dims.packed}
     if base is Literal:
         return {"type": "str", "one_of": list(detail)}
     if base is tuple:
@@ -91,6 +94,8 @@ class Recorder:
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="sextant")
         self._writer.add_metadata("run", {**about, "frame_layout": FRAME_LAYOUT})
+        self._file.flush()
+        self._flush_due_ns = 0
 
     def __enter__(self) -> Self:
         return self
@@ -108,6 +113,9 @@ class Recorder:
         self._newest_ns[topic.key] = at_ns
         count = self._counts[topic.key] = self._counts.get(topic.key, -1) + 1
         self._writer.add_message(self._channel(topic), log_time=at_ns, publish_time=at_ns, sequence=count, data=frame)
+        if at_ns >= self._flush_due_ns:
+            self._flush_due_ns = at_ns + _FLUSH_NS
+            self._file.flush()
 
     def close(self) -> None:
         """Finish the file; safe to call twice."""

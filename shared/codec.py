@@ -6,8 +6,10 @@ A frame is a msgpack header and behind it the raw bytes of the arrays, 8-byte al
 
     header = [schema, began_ns, sent_ns, [field, ...]]   an array field is [dtype, [length, ...], offset into the arrays]
 
-Sending copies an array once, into the frame; receiving does not copy: arrays are read-only views of the frame. `schema` is a
-hash of the message's declaration, so two versions that disagree refuse each other by name instead of misreading.
+Sending copies an array once, into the frame; receiving does not copy: arrays are read-only views of the frame. Arrays declared
+as packed are the exception: [dtype, [length, ...], offset, bytes] names a Zstandard frame of their differences along the first
+axis, zigzag coded, low bytes before high ones, which unpacking turns into an array of its own. `schema` is a hash of the
+message's declaration, so two versions that disagree refuse each other by name instead of misreading.
 """
 
 import hashlib
@@ -20,6 +22,8 @@ from typing import Any, Literal, TypeAlias, TypeVar
 
 import msgpack
 import numpy as np
+import zstandard
+from numpy.typing import NDArray
 
 from shared.messages import MAX_ITEMS, MAX_LENGTH, MAX_TEXT, Message, schema
 
@@ -31,6 +35,8 @@ _MAX_HEADER = 1 << 20  # [bytes]
 _INTEGER = frozenset([int])  # and not bool
 _FEW = 256  # bytes: up to there an array is not worth making
 _TRUTH_VALUES = b"\0\1"
+_MAX_UNPACKED = 1 << 24  # [bytes] of a packed array
+_compress, _decompress = zstandard.ZstdCompressor(level=1).compress, zstandard.ZstdDecompressor().decompress
 
 
 class DecodeError(ValueError):
@@ -59,13 +65,19 @@ def encode(message: Message, timing: Timing = Timing(0, 0)) -> bytes:
     for field in layout.fields:
         value = getattr(message, field.name)
         if field.dtype:
-            array = np.ascontiguousarray(value)
-            fields.append((field.dtype, array.shape, size))
-            buffers.append(array.data)
-            gap = -array.nbytes % _ALIGNMENT
+            if field.packed:
+                buffer: Any = _packed(value)
+                length = len(buffer)
+                fields.append((field.dtype, value.shape, size, length))
+            else:
+                array = np.ascontiguousarray(value)
+                buffer, length = array.data, array.nbytes
+                fields.append((field.dtype, array.shape, size))
+            buffers.append(buffer)
+            gap = -length % _ALIGNMENT
             if gap:
                 buffers.append(bytes(gap))
-            size += array.nbytes + gap
+            size += length + gap
         else:
             fields.append(str(value) if isinstance(value, StrEnum) else value)
     header = msgpack.packb((layout.schema_id, timing.began_ns, timing.sent_ns, fields), use_bin_type=True)
@@ -109,6 +121,7 @@ class _Field:
     name: str
     dtype: str  # of an array, in the array interface's notation; empty for anything else
     decode: _FieldDecoder
+    packed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +149,8 @@ def _field(kind: type[Message], name: str, base: Any, detail: Any) -> _Field:
     where = f"{kind.__name__}.{name}"
     if base is np.ndarray:
         dtype, dims = detail
+        if dims.packed:
+            return _Field(name, dtype.str, _packed_decoder(where, dtype, len(dims.shape)), packed=True)
         return _Field(name, dtype.str, _array_decoder(where, dtype, len(dims.shape)))
     return _Field(name, "", _value_decoder(where, base))
 
@@ -191,14 +206,7 @@ def _array_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder
         if type(value) is not list or len(value) != 3 or [*map(type, value)] != [str, list, int]:
             raise DecodeError(f"{where}: an array's dtype, shape and offset expected")
         found, shape, offset = value
-        if found != code:
-            raise DecodeError(f"{where}: an array of {code} expected, found {found[:10]!r}")
-        if len(shape) != ndim:
-            raise DecodeError(f"{where}: an array of {ndim} dimensions expected, found {len(shape)}")
-        # Types first: a list from the wire may be so deeply nested that not even its repr could be had.
-        if not _INTEGER.issuperset(map(type, shape)) or min(shape) < 0 or max(shape) > MAX_LENGTH:
-            raise DecodeError(f"{where}: whole numbers from 0 to {MAX_LENGTH} expected as lengths")
-        count = prod(shape)  # Python integers do not overflow
+        count = _count(where, code, ndim, found, shape)
         begin, end = arrays + offset, arrays + offset + count * itemsize
         if offset < 0 or offset % _ALIGNMENT or end > len(frame):
             raise DecodeError(f"{where}: {count} values of {code} at offset {offset} do not fit the frame")
@@ -207,6 +215,65 @@ def _array_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder
         return np.ndarray(shape, dtype, frame, begin)
 
     return decode_array
+
+
+def _packed_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder:
+    """What makes an array out of a packed one's dtype, shape, offset and bytes."""
+    code, itemsize = dtype.str, dtype.itemsize
+    if dtype.kind not in "iu":
+        raise TypeError(f"{where}: a packed array of whole numbers expected, found {code}")
+
+    def decode_packed(frame: bytes, arrays: int, value: Any) -> Any:
+        if type(value) is not list or len(value) != 4 or [*map(type, value)] != [str, list, int, int]:
+            raise DecodeError(f"{where}: a packed array's dtype, shape, offset and bytes expected")
+        found, shape, offset, length = value
+        size = _count(where, code, ndim, found, shape) * itemsize
+        begin, end = arrays + offset, arrays + offset + length
+        if min(offset, length) < 0 or offset % _ALIGNMENT or end > len(frame):
+            raise DecodeError(f"{where}: {length} packed bytes at offset {offset} do not fit the frame")
+        if size > _MAX_UNPACKED:
+            raise DecodeError(f"{where}: an array of at most {_MAX_UNPACKED} bytes expected, found {size}")
+        return _unpacked(where, frame[begin:end], tuple(shape), dtype, size)
+
+    return decode_packed
+
+
+def _count(where: str, code: str, ndim: int, found: str, shape: list[Any]) -> int:
+    """How many values an array of a declared dtype and dimension has, by the header."""
+    if found != code:
+        raise DecodeError(f"{where}: an array of {code} expected, found {found[:10]!r}")
+    if len(shape) != ndim:
+        raise DecodeError(f"{where}: an array of {ndim} dimensions expected, found {len(shape)}")
+    # Types first: a list from the wire may be so deeply nested that not even its repr could be had.
+    if not _INTEGER.issuperset(map(type, shape)) or min(shape) < 0 or max(shape) > MAX_LENGTH:
+        raise DecodeError(f"{where}: whole numbers from 0 to {MAX_LENGTH} expected as lengths")
+    return prod(shape)  # Python integers do not overflow
+
+
+def _packed(array: NDArray[Any]) -> bytes:
+    """The differences of an array along its first axis, small ones of either sign as small numbers, compressed."""
+    steps = np.empty((prod(array.shape[1:]), len(array)), dtype=array.dtype)  # a column of the array is alike
+    steps.T[:] = array.reshape(steps.shape[::-1])
+    steps[:, 1:] -= steps[:, :-1].copy()  # whole numbers wrap around, and back
+    signed = steps.view(f"i{array.itemsize}")
+    numbers = (signed << 1) ^ (signed >> (8 * array.itemsize - 1))  # 0, -1, 1, -2, 2 ... become 0, 1, 2, 3, 4
+    return _compress(numbers.view(np.uint8).reshape(numbers.size, array.itemsize).T.tobytes())
+
+
+def _unpacked(where: str, data: bytes, shape: tuple[int, ...], dtype: np.dtype[Any], size: int) -> NDArray[Any]:
+    try:
+        if zstandard.frame_content_size(data) != size:  # before anything is unpacked: it may claim to be any size
+            raise DecodeError(f"{where}: {size} bytes expected when unpacked, found another number")
+        planes = np.frombuffer(_decompress(data), np.uint8)
+    except zstandard.ZstdError:
+        raise DecodeError(f"{where}: not a packed array") from None
+    if len(planes) != size:
+        raise DecodeError(f"{where}: {size} bytes expected when unpacked, found {len(planes)}")
+    numbers = np.ascontiguousarray(planes.reshape(dtype.itemsize, size // dtype.itemsize).T).view(f"u{dtype.itemsize}")
+    steps = ((numbers >> 1) ^ -(numbers & 1)).view(dtype).reshape(prod(shape[1:]), shape[0])
+    out: NDArray[Any] = np.ascontiguousarray(np.cumsum(steps, axis=1, dtype=dtype).T).reshape(shape)
+    out.flags.writeable = False
+    return out
 
 
 def _truth_values(frame: bytes, begin: int, count: int) -> bool:

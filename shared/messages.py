@@ -25,14 +25,19 @@ MAX_LENGTH = 4_000_000  # elements along an array
 
 @dataclass(frozen=True, slots=True)
 class Dims:
-    """Shape of an array field: numbers are exact lengths, names are free lengths that agree within one message."""
+    """Shape of an array field: numbers are exact lengths, names are free lengths that agree within one message.
+
+    A packed array of whole numbers crosses the wire as its differences along the first axis, compressed.
+    """
 
     shape: tuple[int | str, ...]
     finite: bool
+    packed: bool
 
-    def __init__(self, *shape: int | str, finite: bool = True):
+    def __init__(self, *shape: int | str, finite: bool = True, packed: bool = False):
         object.__setattr__(self, "shape", shape)
         object.__setattr__(self, "finite", finite)
+        object.__setattr__(self, "packed", packed)
 
 
 Pose: TypeAlias = Annotated[NDArray[np.float64], Dims(4, 4)]
@@ -145,9 +150,9 @@ class Scan(Message):
     """The ground as one frame saw it, a point per map cell; perception -> mapper."""
 
     origin: Vector3  # [m] {world}
-    points_mm: Annotated[NDArray[np.int16], Dims("n", 3)]  # [mm] from the origin
-    count: Annotated[NDArray[np.uint8], Dims("n")]  # pixels behind a point, 255 for more
-    spread_mm: Annotated[NDArray[np.uint8], Dims("n")]  # [mm] standard deviation of their heights
+    points_mm: Annotated[NDArray[np.int16], Dims("n", 3, packed=True)]  # [mm] from the origin, neighbours behind each other
+    count: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # pixels behind a point, 255 for more
+    spread_mm: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # [mm] from the lowest to the highest of them, 255 for more
     p_world_camera: Vector3  # [m] where the camera was
     pose_variance_z: float  # [m^2] of the pose the points were placed by
     pose_ok: bool  # False: placed by odometry alone

@@ -1,7 +1,11 @@
 """How right pose and map are: rides through the real perception and mapper, through the codec, judged by the truth."""
 
-from collections.abc import Iterable
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
+from multiprocessing import get_context
 from typing import Literal
 
 import cv2
@@ -9,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
-from deploy.bench.scenes import Scene
+from deploy.bench.scenes import MAPPED, REGISTERED, Scene
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception.config import Settings as PerceptionSettings
 from services.perception.service import Perception
 from services.simulator.render import Renderer
+from services.simulator.terrain import Terrain
 from shared import codec, topics
 from shared.geometry import Array, apply
 from shared.messages import BodyPose, TerrainMap
@@ -28,7 +33,7 @@ _STEEP = 0.01  # [m] jump over half a cell that makes cells beside it no part of
 _INTERIOR = 0.02  # [m] from an edge
 _BESIDE = 3  # cells on either side of a true edge, in which both sides must be known for it to be found
 _LOST = 0.05  # [m] an edge that is further off was not found
-_REACH = 2  # cells by which noise may carry a point out of view
+_REACH = 2  # cells by which noise may carry a point out of view, on top of the drift of the pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +89,13 @@ def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, scan_range: f
     truth = _Truth(way.terrain, terrain)
     known = np.isfinite(terrain.elevation)
     seen = _in_view(way, terrain, scan_range)
+    drift = float(np.linalg.norm(poses[-1].T_world_body[:3, 3] - end))
+    reach = _REACH + math.ceil(drift / terrain.resolution)
+    could_be_seen = cv2.dilate(seen.astype(np.uint8), np.ones((2 * reach + 1,) * 2)) > 0
     error = (terrain.elevation - truth.heights)[known & np.isfinite(truth.heights)]
     interior = known & (truth.edge_distance > _INTERIOR) & np.isfinite(truth.heights)
     return RideResult(
-        drift=float(np.linalg.norm(poses[-1].T_world_body[:3, 3] - end)),
+        drift=drift,
         legs_drift=float(np.linalg.norm(way.T_odom_body[-1, :3, 3] - end)),
         refused=sum(not pose.ok for pose in poses),
         rmse=_rms(error),
@@ -95,18 +103,18 @@ def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, scan_range: f
         bias=float(error.mean()),
         edge=_edge_error(truth, terrain.elevation),
         coverage=float(known[seen].mean()),
-        invented=int((known & ~cv2.dilate(seen.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2)).astype(bool)).sum()),
+        invented=int((known & ~could_be_seen).sum()),
     )
 
 
 class _Truth:
     """The ground under a map's cells, and where its edges are."""
 
-    def __init__(self, ground: "object", terrain: TerrainMap):
+    def __init__(self, ground: Terrain, terrain: TerrainMap):
         nx, ny = terrain.elevation.shape
         half = terrain.resolution / 2
         x0, y0 = terrain.origin
-        fine = ground.raster(x0, y0, 2 * nx - 1, 2 * ny - 1, half)  # type: ignore[attr-defined]
+        fine = ground.raster(x0, y0, 2 * nx - 1, 2 * ny - 1, half)
         fine = np.where(np.isfinite(fine), fine, np.nan)
         self.heights: Array = fine[::2, ::2]
         self.step = half
@@ -143,7 +151,6 @@ def _edge_error(truth: _Truth, elevation: NDArray[np.float32]) -> float:
     edges = truth.edges[whole[cells[:, 0], cells[:, 1]] > 0]
     if not len(edges) or not len(mapped):
         return float("nan") if not len(edges) else _LOST
-    canvas = np.ones((2 * elevation.shape[0], 2 * elevation.shape[1]), dtype=np.uint8)
     # On a grid twice as fine again, on which midpoints of cells and of half cells both fall on whole numbers.
     canvas = np.ones((4 * elevation.shape[0], 4 * elevation.shape[1]), dtype=np.uint8)
     i, j = (2 * mapped).astype(int).T
@@ -174,8 +181,46 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
+# ------------------------------------------------------------------------------------------------------------- the tables
+
+LEGS: Mapping[str, Errors] = {
+    "5 % wrong": Errors(),
+    "slipping by half for 0.5 s": Errors(slip=0.5),
+    "carried off by 0.29 m and 15 deg": Errors(carried_off=(-0.25, 0.15, math.radians(15.0))),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """All rides over one scene with one kind of legs."""
+
+    table: str  # "registration" or "maps"
+    scene: str
+    legs: str
+    rides: int
+    figures: dict[str, tuple[float, float]]  # name -> median and worst (largest; of coverage least)
+
+
+def tables(seeds: Sequence[int], jobs: int, say: Callable[[str], object] = lambda _: None) -> list[Row]:
+    """Every scene, with every kind of legs where registration is concerned, over some seeds."""
+    rows = [("registration", scene, legs) for scene in REGISTERED for legs in LEGS]
+    rows += [("maps", scene, next(iter(LEGS))) for scene in MAPPED]
+    out = []
+    with ProcessPoolExecutor(max(1, jobs), mp_context=get_context("spawn")) as pool:
+        pending = [(row, [pool.submit(_ride_by_name, *row, seed) for seed in seeds]) for row in rows]
+        for (table, scene, legs), rides in pending:
+            row = Row(table, scene, legs, len(rides), medians(ride.result() for ride in rides))
+            say(in_words([row]).splitlines()[-1])
+            out.append(row)
+    return out
+
+
+def _ride_by_name(table: str, scene: str, legs: str, seed: int) -> RideResult:
+    return measure((REGISTERED if table == "registration" else MAPPED)[scene], seed, LEGS[legs])
+
+
 def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
-    """Figure -> its median and its worst (largest, of coverage least) over rides."""
+    """Figure -> its median and its worst (largest, of coverage least) over rides; those that no ride has are left out."""
     rides = list(results)
     out = {}
     for name in (f.name for f in fields(RideResult)):
@@ -184,3 +229,51 @@ def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
         if len(values):
             out[name] = float(np.median(values)), float(values.min() if name == "coverage" else values.max())
     return out
+
+
+_COLUMNS = {  # what is told of each table: figure -> heading, factor, digits
+    "registration": {"drift": ("drift mm", 1e3, 1), "legs_drift": ("of legs alone mm", 1e3, 0), "refused": ("refused", 1, 0)},
+    "maps": {
+        "rmse": ("rmse mm", 1e3, 1),
+        "interior_rmse": ("off edges mm", 1e3, 1),
+        "bias": ("bias mm", 1e3, 1),
+        "edge": ("edges mm", 1e3, 1),
+        "coverage": ("coverage %", 1e2, 1),
+        "invented": ("invented cells", 1, 0),
+        "drift": ("drift mm", 1e3, 1),
+    },
+}
+
+
+def in_words(rows: Sequence[Row]) -> str:
+    """The tables for people."""
+    lines = []
+    for table, columns in _COLUMNS.items():
+        chosen = [row for row in rows if row.table == table]
+        if not chosen:
+            continue
+        lines.append(f"{table}, median (worst) of {chosen[0].rides} rides of 2 m")
+        lines.append(f"  {'scene':<15} {'legs':<33}" + "".join(f"{heading:>20}" for heading, _, _ in columns.values()))
+        for row in chosen:
+            line = f"  {row.scene:<15} {row.legs:<33}"
+            for name, (_, factor, digits) in columns.items():
+                median, worst = row.figures.get(name, (math.nan, math.nan))
+                words = "-" if math.isnan(median) else f"{factor * median:.{digits}f} ({factor * worst:.{digits}f})"
+                line += f"{words:>20}"
+            lines.append(line)
+    return "\n".join(lines)
+
+
+def to_json(rows: Sequence[Row]) -> str:
+    """The tables for scripts; lengths in metres."""
+    plain = [
+        {
+            "table": row.table,
+            "scene": row.scene,
+            "legs": row.legs,
+            "rides": row.rides,
+            **{name: {"median": round(m, 6), "worst": round(w, 6)} for name, (m, w) in row.figures.items()},
+        }
+        for row in rows
+    ]
+    return json.dumps(plain, indent=1) + "\n"

@@ -38,6 +38,8 @@ class Errors:
     slip: float = 0.0  # share of the motion that is told but does not happen, while the legs slip
     slip_at_s: float = 3.0
     slip_for_s: float = 0.5
+    carried_off: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m] [m] [rad] in x, y and yaw, which the legs do not notice
+    carried_off_at_s: float = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,19 @@ def ride(terrain: Terrain, rng: np.random.Generator, errors: Errors, frames: int
     z = _BODY_HEIGHT + bob + _smoothed_ground(terrain, x)
     T = transform(rotation_from_rpy(rock), np.stack([x, sway, z], axis=1))
     stamps_ns = np.round(t * 1e9).astype(np.int64)
-    return Ride(profile, stamps_ns, T, _by_legs(T, t, rng, errors), terrain)
+    T_odom_body = _by_legs(T, t, rng, errors)
+    return Ride(profile, stamps_ns, _carried_off(T, t, errors), T_odom_body, terrain)
+
+
+def _carried_off(T: Array, t: Array, errors: Errors) -> Array:
+    """Poses (n, 4, 4) of which those after a moment are taken elsewhere, as a whole."""
+    k = int(np.searchsorted(t, errors.carried_off_at_s))
+    if k >= len(T) or not any(errors.carried_off):
+        return T
+    x, y, yaw = errors.carried_off
+    here = transform(np.eye(3), T[k, :3, 3])
+    moved = here @ transform(rotation_from_rpy([0.0, 0.0, yaw]), np.array([x, y, 0.0])) @ inverse(here)
+    return np.concatenate([T[:k], moved @ T[k:]])
 
 
 def _smoothed_ground(terrain: Terrain, x: Array) -> Array:

@@ -25,7 +25,7 @@ _RECORD = 16  # numbers kept of a cell: a cache line
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedScan:
-    """One point per cell seen, nearest cells first where there were too many."""
+    """One point per cell seen, row by row of the grid; where there were too many, of the nearest cells."""
 
     origin: NDArray[np.float64]  # (3,) [m] {world} on a cell corner next to the camera
     points: NDArray[np.int16]  # (n, 3) [mm] {world} from origin, mean of a cell's surface, 1 mm inside its border
@@ -41,7 +41,7 @@ def reduce_scan(
     *,
     resolution: float = 0.01,
     max_range: float = 2.0,
-    max_points: int = 6000,
+    max_points: int = 20_000,
     ceiling: float = math.inf,
 ) -> ReducedScan:
     """Bin the pixels of a frame by world x and y; each cell keeps the mean of one surface.
@@ -100,11 +100,11 @@ def reduce_scan(
         cell_of,
         cells,
     )
-    squares = _squares(cells[:n])
-    chosen = np.arange(n)
+    chosen = _row_by_row(cell_of, n)
     if n > max_points:
+        squares = _squares(cells[:n])
         farthest = np.partition(squares, max_points - 1)[max_points - 1]
-        chosen = np.flatnonzero(squares <= farthest)[:max_points]
+        chosen = chosen[squares[chosen] <= farthest][:max_points]
     points = np.empty((len(chosen), 3), dtype=np.int16)
     count, spread = np.empty(len(chosen), dtype=np.uint8), np.empty(len(chosen), dtype=np.uint8)
     _write(cells, chosen, T[:3, 3].copy(), resolution, half, points, count, spread)
@@ -270,6 +270,18 @@ def _is_flying(raw: Array, i: int, j: int, jump: np.float32, jump2: np.float32) 
                 continue
         return True
     return False
+
+
+@compiled
+def _row_by_row(cell_of: Array, n: int) -> Array:
+    """The cells (n,) in the order of the grid: neighbours, which are alike, follow each other on the wire."""
+    out = np.empty(n, dtype=np.int32)
+    m = 0
+    for key in range(len(cell_of)):
+        if cell_of[key] >= 0:
+            out[m] = cell_of[key]
+            m += 1
+    return out[:m]
 
 
 @compiled

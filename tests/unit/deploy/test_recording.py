@@ -109,7 +109,14 @@ def test_every_field_is_described(topic: AnyTopic) -> None:
 
 def test_a_description_gives_shapes_types_and_words() -> None:
     fields = {f["name"]: f for f in json.loads(describe(Scan))["fields"]}
-    assert fields["points_mm"] == {"name": "points_mm", "type": "array", "dtype": "<i2", "shape": ["n", 3], "finite": True}
+    assert fields["points_mm"] == {
+        "name": "points_mm",
+        "type": "array",
+        "dtype": "<i2",
+        "shape": ["n", 3],
+        "finite": True,
+        "packed": True,
+    }
     assert fields["pose_ok"]["type"] == "bool"
     state = {f["name"]: f for f in json.loads(describe(topics.ACTUATOR_STATE.type))["fields"]}
     assert state["mode"]["one_of"] == [str(mode) for mode in Mode]

@@ -168,7 +168,7 @@ def test_any_image_is_reduced(world, seed, low, share):
     depth = rng.integers(low, 65536, (480, 640)).astype(np.uint16)
     depth[rng.random(depth.shape) < share] = 0
     scan = reduced(world, depth, world.camera_pose(0.0))
-    assert len(scan.points) == len(scan.count) == len(scan.spread) <= 6000
+    assert len(scan.points) == len(scan.count) == len(scan.spread) <= 20_000
     assert (scan.count > 0).all()
 
 

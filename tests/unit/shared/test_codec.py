@@ -4,14 +4,16 @@ import dataclasses
 import struct
 import tracemalloc
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any
 
 import msgpack
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
 
 from shared import codec, topics
 from shared import messages as m
@@ -133,10 +135,10 @@ def test_arrays_are_read_only_views_of_the_frame(kind: type[Message]) -> None:
     frame = codec.encode(example(kind))
     found, _ = codec.decode(frame, kind)
     whole = np.frombuffer(frame, np.uint8)
-    for name, base, _ in m.schema(kind):
+    for name, base, detail in m.schema(kind):
         if base is np.ndarray:
             array = getattr(found, name)
-            assert np.shares_memory(array, whole)
+            assert np.shares_memory(array, whole) != detail[1].packed
             assert not array.flags.writeable
             assert array.flags.c_contiguous
             with pytest.raises(ValueError, match="read-only"):
@@ -149,6 +151,37 @@ def test_arrays_are_read_only_views_of_the_frame(kind: type[Message]) -> None:
 def test_arrays_of_any_layout_are_sent(array: Any) -> None:
     found, _ = codec.decode(codec.encode(m.DepthImage(1, array)), m.DepthImage)
     np.testing.assert_array_equal(found.depth, array)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Packed(Message):
+    """One packed array of each kind."""
+
+    small: Annotated[NDArray[np.uint8], m.Dims("n", packed=True)]
+    wide: Annotated[NDArray[np.int64], m.Dims("n", 2, 3, packed=True)]
+
+
+@given(data=st.data(), n=st.integers(0, 40))
+def test_packed_arrays_come_back_whatever_is_in_them(data: st.DataObject, n: int) -> None:
+    message = Packed(1, data.draw(hnp.arrays(np.uint8, (n,))), data.draw(hnp.arrays(np.int64, (n, 2, 3))))
+    assert_equal(codec.decode(codec.encode(message), Packed)[0], message)
+
+
+def test_packing_makes_neighbours_that_are_alike_small() -> None:
+    slow = np.cumsum(np.random.default_rng(0).integers(-2, 3, (10_000, 2, 3)), axis=0)
+    message = Packed(1, np.zeros(10_000, np.uint8), slow)
+    assert len(codec.encode(message)) < slow.nbytes / 10
+
+
+def test_packed_arrays_of_broken_numbers_are_not_declared() -> None:
+    @dataclasses.dataclass(frozen=True, slots=True)
+    class Broken(Message):
+        """A packed array of floats."""
+
+        values: Annotated[NDArray[np.float32], m.Dims("n", packed=True)]
+
+    with pytest.raises(TypeError, match="whole numbers expected"):
+        codec.schema_id(Broken)
 
 
 def test_the_longest_texts_fit() -> None:
@@ -268,6 +301,43 @@ def test_arrays_that_are_not_as_declared(value: object, words: str) -> None:
     found = refusal(with_field(m.Imu, "gyro", value), m.Imu)
     assert found.startswith("Imu.gyro: ")
     assert words in found
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (["|u1", [3], 0], "dtype, shape, offset and bytes expected"),
+        (["|u1", [3], 0, 10.0], "dtype, shape, offset and bytes expected"),
+        (["<i2", [3], 0, 10], "an array of |u1 expected"),
+        (["|u1", [3], 0, -1], "do not fit the frame"),
+        (["|u1", [3], 4, 10], "do not fit the frame"),
+        (["|u1", [3], 0, 2**40], "do not fit the frame"),
+        (["|u1", [3], 0, 3], "not a packed array"),
+        (["|u1", [3], 0, 0], "not a packed array"),
+        (["|u1", [4_000_001], 0, 10], "from 0 to 4000000 expected as lengths"),
+    ],
+)
+def test_packed_arrays_that_are_not_as_declared(value: object, words: str) -> None:
+    found = refusal(with_field(m.Scan, "count", value), m.Scan)
+    assert found.startswith("Scan.count: ")
+    assert words in found
+
+
+def test_a_packed_array_of_another_size_is_refused_before_it_is_unpacked() -> None:
+    bomb = zstandard.ZstdCompressor().compress(bytes(1 << 24))
+    good = codec.encode(Packed(1, np.zeros(3, np.uint8), np.zeros((3, 2, 3), np.int64)))
+    (length,) = struct.unpack_from("<I", good)
+    header = msgpack.unpackb(good[4 : 4 + length])
+    for claim in ([3, 1 << 24], [4_000_000]):
+        header[3][1] = ["|u1", claim[:1], 0, len(bomb)]
+        frame = framed(Packed, header[3], bomb)
+        assert _peak(lambda frame=frame: refusal(frame, Packed)) < 200_000
+    header[3][2] = ["<i8", [4_000_000, 2, 3], 0, len(bomb)]
+    header[3][1] = ["|u1", [1 << 21], 0, len(bomb)]
+    assert "expected when unpacked" in refusal(framed(Packed, header[3], bomb), Packed)
+    unsized = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(3))
+    header[3][1] = ["|u1", [3], 0, len(unsized)]
+    assert "expected when unpacked" in refusal(framed(Packed, header[3], unsized), Packed)
 
 
 @pytest.mark.parametrize("shape", [[0, 2**62, 3], [0, 2**63, 3], [0, 2**64 - 1, 3], [1] * 65, [0] * 200])
