@@ -163,7 +163,7 @@ def bench_speed(arguments: argparse.Namespace) -> int:
     from deploy.bench import speed
 
     out = _out(arguments, "bench-speed")
-    timings, missing = speed.registration(arguments.seeds, say=_progress(arguments.json).say)
+    timings, missing = speed.registration(arguments.seeds, arguments.frames, _progress(arguments.json).say)
     return _tell_bench(speed.in_words(timings, missing), speed.to_json(timings, missing), out / "speed.json", arguments.json)
 
 
@@ -438,6 +438,7 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
     _add_bench(one)
     one = add("speed", bench_speed, "time registration beside its peers, frame by frame in one run", group)
+    one.add_argument("--frames", type=_positive, default=100, metavar="N", help="of each ride of 2 m (default %(default)s)")
     _add_bench(one)
 
     group = commands.add_parser("topics", help="what travels on the wire").add_subparsers(required=True, metavar="WHAT")

@@ -35,8 +35,8 @@ FRAME_LAYOUT = (
     "uint32 little-endian header length | header | padding to 8 bytes | arrays, each padded to 8 bytes. "
     "The header is msgpack [schema, began_ns, sent_ns, [field, ...]] with the fields in the order of the channel's schema; "
     "an array field is [dtype, [length, ...], offset into the arrays], dtype in NumPy's notation. "
-    "A packed one has the number of its bytes behind that: a Zstandard frame of its differences along the first axis, column by "
-    "column, zigzag coded, the lowest bytes of all of them first."
+    "A packed one has the number of its bytes behind that: a Zstandard frame of its differences along the first axis, column "
+    "by column, zigzag coded, the lowest bytes of all of them first."
 )
 
 

@@ -28,6 +28,8 @@ RUN_BY = {
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
     "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
+    "bench accuracy": "tests/unit/deploy/test_bench.py::test_the_accuracy_command_leaves_its_tables",
+    "bench speed": "tests/unit/deploy/test_bench.py::test_the_speed_command_leaves_its_timings",
     "compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
     "doctor": "tests/unit/deploy/test_cli.py::test_the_doctor_fails_when_a_check_does",
 }
@@ -45,7 +47,7 @@ def commands(text: str) -> Iterator[list[str]]:
 
 def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
-    group = words[:2] if words[0] == "topics" else words[:1]
+    group = words[:2] if words[0] in ("topics", "bench") else words[:1]
     ways = [word for word in words if word in ("--lockstep", "--connect", "--blind")]
     return " ".join(group + ways)
 

@@ -1,5 +1,7 @@
 """How right pose and map are: rides through the real perception and mapper, through the codec, judged by the truth."""
 
+import contextlib
+import itertools
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -205,11 +207,16 @@ def tables(seeds: Sequence[int], jobs: int, say: Callable[[str], object] = lambd
     """Every scene, with every kind of legs where registration is concerned, over some seeds."""
     rows = [("registration", scene, legs) for scene in REGISTERED for legs in LEGS]
     rows += [("maps", scene, next(iter(LEGS))) for scene in MAPPED]
+    rides = [(*row, seed) for row in rows for seed in seeds]
     out = []
-    with ProcessPoolExecutor(max(1, jobs), mp_context=get_context("spawn")) as pool:
-        pending = [(row, [pool.submit(_ride_by_name, *row, seed) for seed in seeds]) for row in rows]
-        for (table, scene, legs), rides in pending:
-            row = Row(table, scene, legs, len(rides), medians(ride.result() for ride in rides))
+    with contextlib.ExitStack() as stack:
+        if jobs > 1:
+            pool = stack.enter_context(ProcessPoolExecutor(jobs, mp_context=get_context("spawn")))
+            results = pool.map(_ride_by_name, *zip(*rides, strict=True))
+        else:
+            results = map(_ride_by_name, *zip(*rides, strict=True))
+        for table, scene, legs in rows:
+            row = Row(table, scene, legs, len(seeds), medians(itertools.islice(results, len(seeds))))
             say(in_words([row]).splitlines()[-1])
             out.append(row)
     return out

@@ -21,6 +21,7 @@ from shared.service import AnyTopic, Every, Inbox, Stages
 _CARRIED = (0.0, 0.0, 0.35)  # [m] {body} where the camera is held: 0.5 m over the ground with the body at 0.15
 _PITCH_DEG = 40.0
 _BODY_HEIGHT = 0.15  # [m]
+_STANDING = 8  # frames before the first step
 _STRIDE_HZ = 1.5  # steps of the walk
 _BOB = 0.010  # [m] amplitude
 _ROCK = np.radians([1.5, 1.5, 1.0])  # [rad] amplitude of roll, pitch and yaw
@@ -72,15 +73,16 @@ def ride(terrain: Terrain, rng: np.random.Generator, errors: Errors, frames: int
         terrain: The ground; the body keeps its height over it, evened out.
         rng: Phases of the gait, the sign of the scale error, and the noise of the legs.
         errors: Of the odometry.
-        frames: Pictures on the way.
+        frames: Pictures on the way, at least three.
         length: [m]
     """
     profile = carried_profile()
     t = np.arange(frames) / profile.camera.sensor.rate_hz
-    x = length * np.clip((t - t[8]) / (t[-1] - t[8]), 0.0, 1.0)  # it stands for the first frames
+    begin = t[min(_STANDING, frames - 2)]
+    x = length * np.clip((t - begin) / (t[-1] - begin), 0.0, 1.0)
     phase = 2 * np.pi * _STRIDE_HZ * t
     offsets = rng.uniform(0, 2 * np.pi, 5)
-    walking = np.clip((t - t[8]) / 0.5, 0.0, 1.0)
+    walking = np.clip((t - begin) / 0.5, 0.0, 1.0)
     bob, sway = (walking * a * np.sin(phase * k + o) for a, k, o in ((_BOB, 1.0, offsets[0]), (_SWAY, 0.5, offsets[1])))
     rock = np.stack([walking * _ROCK[k] * np.sin(phase * (0.5 if k == 2 else 1.0) + offsets[2 + k]) for k in range(3)], axis=1)
     z = _BODY_HEIGHT + bob + _smoothed_ground(terrain, x)

@@ -14,7 +14,8 @@ from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import REGISTERED
 from shared.geometry import Array, inverse
 
-_WARM = 5  # frames that are not timed
+_WARM = 5  # frames that are not timed, where there are more
+_STEP = 0.02  # [m] between frames
 _DRIFT, _FLOOR, _LEVEL, _TURN = 0.1, 0.001, 0.01, 0.003  # what is believed of odometry, as in perception's settings
 
 
@@ -40,7 +41,7 @@ def registration(
     drifts: dict[tuple[str, str], list[float]] = {}
     for scene, seed in rides:
         rngs = [np.random.default_rng([seed, k]) for k in range(3)]
-        way = ride(REGISTERED[scene](rngs[0]), rngs[1], Errors(), frames)
+        way = ride(REGISTERED[scene](rngs[0]), rngs[1], Errors(), frames, _STEP * frames)
         camera = CarriedCamera(way, rngs[2])
         sensor, intrinsics = way.profile.camera.sensor, way.profile.camera.intrinsics
         at_work: dict[str, Registers] = {}
@@ -64,7 +65,7 @@ def registration(
                 T[name] = method.update(depth, k, T[name] @ motion, covariance)
                 times[name][k] = time.perf_counter() - began
         for name in at_work:
-            took.setdefault((scene, name), []).append(times[name][_WARM:])
+            took.setdefault((scene, name), []).append(times[name][min(_WARM, frames - 1) :])
             drifts.setdefault((scene, name), []).append(float(np.linalg.norm((T[name] - T_true[-1])[:3, 3])))
         say(f"registration: {scene}, seed {seed} done")
     default = next(iter(methods))

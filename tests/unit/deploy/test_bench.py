@@ -1,0 +1,145 @@
+"""Rides and tables of `sextant bench`: their errors are those asked for, and what they say is what was measured."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy import cli
+from deploy.bench import accuracy, registration_peers, speed
+from deploy.bench.ride import CarriedCamera, Errors, ride
+from deploy.bench.scenes import MAPPED, REGISTERED
+from services.simulator.terrain import Terrain
+from shared.geometry import inverse
+
+SCENES = {**MAPPED, **REGISTERED}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scenes_are_built_by_their_seed(name: str) -> None:
+    one, same, other = (SCENES[name](np.random.default_rng(seed)) for seed in (1000, 1000, 1001))
+
+    def heights(terrain: Terrain) -> np.ndarray:
+        return terrain.raster(-0.3, -0.6, 60, 25, 0.05)
+
+    np.testing.assert_array_equal(heights(one), heights(same))
+    random = name in ("boxes", "rough", "mixed", "sparse boxes")
+    assert random != np.array_equal(heights(one), heights(other))
+
+
+def test_legs_are_as_wrong_as_asked() -> None:
+    terrain = REGISTERED["flat"](np.random.default_rng(0))
+    way = ride(terrain, np.random.default_rng(1), Errors(scale=0.05))
+    told = np.linalg.norm(np.diff(way.T_odom_body[:, :2, 3], axis=0), axis=1).sum()
+    true = np.linalg.norm(np.diff(way.T_world_body[:, :2, 3], axis=0), axis=1).sum()
+    assert told / true == pytest.approx(1.05, abs=0.005) or told / true == pytest.approx(0.95, abs=0.005)
+    assert way.T_world_body[-1, 0, 3] == pytest.approx(2.0)
+    assert np.abs(way.T_odom_body[:, 2, 3] - way.T_world_body[:, 2, 3]).max() < 0.01  # heights do not drift
+    np.testing.assert_allclose(way.T_odom_body[0], way.T_world_body[0])
+
+
+def test_slipping_legs_tell_more_than_was_walked() -> None:
+    terrain = REGISTERED["flat"](np.random.default_rng(0))
+    ways = [ride(terrain, np.random.default_rng(1), Errors(0.0, slip)) for slip in (0.0, 0.5)]
+    lost = ways[1].T_odom_body[-1, 0, 3] - ways[0].T_odom_body[-1, 0, 3]
+    speed_mps = 2.0 / 6.07
+    assert lost == pytest.approx(0.5 * speed_mps, abs=0.06)
+
+
+def test_a_robot_that_is_carried_off_walks_on_as_before() -> None:
+    terrain = REGISTERED["flat"](np.random.default_rng(0))
+    before, after = (
+        ride(terrain, np.random.default_rng(1), Errors(carried_off=there))
+        for there in ((0.0, 0.0, 0.0), (-0.25, 0.15, math.radians(15.0)))
+    )
+    np.testing.assert_array_equal(before.T_odom_body, after.T_odom_body)
+    k = int(np.argmax(np.abs(after.T_world_body - before.T_world_body).max(axis=(1, 2)) > 1e-9))
+    assert np.linalg.norm((after.T_world_body[k] - before.T_world_body[k])[:2, 3]) == pytest.approx(math.hypot(0.25, 0.15))
+    np.testing.assert_allclose(
+        inverse(after.T_world_body[k]) @ after.T_world_body[-1],
+        inverse(before.T_world_body[k]) @ before.T_world_body[-1],
+        atol=1e-12,
+    )
+
+
+def test_a_ride_is_judged() -> None:
+    result = accuracy.measure(MAPPED["steps"], 1000)
+    assert result.legs_drift == pytest.approx(0.1, abs=0.01)
+    assert result.drift < 0.01
+    assert result.refused == 0
+    assert result.interior_rmse < 0.006
+    assert abs(result.bias) < 0.003
+    assert result.edge < 0.010
+    assert result.coverage > 0.95
+    assert result.invented == 0
+
+
+def test_tables_tell_median_and_worst() -> None:
+    rides = [accuracy.RideResult(0.001 * k, 0.1, 0, 0.01, 0.002, -0.001 * k, math.nan, 1.0 - 0.01 * k, 0) for k in range(5)]
+    figures = accuracy.medians(rides)
+    assert figures["drift"] == (0.002, 0.004)
+    assert figures["bias"] == (0.002, 0.004)
+    assert figures["coverage"] == pytest.approx((0.98, 0.96))
+    assert "edge" not in figures  # no ride has one
+    rows = [accuracy.Row("maps", "flat", "5 % wrong", 5, figures)]
+    assert "maps, median (worst) of 5 rides" in accuracy.in_words(rows)
+    assert json.loads(accuracy.to_json(rows))[0]["drift"] == {"median": 0.002, "worst": 0.004}
+
+
+def test_the_accuracy_command_leaves_its_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[tuple[object, int, Errors]] = []
+
+    def measure(scene: object, seed: int, errors: Errors) -> accuracy.RideResult:
+        asked.append((scene, seed, errors))
+        return accuracy.RideResult(0.002 * (seed - 999), 0.1, 0, 0.01, 0.002, 0.001, 0.005, 0.97, 0)
+
+    monkeypatch.setattr(accuracy, "measure", measure)
+    assert cli.main(["bench", "accuracy", "--seeds", "1000:1002", "--out", str(tmp_path)]) == 0
+    rows = json.loads((tmp_path / "accuracy.json").read_text(encoding="utf-8"))
+    assert len(rows) == len(REGISTERED) * len(accuracy.LEGS) + len(MAPPED)
+    assert len(asked) == 2 * len(rows)
+    assert rows[0]["drift"] == {"median": 0.003, "worst": 0.004}
+    assert "3.0 (4.0)" in capsys.readouterr().out
+
+
+def test_the_speed_command_leaves_its_timings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    methods = ("projective (default)", "kiss-icp")
+    monkeypatch.setattr(speed, "METHODS", {name: registration_peers.METHODS[name] for name in methods})
+    monkeypatch.setattr(speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
+    assert cli.main(["bench", "speed", "--seeds", "1000:1001", "--frames", "14", "--out", str(tmp_path)]) == 0
+    table = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))
+    assert [row["method"] for row in table["timings"]] == list(methods)
+    assert table["timings"][0]["ratio"] == 1.0
+    assert all(row["drift_m"] < 0.05 and row["ms"]["q25"] <= row["ms"]["median"] for row in table["timings"])
+
+
+def test_what_is_not_installed_is_named_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(*_: object) -> registration_peers.Registers:
+        raise ModuleNotFoundError("no such module", name="something")
+
+    ours = registration_peers.METHODS["projective (default)"]
+    monkeypatch.setattr(speed, "METHODS", {"projective (default)": ours, "elsewhere": absent})
+    monkeypatch.setattr(speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
+    timings, missing = speed.registration([1000], frames=12)
+    assert missing == ["elsewhere (something)"]
+    assert [(t.method, t.scene, t.ratio) for t in timings] == [("projective (default)", "stairs", 1.0)]
+    assert "something" in speed.in_words(timings, missing)
+    assert json.loads(speed.to_json(timings, missing))["missing"] == missing
+
+
+def test_the_reference_of_the_thesis_finds_a_motion_that_the_scene_shows() -> None:
+    way = ride(
+        REGISTERED["stairs+pillars"](np.random.default_rng(0)), np.random.default_rng(1), Errors(), frames=20, length=0.2
+    )
+    camera = CarriedCamera(way, np.random.default_rng(2))
+    profile = way.profile.camera
+    pytest.importorskip("scipy", reason="the thesis' ICP needs SciPy, of the bench extra")
+    thesis = registration_peers.METHODS["thesis ICP"](profile.intrinsics, profile.sensor)
+    T = way.T_world_camera[0]
+    for k in (8, 9, 10, 11, 12):
+        T = thesis.update(camera.frame(k), k - 8, T if k > 8 else way.T_world_camera[8], np.eye(6))
+    assert np.linalg.norm((T - way.T_world_camera[12])[:3, 3]) < 0.05
