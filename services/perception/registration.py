@@ -27,7 +27,7 @@ _SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise alone: 
 _SWEEPS = 12  # of Jacobi's method at most; six of them reach the last digit of a (6, 6) matrix
 _USUAL_SHARE = 0.05  # of each good frame in the usual distance of surfaces
 _LOST_SIGMA = 0.03  # [m] and [rad] by which a place that was searched for is known
-_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -391,7 +391,7 @@ def jump(T: NDArray[np.float64], T_prior: NDArray[np.float64], covariance: NDArr
         return ""
     unit, factor = ("m", 1.0) if worst < 3 else ("deg", math.degrees(1.0))
     return (
-        f"jump of {factor * twist[worst]:.3f} {unit} in {_AXES[worst]} from the expected pose, "
+        f"jump of {factor * twist[worst]:.3f} {unit} in {AXES[worst]} from the expected pose, "
         f"{factor * allowed[worst]:.3f} {unit} believable"
     )
 

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from services.perception.config import Settings
 from services.perception.motion import Motion, OdometryHistory
 from services.perception.reduction import reduce_scan
-from services.perception.registration import Registered, Registration
+from services.perception.registration import AXES, Registered, Registration
 from shared import topics
 from shared.geometry import Array, inverse, rotation_from_rpy, rpy_from_rotation, transform, yaw_of
 from shared.messages import BodyPose, DepthImage, Message, Scan
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
+
+_LEFT = 0.8  # share of an axis that must be left to odometry to be named
 
 
 class Perception:
@@ -123,7 +125,7 @@ class Perception:
         return transform(R, self._T_world_body[:3, 3] - R @ T_odom_body[:3, 3])
 
     def _pose(self, found: Registered, motion: Motion) -> BodyPose:
-        self._words = f"registering, overlap {found.overlap:.0%}" if found.ok else f"on odometry alone: {found.reason}"
+        self._words = in_words(found)
         return BodyPose(
             stamp_ns=found.stamp_ns,
             T_world_body=self._T_world_body,
@@ -132,6 +134,7 @@ class Perception:
             overlap=float(found.overlap),
             ok=found.ok,
             reason=found.reason,
+            degenerate=np.asarray(found.degenerate, dtype=np.float64),
         )
 
     def _scan(self, image: DepthImage, found: Registered) -> Scan:
@@ -154,6 +157,18 @@ class Perception:
             pose_variance_z=float(found.covariance[2, 2]),
             pose_ok=found.ok,
         )
+
+
+def in_words(found: Registered) -> str:
+    """How a registration went, for the operator."""
+    if not found.ok:
+        return f"on odometry alone: {found.reason}"
+    # An axis is left to odometry as far as it lies in the span of the twists that are.
+    span, _ = np.linalg.qr(found.degenerate.T) if len(found.degenerate) else (np.zeros((6, 0)), None)
+    left = [axis for axis, share in zip(AXES, np.linalg.norm(span, axis=1), strict=True) if share > _LEFT]
+    if len(left) == len(AXES):
+        return "the first frame: a map begins"
+    return f"registering, overlap {found.overlap:.0%}" + (f", {', '.join(left)} by the legs alone" if left else "")
 
 
 class Registers(Protocol):

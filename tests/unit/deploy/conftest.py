@@ -159,7 +159,7 @@ class Story:
         T = from_xyz_rpy(
             (self.body_x(ms * 1e-3) * (1 + self.drift), 0.0, self.scenario.walk.body_height - self.sag), np.zeros(3)
         )
-        return BodyPose(ms * _MS, T, np.eye(4), np.eye(6) * 1e-6, 1.0, True, "")
+        return BodyPose(ms * _MS, T, np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
 
     def plan(self, ms: int, step: int) -> StepPlan:
         return StepPlan(

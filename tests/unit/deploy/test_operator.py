@@ -62,7 +62,7 @@ class Robot:
             )
         )
         if self.pose_comes:
-            self.hear(BodyPose(self.now, self.T, np.eye(4), np.eye(6), 1.0, True, ""))
+            self.hear(BodyPose(self.now, self.T, np.eye(4), np.eye(6), 1.0, True, "", np.zeros((0, 6))))
         state = "blocked" if self.blocked else "stepping" if self.mode is Mode.WALK else "resting"
         self.hear(PlannerStatus(self.now, state, self.blocked, 0, 0, -1))
         for made in self.operator.step(Tick(self.now), self.inbox):

@@ -14,7 +14,9 @@ S = 1_000_000_000
 def pose(stamp_ns: int, x: float, ok: bool = True) -> BodyPose:
     T = np.eye(4)
     T[0, 3] = x
-    return BodyPose(stamp_ns, T, np.eye(4), np.zeros((6, 6)), 1.0, ok, "" if ok else "too few points met the reference")
+    return BodyPose(
+        stamp_ns, T, np.eye(4), np.zeros((6, 6)), 1.0, ok, "" if ok else "too few points met the reference", np.zeros((0, 6))
+    )
 
 
 def state(

@@ -123,7 +123,7 @@ def recorded(tmp_path: Path) -> Path:
         mapper = Worker(Mapper(load_profile("phantomx_mk2"), Settings()), recorder.write, lambda: now_ns[0])
         for i in range(30):
             now_ns[0] = i * S // 5
-            pose = BodyPose(now_ns[0], np.eye(4), np.eye(4), np.zeros((6, 6)), 1.0, True, "")
+            pose = BodyPose(now_ns[0], np.eye(4), np.eye(4), np.zeros((6, 6)), 1.0, True, "", np.zeros((0, 6)))
             for message in (pose, scan(now_ns[0], rng)):
                 topic: AnyTopic = topics.OF_TYPE[type(message)]
                 frame = codec.encode(message)
@@ -170,7 +170,7 @@ def test_a_steady_motion_is_guessed_exactly_through_perceptions_own_bookkeeping(
     T = np.eye(4)
     for i in range(6):
         T_world_odom = exp_se3(rng.normal(0.0, 0.1, 6))  # whatever registration has corrected so far
-        pose = BodyPose(i * S // 30, T, T_world_odom, np.zeros((6, 6)), 1.0, True, "")
+        pose = BodyPose(i * S // 30, T, T_world_odom, np.zeros((6, 6)), 1.0, True, "", np.zeros((0, 6)))
         (said,) = guess.step(pose, inbox)
         assert isinstance(said, Odometry)
         assert said.reliable

@@ -75,7 +75,7 @@ class Rig:
         self.inbox.receive(topics.OF_TYPE[type(message)], codec.encode(message), self.now_ns)
 
     def stand(self, T: Array, state: ActuatorState | None = None) -> None:
-        self.hear(BodyPose(self.now_ns, T, np.eye(4), np.eye(6) * 1e-6, 1.0, True, ""))
+        self.hear(BodyPose(self.now_ns, T, np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6))))
         self.hear(state or legs())
 
     def scan(self, height: float = 0.0, x: tuple[float, float] = (0.5, 1.0)) -> list[TerrainMap]:

@@ -60,8 +60,8 @@ def test_a_lost_frame_is_found_on_ground_that_shows_where_it_is(x, y, yaw, z, se
         assert found.T_world_camera is not None, found.reason
     if found.T_world_camera is not None:
         error = np.linalg.inv(T) @ found.T_world_camera
-        assert np.abs(error[:3, 3]).max() < 0.03
-        assert abs(np.arctan2(error[1, 0], error[0, 0])) < np.radians(2.5)
+        assert np.abs(error[:3, 3]).max() < 0.06  # what registration bridges
+        assert abs(np.arctan2(error[1, 0], error[0, 0])) < np.radians(4.0)
 
 
 def test_level_ground_cannot_tell():

@@ -132,6 +132,19 @@ def test_it_follows_the_true_motion_with_the_odometry_as_prior(world) -> None:  
     assert "overlap" in rig.perception.doing()
 
 
+def test_what_level_ground_leaves_to_the_legs_is_said(world) -> None:  # type: ignore[no-untyped-def]
+    poses = []
+    for scene in ("flat", "pillars"):
+        rig = Rig(world, scene)
+        rig.frame(body_at(0.0))
+        poses.append(pose_of(rig.frame(body_at(0.01))))
+        assert ("x, y, yaw by the legs alone" in rig.perception.doing()) is (scene == "flat")
+    level, rough = poses
+    assert level.degenerate.shape == (3, 6)
+    assert np.abs(level.degenerate[:, [2, 3, 4]]).max() < 0.2  # height, roll and pitch are seen
+    assert rough.degenerate.shape == (0, 6)
+
+
 def test_when_the_legs_count_from_zero_again_the_body_stays_where_it_was(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     for k in range(4):

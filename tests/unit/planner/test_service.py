@@ -39,7 +39,7 @@ class Rig:
         self.inbox = Inbox([self.planner.paced_by, *self.planner.reads], self.planner.stages)
         self.now_ns = 1_000 * MS
         self.terrain: TerrainMap | None = FLAT
-        self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "")
+        self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
         self.command: VelocityCommand | None = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
         self.state = ActuatorState(
             stamp_ns=0,
