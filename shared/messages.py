@@ -158,7 +158,6 @@ class Scan(Message):
     spread_mm: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # [mm] from the lowest to the highest of them, 255 for more
     p_world_camera: Vector3  # [m] where the camera was
     pose_variance_z: float  # [m^2] of the pose the points were placed by
-    pose_ok: bool  # False: placed by odometry alone
 
 
 @dataclass(frozen=True, slots=True)

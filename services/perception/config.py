@@ -11,7 +11,7 @@ class Settings:
     method: Literal["projective", "kiss-icp"] = "projective"  # kiss-icp suits wide-field scanners
     scan_rate_hz: float = 15.0  # of the frames that are registered and passed on as scans, at most
     scan_range: float = 1.5  # [m] horizontally from the camera
-    scan_points: int = 20_000  # at most: 50 kB
+    scan_points: int = 14_000  # at most: 60 kB of the roughest ground
     # How far leg odometry is believed, as one sigma of the motion between two frames. Wide figures cost nothing where the
     # scene shows nothing, since there the prior stands whatever its weight; where it shows something, slips are caught.
     odometry_drift: float = 0.10  # [1] of the way travelled

@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 from services.perception.config import Settings
 from services.perception.motion import Motion, OdometryHistory
 from services.perception.reduction import reduce_scan
-from services.perception.registration import AXES, Registered, Registration
+from services.perception.registration import AXES, Registered, Registration, refused
 from shared import topics
 from shared.geometry import Array, inverse, rotation_from_rpy, rpy_from_rotation, transform, yaw_of
 from shared.messages import BodyPose, DepthImage, Message, Scan
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
 
+_SAMPLED = 8  # every how many rows and columns are looked at to tell a frozen or an empty picture
+_EMPTY = 0.02  # share of the picture that is measured, below which it shows nothing
+_BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothing is in range
+_MOVED = 0.01  # [m] or [rad] beyond which no two pictures are the same
 _LEFT = 0.8  # share of an axis that must be left to odometry to be named
 
 
@@ -46,6 +50,7 @@ class Perception:
         self._stamp_ns = -1
         self._frames = 0
         self._every = max(1, round(profile.camera.sensor.rate_hz / settings.scan_rate_hz))  # frames per one that is used
+        self._picture: tuple[NDArray[np.uint16], int, Motion | None] | None = None  # a sample, since when, and where
         self._words = "waiting for the first frame"
 
     def doing(self) -> str:
@@ -66,6 +71,7 @@ class Perception:
             )
             return
         motion = self._odometry.at(image.stamp_ns)
+        frozen = self._is_frozen(image, motion)
         if motion is None:
             self._words = "waiting for odometry from the actuator"
             return
@@ -77,17 +83,43 @@ class Perception:
             if legs is not None:  # plans were walked before this service began: {world} is still theirs
                 self._T_world_odom = np.array(legs.T_world_odom)
         prior, covariance = self._prior(motion)
+        T_camera = prior @ self._T_body_camera
         with self.stages("registration"):
-            found = self._registration.update(image.depth, image.stamp_ns, prior @ self._T_body_camera, covariance)
+            if frozen:  # it would fit where it was taken, and hold the body back there
+                found = refused(image.stamp_ns, T_camera, covariance, None, frozen)
+            else:
+                found = self._registration.update(image.depth, image.stamp_ns, T_camera, covariance)
         self._T_world_body = found.T_world_camera @ self._T_camera_body
         self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
         self._steady_tilt(image.stamp_ns)
         if found.ok or self._last is None:
             self._last = motion  # what was travelled on odometry alone goes on adding to the doubt
         yield self._pose(found, motion)
+        if not (found.ok or self._sees_nothing_yet(image, motion)):
+            return  # what lies who knows where is no ground: the map is left to grow old, and whoever walks by it stops
         with self.stages("reduction"):
             scan = self._scan(image, found)
         yield scan
+
+    def _sees_nothing_yet(self, image: DepthImage, motion: Motion) -> bool:
+        """Whether nothing is in the camera's range, as before a wall or an abyss, and legs can still be relied upon."""
+        empty = np.count_nonzero(image.depth[::_SAMPLED, ::_SAMPLED]) * _SAMPLED**2 < _EMPTY * image.depth.size
+        return bool(empty and self._last is not None and motion.travelled - self._last.travelled < _BLIND_WAY)
+
+    def _is_frozen(self, image: DepthImage, motion: Motion | None) -> str:
+        """Why a picture is no new one though the body has moved since it first came, or nothing."""
+        sample = image.depth[::_SAMPLED, ::_SAMPLED]
+        if self._picture is None or not np.array_equal(sample, self._picture[0]):
+            self._picture = (sample.copy(), image.stamp_ns, motion)
+            return ""
+        _, since_ns, before = self._picture
+        if motion is None or before is None or not sample.any():
+            return ""
+        if np.abs(motion.T_odom_body - before.T_odom_body).max() <= _MOVED:
+            return ""
+        return (
+            f"the camera has sent the same picture for {(image.stamp_ns - since_ns) * 1e-9:.1f} s while the legs moved: frozen"
+        )
 
     def _prior(self, motion: Motion) -> tuple[Array, Array]:
         """Expected pose (4, 4) of the body and its covariance (6, 6) [m, rad], by the legs' motion since the last frame."""
@@ -155,7 +187,6 @@ class Perception:
             spread_mm=reduced.spread,
             p_world_camera=np.array(found.T_world_camera[:3, 3]),
             pose_variance_z=float(found.covariance[2, 2]),
-            pose_ok=found.ok,
         )
 
 

@@ -99,7 +99,8 @@ class Planner:
             return self._hold("resting", "no fresh velocity command")
         terrain = self._terrain(state, pose, inbox)
         if terrain is None:
-            return self._hold("waiting", "no fresh terrain map")  # never walk blind
+            blind = f", and the camera does not help: {pose.reason}" if not pose.ok else ""
+            return self._hold("waiting", f"no fresh terrain map{blind}")  # never walk blind
         if state.phase < 1.0 and state.phase < self._settings.retarget_until:
             return self._retarget(state, pose, terrain)
         if np.abs(command.velocity).max() < _STILL and abs(command.yaw_rate) < _STILL:

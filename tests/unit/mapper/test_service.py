@@ -61,7 +61,6 @@ def ground_scan(stamp_ns: int, height: float, x: tuple[float, float] = (0.5, 1.0
         spread_mm=np.zeros(n, dtype=np.uint8),
         p_world_camera=np.array([0.1, 0.0, 0.25]),
         pose_variance_z=1e-6,
-        pose_ok=True,
     )
 
 

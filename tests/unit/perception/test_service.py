@@ -208,11 +208,15 @@ def test_a_scan_of_a_whole_frame_is_no_larger_than_60_kb(world, scene: str) -> N
     scan = next(m for m in rig.frame(body_at(0.0)) if isinstance(m, Scan))
     assert len(scan.points_mm) > 1000
     assert len(codec.encode(scan)) <= SCAN_BYTES
-    full = Settings().scan_points
-    size = replace(
-        scan, points_mm=np.zeros((full, 3), np.int16), count=np.ones(full, np.uint8), spread_mm=np.ones(full, np.uint8)
-    )
-    assert len(codec.encode(size)) <= SCAN_BYTES
+
+
+def test_nor_is_one_of_as_many_points_on_the_roughest_ground() -> None:
+    n, rng = Settings().scan_points, np.random.default_rng(0)
+    row, column = np.divmod(np.arange(n), 150)
+    points = np.column_stack([10 * row, 10 * column, np.zeros(n)]) + rng.integers(0, [10, 10, 150], (n, 3))
+    count, spread = rng.integers(1, 60, n), rng.integers(0, 60, n)
+    scan = Scan(0, np.zeros(3), points.astype(np.int16), count.astype(np.uint8), spread.astype(np.uint8), np.zeros(3), 0.0)
+    assert len(codec.encode(scan)) <= SCAN_BYTES
 
 
 def test_a_scan_lies_on_the_ground_and_carries_its_frames_health(world) -> None:  # type: ignore[no-untyped-def]
@@ -222,8 +226,34 @@ def test_a_scan_lies_on_the_ground_and_carries_its_frames_health(world) -> None:
     heights = scan.origin[2] + 1e-3 * scan.points_mm[:, 2]
     assert np.abs(np.median(heights)) < 2e-3
     assert scan.stamp_ns == pose.stamp_ns == rig.now_ns
-    assert scan.pose_ok == pose.ok
     assert scan.pose_variance_z == pytest.approx(pose.covariance[2, 2])
     np.testing.assert_allclose(scan.p_world_camera, (pose.T_world_body @ PROFILE.camera.T_body_camera)[:3, 3], atol=1e-9)
-    dark = rig.frame(body_at(0.0), depth=np.zeros((240, 320), dtype=np.uint16))
-    assert not next(m for m in dark if isinstance(m, Scan)).pose_ok
+
+
+def test_a_camera_that_sees_nothing_is_believed_for_a_while_only(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    rig.frame(body_at(0.0))
+    scans = []
+    for k in range(1, 20):
+        rig.travelled += 0.05
+        messages = rig.frame(body_at(0.05 * k), depth=np.zeros((240, 320), dtype=np.uint16))
+        assert not pose_of(messages).ok
+        scans.append(any(isinstance(m, Scan) for m in messages))
+    assert scans == sorted(scans, reverse=True)
+    assert 9 <= sum(scans) <= 12
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_a_frozen_picture_is_named_once_the_legs_have_moved(world, moving: bool) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    for k in range(3):
+        rig.frame(body_at(0.01 * k))
+    stuck = rig.picture(body_at(0.02))
+    for k in range(1, 6):
+        messages = rig.frame(body_at(0.02 + 0.005 * k * moving), depth=stuck)
+    pose = pose_of(messages)
+    assert pose.ok is not moving
+    assert ("frozen" in pose.reason) is moving
+    assert any(isinstance(m, Scan) for m in messages) is not moving
+    np.testing.assert_allclose(pose.T_world_body[:3, 3], body_at(0.02 + 0.025 * moving)[:3, 3], atol=12e-3)  # by the legs
+    assert pose_of(rig.frame(body_at(0.05))).ok  # and it goes on with the next new picture
