@@ -36,13 +36,25 @@ _WAY = 0.4  # of the worth that reaching so far, turning so much, or rising by
 _RISE = 0.10  # [m] costs
 _LEVELS = 12  # heights tried to each side, a tolerance apart
 _TRIED, _TRIED_FINELY = 300, 1000  # points looked up at each place
-_SIGHTS = 16  # every how many lines of sight are followed
+_SIGHTS = 4  # every how many lines of sight are followed
 _REFINED = 6  # best places of the coarse search that are refined
 _MIN_KNOWN = 0.4  # share of the points that must fall on known cells
 _MIN_FIT = 0.85  # share of those that must suit the place found
 _BETTER = 0.03  # by which its fit must at least exceed that of the expected place
 _SIGMAS = 3.0  # of the counts, on top
 _APART, _TURNED, _RISEN = 0.05, math.radians(4.0), 0.04  # [m] [rad] [m] from where on a place is another one
+
+_CELL = np.dtype(
+    [
+        ("tag", np.int64),  # which cell of the world is kept here
+        ("low", np.float32),  # [m] lowest and highest point seen in it, reversed where none was
+        ("high", np.float32),
+        ("low_around", np.float32),  # [m] the same, neighbours included
+        ("high_around", np.float32),
+        ("clear", np.float32),  # [m] up to where it has been looked through
+        ("seen_around", np.int32),  # how many of it and its eight neighbours have been seen
+    ]
+)
 
 
 def surface_points(inverse_depth: Array, x: Array, y: Array) -> Array:
@@ -73,20 +85,16 @@ class AnchorMap:
             sigma: [1/m] of a depth over its square: one-sigma noise of a pixel.
         """
         self._noise = _NOISE * sigma
-        shape = (_SIDE, _SIDE)
-        self._tags = np.full(shape, -1, dtype=np.int64)  # which cell of the world is kept here
-        self._around = np.zeros(shape, dtype=np.uint8)  # how many of it and its eight neighbours have been seen
-        self._own = np.zeros((*shape, 2), dtype=np.float32)  # [m] lowest and highest point, reversed where none was seen
-        self._wide = np.zeros((*shape, 2), dtype=np.float32)  # [m] the same, neighbours included
-        self._clear = np.zeros(shape, dtype=np.float32)  # [m] up to where it has been looked through
+        self._cells = np.zeros((_SIDE, _SIDE), dtype=_CELL)
+        self.clear()
 
     def clear(self) -> None:
         """Forget everything."""
-        self._tags.fill(-1)
+        self._cells["tag"] = -1
 
     def add(self, points: Array, T_world_camera: Pose) -> None:
         """Take in points (n, 3) [m] {camera} seen from a pose (4, 4)."""
-        _add(points, T_world_camera, self._tags, self._around, self._own, self._wide, self._clear)
+        _add(points, T_world_camera, self._cells)
 
     def misfit(self, points: Array, T_world_camera: Pose) -> float:
         """Share of points (n, 3) [m] {camera} on known cells that lie outside of what those and their neighbours have shown.
@@ -94,17 +102,15 @@ class AnchorMap:
         What lies above counts only where something has been seen through it. Zero where few are known.
         """
         points = _some(points, _TRIED_FINELY)
-        known, below, _, through = _look_up(
-            points, T_world_camera, self._tags, self._around, self._wide, self._clear, self._noise
-        )
-        return (below + through) / known if known >= _MIN_KNOWN * len(points) else 0.0
+        known, misfit, _ = _look_up(points, T_world_camera, self._cells, self._noise)
+        return misfit / known if known >= _MIN_KNOWN * len(points) else 0.0
 
     def find(self, points: Array, T_world_camera: Pose) -> Found:
         """Where points (n, 3) [m] {camera} fit best, around the expected pose (4, 4), whose roll and pitch are believed."""
         few, points = _some(points, _TRIED), _some(points, _TRIED_FINELY)
         n = len(points)
-        known, below, above, _ = _look_up(points, T_world_camera, self._tags, self._around, self._own, self._clear, self._noise)
-        fit_here = 1.0 - (below + above) / known if known else 0.0
+        known, _, fitting = _look_up(points, T_world_camera, self._cells, self._noise)
+        fit_here = fitting / known if known else 0.0
         # 1. All places, coarsely.
         shifts = np.arange(-_REACH, _REACH + _STEP / 2, _STEP)
         angles = np.arange(-_TURN, _TURN + _ANGLE / 2, _ANGLE)
@@ -136,7 +142,7 @@ class AnchorMap:
         falls where nothing is known tells nothing. Both are -1 and minus infinity where too few cells are known.
         """
         out = np.empty((len(places), 3))
-        _score_places(points, T, places, self._tags, self._around, self._own, self._noise, out)
+        _score_places(points, T, places, self._cells, self._noise, out)
         known, fitting, heights = out.T
         enough = known >= _MIN_KNOWN * len(points)
         worth = (fitting - _AGAINST * (known - fitting)) / len(points)
@@ -186,6 +192,7 @@ def _placed(T: Pose, place: Array) -> Pose:
 
 @compiled
 def _tag(i: int, j: int) -> int:
+    """A number for each cell of the world."""
     return (i + 1048576) * 2097152 + (j + 1048576)
 
 
@@ -219,18 +226,19 @@ def _fill_between(w: Array, x: Array, y: Array, out: Array) -> int:
 
 
 @compiled
-def _claim(i: int, j: int, tags: Array, around: Array, own: Array, wide: Array, clear: Array) -> tuple[int, int]:
+def _claim(i: int, j: int, cells: Any) -> tuple[int, int]:
     """Where a cell of the world is kept, emptied if it was another's."""
     a, b, tag = i & (_SIDE - 1), j & (_SIDE - 1), _tag(i, j)
-    if tags[a, b] != tag:
-        tags[a, b], around[a, b] = tag, 0
-        own[a, b, 0] = wide[a, b, 0] = np.inf
-        own[a, b, 1] = wide[a, b, 1] = clear[a, b] = -np.inf
+    cell = cells[a, b]
+    if cell.tag != tag:
+        cell.tag, cell.seen_around = tag, 0
+        cell.low = cell.low_around = np.inf
+        cell.high = cell.high_around = cell.clear = -np.inf
     return a, b
 
 
 @compiled
-def _add(points: Array, T: Array, tags: Array, around: Array, own: Array, wide: Array, clear: Array) -> None:
+def _add(points: Array, T: Array, cells: Any) -> None:
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         u = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / _RESOLUTION
@@ -238,14 +246,15 @@ def _add(points: Array, T: Array, tags: Array, around: Array, own: Array, wide: 
         height = np.float32(T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3])
         row, column = math.floor(u), math.floor(v)
         # 1. The cell and its neighbours.
-        here = _claim(row, column, tags, around, own, wide, clear)
-        news = own[here][0] > own[here][1]
-        for i in range(row - 1, row + 2):
-            for j in range(column - 1, column + 2):
-                a, b = _claim(i, j, tags, around, own, wide, clear)
-                around[a, b] += np.uint8(news)
-                wide[a, b, 0], wide[a, b, 1] = min(wide[a, b, 0], height), max(wide[a, b, 1], height)
-        own[here][0], own[here][1] = min(own[here][0], height), max(own[here][1], height)
+        here = cells[_claim(row, column, cells)]
+        if not here.low <= height <= here.high:
+            news = here.low > here.high
+            for i in range(row - 1, row + 2):
+                for j in range(column - 1, column + 2):
+                    cell = cells[_claim(i, j, cells)]
+                    cell.seen_around += news
+                    cell.low_around, cell.high_around = min(cell.low_around, height), max(cell.high_around, height)
+            here.low, here.high = min(here.low, height), max(here.high, height)
         # 2. What the line of sight to it crosses; every few of them make a dense fan.
         if n % _SIGHTS:
             continue
@@ -253,45 +262,36 @@ def _add(points: Array, T: Array, tags: Array, around: Array, own: Array, wide: 
         way = max(abs(du), abs(dv))
         for step in range(2, int(min(way, 0.5 * _SIDE))):
             s = step / way
-            a, b = _claim(math.floor(u + s * du), math.floor(v + s * dv), tags, around, own, wide, clear)
-            clear[a, b] = max(clear[a, b], np.float32(height + s * dz))
+            cell = cells[_claim(math.floor(u + s * du), math.floor(v + s * dv), cells)]
+            cell.clear = max(cell.clear, np.float32(height + s * dz))
 
 
 @compiled
-def _look_up(
-    points: Array, T: Array, tags: Array, around: Array, span: Array, clear: Array, noise: float
-) -> tuple[int, int, int, int]:
-    """How many points (n, 3) {camera} fall on known cells; how many of them lie below and above what those have shown.
+def _look_up(points: Array, T: Array, cells: Any, noise: float) -> tuple[int, int, int]:
+    """How many points (n, 3) {camera} fall on known cells, how many of them cannot be there, how many have been seen there.
 
-    Last, how many of those above stand where it has been looked through.
+    What cannot be there lies below all that a cell and its neighbours have shown, or above it where it has been looked through.
     """
-    mask = len(tags) - 1
-    known = below = above = through = 0
+    known = misfit = fitting = 0
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         i = math.floor((T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / _RESOLUTION)
         j = math.floor((T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / _RESOLUTION)
-        a, b = i & mask, j & mask
-        if tags[a, b] != _tag(i, j) or around[a, b] < 9:
+        cell = cells[i & (_SIDE - 1), j & (_SIDE - 1)]
+        if cell.tag != _tag(i, j) or cell.seen_around < 9:
             continue
         known += 1
         height = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
         tolerance = _TOLERANCE + noise * z * z
-        if height < span[a, b, 0] - tolerance:
-            below += 1
-        elif height > span[a, b, 1] + tolerance:
-            above += 1
-            if height < clear[a, b] - tolerance:
-                through += 1
-    return known, below, above, through
+        fitting += cell.low - tolerance <= height <= cell.high + tolerance
+        through = cell.high_around + tolerance < height < cell.clear - tolerance
+        misfit += height < cell.low_around - tolerance or through
+    return known, misfit, fitting
 
 
 @compiled
-def _score_places(
-    points: Array, T: Array, places: Array, tags: Array, around: Array, span: Array, noise: float, out: Array
-) -> None:
+def _score_places(points: Array, T: Array, places: Array, cells: Any, noise: float, out: Array) -> None:
     """For each place (k, 3): points on known cells, most that fit at one height, and that height [m]."""
-    mask = len(tags) - 1
     m = len(points)
     flat = np.empty((m, 3))  # from the camera, in world axes
     for n in range(m):
@@ -307,15 +307,15 @@ def _score_places(
         for n in range(m):
             i = math.floor((x0 + c * flat[n, 0] - s * flat[n, 1]) / _RESOLUTION)
             j = math.floor((y0 + s * flat[n, 0] + c * flat[n, 1]) / _RESOLUTION)
-            a, b = i & mask, j & mask
-            if tags[a, b] != _tag(i, j) or around[a, b] < 9:
+            cell = cells[i & (_SIDE - 1), j & (_SIDE - 1)]
+            if cell.tag != _tag(i, j) or cell.seen_around < 9:
                 continue
             known += 1
             # It fits if raised by what lies between these two.
             height = T[2, 3] + flat[n, 2]
             tolerance = _TOLERANCE + noise * points[n, 2] * points[n, 2]
-            first = math.ceil((span[a, b, 0] - tolerance - height) / _TOLERANCE) + _LEVELS
-            last = math.floor((span[a, b, 1] + tolerance - height) / _TOLERANCE) + _LEVELS
+            first = math.ceil((cell.low - tolerance - height) / _TOLERANCE) + _LEVELS
+            last = math.floor((cell.high + tolerance - height) / _TOLERANCE) + _LEVELS
             if last < 0 or first >= levels:
                 continue
             begins[max(int(first), 0)] += 1
