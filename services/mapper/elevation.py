@@ -126,33 +126,50 @@ class ElevationSnapshot:
 
 
 class ElevationGrid:
-    """Height, variance and rival of size x size cells around the robot, aligned with the world axes.
+    """Height, variance and rival of nx x ny cells around the robot, aligned with the world axes.
 
-    The window spans the cells [c - size // 2, c + size - size // 2) around the robot's cell c in x and y. It starts
+    The window spans the cells [c - n // 2, c + n - n // 2) around the robot's cell c, along x and along y. It starts
     around the world's origin with every cell unseen.
 
     Source: Lotriet 2024, section 4.3.
     """
 
-    def __init__(self, size: int = 256, resolution: float = 0.01, model: FusionModel | None = None) -> None:
-        """Take size [cells], resolution [m] and the noise model; ValueError if size < 8 or resolution is not positive."""
-        if size < 8:
+    def __init__(self, size: int | tuple[int, int] = 256, resolution: float = 0.01, model: FusionModel | None = None) -> None:
+        """Begin with every cell unseen.
+
+        Args:
+            size: [cells] along x and along y, one number for a square.
+            resolution: [m] cell edge.
+            model: Noise of the measurements.
+
+        Raises:
+            ValueError: Fewer than 8 cells along an axis, or a resolution out of its range.
+        """
+        shape = (size, size) if isinstance(size, int) else (int(size[0]), int(size[1]))
+        if min(shape) < 8:
             raise ValueError(f"at least 8 cells a side expected, found {size}")
         if not 1e-4 <= resolution <= 1.0:
             raise ValueError(f"resolution from 0.0001 to 1 m expected, found {resolution}")
-        self.size = size
+        self.shape = shape
         self.resolution = resolution
         self.model = model or FusionModel()
-        self._low = np.full(2, -(size // 2), dtype=np.int64)  # world index of the window's lowest cell
+        self._size: NDArray[np.int64] = np.array(shape, dtype=np.int64)
+        self._low: NDArray[np.int64] = -(self._size // 2)  # world index of the window's lowest cell
         # np.full, not np.zeros: pages that are touched for the first time inside the hot loop are slow.
-        self._height = np.full((size, size), np.nan, dtype=np.float32)
-        self._variance = np.full((size, size), np.nan, dtype=np.float32)
-        self._support = np.full((size, size), 0, dtype=np.uint8)  # scans behind the height, at most 255
-        self._assumed = np.full((size, size), 0, dtype=np.uint8)
-        self._rival = np.full((size, size), np.nan, dtype=np.float32)
-        self._rival_variance = np.full((size, size), np.nan, dtype=np.float32)
-        self._votes = np.full((size, size), 0, dtype=np.uint8)  # scans for the rival less scans against it
-        self._slot = np.full(size * size, -1, dtype=np.int32)  # the scan's entry for a cell, -1 outside fuse()
+        self._height = np.full(shape, np.nan, dtype=np.float32)
+        self._variance = np.full(shape, np.nan, dtype=np.float32)
+        self._support = np.full(shape, 0, dtype=np.uint8)  # scans behind the height, at most 255
+        self._assumed = np.full(shape, 0, dtype=np.uint8)
+        self._rival = np.full(shape, np.nan, dtype=np.float32)
+        self._rival_variance = np.full(shape, np.nan, dtype=np.float32)
+        self._votes = np.full(shape, 0, dtype=np.uint8)  # scans for the rival less scans against it
+        self._slot = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # the scan's entry for a cell, -1 outside fuse()
+        self._touched: NDArray[np.int64] = _nothing()
+
+    @property
+    def low(self) -> NDArray[np.int64]:
+        """(2,) world index of the window's lowest cell, that is of cell (0, 0) of a snapshot."""
+        return self._low.copy()
 
     @property
     def origin(self) -> NDArray[np.float64]:
@@ -168,14 +185,15 @@ class ElevationGrid:
         centre = np.asarray(p_world_xy, dtype=np.float64)
         if centre.shape != (2,) or not (np.abs(centre) < FAR).all():
             raise ValueError(f"two coordinates within {FAR:g} m expected, found {p_world_xy!r}")
-        low = np.floor(centre / self.resolution).astype(np.int64) - self.size // 2
+        low = np.floor(centre / self.resolution).astype(np.int64) - self._size // 2
         for axis in range(2):
             shift = int(low[axis] - self._low[axis])
             if shift == 0:
                 continue
-            leaving = min(abs(shift), self.size)
-            first = self._low[axis] if shift > 0 else self._low[axis] + self.size - leaving
-            lines = np.arange(first, first + leaving) % self.size
+            n = self.shape[axis]
+            leaving = min(abs(shift), n)
+            first = self._low[axis] if shift > 0 else self._low[axis] + n - leaving
+            lines = np.arange(first, first + leaving) % n
             self._forget((lines,) if axis == 0 else (slice(None), lines))
         self._low = low
 
@@ -215,6 +233,9 @@ class ElevationGrid:
         touched, z, random, systematic = _merge_scan(
             cell, p[:, 2], random, systematic, self._slot, self.model.gate, self.model.edge_step
         )
+        if len(touched):
+            seen = p[cell >= 0, :2]
+            self._touch(*np.floor(np.array([seen.min(axis=0), seen.max(axis=0)]) / self.resolution).astype(np.int64))
         updated, disputed, replaced = _update_cells(
             touched, z, random, systematic,
             self._height.ravel(), self._variance.ravel(), self._support.ravel(), self._assumed.ravel(),
@@ -248,19 +269,34 @@ class ElevationGrid:
         if not 0 < sigma < math.inf:
             raise ValueError(f"positive sigma expected, found {sigma}")
         low = np.maximum(np.floor(corners.min(axis=0) / self.resolution).astype(np.int64), self._low)
-        high = np.minimum(np.floor(corners.max(axis=0) / self.resolution).astype(np.int64), self._low + self.size - 1)
+        high = np.minimum(np.floor(corners.max(axis=0) / self.resolution).astype(np.int64), self._low + self._size - 1)
         if (low > high).any():
             return 0
         i, j = (np.arange(low[axis], high[axis] + 1) for axis in range(2))
         x, y = ((i + 0.5) * self.resolution)[:, None], ((j + 0.5) * self.resolution)[None, :]
-        box = np.ix_(i % self.size, j % self.size)
+        box = np.ix_(i % self.shape[0], j % self.shape[1])
         fill = _inside_polygon(x, y, corners) & np.isnan(self._height[box])
         rows, columns = np.nonzero(fill)
-        cells = i[rows] % self.size, j[columns] % self.size
+        cells = i[rows] % self.shape[0], j[columns] % self.shape[1]
         self._height[cells] = (coefficients[0] + coefficients[1] * x + coefficients[2] * y)[rows, columns]
         self._variance[cells] = sigma**2
         self._assumed[cells] = 1
+        self._touch(low, high)
         return len(rows)
+
+    def take_changed(self) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+        """The rectangle around all cells that have been written since the last call, and begin a new one.
+
+        The cells that a move lets in are unseen and those that it drops are gone: neither counts as written, since `low`
+        tells of the move. A score that reads neighbours has to look that much further than the rectangle.
+
+        Returns:
+            first, end: (2,) world indices of its first cell and of the one behind its last, within the window as it is now;
+            cell (i, j) of a snapshot has the world index `low` + (i, j). None where nothing was written.
+        """
+        touched, self._touched = self._touched, _nothing()
+        first, end = np.maximum(touched[0], self._low), np.minimum(touched[1] + 1, self._low + self._size)
+        return (first, end) if (first < end).all() else None
 
     def heights(self, p_world_xy: ArrayLike) -> NDArray[np.float64]:
         """Heights (...) [m] {world} of the cells at p_world_xy (..., 2) [m]; NaN where unseen or outside the window.
@@ -288,8 +324,12 @@ class ElevationGrid:
 
     def _cells(self, p_world_xy: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Flat buffer index (n,), -1 outside the window, and whether inside (n,) (Lotriet 2024, eq. 4.11)."""
-        cell = _cell_indices(p_world_xy, self.resolution, int(self._low[0]), int(self._low[1]), self.size)
+        cell = _cell_indices(p_world_xy, self.resolution, int(self._low[0]), int(self._low[1]), *self.shape)
         return cell, cell >= 0
+
+    def _touch(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
+        """Note that cells of a rectangle of world indices have been written."""
+        self._touched = np.array([np.minimum(self._touched[0], first), np.maximum(self._touched[1], last)])
 
     def _forget(self, lines: tuple[slice | NDArray[np.int64], ...]) -> None:
         """Make whole rows or columns of the buffer unseen."""
@@ -300,9 +340,9 @@ class ElevationGrid:
 
     def _unrolled(self, layer: NDArray[Scalar]) -> NDArray[Scalar]:
         """Copy of a layer with the window's lowest cell first."""
-        i, j = (int(low % self.size) for low in self._low)
+        i, j = (int(low % n) for low, n in zip(self._low, self.shape, strict=True))
         out = np.empty_like(layer)
-        m, n = self.size - i, self.size - j
+        m, n = self.shape[0] - i, self.shape[1] - j
         out[:m, :n], out[:m, n:] = layer[i:, j:], layer[i:, :j]
         out[m:, :n], out[m:, n:] = layer[:i, j:], layer[:i, :j]
         return out
@@ -330,6 +370,11 @@ def fill_small_holes(elevation: NDArray[np.float32], max_relief: float = 0.015) 
     filled = np.array(elevation, dtype=np.float32, order="C")
     _bridge_holes(np.ascontiguousarray(elevation, dtype=np.float32), max_relief, filled)
     return filled
+
+
+def _nothing() -> NDArray[np.int64]:
+    """The empty rectangle (first, last) (2, 2) of cells."""
+    return np.array([[np.iinfo(np.int64).max // 2] * 2, [np.iinfo(np.int64).min // 2] * 2])
 
 
 def _checked_scan(
@@ -370,16 +415,18 @@ def _inside_polygon(x: NDArray[np.float64], y: NDArray[np.float64], corners: NDA
 
 
 @compiled
-def _cell_indices(p_world_xy: NDArray[np.float64], resolution: float, low_i: int, low_j: int, size: int) -> NDArray[np.int64]:
-    """Flat buffer index (n,) of each point, -1 outside the window that starts at cell (low_i, low_j)."""
+def _cell_indices(
+    p_world_xy: NDArray[np.float64], resolution: float, low_i: int, low_j: int, rows: int, columns: int
+) -> NDArray[np.int64]:
+    """Flat buffer index (n,) of each point, -1 outside the window of rows x columns that starts at cell (low_i, low_j)."""
     cell = np.empty(len(p_world_xy), dtype=np.int64)
-    wrap_i, wrap_j = low_i % size, low_j % size
+    wrap_i, wrap_j = low_i % rows, low_j % columns
     for k in range(len(p_world_xy)):
         i = math.floor(p_world_xy[k, 0] / resolution) - low_i
         j = math.floor(p_world_xy[k, 1] / resolution) - low_j
-        if 0 <= i < size and 0 <= j < size:
-            i, j = i + wrap_i, j + wrap_j  # the remainder by size, without dividing
-            cell[k] = (i if i < size else i - size) * size + (j if j < size else j - size)
+        if 0 <= i < rows and 0 <= j < columns:
+            i, j = i + wrap_i, j + wrap_j  # the remainder by the size, without dividing
+            cell[k] = (i if i < rows else i - rows) * columns + (j if j < columns else j - columns)
         else:
             cell[k] = -1
     return cell

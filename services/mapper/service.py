@@ -35,8 +35,8 @@ class Mapper:
         self._settings = settings
         self._foot_radius = profile.foot.radius
         model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx)
-        self._grid = ElevationGrid(settings.cells, settings.resolution, model)
-        self._scorer = WalkabilityScorer((settings.cells, settings.cells), settings.resolution, _WEIGHTS)
+        self._grid = ElevationGrid(settings.shape, settings.resolution, model)
+        self._scorer = WalkabilityScorer(settings.shape, settings.resolution, _WEIGHTS)
         self._seeded = False
         self._scans = 0
         self._known = 0.0  # share of the cells

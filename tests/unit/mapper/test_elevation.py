@@ -15,8 +15,8 @@ CAMERA = np.array([0.0, 0.0, 0.25])
 
 
 def centres(grid: ElevationGrid) -> NDArray[np.float64]:
-    """(size * size, 2) centres of every cell of the window, in world order."""
-    i, j = np.mgrid[: grid.size, : grid.size]
+    """(nx * ny, 2) centres of every cell of the window, in world order."""
+    i, j = np.mgrid[: grid.shape[0], : grid.shape[1]]
     return np.asarray(grid.origin + grid.resolution * np.stack([i, j], axis=-1).reshape(-1, 2))
 
 
@@ -234,6 +234,8 @@ def test_bad_settings_are_refused() -> None:
         grid.move_to((0.0, math.nan))
     with pytest.raises(ValueError, match="8 cells"):
         ElevationGrid(size=4)
+    with pytest.raises(ValueError, match="8 cells"):
+        ElevationGrid(size=(100, 7))
     with pytest.raises(ValueError, match="resolution"):
         ElevationGrid(resolution=0.0)
     with pytest.raises(ValueError, match="floor_sigma"):
@@ -259,7 +261,7 @@ def test_cells_lie_where_the_snapshot_says() -> None:
     np.testing.assert_allclose(snapshot.elevation.ravel(), z, rtol=1e-6)
     np.testing.assert_allclose(grid.heights(xy), z, rtol=1e-6)
     np.testing.assert_allclose(snapshot.origin, grid.origin)
-    assert np.abs(snapshot.origin + (grid.size / 2) * grid.resolution - (-3.217, 12.34)).max() <= grid.resolution
+    assert np.abs(snapshot.origin + (np.array(grid.shape) / 2) * grid.resolution - (-3.217, 12.34)).max() <= grid.resolution
 
 
 coordinate = st.floats(-0.6, 0.6).map(lambda x: round(x, 3))
@@ -285,6 +287,66 @@ def test_only_cells_that_left_the_window_are_forgotten(path: list[tuple[float, f
         for (i, j), z in expected.items():
             wanted[i - low[0], j - low[1]] = z
         np.testing.assert_allclose(elevation, wanted, rtol=1e-6)
+
+
+@given(
+    st.tuples(st.integers(8, 40), st.integers(8, 40)),
+    st.sampled_from([0.005, 0.01, 0.02, 0.05, 0.3]),
+    st.lists(st.tuples(st.floats(-30.0, 30.0), st.floats(-30.0, 30.0)), min_size=1, max_size=4),
+)
+@settings(deadline=None)
+def test_a_map_of_any_shape_and_resolution_has_its_cells_where_it_says(
+    shape: tuple[int, int], resolution: float, path: list[tuple[float, float]]
+) -> None:
+    grid = ElevationGrid(shape, resolution)
+    for target in path:
+        grid.move_to(target)
+    xy = centres(grid)
+    z = np.random.default_rng(len(xy)).normal(size=len(xy))
+    assert scan(grid, xy, z).outside == 0
+    np.testing.assert_allclose(grid.snapshot().elevation, z.reshape(shape), rtol=1e-5)
+    np.testing.assert_allclose(grid.heights(xy), z, rtol=1e-5)
+    inside = np.array(path[-1]) - grid.origin
+    assert (np.abs(inside / resolution - np.array(shape) // 2) <= 0.5 + 1e-6).all()
+    np.testing.assert_allclose(grid.origin, (grid.low + 0.5) * resolution)
+
+
+@given(waypoints, st.integers(0, 2**32 - 1))
+@settings(deadline=None)
+def test_what_changed_lies_in_the_rectangle_that_is_told_once(path: list[tuple[float, float]], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid = ElevationGrid((12, 20), resolution=0.05)
+    assert grid.take_changed() is None
+    known = {}
+    for target in path:
+        grid.move_to(target)
+        assert grid.take_changed() is None
+        scan(grid, np.array(target) + rng.uniform(-0.2, 0.2, (3, 2)), rng.normal(size=3))
+        changed = grid.take_changed()
+        assert grid.take_changed() is None
+        assert changed is not None
+        first, end = changed
+        low, snapshot = grid.low, grid.snapshot()
+        assert (first >= low).all()
+        assert (end <= low + grid.shape).all()
+        for i, j in np.argwhere(np.isfinite(snapshot.elevation)):
+            cell = (int(low[0] + i), int(low[1] + j))
+            state = (snapshot.elevation[i, j], snapshot.variance[i, j])
+            if known.get(cell) != state:
+                assert (first <= cell).all()
+                assert (cell < end).all()
+            known[cell] = state
+
+
+def test_seeded_ground_counts_as_changed() -> None:
+    grid = ElevationGrid(size=40)
+    grid.seed_plane([[0.0, 0.0], [0.1, 0.0], [0.1, 0.05], [0.0, 0.05]], (0, 0, 0))
+    changed = grid.take_changed()
+    assert changed is not None
+    first, end = changed
+    assert (first <= [0, 0]).all()
+    assert (end >= [10, 5]).all()
+    assert (end - first <= 12).all()
 
 
 @given(st.tuples(coordinate, coordinate), st.lists(st.floats(0.0, 1.0), max_size=6))
