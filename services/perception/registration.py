@@ -49,7 +49,7 @@ class Registered:
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """When a registration is refused."""
+    """When a registration is refused, when it is doubted and searched for instead, and when the map starts anew."""
 
     min_measured: float = 0.02  # share of the image's blocks that carry a depth
     min_overlap: float = 0.3  # share of points that found a plane
@@ -233,6 +233,7 @@ class Registration:
             # The prior has drifted too far to find the way back: start a map of its own there.
             self._keyframes.clear()
             self._anchor.clear()
+            self._usual_rmse = self._acceptance.max_rmse  # the ground here may be rougher than it has been so far
             self._remember(T_prior)
             reason = f"{reason}; {self._failures} frames in a row failed, the map starts anew at the prior"
             self._failures = 0

@@ -211,6 +211,23 @@ def test_a_lost_map_starts_anew_after_many_failures(world):
     assert all(r.ok for r in results[restarted + 1 :])
 
 
+def test_a_map_that_starts_anew_may_be_rougher_than_the_one_before(world):
+    registration = Registration(world.intrinsics, world.sensor, Acceptance(patience=3))
+    rng = np.random.default_rng(4)
+    T = world.camera_pose(0.0)
+
+    def picture(bump_mm):
+        depth = world.depth_image(T, world.scenes["steps"], rng).astype(np.int64)
+        bumps = np.kron(rng.choice([-bump_mm, bump_mm], (30, 40)), np.ones((16, 16), dtype=np.int64))
+        return np.where(depth > 0, depth + bumps, 0).astype(np.uint16)
+
+    for i in range(60):
+        assert registration.update(picture(0), i, T, TIGHT).ok
+    rough = [registration.update(picture(12), i, T, TIGHT) for i in range(60, 66)]
+    assert [r.ok for r in rough] == [False] * 3 + [True] * 3
+    assert "anew" in rough[2].reason
+
+
 def test_a_robot_that_was_carried_off_finds_itself_again(world):
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(3)
