@@ -30,6 +30,7 @@ from shared.geometry import orthonormal
 _MAX_ITERATIONS = 50  # as Masri 2016, section 4.2.1
 _GATE = 0.02  # [m] farthest plane a point is matched with when the pose is judged
 _STRIDE = 4  # every how many points are judged
+_PATIENCE = 15  # failed frames in a row until the map starts anew: nothing is searched for, and the prior only gets worse
 
 
 class KissRegistration:
@@ -49,7 +50,7 @@ class KissRegistration:
         Args:
             intrinsics: Of the full image; block means of it are registered.
             sensor: Range, noise and raw unit of the camera.
-            acceptance: When a pose is refused.
+            acceptance: When a pose is refused, and the map starts anew.
             voxel_size: [m] edge of the voxel map.
             threshold: [m] fixed width of its robust kernel; None lets it adapt to the motion, as for a prior
                 without odometry.
@@ -71,7 +72,7 @@ class KissRegistration:
         self._config.adaptive_threshold.fixed_threshold = threshold
         self._config.adaptive_threshold.initial_threshold = 5 * voxel_size
         self._config.adaptive_threshold.min_motion_th = voxel_size / 5
-        self._acceptance = acceptance or Acceptance()
+        self._acceptance = acceptance or Acceptance(patience=_PATIENCE)
         self._frame = BlockFrame(intrinsics, sensor)
         self._keyframes = Keyframes(self._frame, stored=32, active=4, distance=0.12, angle=0.12)
         self._kiss = KissICP(self._config)

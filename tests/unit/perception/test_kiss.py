@@ -62,6 +62,16 @@ def test_on_a_flat_floor_the_prior_stands(world):
     assert abs(result.T_world_camera[2, 3] - 0.25) < 0.003
 
 
+def test_a_lost_map_starts_anew_within_a_second(world, pillars):
+    registration = KissRegistration(WIDE_CAMERA, WIDE_SENSOR)
+    T, far = world.camera_pose(0.0), world.camera_pose(3.0, 0.5)
+    registration.update(world.depth_image(T, pillars, None, WIDE_CAMERA, WIDE_SENSOR), 0, T, SPREAD)
+    depth = world.depth_image(far, (), None, WIDE_CAMERA, WIDE_SENSOR)
+    results = [registration.update(depth, i, far, SPREAD) for i in range(1, 17)]
+    assert [r.ok for r in results] == [False] * 15 + [True]
+    assert "anew" in results[14].reason
+
+
 def test_failures_and_mistakes_are_named(world):
     registration = KissRegistration(world.intrinsics, world.sensor)
     dark = registration.update(np.zeros((480, 640), np.uint16), 0, np.eye(4), SPREAD)
