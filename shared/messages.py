@@ -143,9 +143,7 @@ class BodyPose(Message):
     overlap: float  # [1] share of the scan that met the reference
     ok: bool  # False: registration failed and odometry alone stands behind the pose
     reason: str  # what is wrong, in words; empty when nothing is
-    degenerate: Annotated[
-        NDArray[np.float64], Dims("k", 6)
-    ]  # unit twists, as the covariance, that the scene leaves to odometry
+    degenerate: Annotated[NDArray[np.float64], Dims("k", 6)]  # unit twists, as above, that the scene leaves to odometry
 
 
 @dataclass(frozen=True, slots=True)
