@@ -22,8 +22,9 @@ from shared.messages import Message
 from shared.service import AnyTopic, Link
 
 ENCODING = "sextant"
-_CHUNK_BYTES = 256 << 10  # what is lost at most when the process is killed
-_FLUSH_NS = 1_000_000_000  # between handing over to the system what chunks are full
+# What is lost at most when the process dies: a chunk that is being filled, and what chunks were full since the last flush.
+_CHUNK_BYTES = 256 << 10
+_FLUSH_NS = 1_000_000_000  # from one flush, which hands full chunks over to the system, to the next
 _QUEUE_FRAMES = 2000  # frames that may wait for the disk in a live run
 
 # Pictures would be nine tenths of a file, and asking for colour makes the simulator render it.

@@ -140,6 +140,24 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(
     assert len(found) > 0.5 * share * len(written) - 100
 
 
+def test_a_recording_that_was_never_closed_is_read_up_to_a_chunk_and_a_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording_module, "_CHUNK_BYTES", 2000)
+    written = some_messages(n=400)  # two frames a second
+    recorder = Recorder(tmp_path / "r", ABOUT)
+    for topic, message, at_ns in written:
+        recorder.write(topic, codec.encode(message), at_ns)
+    recording = Recording(tmp_path / "r")  # as a process that is killed now leaves it
+    found = list(recording.messages())
+    assert not recording.complete
+    assert recording.about.items() >= ABOUT.items()
+    assert all(same(a, b) for (_, a, _), (_, b, _) in zip(found, written, strict=False))
+    smallest = min(len(codec.encode(message)) for _, message, _ in written[:2])
+    assert len(found) >= len(written) - 2000 // smallest - 3
+    recorder.close()
+
+
 def test_a_damaged_chunk_ends_the_reading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording_module, "_CHUNK_BYTES", 2000)
     write(tmp_path / "r", some_messages(n=400))
