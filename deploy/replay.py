@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.listener import Listener
 from deploy.progress import Progress
 from deploy.recording import Recording
 from services.mapper.config import Settings as MapperSettings
@@ -326,15 +327,7 @@ class _Clock:
 def _play(
     sequence: tum.Recording, profile: RobotProfile, registration: Literal["projective", "kiss-icp"], progress: Progress
 ) -> tuple[list[BodyPose], TerrainMap | None, dict[str, tuple[float, float]], int]:
-    poses: list[BodyPose] = []
-    newest: list[TerrainMap] = []
-
-    def tap(topic: AnyTopic, frame: bytes, _: int) -> None:
-        if topic is topics.BODY_POSE:
-            poses.append(codec.decode(frame, BodyPose)[0])
-        elif topic is topics.TERRAIN:
-            newest[:] = [codec.decode(frame, TerrainMap)[0]]
-
+    heard = Listener()
     player = Player(sequence)
     makers: dict[str, Callable[[], Service]] = {
         "player": lambda: player,
@@ -343,13 +336,13 @@ def _play(
         "constant velocity": lambda: ConstantVelocity(round(1e9 / profile.camera.sensor.rate_hz)),
     }
     # The guess must be there before the next picture, as a hand-held camera's perception would make it by itself.
-    lockstep = Lockstep(makers, tap, latency_s={topics.BODY_POSE.key: 0.001, topics.ODOMETRY.key: 0.001})
+    lockstep = Lockstep(makers, heard.tap, latency_s={topics.BODY_POSE.key: 0.001, topics.ODOMETRY.key: 0.001})
     while not player.finished:
         lockstep.run(lockstep.now_ns + _SHOW_NS)
-        progress.say(f"{player.doing()}, {len(poses)} poses")
+        progress.say(f"{player.doing()}, {len(heard.poses)} poses")
     lockstep.run(lockstep.now_ns + _SETTLE_NS)
     stages = {**_stages(lockstep.service("perception")), **_stages(lockstep.service("mapper"))}
-    return poses, newest[0] if newest else None, stages, sum(not pose.ok for pose in poses)
+    return heard.poses, heard.terrain, stages, sum(not pose.ok for pose in heard.poses)
 
 
 def _stages(service: Service) -> dict[str, tuple[float, float]]:

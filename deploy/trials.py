@@ -4,16 +4,10 @@ Every finished seed is a line of JSON in `trials.jsonl`, so a batch that was sto
 scenario, or of the same one changed since, or of another version of the program, are not counted.
 """
 
-import ctypes
 import hashlib
 import json
-import multiprocessing
-import os
-import signal
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -24,13 +18,12 @@ import numpy as np
 from deploy import report as reports
 from deploy.report import Report
 from deploy.statistics import Difference, Rate, difference, wilson
+from deploy.workers import share_out
 from shared import config
 from shared.scenario import HeightMap, Scenario
 
-_PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when its parent dies
 _PACKAGES = ("shared", "services", "deploy")
 Run = Callable[[Scenario, int], Report]
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +90,8 @@ def run_trials(
     left = [seed for seed in wanted if seed not in done]
     successes = sum(table["success"] for table in done.values())
     with path.open("a", encoding="utf-8") as lines:
-        for report in _run_all(scenario, left, min(jobs, len(left)), run or _run_lockstep):
+        tasks = [(scenario, seed) for seed in left]
+        for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
             table = reports.as_table(report)
             lines.write(json.dumps({"fingerprint": mark, "report": table}, ensure_ascii=False) + "\n")
             lines.flush()
@@ -200,52 +194,6 @@ def _run_lockstep(scenario: Scenario, seed: int) -> Report:
     from deploy.lockstep_run import run_lockstep  # brings in every service
 
     return run_lockstep(scenario, seed)
-
-
-def _run_all(scenario: Scenario, seeds: list[int], jobs: int, run: Run) -> Iterator[Report]:
-    if jobs <= 1:
-        for seed in seeds:
-            yield run(scenario, seed)
-        return
-    others = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
-    with (
-        _one_thread_each(),
-        ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare, initargs=(os.getpid(),)) as pool,
-    ):
-        running = [pool.submit(run, scenario, seed) for seed in seeds]
-        try:
-            for future in as_completed(running):
-                yield future.result()
-        except BaseException:  # an error, or the operator has had enough: nobody waits for the runs under way
-            for future in running:
-                future.cancel()
-            for worker in set(multiprocessing.active_children()) - others:
-                worker.terminate()
-            raise
-
-
-def _prepare(parent: int) -> None:
-    """Make a worker end at Ctrl-C without a word, and with the process that started it."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it died before the call above
-        os._exit(1)
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes started within compute in one thread each, so that jobs do not take each other's cores."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 def _read(path: Path, mark: str) -> dict[int, dict[str, Any]]:

@@ -1,14 +1,9 @@
 """How right pose and map are: rides through the real perception and mapper, through the codec, judged by the truth."""
 
-import contextlib
-import itertools
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
-from multiprocessing import get_context
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -16,16 +11,18 @@ from numpy.typing import NDArray
 
 from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
 from deploy.bench.scenes import MAPPED, REGISTERED, Scene
+from deploy.listener import Listener
+from deploy.workers import share_out
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception.config import Settings as PerceptionSettings
 from services.perception.service import Perception
 from services.simulator.render import Renderer
 from services.simulator.terrain import Terrain
-from shared import codec, topics
+from shared import topics
 from shared.geometry import Array, apply
 from shared.messages import BodyPose, TerrainMap
-from shared.service import AnyTopic, Lockstep
+from shared.service import Lockstep
 
 Cells = NDArray[np.bool_]
 
@@ -53,37 +50,30 @@ class RideResult:
     invented: int  # known cells that were never in view
 
 
-def measure(
-    scene: Scene,
-    seed: int,
-    errors: Errors | None = None,
-    method: Literal["projective", "kiss-icp"] = "projective",
-) -> RideResult:
-    """Ride over a scene, whose terrain, errors and noise are drawn by the seed."""
+def measure(scene: Scene, seed: int, errors: Errors | None = None) -> RideResult:
+    """Ride over a scene, whose terrain, errors and noise are drawn by the seed.
+
+    Raises:
+        RuntimeError: Not one map came of it.
+    """
     rngs = [np.random.default_rng([seed, k]) for k in range(3)]
     way = ride(scene(rngs[0]), rngs[1], errors or Errors())
     camera = CarriedCamera(way, rngs[2])
-    poses: list[BodyPose] = []
-    maps: list[TerrainMap] = []
-
-    def tap(topic: AnyTopic, frame: bytes, _: int) -> None:
-        if topic is topics.BODY_POSE:
-            poses.append(codec.decode(frame, BodyPose)[0])
-        elif topic is topics.TERRAIN:
-            maps[:] = [codec.decode(frame, TerrainMap)[0]]
-
-    settings = PerceptionSettings(settle_s=0.0, scan_rate_hz=way.profile.camera.sensor.rate_hz, method=method)
+    heard = Listener()
+    settings = PerceptionSettings(settle_s=0.0, scan_rate_hz=way.profile.camera.sensor.rate_hz)
     lockstep = Lockstep(
         {
             "carried camera": lambda: camera,
             "perception": lambda: Perception(way.profile, settings),
             "mapper": lambda: Mapper(way.profile, MapperSettings()),
         },
-        tap,
+        heard.tap,
         latency_s={topics.ODOMETRY.key: 0.001},  # it comes fifty times a second from a robot, here with each picture
     )
     lockstep.run(int(way.stamps_ns[-1]) + _SETTLE_NS)
-    return _judged(way, poses, maps[0], settings.scan_range)
+    if heard.terrain is None:
+        raise RuntimeError(f"a map expected of the ride with seed {seed}, found none")
+    return _judged(way, heard.poses, heard.terrain, settings.scan_range)
 
 
 def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, scan_range: float) -> RideResult:
@@ -208,17 +198,14 @@ def tables(seeds: Sequence[int], jobs: int, say: Callable[[str], object] = lambd
     rows = [("registration", scene, legs) for scene in REGISTERED for legs in LEGS]
     rows += [("maps", scene, next(iter(LEGS))) for scene in MAPPED]
     rides = [(*row, seed) for row in rows for seed in seeds]
-    out = []
-    with contextlib.ExitStack() as stack:
-        if jobs > 1:
-            pool = stack.enter_context(ProcessPoolExecutor(jobs, mp_context=get_context("spawn")))
-            results = pool.map(_ride_by_name, *zip(*rides, strict=True))
-        else:
-            results = map(_ride_by_name, *zip(*rides, strict=True))
-        for table, scene, legs in rows:
-            row = Row(table, scene, legs, len(seeds), medians(itertools.islice(results, len(seeds))))
-            say(in_words([row]).splitlines()[-1])
-            out.append(row)
+    out: list[Row] = []
+    results: list[RideResult] = []
+    for result in share_out(_ride_by_name, rides, jobs):
+        results.append(result)
+        if len(results) == len(seeds):
+            out.append(Row(*rows[len(out)], len(seeds), medians(results)))
+            say(in_words(out[-1:]).splitlines()[-1])
+            results.clear()
     return out
 
 
@@ -227,7 +214,10 @@ def _ride_by_name(table: str, scene: str, legs: str, seed: int) -> RideResult:
 
 
 def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
-    """Figure -> its median and its worst (largest, of coverage least) over rides; those that no ride has are left out."""
+    """Figure -> its median and its worst (largest, of coverage least) over rides; those that no ride has are left out.
+
+    Figures are taken by their size: a bias has no sign here.
+    """
     rides = list(results)
     out = {}
     for name in (f.name for f in fields(RideResult)):

@@ -1,0 +1,20 @@
+"""What a run through perception and mapper said: its poses and its newest map."""
+
+from shared import codec, topics
+from shared.messages import BodyPose, TerrainMap
+from shared.service import AnyTopic
+
+
+class Listener:
+    """Keeps what is judged of a run; give `tap` to whoever moves the frames."""
+
+    def __init__(self) -> None:
+        self.poses: list[BodyPose] = []  # all, in the order in which they were sent
+        self.terrain: TerrainMap | None = None  # the newest
+
+    def tap(self, topic: AnyTopic, frame: bytes, _at_ns: int) -> None:
+        """See one frame."""
+        if topic is topics.BODY_POSE:
+            self.poses.append(codec.decode(frame, BodyPose)[0])
+        elif topic is topics.TERRAIN:
+            self.terrain = codec.decode(frame, TerrainMap)[0]

@@ -1,0 +1,74 @@
+"""Work shared out among processes of one thread each, none of which outlives the process that gave it out."""
+
+import ctypes
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+_PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when its parent dies
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+
+Result = TypeVar("Result")
+
+
+def share_out(
+    work: Callable[..., Result], tasks: Iterable[tuple[Any, ...]], jobs: int, *, in_order: bool = True
+) -> Iterator[Result]:
+    """What came of each task, as soon as it is there.
+
+    When a task fails, or whoever asked has had enough, nobody waits for those under way.
+
+    Args:
+        work: A function of a module, called with the arguments of a task.
+        tasks: Arguments, a tuple per call.
+        jobs: How many at a time, each in a process of its own; 1 does them in this process.
+        in_order: Give results in the order of the tasks, or else as they are done.
+    """
+    todo = list(tasks)
+    if jobs <= 1 or len(todo) <= 1:
+        for task in todo:
+            yield work(*task)
+        return
+    others = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    with (
+        _one_thread_each(),
+        ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare, initargs=(os.getpid(),)) as pool,
+    ):
+        running = [pool.submit(work, *task) for task in todo]
+        try:
+            for future in running if in_order else as_completed(running):
+                yield future.result()
+        except BaseException:  # an error, or the operator has had enough
+            for future in running:
+                future.cancel()
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+            raise
+
+
+def _prepare(parent: int) -> None:
+    """Make a worker end at Ctrl-C without a word, and with the process that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it died before the call above
+        os._exit(1)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started within compute in one thread each, so that jobs do not take each other's cores."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

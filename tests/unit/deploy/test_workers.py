@@ -1,0 +1,48 @@
+"""Work shared out among processes."""
+
+import multiprocessing
+import os
+import time
+
+import pytest
+
+from deploy.workers import share_out
+
+TASKS = [(7, 2), (9, 4), (5, 5), (8, 3)]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_results_come_in_the_order_of_the_tasks(jobs: int) -> None:
+    assert list(share_out(divmod, TASKS, jobs)) == [divmod(*task) for task in TASKS]
+
+
+def test_results_come_as_they_are_done_where_order_does_not_matter() -> None:
+    assert sorted(share_out(divmod, TASKS, 2, in_order=False)) == sorted(divmod(*task) for task in TASKS)
+
+
+def test_each_process_computes_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    names = [("OMP_NUM_THREADS",), ("NUMBA_NUM_THREADS",)]
+    assert list(share_out(os.getenv, names, 2)) == ["1", "1"]
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "NUMBA_NUM_THREADS" not in os.environ
+
+
+def test_nobody_waits_for_the_rest_when_a_task_fails() -> None:
+    with pytest.raises(ZeroDivisionError):
+        list(share_out(_divide_or_sleep, [(1, 0), (1, 600), (1, 600)], 2))
+    assert not multiprocessing.active_children()
+
+
+def test_nobody_waits_for_the_rest_when_no_more_is_asked_for() -> None:
+    results = share_out(_divide_or_sleep, [(4, 2), (1, 600), (1, 600)], 2)
+    assert next(results) == 2.0
+    results.close()  # type: ignore[attr-defined]
+    assert not multiprocessing.active_children()
+
+
+def _divide_or_sleep(a: int, b: int) -> float:
+    if b == 600:
+        time.sleep(b)  # until it is ended
+    return a / b
