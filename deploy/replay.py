@@ -223,6 +223,7 @@ def hand_held_settings(registration: Literal["projective", "kiss-icp"]) -> Perce
         settle_s=0.0,
         scan_rate_hz=1e3,  # every picture counts: the guess reaches from one to the next
         method=registration,
+        blocks_across=320,  # rooms are full of small things
         scan_range=3.0,
         odometry_drift=0.1,
         odometry_turn=0.1,

@@ -9,6 +9,7 @@ class Settings:
     """How the pose is found and what of a frame is passed on."""
 
     method: Literal["projective", "kiss-icp"] = "projective"  # kiss-icp suits wide-field scanners
+    blocks_across: int = 160  # to which a row of the picture is reduced for registration; clutter wants more
     scan_rate_hz: float = 15.0  # of the frames that are registered and passed on as scans, at most
     scan_range: float = 1.5  # [m] horizontally from the camera
     scan_points: int = 14_000  # at most: 60 kB of the roughest ground

@@ -19,7 +19,6 @@ from shared.compiled import compiled
 
 Array = NDArray[Any]  # what compiled functions take: numbers of any width
 
-_BLOCKS_ACROSS = 160  # block columns that an image is reduced to
 _MODEL_SIGMA = 0.0005  # [m] what a plane leaves unexplained of a real surface
 _CORRELATION = 4.0  # neighbouring pixels share their disparity error: so many of a block count as one
 _MIN_FILLED = 0.5  # share of a block's pixels that must be measured
@@ -44,9 +43,16 @@ class Match:
 class BlockFrame:
     """One depth frame reduced to block means of inverse depth."""
 
-    def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor) -> None:
+    def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor, across: int = 160) -> None:
+        """Take a camera, and about how many blocks there shall be along a row.
+
+        Raises:
+            ValueError: There would be fewer than 8x8 blocks.
+        """
+        if across < 8:
+            raise ValueError(f"at least 8 blocks across expected, found {across}")
         self._intrinsics = intrinsics
-        self.block = max(1, round(intrinsics.width / _BLOCKS_ACROSS))
+        self.block = max(1, round(intrinsics.width / across))
         self.shape = (intrinsics.height // self.block, intrinsics.width // self.block)
         if min(self.shape) < 8:
             raise ValueError(f"an image of at least 8x8 pixels expected, found {intrinsics.width}x{intrinsics.height}")

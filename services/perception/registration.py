@@ -20,7 +20,7 @@ from shared.geometry import orthonormal
 _GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the farthest plane a point is matched with
 _SLIP = 0.01  # [m] and [rad] first step expected beyond the prior's spread
 _MAX_ITERATIONS = 10
-_STRIDE = 4  # every how many points are matched with one keyframe
+_MATCHED = 4800  # points of a whole image that are matched with one keyframe
 _CONVERGED = 1e-4  # [m] and [rad] step that ends the iteration
 _INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors: ten count as one
 _SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise alone: below nothing is believed, above all
@@ -90,14 +90,18 @@ class Registration:
         keyframe_distance: float = 0.12,
         keyframe_angle: float = 0.12,
         max_range: float = 2.5,
+        blocks_across: int = 160,
     ) -> None:
         """Set up for one camera; see `Keyframes` for the numbers.
 
-        Surfaces beyond a range [m] are cropped (Masri 2016, section 4.2): a triangulating camera bends what is far away.
+        Surfaces beyond a range [m] are cropped (Masri 2016, section 4.2): a triangulating camera bends what is far away. A row
+        of the image is reduced to so many blocks: 160 are enough for ground, clutter shows its planes to more of them.
         """
         self._acceptance = acceptance or Acceptance()
         sensor = replace(sensor, max_range=min(sensor.max_range, max_range))
-        self._frame = BlockFrame(intrinsics, sensor)
+        self._frame = BlockFrame(intrinsics, sensor, blocks_across)
+        rows, columns = self._frame.shape
+        self._stride = max(1, round(rows * columns / _MATCHED))
         self._keyframes = Keyframes(self._frame, stored_keyframes, active_keyframes, keyframe_distance, keyframe_angle)
         self._anchor = AnchorMap(float(sensor.sigma(np.array(1.0), intrinsics.fx)))
         self._usual_rmse = self._acceptance.max_rmse  # [m]
@@ -209,7 +213,7 @@ class Registration:
         step: NDArray[np.floating] = 1.5 * np.sqrt(np.diag(np.linalg.inv(information))) + _SLIP
         for _ in range(_MAX_ITERATIONS):
             gate = min(max(_GATE_NEAR, 2.0 * float(np.abs(step[:3]).max())), _GATE_FAR)
-            match = self._keyframes.match(T, chosen, gate, _STRIDE)
+            match = self._keyframes.match(T, chosen, gate, self._stride)
             if T is T_prior or gate == _GATE_NEAR:
                 believed, degenerate = belief(match)
             H, g = believed @ match.H, believed @ match.g

@@ -218,4 +218,4 @@ def _make_registration(profile: RobotProfile, settings: Settings) -> Registers:
         from services.perception.kiss import KissRegistration  # heavy, for those who ask for it
 
         return KissRegistration(camera.intrinsics, camera.sensor)
-    return Registration(camera.intrinsics, camera.sensor)
+    return Registration(camera.intrinsics, camera.sensor, blocks_across=settings.blocks_across)
