@@ -3,19 +3,24 @@
 Frame: {start}, as in `deploy.scorer`.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.report import MapError
+from deploy.report import CourseMap, MapError
+from deploy.true_ground import INTERIOR, TrueGround, rms
 from deploy.walk_metrics import HeightAt
-from shared.geometry import Array, yaw_of
+from shared.geometry import Array, apply, yaw_of
 from shared.messages import TerrainMap
+from shared.robot import Camera
 
 _MAP_RADIUS = 1.0  # [m] around the body, where maps are compared
 _STRIP = ((0.6, 1.2), (-0.3, 0.3))  # [m] ahead and to the side: where the next steps but one go
 _GROUND_RESOLUTION = 0.02  # [m]
+_SEEN_RANGE = 1.5  # [m] horizontally from the camera, within which what is in view should be mapped
+_SAMPLED = 2  # every how many rows and columns of a picture are looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +32,26 @@ class Mosaic:
     elevation: NDArray[np.float32]  # (nx, ny) [m] {start}, NaN where never seen
     unacceptable: NDArray[np.bool_]  # (nx, ny) no foothold by the map's score
     assumed: NDArray[np.bool_]  # (nx, ny) filled in, never measured
+
+    @property
+    def measured(self) -> NDArray[np.float32]:
+        """(nx, ny) [m] {start} heights that were measured, NaN elsewhere."""
+        return np.where(self.assumed, np.float32(np.nan), self.elevation)
+
+    def in_view(self, views: Iterable[tuple[NDArray[np.float32], Array]], camera: Camera) -> NDArray[np.bool_]:
+        """Cells (nx, ny) into which undisturbed pictures show: depths (h, w) [m] and poses (4, 4) {start} of the camera."""
+        shape = self.elevation.shape
+        seen = np.zeros(shape, dtype=bool)
+        for depth, T in views:
+            inside = np.zeros(depth.shape, dtype=bool)
+            few = depth[::_SAMPLED, ::_SAMPLED]
+            inside[::_SAMPLED, ::_SAMPLED] = (few >= camera.sensor.min_range) & (few <= camera.sensor.max_range)
+            points = apply(T, camera.intrinsics.points(np.where(inside, depth, 1.0))[inside])
+            points = points[np.linalg.norm(points[:, :2] - T[:2, 3], axis=1) <= _SEEN_RANGE]
+            i, j = np.round((points[:, :2] - self.origin) / self.resolution).astype(int).T
+            on_map = (i >= 0) & (j >= 0) & (i < shape[0]) & (j < shape[1])
+            seen[i[on_map], j[on_map]] = True
+        return seen
 
 
 class GroundHeights:
@@ -158,3 +183,27 @@ class MapJudge:
     def mosaic(self) -> Mosaic:
         """The maps laid over each other."""
         return Mosaic(self.grid.origin, self.grid.resolution, self._elevation, self._unacceptable, self._assumed)
+
+
+def judge_course(mosaic: Mosaic, height_at: HeightAt, seen: NDArray[np.bool_] | None = None) -> CourseMap:
+    """The maps of a whole run against the true ground.
+
+    Args:
+        mosaic: The maps laid over each other.
+        height_at: True heights (n,) [m] {start} at (n, 2) [m].
+        seen: (nx, ny) cells that were in view; without them nothing is said about coverage.
+    """
+    shape = mosaic.elevation.shape
+    truth = TrueGround.under(height_at, mosaic.origin, (shape[0], shape[1]), mosaic.resolution)
+    measured = mosaic.measured
+    error = np.where(np.isfinite(truth.heights), measured - truth.heights, np.nan)
+    known = np.isfinite(error)
+    if not known.any():
+        return CourseMap()
+    return CourseMap(
+        rmse=rms(error[known]),
+        off_edges=rms(error[known & (truth.edge_distance > INTERIOR)]),
+        bias=float(error[known].mean()),
+        edge=truth.edge_error(measured),
+        coverage=float(np.isfinite(measured)[seen].mean()) if seen is not None and seen.any() else np.nan,
+    )

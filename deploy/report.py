@@ -66,6 +66,20 @@ class MapError:
 
 
 @dataclass(frozen=True, slots=True)
+class CourseMap:
+    """The maps of a run laid over each other, the newest measurement of each cell on top, less the true ground [m].
+
+    In the words of `sextant bench accuracy`; assumed cells are left out.
+    """
+
+    rmse: float = _NAN
+    off_edges: float = _NAN  # rmse of cells further than 2 cm from an edge
+    bias: float = _NAN
+    edge: float = _NAN  # median distance from a true edge of more than 3 cm to the mapped one
+    coverage: float = _NAN  # [1] known share of the cells that the camera had in view
+
+
+@dataclass(frozen=True, slots=True)
 class StageTime:
     """How long a stage of the work took [ms]."""
 
@@ -103,6 +117,7 @@ class Report:
     min_stability_margin_m: float = _NAN
     pose_error_m: PoseError = PoseError()
     map_error_m: MapError = MapError()
+    course_map_m: CourseMap = CourseMap()
     real_time_factor: float = _NAN  # simulated over elapsed time; timing, so not the same twice
     stages_ms: dict[str, StageTime] = field(default_factory=dict)  # timing too
 

@@ -16,8 +16,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.map_metrics import Grid, GroundHeights, MapJudge, Mosaic
-from deploy.report import HeightError, MapError, PoseError, Report, Slip, Spread, StageTime, Torque
+from deploy.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
+from deploy.report import CourseMap, HeightError, MapError, PoseError, Report, Slip, Spread, StageTime, Torque
 from deploy.walk_metrics import (
     angle_between,
     debounced,
@@ -330,6 +330,7 @@ class Scorer:
             speed_mps=speed,
             pose_error_m=self._pose_error(trace),
             map_error_m=self._maps.error() if self._maps is not None else MapError(),
+            course_map_m=self._course_map(trace.mosaic),
         )
         if not walking.any():
             return report
@@ -361,6 +362,22 @@ class Scorer:
             missteps=int(downs.misstep.sum()),
             min_stability_margin_m=float(np.nanmin(margin)) if np.isfinite(margin).any() else np.nan,
         )
+
+    def _course_map(self, mosaic: Mosaic | None) -> CourseMap:
+        if mosaic is None:
+            return CourseMap()
+        from services.simulator.terrain import Terrain as Solid  # as above
+
+        seen = None
+        if isinstance(self._terrain, Solid):
+            from services.simulator.render import Renderer
+
+            renderer = Renderer(self._terrain, self._profile.camera.intrinsics)
+            every = max(1, round(topics.TRUTH.rate_hz * _MAP_PERIOD_NS * 1e-9))
+            bodies = (m.T_world_body for m in self._truth[::every])
+            views = ((renderer.depth(T), T) for T in (T @ self._profile.camera.T_body_camera for T in bodies))
+            seen = mosaic.in_view(((depth, self._T_start_sim @ T) for depth, T in views), self._profile.camera)
+        return judge_course(mosaic, self._height_in_start, seen)
 
     def _make_trace(self) -> Trace:
         t_ns = self._stamps()

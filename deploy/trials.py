@@ -49,6 +49,11 @@ class Trials:
     height_error_m: Figure  # mean of a run, its size
     height_oscillation_m: Figure
     final_pose_error: Figure  # [1] share of the way
+    map_rmse_m: Figure  # of the whole course; see `deploy.report.CourseMap`
+    map_off_edges_m: Figure
+    map_bias_m: Figure  # its size
+    map_edge_m: Figure
+    map_coverage: Figure  # [1] the worst is the least
     real_time_factor: Figure  # with other jobs beside it
     failures: dict[str, int]  # reason without its figures -> runs, most frequent first
     failed_seeds: tuple[int, ...]
@@ -122,6 +127,11 @@ def summarise(name: str, blind: bool, tables: list[dict[str, Any]]) -> Trials:
         height_error_m=_figure([_size(t["body_height_error_m"]["mean"]) for t in tables]),
         height_oscillation_m=_figure([t["body_height_oscillation_m"] for t in tables]),
         final_pose_error=_figure([_share(t["pose_error_m"]["final"], t["distance_m"]) for t in tables]),
+        map_rmse_m=_figure([t["course_map_m"]["rmse"] for t in tables]),
+        map_off_edges_m=_figure([t["course_map_m"]["off_edges"] for t in tables]),
+        map_bias_m=_figure([_size(t["course_map_m"]["bias"]) for t in tables]),
+        map_edge_m=_figure([t["course_map_m"]["edge"] for t in tables]),
+        map_coverage=_figure([t["course_map_m"]["coverage"] for t in tables], min),
         real_time_factor=_figure([t["real_time_factor"] for t in tables], min),
         failures=dict(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
         failed_seeds=tuple(t["seed"] for t in tables if not t["success"]),
@@ -149,11 +159,17 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
         ("height error", trials.height_error_m, 1e3, ".1f", " mm"),
         ("height oscillation", trials.height_oscillation_m, 1e3, ".1f", " mm"),
         ("pose error at the end", trials.final_pose_error, 1e2, ".2f", " % of the way"),
+        ("map of the course, rmse", trials.map_rmse_m, 1e3, ".1f", " mm"),
+        ("map off edges, rmse", trials.map_off_edges_m, 1e3, ".1f", " mm"),
+        ("map bias", trials.map_bias_m, 1e3, ".1f", " mm"),
+        ("map edges", trials.map_edge_m, 1e3, ".1f", " mm"),
+        ("ground in view known", trials.map_coverage, 1e2, ".1f", " %"),
         ("speed of computing", trials.real_time_factor, 1.0, ".1f", " x real time"),
     )
     lines.append("  median (worst) of a run:")
     for name, figure, unit, form, of in figures:
-        lines.append(f"    {name} {unit * figure.median:{form}} ({unit * figure.worst:{form}}){of}")
+        if np.isfinite(figure.median):
+            lines.append(f"    {name} {unit * figure.median:{form}} ({unit * figure.worst:{form}}){of}")
     lines += [f"  {count:3d} x {reason}" for reason, count in trials.failures.items()]
     if trials.failed_seeds:
         lines.append(f"  failed seeds: {', '.join(map(str, trials.failed_seeds))}")

@@ -12,26 +12,21 @@ from numpy.typing import NDArray
 from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
 from deploy.bench.scenes import MAPPED, REGISTERED, Scene
 from deploy.listener import Listener
+from deploy.true_ground import INTERIOR, TrueGround, rms
 from deploy.workers import share_out
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception.config import Settings as PerceptionSettings
 from services.perception.service import Perception
 from services.simulator.render import Renderer
-from services.simulator.terrain import Terrain
 from shared import topics
-from shared.geometry import Array, apply
+from shared.geometry import apply
 from shared.messages import BodyPose, TerrainMap
 from shared.service import Lockstep
 
 Cells = NDArray[np.bool_]
 
 _SETTLE_NS = 500_000_000  # simulated time after the last picture, for what is still on its way
-_EDGE = 0.03  # [m] jump in height that is an edge to be found
-_STEEP = 0.01  # [m] jump over half a cell that makes cells beside it no part of an even surface
-_INTERIOR = 0.02  # [m] from an edge
-_BESIDE = 3  # cells on either side of a true edge, in which both sides must be known for it to be found
-_LOST = 0.05  # [m] an edge that is further off was not found
 _REACH = 2  # cells by which noise may carry a point out of view, on top of the drift of the pose
 
 
@@ -78,78 +73,25 @@ def measure(scene: Scene, seed: int, errors: Errors | None = None) -> RideResult
 
 def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, scan_range: float) -> RideResult:
     end = way.T_world_body[-1, :3, 3]
-    truth = _Truth(way.terrain, terrain)
+    truth = TrueGround.under(way.terrain.height_at, terrain.origin, terrain.elevation.shape, terrain.resolution)
     known = np.isfinite(terrain.elevation)
     seen = _in_view(way, terrain, scan_range)
     drift = float(np.linalg.norm(poses[-1].T_world_body[:3, 3] - end))
     reach = _REACH + math.ceil(drift / terrain.resolution)
     could_be_seen = cv2.dilate(seen.astype(np.uint8), np.ones((2 * reach + 1,) * 2)) > 0
     error = (terrain.elevation - truth.heights)[known & np.isfinite(truth.heights)]
-    interior = known & (truth.edge_distance > _INTERIOR) & np.isfinite(truth.heights)
+    interior = known & (truth.edge_distance > INTERIOR) & np.isfinite(truth.heights)
     return RideResult(
         drift=drift,
         legs_drift=float(np.linalg.norm(way.T_odom_body[-1, :3, 3] - end)),
         refused=sum(not pose.ok for pose in poses),
-        rmse=_rms(error),
-        interior_rmse=_rms((terrain.elevation - truth.heights)[interior]),
+        rmse=rms(error),
+        interior_rmse=rms((terrain.elevation - truth.heights)[interior]),
         bias=float(error.mean()),
-        edge=_edge_error(truth, terrain.elevation),
+        edge=truth.edge_error(terrain.elevation),
         coverage=float(known[seen].mean()),
         invented=int((known & ~could_be_seen).sum()),
     )
-
-
-class _Truth:
-    """The ground under a map's cells, and where its edges are."""
-
-    def __init__(self, ground: Terrain, terrain: TerrainMap):
-        nx, ny = terrain.elevation.shape
-        half = terrain.resolution / 2
-        x0, y0 = terrain.origin
-        fine = ground.raster(x0, y0, 2 * nx - 1, 2 * ny - 1, half)
-        fine = np.where(np.isfinite(fine), fine, np.nan)
-        self.heights: Array = fine[::2, ::2]
-        self.step = half
-        self.edges = _edge_points(fine, _EDGE)  # (k, 2) in half cells
-        steep = np.zeros(fine.shape, dtype=np.uint8)
-        points = _edge_points(fine, _STEEP)
-        for rounded in (np.floor(points), np.ceil(points)):
-            i, j = rounded.astype(int).T
-            steep[i, j] = 1
-        distance = (
-            cv2.distanceTransform(1 - steep, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) if steep.any() else np.full(fine.shape, 9e9)
-        )
-        self.edge_distance = np.asarray(distance[::2, ::2] * half)  # (nx, ny) [m]
-
-
-def _edge_points(z: Array, jump: float) -> Array:
-    """Points (k, 2), in grid steps, midway between neighbours whose heights differ by more than a jump [m]."""
-    found = []
-    for axis in (0, 1):
-        at = np.argwhere(np.abs(np.diff(z, axis=axis)) > jump).astype(np.float64)
-        at[:, axis] += 0.5
-        found.append(at)
-    return np.concatenate(found)
-
-
-def _edge_error(truth: _Truth, elevation: NDArray[np.float32]) -> float:
-    """Median distance [m] from true edges, where both of their sides are mapped, to the nearest mapped edge."""
-    mapped = 2.0 * _edge_points(elevation.astype(np.float64), _EDGE)
-    if not len(truth.edges):
-        return float("nan")
-    known = np.isfinite(elevation).astype(np.uint8)
-    whole = cv2.erode(known, np.ones((2 * _BESIDE + 1,) * 2))
-    cells = np.clip(np.round(truth.edges / 2).astype(int), 0, np.array(elevation.shape) - 1)
-    edges = truth.edges[whole[cells[:, 0], cells[:, 1]] > 0]
-    if not len(edges) or not len(mapped):
-        return float("nan") if not len(edges) else _LOST
-    # On a grid twice as fine again, on which midpoints of cells and of half cells both fall on whole numbers.
-    canvas = np.ones((4 * elevation.shape[0], 4 * elevation.shape[1]), dtype=np.uint8)
-    i, j = (2 * mapped).astype(int).T
-    canvas[i, j] = 0
-    distance = cv2.distanceTransform(canvas, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    i, j = (2 * edges).astype(int).T
-    return float(np.median(np.minimum(distance[i, j] * truth.step / 2, _LOST)))
 
 
 def _in_view(way: Ride, terrain: TerrainMap, scan_range: float) -> Cells:
@@ -167,10 +109,6 @@ def _in_view(way: Ride, terrain: TerrainMap, scan_range: float) -> Cells:
         on_map = (i >= 0) & (j >= 0) & (i < shape[0]) & (j < shape[1])
         seen[i[on_map], j[on_map]] = True
     return seen
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
 # ------------------------------------------------------------------------------------------------------------- the tables

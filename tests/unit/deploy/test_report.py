@@ -30,6 +30,7 @@ CONTRACT = {
     "min_stability_margin_m": None,
     "pose_error_m": {"rms", "final"},
     "map_error_m": {"rmse", "bias", "p95", "coverage"},
+    "course_map_m": {"rmse", "off_edges", "bias", "edge", "coverage"},
     "real_time_factor": None,
     "stages_ms": set(),
 }

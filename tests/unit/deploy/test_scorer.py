@@ -46,6 +46,9 @@ def test_a_perfect_walk_has_no_errors(story):
         result.pose_error_m.final,
         result.map_error_m.rmse,
         result.map_error_m.bias,
+        result.course_map_m.rmse,
+        result.course_map_m.off_edges,
+        result.course_map_m.bias,
     )
     np.testing.assert_allclose(zeros, 0.0, atol=1e-6)
     assert result.steps == 10
@@ -77,6 +80,8 @@ def test_the_heading_of_the_start_changes_nothing_but_the_course(story):
         ({"drift": 0.01}, lambda r: r.pose_error_m.final, 0.006),
         ({"map_bias": 0.004}, lambda r: r.map_error_m.bias, 0.004),
         ({"map_bias": -0.004}, lambda r: r.map_error_m.p95, 0.004),
+        ({"map_bias": -0.004}, lambda r: r.course_map_m.bias, -0.004),
+        ({"map_bias": 0.004}, lambda r: r.course_map_m.off_edges, 0.004),
     ],
 )
 def test_what_is_wrong_is_measured(story, wrong, read, expected):
@@ -93,6 +98,14 @@ def test_bobbing_and_slipping_show(story):
 
 def test_coverage_is_the_known_share_of_the_strip_ahead(story):
     assert story().judged().result().map_error_m.coverage == pytest.approx(1.0)
+
+
+def test_the_map_of_the_course_is_judged_as_in_the_bench(story):
+    high = Scenario("high", (Plane(), Box(xy=(0.905, 0.005), size=(0.3, 0.4), top=0.05)), Goal(0.2))
+    course = story(scenario=high).judged().result().course_map_m
+    assert 0.8 < course.coverage < 1.0  # the story's maps end 0.6 m aside, the camera sees further
+    assert course.rmse < 1e-6
+    assert course.edge <= 0.006  # where they are, but for the cell
 
 
 def test_a_fall_is_a_fall(story):

@@ -8,7 +8,7 @@ import pytest
 
 from deploy import report as reports
 from deploy import trials
-from deploy.report import HeightError, PoseError, Report, Spread
+from deploy.report import CourseMap, HeightError, PoseError, Report, Spread
 from shared.scenario import Goal, HeightMap, Plane, Scenario
 
 SCENARIO = Scenario("made up", (Plane(),), Goal(2.5))
@@ -38,6 +38,7 @@ def _report(scenario, seed):
         body_height_error_m=HeightError(-0.001 * seed, 0.01),
         body_height_oscillation_m=0.001,
         pose_error_m=PoseError(0.01, float("nan") if seed == 1 else 0.02),
+        course_map_m=CourseMap(0.01, 0.001, -0.002 * seed, 0.008, 0.9 + 0.01 * seed),
         real_time_factor=3.0,
     )
 
@@ -58,6 +59,8 @@ def test_a_batch_is_counted(tmp_path):
     said = []
     result = trials.run_trials(SCENARIO, range(10), 1, tmp_path, say=said.append, run=Runner())
     assert (result.success.successes, result.success.n) == (4, 10)
+    assert result.map_bias_m.worst == pytest.approx(0.018)
+    assert (result.map_rmse_m.median, result.map_coverage.worst) == (0.01, 0.9)
     assert (result.falls, result.runs_with_shutdown) == (5, 1)
     assert result.failed_seeds == (1, 3, 5, 6, 7, 9)
     assert result.failures == {"fell # m along": 5, "servo shut down: left rear femur": 1}

@@ -1,0 +1,91 @@
+"""The true ground under a map's cells: heights, where its edges are, and how far off the map puts them.
+
+Frame: whatever the heights are given in.
+"""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.geometry import Array
+
+EDGE = 0.03  # [m] jump in height that is an edge to be found
+INTERIOR = 0.02  # [m] from an edge
+_STEEP = 0.01  # [m] jump over half a cell of a centimetre that makes cells beside it no part of an even surface
+_HALF_CELL = 0.005  # [m] over which that jump is
+_BESIDE = 3  # cells on either side of a true edge, in which both sides must be known for it to be found
+_LOST = 0.05  # [m] an edge that is further off was not found
+
+
+class TrueGround:
+    """The ground under the cells of a map, sampled at every half cell."""
+
+    def __init__(self, fine: Array, resolution: float):
+        """Find the edges.
+
+        Args:
+            fine: (2 nx - 1, 2 ny - 1) [m] heights at the cells' centres and midway between them; not finite: no ground.
+            resolution: [m] of the map's cells.
+        """
+        fine = np.where(np.isfinite(fine), fine, np.nan)
+        self.resolution = resolution
+        self.heights: Array = fine[::2, ::2]  # (nx, ny) [m]
+        self.edges = edge_points(fine, EDGE)  # (k, 2) in half cells
+        steep = np.zeros(fine.shape, dtype=np.uint8)
+        points = edge_points(fine, _STEEP * max(1.0, resolution / 2 / _HALF_CELL))
+        for rounded in (np.floor(points), np.ceil(points)):
+            i, j = rounded.astype(int).T
+            steep[i, j] = 1
+        distance = (
+            cv2.distanceTransform(1 - steep, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) if steep.any() else np.full(fine.shape, 9e9)
+        )
+        self.edge_distance = np.asarray(distance[::2, ::2] * resolution / 2)  # (nx, ny) [m]
+
+    @classmethod
+    def under(
+        cls, height_at: Callable[[Array], Array], origin: Array, shape: tuple[int, int], resolution: float
+    ) -> "TrueGround":
+        """The ground under nx x ny cells, the first centred at an origin (2,) [m]; height_at takes (n, 2) to (n,) [m]."""
+        x, y = (origin[k] + resolution / 2 * np.arange(2 * shape[k] - 1) for k in (0, 1))
+        points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        return cls(height_at(points).reshape(len(x), len(y)), resolution)
+
+    def edge_error(self, elevation: NDArray[np.floating]) -> float:
+        """Median distance [m] from true edges, where both sides are mapped, to the nearest mapped one; NaN without edges.
+
+        Args:
+            elevation: (nx, ny) [m] the map, NaN where unknown.
+        """
+        mapped = 2.0 * edge_points(np.asarray(elevation, dtype=np.float64), EDGE)
+        if not len(self.edges):
+            return float("nan")
+        known = np.isfinite(elevation).astype(np.uint8)
+        whole = cv2.erode(known, np.ones((2 * _BESIDE + 1,) * 2))
+        cells = np.clip(np.round(self.edges / 2).astype(int), 0, np.array(elevation.shape) - 1)
+        edges = self.edges[whole[cells[:, 0], cells[:, 1]] > 0]
+        if not len(edges) or not len(mapped):
+            return float("nan") if not len(edges) else _LOST
+        # On a grid twice as fine again, on which midpoints of cells and of half cells both fall on whole numbers.
+        canvas = np.ones((4 * elevation.shape[0], 4 * elevation.shape[1]), dtype=np.uint8)
+        i, j = (2 * mapped).astype(int).T
+        canvas[i, j] = 0
+        distance = cv2.distanceTransform(canvas, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        i, j = (2 * edges).astype(int).T
+        return float(np.median(np.minimum(distance[i, j] * self.resolution / 4, _LOST)))
+
+
+def edge_points(z: Array, jump: float) -> Array:
+    """Points (k, 2), in grid steps, midway between neighbours whose heights differ by more than a jump [m]."""
+    found = []
+    for axis in (0, 1):
+        at = np.argwhere(np.abs(np.diff(z, axis=axis)) > jump).astype(np.float64)
+        at[:, axis] += 0.5
+        found.append(at)
+    return np.concatenate(found)
+
+
+def rms(values: Array) -> float:
+    """Root mean square, NaN of nothing."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
