@@ -171,6 +171,38 @@ class TerrainMap(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class PassageRequest(Message):
+    """A strip of ground to be surveyed, as long as this is repeated; planner, operator -> mapper."""
+
+    origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} middle of its near side
+    heading: float  # [rad] {world} of its length
+    length: float  # [m] a whole number of the map's cells, as the width
+    width: float  # [m]
+
+
+@dataclass(frozen=True, slots=True)
+class PassageMap(Message):
+    """A strip as it was surveyed, in 1 cm cells along and across it; mapper -> planner, console.
+
+    Cell (i, j) is centred at origin + resolution * R(heading) (i, j). Unseen is a cell whose elevation is NaN.
+    """
+
+    resolution: float  # [m] cell edge
+    origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} centre of cell (0, 0)
+    heading: float  # [rad] {world} of the first axis
+    elevation: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m] {world}, NaN where unknown
+    normals: Annotated[
+        NDArray[np.int16], Dims("nx", "ny", 3, packed=True)
+    ]  # {world} upward, of length 32767; zero where there is none
+    roughness: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m] rms of points around off their plane
+    assumed: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # taken for the plane under the feet, not measured
+    unseen: float  # [1] share of the cells
+    reason: str  # what is unseen and why, or why there is no map, in words; empty when all is seen
+    T_world_look: Pose  # body pose, reachable from here without a step, from which most of what is unseen would show
+    look_shows: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # unseen cells that would; none: no look is worth it
+
+
+@dataclass(frozen=True, slots=True)
 class StepPlan(Message):
     """One step: which legs swing where, and where the body goes meanwhile; planner -> actuator.
 

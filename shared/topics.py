@@ -56,6 +56,8 @@ ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST,
 BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.010)
 SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.012)
 TERRAIN = Topic("mapper/terrain", m.TerrainMap, 7.5, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.039)
+PASSAGE_REQUEST = Topic("passage/request", m.PassageRequest, 2.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
+PASSAGE = Topic("mapper/passage", m.PassageMap, 2.0, Delivery.LATEST, Lane.BULK, 2048 * _KIB, 0.090)
 STEP_PLAN = Topic("planner/step", m.StepPlan, 20.0, Delivery.EVERY, Lane.CONTROL, 8 * _KIB, 0.009)
 PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.007)
 VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
@@ -72,6 +74,8 @@ TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
     BODY_POSE,
     SCAN,
     TERRAIN,
+    PASSAGE_REQUEST,
+    PASSAGE,
     STEP_PLAN,
     PLANNER_STATUS,
     VELOCITY,

@@ -169,6 +169,12 @@ class VoxelCloud:
         )  # fmt: skip
         return MergeCount(merged, added, removed, outside, refused)
 
+    def holds(self, p_world_xy: Array) -> NDArray[np.bool_]:
+        """Whether there is a voxel in the columns of places (n, 2) [m] {world}."""
+        i, j = (np.floor(p_world_xy / self.resolution).astype(np.int64) - self._low).T
+        inside = (i >= 0) & (i < self._head.shape[0]) & (j >= 0) & (j < self._head.shape[1])
+        return np.asarray(inside & (self._head[np.where(inside, i, 0), np.where(inside, j, 0)] != _NONE))
+
     def snapshot(self) -> CloudSnapshot:
         """Copy the voxels out."""
         slots, column = _listed(self._head.reshape(-1), self._next, self._level, len(self))

@@ -15,6 +15,9 @@ class Settings:
     assumed_ahead: float = 0.70  # [m] from the body's centre
     assumed_behind: float = 0.45  # [m]
     assumed_aside: float = 0.42  # [m]
+    passage_every: int = 8  # scans per map of a passage, while one is asked for
+    passage_cells: int = 40_000  # at most
+    scan_range: float = 1.5  # [m] horizontally from the camera, as far as perception's scans go
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -26,5 +29,10 @@ class Settings:
             raise ValueError(f"at least 8 cells along x, and along y or 0, expected, found {self.cells} and {self.cells_y}")
         if not 0.001 <= self.resolution <= 1.0:
             raise ValueError(f"resolution from 0.001 to 1 m expected, found {self.resolution}")
-        if self.publish_every < 1:
-            raise ValueError(f"publish_every of 1 or more expected, found {self.publish_every}")
+        if self.publish_every < 1 or self.passage_every < 1:
+            found = f"{self.publish_every} and {self.passage_every}"
+            raise ValueError(f"publish_every and passage_every of 1 or more expected, found {found}")
+        if self.passage_cells < 1 or not self.scan_range > 0:
+            raise ValueError(
+                f"positive passage_cells and scan_range expected, found {self.passage_cells} and {self.scan_range}"
+            )

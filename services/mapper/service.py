@@ -5,12 +5,15 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
+from services.mapper.cloud import Strip
 from services.mapper.config import Settings
 from services.mapper.elevation import ElevationGrid, FusionModel, fill_small_holes
+from services.mapper.passage import PassageGrid, cell_centres, cells_of, feet_plane
 from services.mapper.score import ScoreWeights, WalkabilityScorer
+from services.mapper.survey import Outlook, Survey
 from shared import topics
 from shared.geometry import Array, apply
-from shared.messages import ActuatorState, BodyPose, Message, Scan, TerrainMap
+from shared.messages import ActuatorState, BodyPose, Message, PassageMap, PassageRequest, Scan, TerrainMap
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
 
@@ -21,57 +24,108 @@ _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
 
 
 class Mapper:
-    """Fuses every scan, scores the map, and publishes both around the robot."""
+    """Fuses every scan, scores the map, and publishes both around the robot; surveys a passage while one is asked for."""
 
     name = "mapper"
     paced_by: AnyTopic = topics.SCAN
-    reads: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.ACTUATOR_STATE)
-    writes: tuple[AnyTopic, ...] = (topics.TERRAIN,)
+    reads: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.ACTUATOR_STATE, topics.PASSAGE_REQUEST)
+    writes: tuple[AnyTopic, ...] = (topics.TERRAIN, topics.PASSAGE)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Begin with an unknown world."""
         cv2.setNumThreads(1)  # the neighbours need the other cores, and one thread is deterministic
         self.stages = Stages()
         self._settings = settings
-        self._foot_radius = profile.foot.radius
+        self._profile = profile
         model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx)
         self._grid = ElevationGrid(settings.shape, settings.resolution, model)
         self._scorer = WalkabilityScorer(settings.shape, settings.resolution, _WEIGHTS)
         self._seeded = False
         self._scans = 0
         self._known = 0.0  # share of the cells
+        self._survey: Survey | None = None
+        self._surveyed = 0  # scans since the survey of this strip began
 
     def doing(self) -> str:
         """How much is known."""
-        return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known"
+        surveying = ", surveying a passage" if self._survey is not None else ""
+        return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{surveying}"
 
     def step(self, scan: Scan, inbox: Inbox) -> Iterator[Message]:
         """Fuse one scan; every few of them score and publish the map."""
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.latest(topics.ACTUATOR_STATE)
         centre = scan.p_world_camera if pose is None else pose.T_world_body[:3, 3]
+        points = scan.origin + scan.points_mm * 1e-3
         with self.stages("fuse"):
             self._grid.move_to(centre[:2])
             self._grid.fuse(
-                scan.origin + scan.points_mm * 1e-3,
+                points,
                 scan.count,
                 scan.spread_mm * 1e-3,
                 scan.p_world_camera,
                 pose_variance_z=scan.pose_variance_z,
             )
-        if not self._seeded and pose is not None and legs is not None:
+        if not self._seeded and pose is not None and legs is not None and np.count_nonzero(~legs.swing) >= 3:
             self._assume_ground(pose, legs)
             self._seeded = True
         self._scans += 1
         if self._scans % self._settings.publish_every == 0:
             yield self._terrain(scan.stamp_ns)
+        request = inbox.fresh(topics.PASSAGE_REQUEST)
+        if request is None:
+            self._survey = None  # nobody asks any more: nothing is kept
+        else:
+            yield from self._survey_passage(request, scan, points, inbox)
+
+    def _survey_passage(self, request: PassageRequest, scan: Scan, points: Array, inbox: Inbox) -> Iterator[PassageMap]:
+        """Merge the scan into the cloud over the strip that is asked for; every few scans tell what is known of it."""
+        try:
+            strip = self._strip(request)
+        except ValueError as error:
+            self._survey = None
+            if self._scans % self._settings.passage_every == 0:
+                yield _no_passage(scan.stamp_ns, request, self._settings.resolution, f"no such passage: {error}")
+            return
+        with self.stages("merge"):
+            if self._survey is None:
+                self._survey = Survey(self._profile, strip, self._grid.snapshot(), self._settings.scan_range)
+                self._surveyed = 0
+            elif self._survey.strip != strip:
+                self._survey.move_to(strip, self._grid.snapshot())
+                self._surveyed = 0
+            self._survey.add(points, scan.count)
+        self._surveyed += 1
+        if self._surveyed % self._settings.passage_every == 0:
+            with self.stages("passage"):
+                grid = self._survey.grid(self._grid.snapshot())
+            pose, legs = inbox.latest(topics.BODY_POSE), inbox.fresh(topics.ACTUATOR_STATE)
+            if pose is None or legs is None or legs.swing.any():
+                # Where the body could look from depends on feet that stand, and are known to.
+                outlook, T_world_body = Outlook("", None), np.eye(4) if pose is None else pose.T_world_body
+            else:
+                T_world_body = pose.T_world_body
+                with self.stages("look"):
+                    outlook = self._survey.outlook(grid, T_world_body, legs.feet)
+            yield _passage(scan.stamp_ns, grid, outlook, T_world_body)
+
+    def _strip(self, request: PassageRequest) -> Strip:
+        """The strip that is asked for.
+
+        Raises:
+            ValueError: There is no such strip, or it is too large.
+        """
+        settings = self._settings
+        strip = Strip((float(request.origin[0]), float(request.origin[1])), request.heading, request.length, request.width)
+        nx, ny = cells_of(strip, settings.resolution)
+        if nx * ny > settings.passage_cells:
+            raise ValueError(f"at most {settings.passage_cells} cells expected, found {nx} x {ny}")
+        return strip
 
     def _assume_ground(self, pose: BodyPose, legs: ActuatorState) -> None:
         """Fill what the camera cannot see at the start with the plane of the standing feet; measurements amend it."""
         settings, T = self._settings, pose.T_world_body
-        feet = apply(T, legs.feet)[~legs.swing] - [0.0, 0.0, self._foot_radius]
-        plane: Array = np.linalg.lstsq(np.column_stack([np.ones(len(feet)), feet[:, :2]]), feet[:, 2], rcond=None)[0].astype(
-            np.float64
-        )
+        feet = apply(T, legs.feet)[~legs.swing] - [0.0, 0.0, self._profile.foot.radius]
+        plane = feet_plane(feet)
         # In mid-course, where a mapper begins anew, there may be anything ahead: unless what is seen beyond goes on as the
         # feet stand, only the ground under the robot is taken for known.
         known = legs.step == 0 or self._goes_on(T, plane)
@@ -112,3 +166,46 @@ class Mapper:
             score=score,
             assumed=snapshot.assumed.astype(np.bool_),
         )
+
+
+def _passage(stamp_ns: int, grid: PassageGrid, outlook: Outlook, T_world_body: Array) -> PassageMap:
+    """A survey as it crosses the wire."""
+    unseen, view = grid.unseen, outlook.view
+    words = outlook.words
+    if unseen.any() and not words:
+        words = (
+            f"{np.count_nonzero(unseen)} of {unseen.size} cells not seen; no look is proposed while legs swing or are silent"
+        )
+    return PassageMap(
+        stamp_ns=stamp_ns,
+        resolution=grid.resolution,
+        origin=cell_centres(grid.strip, grid.resolution)[0, 0],
+        heading=grid.strip.heading,
+        elevation=grid.elevation,
+        normals=np.rint(np.nan_to_num(grid.normals) * 32767.0).astype(np.int16),
+        roughness=grid.roughness,
+        assumed=grid.assumed,
+        unseen=float(unseen.mean()),
+        reason=words,
+        T_world_look=T_world_body if view is None else view.T_world_body,
+        look_shows=np.zeros(unseen.shape, dtype=np.bool_) if view is None else view.sees,
+    )
+
+
+def _no_passage(stamp_ns: int, request: PassageRequest, resolution: float, reason: str) -> PassageMap:
+    """An answer without a cell."""
+    nothing = np.zeros((0, 0))
+    return PassageMap(
+        stamp_ns=stamp_ns,
+        resolution=resolution,
+        origin=request.origin,
+        heading=request.heading,
+        elevation=nothing.astype(np.float32),
+        normals=np.zeros((0, 0, 3), dtype=np.int16),
+        roughness=nothing.astype(np.float32),
+        assumed=nothing.astype(np.bool_),
+        unseen=1.0,
+        reason=reason,
+        T_world_look=np.eye(4),
+        look_shows=nothing.astype(np.bool_),
+    )

@@ -11,7 +11,7 @@ from services.mapper.service import Mapper
 from services.planner.terrain import Terrain
 from shared import codec, topics
 from shared.geometry import Array, apply, from_xyz_rpy
-from shared.messages import ActuatorState, BodyPose, Message, Mode, Scan, TerrainMap
+from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, TerrainMap
 from shared.robot import load_profile
 from shared.service import Inbox
 
@@ -183,3 +183,111 @@ def test_unknown_stays_unknown_in_every_layer() -> None:
     assert unseen.any()
     np.testing.assert_array_equal(np.isnan(map_.variance), unseen)
     assert not map_.assumed[unseen].any()
+
+
+STRIP = PassageRequest(0, np.array([-0.45, 0.0]), 0.0, 2.7, 1.0)
+
+
+def surveyed(
+    rig: Rig, request: PassageRequest, height: float = 0.0, x: tuple[float, float] = (0.5, 1.0), swing: Flags | None = None
+) -> list[PassageMap]:
+    """What the mapper tells of a strip while it is asked for with every one of eight scans."""
+    told = []
+    for _ in range(8):
+        rig.hear(replace(request, stamp_ns=rig.now_ns))
+        rig.hear(legs(swing))
+        rig.now_ns += 66 * MS
+        rig.inbox.now_ns = rig.now_ns
+        made = list(rig.mapper.step(ground_scan(rig.now_ns, height, x), rig.inbox))
+        told += [codec.decode(codec.encode(m), PassageMap)[0] for m in made if isinstance(m, PassageMap)]
+    return told
+
+
+def test_a_passage_is_told_of_while_somebody_asks_and_only_then() -> None:
+    rig = Rig()
+    rig.stand(at())
+    rig.scan()
+    assert "surveying" not in rig.mapper.doing()
+    (told,) = surveyed(rig, STRIP)
+    assert told.stamp_ns == rig.now_ns
+    assert told.elevation.shape == (270, 100)
+    np.testing.assert_allclose(told.origin, [-0.445, -0.495])
+    assert "surveying" in rig.mapper.doing()
+    rig.now_ns += 1600 * MS
+    rig.inbox.now_ns = rig.now_ns
+    made = list(rig.mapper.step(ground_scan(rig.now_ns, 0.0), rig.inbox))
+    assert [type(m) for m in made] == [TerrainMap]
+    assert "surveying" not in rig.mapper.doing()
+
+
+def test_measured_assumed_and_unseen_cells_are_told_apart() -> None:
+    rig = Rig()
+    rig.stand(at())
+    rig.scan(0.02)
+    (told,) = surveyed(rig, STRIP, height=0.02)
+    x, y = told.origin[0] + 0.01 * np.arange(270), told.origin[1] + 0.01 * np.arange(100)
+    measured = (x[:, None] > 0.51) & (x[:, None] < 0.99) & (np.abs(y) < 0.28)
+    np.testing.assert_allclose(told.elevation[measured], 0.02, atol=1e-3)
+    assert not told.assumed[measured].any()
+    np.testing.assert_array_equal(told.normals[measured], np.broadcast_to([0, 0, 32767], (np.count_nonzero(measured), 3)))
+    under = (x[:, None] > -0.42) & (x[:, None] < 0.47) & (np.abs(y) < 0.38)
+    assert told.assumed[under].all()
+    np.testing.assert_allclose(told.elevation[under], 0.0, atol=1e-6)
+    beyond = (x[:, None] > 1.1) & np.ones(100, dtype=bool)
+    assert np.isnan(told.elevation[beyond]).all()
+    assert not told.normals[beyond].any()
+    assert told.unseen == pytest.approx(np.isnan(told.elevation).mean())
+    assert told.reason.startswith(f"{np.isnan(told.elevation).sum()} of 27000 cells not seen: ")
+    assert told.look_shows.sum() > 20
+    assert np.isnan(told.elevation[told.look_shows]).all()
+    assert len(codec.encode(told)) < 500_000
+
+
+def test_no_look_is_proposed_while_feet_are_in_the_air() -> None:
+    rig = Rig()
+    swing = np.array([True, False, False, False, False, False])
+    rig.stand(at(), legs(swing))
+    rig.scan()
+    (told,) = surveyed(rig, STRIP, swing=swing)
+    assert not told.look_shows.any()
+    assert "legs swing" in told.reason
+    np.testing.assert_array_equal(told.T_world_look, at())
+
+
+def test_what_was_measured_before_the_request_is_told_too() -> None:
+    rig = Rig()
+    rig.stand(at())
+    rig.scan(0.03, x=(0.8, 0.95))
+    rig.scan(0.03, x=(0.8, 0.95))
+    (told,) = surveyed(rig, STRIP, x=(0.5, 0.7))
+    place = told.elevation[round((0.9 + 0.45) / 0.01), 50]
+    assert place == pytest.approx(0.03, abs=1e-3)
+
+
+def test_a_strip_that_moves_on_keeps_what_lies_on_it() -> None:
+    rig = Rig()
+    rig.stand(at())
+    (before,) = surveyed(rig, STRIP)
+    (after,) = surveyed(rig, replace(STRIP, origin=np.array([0.05, 0.0])))
+    np.testing.assert_allclose(after.elevation[46:94, 22:78], before.elevation[96:144, 22:78], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("origin", "length", "width", "words"),
+    [
+        ((0.0, 0.0), -1.0, 1.0, "length and width"),
+        ((0.0, 0.0), 2.705, 1.0, "whole cells"),
+        ((0.0, 0.0), 50.0, 50.0, "at most 40000 cells"),
+        ((1e9, 0.0), 2.7, 1.0, "within"),
+    ],
+)
+def test_a_strip_that_cannot_be_is_refused_in_words(
+    origin: tuple[float, float], length: float, width: float, words: str
+) -> None:
+    rig = Rig()
+    rig.stand(at())
+    told = surveyed(rig, PassageRequest(0, np.array(origin), 0.0, length, width))
+    assert [m.elevation.size for m in told] == [0]
+    assert words in told[0].reason
+    assert told[0].unseen == 1.0
+    assert len(surveyed(rig, STRIP)) == 1

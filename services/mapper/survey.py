@@ -1,0 +1,105 @@
+"""The survey of a passage that is asked for: what is kept of the scans while somebody asks, and what is told of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.mapper.cloud import Strip, VoxelCloud
+from services.mapper.elevation import ElevationSnapshot
+from services.mapper.passage import PassageGrid, cell_centres, feet_plane, passage_grid, with_assumed
+from services.mapper.view import View, best_view, candidates, expected_heights, sights, unseen_in_words
+from shared.geometry import Array, apply
+from shared.robot import RobotProfile
+
+_TAKEN_OVER = 8.0  # [pixels] behind a height that the elevation map had before the survey began
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlook:
+    """What of a strip is not seen, and the pose that would show most of it."""
+
+    words: str  # what and why; empty when all is seen
+    view: View | None  # None: no pose that the legs allow shows enough to be worth it
+
+
+class Survey:
+    """A merged cloud over one strip, begun with what the walk has measured there."""
+
+    def __init__(self, profile: RobotProfile, strip: Strip, known: ElevationSnapshot, reach: float):
+        """Begin a survey.
+
+        Args:
+            profile: The robot, for the look.
+            strip: Of a whole number of cells of the elevation map's resolution.
+            known: The elevation map.
+            reach: [m] horizontally from the camera, as far as scans go.
+
+        Raises:
+            ValueError: The strip is no whole number of cells long and wide.
+        """
+        self._centres = cell_centres(strip, known.resolution)
+        self._profile, self._reach = profile, reach
+        self._cloud = VoxelCloud(strip, known.resolution)
+        self._take_over(known)
+
+    @property
+    def strip(self) -> Strip:
+        """What is surveyed."""
+        return self._cloud.strip
+
+    def move_to(self, strip: Strip, known: ElevationSnapshot) -> None:
+        """Survey another strip, keeping what of the cloud lies on it.
+
+        Raises:
+            ValueError: The strip is no whole number of cells long and wide; the survey goes on as it was.
+        """
+        self._centres = cell_centres(strip, known.resolution)
+        self._cloud.move_to(strip)
+        self._take_over(known)
+
+    def add(self, points: Array, count: NDArray[np.uint8]) -> None:
+        """Merge a scan: points (n, 3) [m] {world} and the pixels (n,) behind them."""
+        self._cloud.insert(points, count)
+
+    def grid(self, known: ElevationSnapshot) -> PassageGrid:
+        """The map of the strip; where nothing is measured and the elevation map assumes a plane, so does this one.
+
+        Source: Masri 2016, sections 4.4 and 4.7.
+        """
+        measured = passage_grid(self._cloud.snapshot(), self.strip, known.resolution)
+        shape = np.array(known.elevation.shape)
+        cell = np.rint((self._centres - known.origin) / known.resolution).astype(np.int64)
+        inside: NDArray[np.bool_] = np.all((cell >= 0) & (cell < shape), axis=-1)
+        i, j = np.moveaxis(np.where(inside[..., None], cell, 0), -1, 0)
+        assumed = inside & (known.assumed[i, j] != 0)
+        return with_assumed(measured, np.where(assumed, known.elevation[i, j], np.nan))
+
+    def outlook(self, grid: PassageGrid, T_world_body: Array, feet: Array) -> Outlook:
+        """What of a map is not seen, and how the body had better stand to see it.
+
+        Args:
+            grid: The map of the strip.
+            T_world_body: (4, 4) where the body is.
+            feet: (6, 3) [m] {body} foot centres, all on the ground.
+
+        Source: Masri 2016, section 4.7.
+        """
+        camera = self._profile.camera
+        feet_world = apply(T_world_body, feet)
+        a, b, c = feet_plane(feet_world - [0.0, 0.0, self._profile.foot.radius])
+        level = float(a + b * T_world_body[0, 3] + c * T_world_body[1, 3])
+        T_world_camera = T_world_body @ camera.T_body_camera
+        heights = expected_heights(grid, T_world_camera, camera, self._reach, level)
+        why = sights(grid, heights, grid.unseen, T_world_camera, camera, self._reach)
+        poses = candidates(self._profile, T_world_body, feet_world, level)
+        view = best_view(grid, heights, grid.unseen, T_world_body, poses, camera, self._reach)
+        return Outlook(unseen_in_words(grid, why), view)
+
+    def _take_over(self, known: ElevationSnapshot) -> None:
+        """What the elevation map has measured, into the columns of which the cloud holds nothing."""
+        i, j = np.nonzero(np.isfinite(known.elevation) & (known.assumed == 0))
+        places = known.origin + known.resolution * np.column_stack([i, j])
+        new = ~self._cloud.holds(places)
+        points = np.column_stack([places, known.elevation[i, j]])[new]
+        self._cloud.insert(points, np.full(len(points), _TAKEN_OVER))
