@@ -95,6 +95,7 @@ def trials(arguments: argparse.Namespace) -> int:
 def up(arguments: argparse.Namespace) -> int:
     """`sextant up`: the processes of a role until Ctrl-C."""
     import contextlib
+    from dataclasses import replace
 
     from deploy import process_table
     from deploy.interrupts import Interrupts
@@ -102,7 +103,11 @@ def up(arguments: argparse.Namespace) -> int:
     from shared.transport import Endpoints, Router
 
     rows = process_table.rows(arguments.role, simulated=arguments.scenario is not None)
-    chosen, extra = _choices(arguments), _extra(arguments.set, rows)
+    chosen = _choices(arguments)
+    device = _camera(arguments, rows)
+    if device == "none":
+        rows = tuple(row for row in rows if row.side != "device")
+    chosen, extra = replace(chosen, camera=arguments.camera and device), _extra(arguments.set, rows)
     with contextlib.ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
         if arguments.connect:
@@ -192,7 +197,7 @@ def doctor(arguments: argparse.Namespace) -> int:
     """`sextant doctor`: whether this machine has what the services need."""
     from deploy import doctor as checks
 
-    found = checks.examine(arguments.port, arguments.robot)
+    found = checks.examine(arguments.port, arguments.robot, arguments.camera)
     _say(checks.to_json(found) if arguments.json else checks.in_words(found))
     return FAILED if any(check.level is checks.Level.FAIL for check in found) else SUCCESS
 
@@ -235,7 +240,7 @@ def _run_live(arguments: argparse.Namespace) -> int:
     from shared.scenario import load_scenario
 
     scenario = load_scenario(arguments.scenario)
-    if scenario.faults and arguments.connect:
+    if arguments.connect and not all(fault.of_camera for fault in scenario.faults):
         raise InputError(f"{scenario.name} breaks services, which only who started them can; leave --connect out")
     progress = _progress(arguments.json)
     out = _out(arguments, f"{scenario.name}-{arguments.seed}")
@@ -297,6 +302,24 @@ def _choices(arguments: argparse.Namespace) -> "Choices":
     chosen = choices(load_scenario(source), source, arguments.seed)
     # Where both ends of the simulated servo bus start here any free port will do, so two sets on one machine do not clash.
     return replace(chosen, bus_port=free_port()) if arguments.role == "all" else chosen
+
+
+def _camera(arguments: argparse.Namespace, rows: "Sequence[Process]") -> str:
+    """The camera that is to be read, a folder by its whole path; "none" where no camera is started."""
+    from shared.robot import load_profile
+
+    if not any(row.side == "device" for row in rows):
+        if arguments.camera:
+            raise InputError("--camera: no camera is started here; leave --scenario out, and take the role all or onboard")
+        return "none"
+    device = str(arguments.camera or load_profile(arguments.robot).camera.device)
+    if device not in ("openni2", "realsense", "none"):
+        if not (Path(device) / "depth.txt").is_file():
+            raise InputError(f"--camera: openni2, realsense, none, or a folder with depth.txt expected, found {device!r}")
+        return str(Path(device).resolve())
+    if device == "none" and not arguments.camera:
+        _say(f"no camera is started: the profile {arguments.robot} names none; give --camera openni2, realsense or a folder")
+    return device
 
 
 def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, tuple[str, ...]]:
@@ -418,10 +441,13 @@ def _parser() -> argparse.ArgumentParser:
 
     one = add("up", up, "start the processes of a role and keep them until Ctrl-C")
     one.add_argument(
-        "role", choices=("all", "onboard", "offboard", "sim"), help="onboard: actuator, perception; offboard: the rest"
+        "role", choices=("all", "onboard", "offboard", "sim"), help="onboard: actuator, camera, perception; offboard: the rest"
     )
     one.add_argument("--scenario", help="simulate it in place of the hardware")
     one.add_argument("--robot", default="phantomx_mk2", help="profile by name, or path of a TOML file (default %(default)s)")
+    one.add_argument(
+        "--camera", default="", metavar="DEVICE", help="openni2, realsense, none, or a recorded folder, over the profile"
+    )
     one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
     one.add_argument("--listen", default="tcp/127.0.0.1:7447", help="where to host the router (default %(default)s)")
     one.add_argument("--connect", action="append", help="use the router there, and host none")
@@ -447,7 +473,8 @@ def _parser() -> argparse.ArgumentParser:
 
     one = add("doctor", doctor, "check that this machine has what the services need")
     one.add_argument("--port", help="also check this servo port, e.g. /dev/ttyUSB0")
-    one.add_argument("--robot", default="phantomx_mk2", help="whose servos are looked for (default %(default)s)")
+    one.add_argument("--camera", default="", metavar="DEVICE", help="also check this camera: openni2, realsense, or a folder")
+    one.add_argument("--robot", default="phantomx_mk2", help="whose servos and camera are looked for (default %(default)s)")
     one.add_argument("--json", action="store_true", help="as JSON")
 
     one = add("compose", compose, "print a compose.yaml that starts the services in containers of their own")

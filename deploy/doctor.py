@@ -50,9 +50,9 @@ class Check:
     advice: str = ""  # what to do; empty when all is well
 
 
-def examine(port: str | None = None, robot: str = "phantomx_mk2") -> list[Check]:
-    """Check everything; a servo port only when one is given."""
-    checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), disk(Path())]
+def examine(port: str | None = None, robot: str = "phantomx_mk2", camera: str = "") -> list[Check]:
+    """Check everything; a servo port only when one is given, the camera of the robot's profile or another one."""
+    checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), disk(Path()), depth_camera(robot, camera)]
     return checks if port is None else [*checks, *servo_port(port, robot)]
 
 
@@ -158,6 +158,32 @@ def disk(folder: Path, free: int | None = None) -> Check:
     advice = "free some space, or record elsewhere with --out"
     level = Level.FAIL if found < _DISK_FAIL else Level.WARN if found < _DISK_WARN else Level.OK
     return Check("disk", level, words, "" if level is Level.OK else advice)
+
+
+def depth_camera(robot: str, device: str = "") -> Check:
+    """Whether the depth camera of a robot, or the one that is asked for, is there; only the latter must be."""
+    level = Level.FAIL if device else Level.WARN
+    try:
+        from services.perception.cameras.camera import CameraError
+        from services.perception.cameras.service import find
+        from shared.robot import load_profile
+    except ImportError as error:
+        return Check("camera", level, str(error), "pip install 'sextant[perception]'")
+    try:
+        profile = load_profile(robot)
+    except ConfigError as error:
+        return Check("camera", Level.FAIL, str(error), "name a profile that exists with --robot")
+    device = device or profile.camera.device
+    if device == "none":
+        return Check("camera", Level.OK, f"none is named by the profile {robot}")
+    try:
+        found = find(device, profile)
+    except CameraError as error:
+        return Check("camera", level, error.cause, error.remedy)
+    if not found:
+        advice = "to walk by camera plug it in and look again; nothing is needed for simulation and replay"
+        return Check("camera", level, f"no {device} device found", advice)
+    return Check("camera", Level.OK, f"{device}: {', '.join(found)}")
 
 
 def servo_port(port: str, robot: str) -> Iterator[Check]:

@@ -158,6 +158,8 @@ class Faults:
     def __init__(self, faults: tuple[Fault, ...]):
         self._due: list[tuple[float, str, str]] = []  # time [s], act, service
         for fault in faults:
+            if fault.of_camera:
+                continue  # the simulator's own
             if fault.kind == "kill":
                 self._due.append((fault.at_s, "kill", fault.service))
             else:

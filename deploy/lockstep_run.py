@@ -49,7 +49,7 @@ class LockstepRun:
         for name, service in self.attendance.services().items():
             makers[name] = lambda service=service: service  # type: ignore[misc]
         spare_collector()
-        self._lockstep = Lockstep(makers, tap, outages=[_outage(fault) for fault in scenario.faults])
+        self._lockstep = Lockstep(makers, tap, outages=[_outage(fault) for fault in scenario.faults if not fault.of_camera])
 
     def now_ns(self) -> int:
         """Simulated time [ns]."""

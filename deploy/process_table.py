@@ -33,6 +33,7 @@ class Choices:
     bus_port: int = BUS_PORT  # TCP port of the simulated servo bus
     blind: bool = False
     registration: str = "projective"
+    camera: str = ""  # device in place of the one of the robot's profile: "openni2", "realsense", or a recorded folder
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,8 @@ class Process:
 
     name: str
     module: str  # run as python -m
-    side: Literal["robot", "either", "simulation"]  # where it may run; "simulation" stands in for the hardware
+    # Where it may run: "simulation" stands in for the hardware, a "device" is on the robot alone.
+    side: Literal["robot", "device", "either", "simulation"]
     restarts: int  # times that a run starts it again after it died
     settings: Callable[[Choices], dict[str, Value]] = field(compare=False)
     nice: int = 0  # how far it gives way where cores are short: the servos' side never does
@@ -51,6 +53,10 @@ class Process:
 
 def _simulator(choices: Choices) -> dict[str, Value]:
     return {"scenario": choices.scenario, "seed": choices.seed, "bus_port": choices.bus_port}
+
+
+def _camera(choices: Choices) -> dict[str, Value]:
+    return {"device": choices.camera} if choices.camera else {}
 
 
 def _perception(choices: Choices) -> dict[str, Value]:
@@ -65,6 +71,7 @@ def _actuator(choices: Choices) -> dict[str, Value]:
 TABLE: tuple[Process, ...] = (
     Process("simulator", "services.simulator", "simulation", 0, _simulator, ready_port=lambda choices: choices.bus_port),
     Process("actuator", "services.actuator", "robot", 3, _actuator, after=("simulator",)),
+    Process("camera", "services.perception.cameras", "device", 3, _camera),
     Process("perception", "services.perception", "robot", 3, _perception, nice=2),
     Process("mapper", "services.mapper", "either", 3, lambda _: {}, nice=5),
     Process("planner", "services.planner", "either", 3, lambda choices: {"blind": choices.blind}, nice=2),
@@ -97,9 +104,10 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
 
 def rows(role: Role, simulated: bool) -> tuple[Process, ...]:
     """The processes of a role: onboard what must be on the robot, offboard the rest, all both."""
-    sides = {"all": ("robot", "either"), "onboard": ("robot",), "offboard": ("either",), "sim": ()}[role]
-    with_simulator = role == "sim" or (simulated and role != "offboard")
-    return tuple(p for p in TABLE if p.side in sides or (p.side == "simulation" and with_simulator))
+    sides = {"all": ["robot", "device", "either"], "onboard": ["robot", "device"], "offboard": ["either"], "sim": []}[role]
+    if role == "sim" or (simulated and role != "offboard"):
+        sides = ["simulation", *(side for side in sides if side != "device")]
+    return tuple(p for p in TABLE if p.side in sides)
 
 
 def commands(

@@ -91,6 +91,15 @@ class ColorImage(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class CameraState(Message):
+    """How the depth camera fares, a few times a second; camera -> planner, console."""
+
+    device: str  # what it is, in words
+    ok: bool  # False: no pictures come, or what comes is of no use and is held back
+    reason: str  # why, in words; empty when all is well
+
+
+@dataclass(frozen=True, slots=True)
 class Imu(Message):
     """Angular rate and specific force; imu -> actuator, perception."""
 

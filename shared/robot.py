@@ -140,6 +140,13 @@ class Camera:
     sensor: DepthSensor
     mount_xyz: tuple[float, float, float]  # [m] {body} optical centre
     pitch_down_deg: float  # [deg]
+    color: bool = False  # whether it sends colour pictures too
+    # What the robot itself reads it by: "openni2", "realsense", the path of a recorded folder, or "none" for no driver.
+    device: str = "none"
+
+    def __post_init__(self) -> None:
+        if not self.device.strip():
+            raise ValueError('a device of "openni2", "realsense", "none" or the path of a recorded folder expected, found none')
 
     @property
     def T_body_camera(self) -> Array:

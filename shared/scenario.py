@@ -166,13 +166,21 @@ class Fault:
     """Something that goes wrong at a time."""
 
     at_s: float  # [s] simulated
-    service: Literal["perception", "mapper", "planner", "actuator"]
-    kind: Literal["kill", "hang"] = "kill"
+    service: Literal["perception", "mapper", "planner", "actuator", "camera"]
+    # A camera is absent (unplugged), or sends the same picture, nothing in range, or noise; it is the simulator's.
+    kind: Literal["kill", "hang", "absent", "frozen", "blind", "noise"] = "kill"
     for_s: float = 2.0  # [s] until it is back; a live run restarts a killed process by itself
 
     def __post_init__(self) -> None:
         _expect(self.at_s >= 0, "a time of at least 0 s", self.at_s)
         _expect(self.for_s > 0, "an outage longer than 0 s", self.for_s)
+        kinds = ("absent", "frozen", "blind", "noise") if self.of_camera else ("kill", "hang")
+        _expect(self.kind in kinds, f"a kind out of {', '.join(kinds)} for service = {self.service!r}", repr(self.kind))
+
+    @property
+    def of_camera(self) -> bool:
+        """Whether it is the simulated camera that fails, not a process."""
+        return self.service == "camera"
 
 
 @dataclass(frozen=True, slots=True)

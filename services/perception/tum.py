@@ -114,13 +114,23 @@ def read_recording(folder: Path) -> Recording:
     if not folder.is_dir():
         raise FileNotFoundError(f"{folder} is no folder; a recording with depth.txt and camera.toml expected")
     camera = read_camera(folder / "camera.toml")
-    rows = _rows(folder / "depth.txt", 2)
-    if not rows:
-        raise ValueError(f"{folder / 'depth.txt'}: at least one `timestamp filename` line expected, found none")
-    stamps = _stamps(folder / "depth.txt", rows)
+    stamps, files = read_images(folder / "depth.txt")
     truth_path = folder / "groundtruth.txt"
     truth = read_trajectory(truth_path) if truth_path.is_file() else None
-    return Recording(folder, camera, stamps, tuple(fields[1] for _, fields in rows), truth)
+    return Recording(folder, camera, stamps, files, truth)
+
+
+def read_images(path: Path) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Stamps (n,) [ns], ascending, and files of the pictures that a depth.txt or rgb.txt names.
+
+    Raises:
+        FileNotFoundError: It is not there.
+        ValueError: A line is malformed, or there is none.
+    """
+    rows = _rows(path, 2)
+    if not rows:
+        raise ValueError(f"{path}: at least one `timestamp filename` line expected, found none")
+    return _stamps(path, rows), tuple(fields[1] for _, fields in rows)
 
 
 def read_camera(path: Path) -> Camera:

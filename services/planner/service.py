@@ -31,7 +31,7 @@ class Planner:
 
     name = "planner"
     paced_by: AnyTopic = topics.ACTUATOR_STATE
-    reads: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.TERRAIN, topics.VELOCITY)
+    reads: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.TERRAIN, topics.VELOCITY, topics.CAMERA_STATE)
     writes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.PLANNER_STATUS)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
@@ -94,12 +94,12 @@ class Planner:
             self._refusals.forget()
             return self._hold("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
         if pose is None:
-            return self._hold("waiting", "no fresh pose from perception")
+            return self._hold("waiting", f"no fresh pose from perception{_blamed_on_camera(inbox)}")
         if command is None:
             return self._hold("resting", "no fresh velocity command")
         terrain = self._terrain(state, pose, inbox)
         if terrain is None:
-            blind = f", and the camera does not help: {pose.reason}" if not pose.ok else ""
+            blind = f", and the camera does not help: {pose.reason}" if not pose.ok else _blamed_on_camera(inbox)
             return self._hold("waiting", f"no fresh terrain map{blind}")  # never walk blind
         if state.phase < 1.0 and state.phase < self._settings.retarget_until:
             return self._retarget(state, pose, terrain)
@@ -215,6 +215,12 @@ class Planner:
             moved_footholds=self._moved,
             blocked_leg=self._blocked_leg,
         )
+
+
+def _blamed_on_camera(inbox: Inbox) -> str:
+    """What the camera says of itself, where it is what is missing."""
+    camera = inbox.fresh(topics.CAMERA_STATE)
+    return "" if camera is None or camera.ok else f", for the camera sends none: {camera.reason}"
 
 
 def _feet_in_world(state: ActuatorState, pose: BodyPose) -> Array:

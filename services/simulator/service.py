@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from services.simulator.bus import ServoBusEmulator
 from services.simulator.config import Settings
@@ -22,7 +23,7 @@ from shared import dynamixel as dxl
 from shared import topics
 from shared.geometry import Array
 from shared.kinematics import body_inverse
-from shared.messages import ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
+from shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
 from shared.robot import RobotProfile
 from shared.scenario import Scenario, load_scenario
 from shared.service import AnyTopic, Every, Inbox, Stages
@@ -42,7 +43,7 @@ class Simulator:
 
     name = "simulator"
     reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.IMU, topics.TRUTH)
+    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE, topics.IMU, topics.TRUTH)
 
     def __init__(self, profile: RobotProfile, settings: Settings, scenario: Scenario | None = None):
         """Build the world, the robot standing at its start with torque on, as an operator would have left it.
@@ -69,6 +70,7 @@ class Simulator:
             noise=scenario.camera.noise,
             dropouts=scenario.camera.dropouts,
         )
+        self._last_depth: NDArray[np.uint16] | None = None
         self._imu = ImuSensor(ImuNoise(), seeds[3])
         self._signs = profile.servo_signs
         self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
@@ -137,17 +139,45 @@ class Simulator:
     def _observe(self, now_ns: int, inbox: Inbox) -> Iterator[Message]:
         """What the camera, the IMU and the scorer get at this instant."""
         if self._due(topics.DEPTH, now_ns, self._profile.camera.sensor.rate_hz):
-            with self.stages("render"):
-                picture = self._renderer.inverse_depth(self._camera_pose(), self.world.robot_solids())
-            with self.stages("depth noise"):
-                depth = self._camera.measure(picture)
-            yield DepthImage(now_ns, depth)
+            depth = self._depth(self._camera_fault())
+            if depth is not None:
+                yield DepthImage(now_ns, depth)
+        if self._due(topics.CAMERA_STATE, now_ns):
+            absent = "unplugged by the scenario" if self._camera_fault() == "absent" else ""
+            yield CameraState(now_ns, device="simulated depth camera", ok=not absent, reason=absent)
         if inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
             yield ColorImage(now_ns, self._renderer.rgb(self._camera_pose(), self.world.robot_solids()))
         if self._scenario.variation.imu and self._due(topics.IMU, now_ns):
             yield self._feel(now_ns)
         if self._due(topics.TRUTH, now_ns):
             yield self._truth(now_ns)
+
+    def _depth(self, fault: str) -> NDArray[np.uint16] | None:
+        """The next raw picture (h, w), as the camera's fault makes it; None while there is no camera."""
+        if fault == "absent":
+            return None
+        if fault == "frozen" and self._last_depth is not None:
+            return self._last_depth
+        shape = (self._profile.camera.intrinsics.height, self._profile.camera.intrinsics.width)
+        if fault == "blind":
+            return np.zeros(shape, dtype=np.uint16)
+        if fault == "noise":
+            sensor = self._profile.camera.sensor
+            high = min(65535, round(sensor.max_range * sensor.depth_scale))
+            return np.random.default_rng([self._settings.seed, self.world.time_ns]).integers(0, high, shape, dtype=np.uint16)
+        with self.stages("render"):
+            picture = self._renderer.inverse_depth(self._camera_pose(), self.world.robot_solids())
+        with self.stages("depth noise"):
+            self._last_depth = self._camera.measure(picture)
+        return self._last_depth
+
+    def _camera_fault(self) -> str:
+        """What is wrong with the camera now, by the scenario; nothing while all is well."""
+        now_s = self.world.time_ns * 1e-9
+        faults = (
+            fault for fault in self._scenario.faults if fault.of_camera and fault.at_s <= now_s < fault.at_s + fault.for_s
+        )
+        return next((fault.kind for fault in faults), "")
 
     def _due(self, topic: AnyTopic, now_ns: int, rate_hz: float | None = None) -> bool:
         """Whether a topic's next beat has come; beats are even multiples of its period, or of another rate's."""

@@ -38,6 +38,8 @@ def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
         (["up", "all", "--scenario", "stepz"], "known: "),
         (["up", "onboard", "--set", "actuater.port=x"], "did you mean 'actuator'?"),
         (["up", "onboard", "--set", "port=x"], "SERVICE.KEY=VALUE"),
+        (["up", "onboard", "--camera", "nowhere"], "a folder with depth.txt expected, found 'nowhere'"),
+        (["up", "all", "--scenario", "flat", "--camera", "realsense"], "leave --scenario out"),
         (["up", "onboard", "--set", "planner.blind=true"], "no service 'planner'"),
         (["replay", "nowhere.mcap"], "recording.mcap of a run"),
         (["replay", "nowhere.txt"], "depth.txt"),

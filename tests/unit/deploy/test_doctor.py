@@ -1,6 +1,7 @@
 import importlib
 import json
 import os
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -94,6 +95,29 @@ def test_the_emulated_servos_answer() -> None:
             (check,) = doctor.servo_port(server.url, "phantomx_mk2")
         assert check.level is level, check.found
     assert f"silent: [{ids[-1]}]" in check.found
+
+
+def test_a_camera_that_is_absent_is_a_warning_unless_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "openni", None)
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    check = doctor.depth_camera("phantomx_mk2")
+    assert (check.level, check.advice) == (Level.WARN, "pip install 'sextant[openni]'")
+    check = doctor.depth_camera("phantomx_mk2", "realsense")
+    assert check.level is Level.FAIL
+    assert "sextant[realsense]" in check.advice
+    assert doctor.depth_camera("phantomx_mk2", str(tmp_path)).level is Level.FAIL
+    assert doctor.depth_camera("phantomx_mk2_scanner").level is Level.OK
+    assert doctor.depth_camera("nobody").level is Level.FAIL
+
+
+@pytest.mark.parametrize("plugged", [True, False])
+def test_a_camera_that_is_there_is_named(plugged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    from services.perception.cameras import realsense
+
+    monkeypatch.setattr(realsense, "find", lambda: ["Intel RealSense D435I"] * plugged)
+    check = doctor.depth_camera("phantomx_mk2", "realsense")
+    assert (check.level is Level.OK) is plugged
+    assert ("D435I" in check.found) is plugged
 
 
 def test_words_and_json_say_the_same() -> None:

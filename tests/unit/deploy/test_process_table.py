@@ -29,18 +29,30 @@ def test_every_module_is_there(row: process_table.Process) -> None:
 @pytest.mark.parametrize("row", process_table.TABLE, ids=lambda row: row.name)
 def test_every_setting_is_one_that_the_service_has(row: process_table.Process) -> None:
     schema = importlib.import_module(f"{row.module}.config").Settings
-    settings = row.settings(Choices(scenario="steps"))
+    settings = row.settings(Choices(scenario="steps", camera="realsense"))
     made = process.load_settings(schema, None, [assignment(k, v) for k, v in settings.items()])
     assert {key: getattr(made, key) for key in settings} == settings
 
 
 def test_the_roles_share_the_services_out() -> None:
     names = {role: [p.name for p in rows(role, simulated=False)] for role in ("all", "onboard", "offboard", "sim")}  # type: ignore[arg-type]
-    assert names["onboard"] == ["actuator", "perception"], "the camera's bandwidth stays on the robot"
+    assert names["onboard"] == ["actuator", "camera", "perception"], "the camera's bandwidth stays on the robot"
     assert sorted(names["onboard"] + names["offboard"]) == sorted(names["all"])
     assert names["sim"] == ["simulator"]
     assert "simulator" not in names["all"]
     assert rows("all", simulated=True)[0].name == "simulator"
+
+
+def test_the_camera_is_read_on_the_robot_and_not_where_the_simulator_stands_in() -> None:
+    for role, simulated, there in (
+        ("all", False, True),
+        ("onboard", True, False),
+        ("all", True, False),
+        ("offboard", False, False),
+    ):
+        assert ("camera" in {p.name for p in rows(role, simulated)}) is there  # type: ignore[arg-type]
+    made = {c.name: c for c in commands(rows("onboard", False), Choices(camera="/a/walk"), ENDPOINTS)}
+    assert made["camera"].arguments[-2:] == ("--set", "device=/a/walk")
 
 
 def test_names_are_unique_and_what_is_waited_for_is_in_the_table() -> None:

@@ -14,7 +14,17 @@ from services.planner.stride import SHARES
 from services.planner.terrain import Terrain, flat_terrain
 from shared import codec, topics
 from shared.geometry import Array, apply, from_xyz_rpy, inverse
-from shared.messages import ActuatorState, BodyPose, Message, Mode, PlannerStatus, StepPlan, TerrainMap, VelocityCommand
+from shared.messages import (
+    ActuatorState,
+    BodyPose,
+    CameraState,
+    Message,
+    Mode,
+    PlannerStatus,
+    StepPlan,
+    TerrainMap,
+    VelocityCommand,
+)
 from shared.robot import load_profile
 from shared.service import Inbox
 
@@ -124,6 +134,19 @@ def test_without_a_fresh_input_it_waits_and_says_for_what(missing: str, words: s
     assert words in status.reason
     setattr(rig, missing, kept)
     assert rig.plans()
+
+
+@pytest.mark.parametrize("missing", ["terrain", "pose"])
+def test_a_camera_that_sends_nothing_is_named_where_its_map_or_pose_is_missing(missing: str) -> None:
+    rig = Rig()
+    setattr(rig, missing, None)
+    rig.plans(60)
+    for ok, named in ((False, True), (True, False)):
+        state = CameraState(rig.now_ns, device="openni2", ok=ok, reason="" if ok else "no device found; plug it in")
+        rig.inbox.receive(topics.CAMERA_STATE, codec.encode(state), rig.now_ns)
+        assert ("the camera sends none: no device found" in rig.status().reason) is named
+    rig.plans(50)
+    assert "camera" not in rig.status().reason, "it has not been heard of for a second"
 
 
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.STAND, Mode.FAULT])

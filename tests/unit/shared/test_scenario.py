@@ -86,6 +86,8 @@ def test_an_unknown_name_lists_the_known() -> None:
         ({"variation": {"friction": 0.5}}, "variation: factors of at least 1"),
         ({"faults": [{"at_s": -1, "service": "planner"}]}, r"faults\[0\]: a time of at least 0 s"),
         ({"faults": [{"at_s": 1, "service": "simulator"}]}, r"faults\[0\].service: one of"),
+        ({"faults": [{"at_s": 1, "service": "camera"}]}, r"faults\[0\]: a kind out of absent, frozen, blind, noise"),
+        ({"faults": [{"at_s": 1, "service": "planner", "kind": "blind"}]}, r"faults\[0\]: a kind out of kill, hang"),
         ({"time_limit_s": 0}, "a time limit greater than 0 s"),
         ({"time_limit_s": float("inf")}, "time_limit_s: a finite number expected"),
     ],

@@ -9,9 +9,9 @@ from services.simulator.config import Settings
 from services.simulator.service import Simulator
 from services.simulator.world import TIME_STEP_NS
 from shared import topics
-from shared.messages import ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
+from shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
 from shared.robot import load_profile
-from shared.scenario import CameraOptions, Goal, Plane, Scenario, Variation
+from shared.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Variation
 from shared.service import AnyTopic, Inbox, Lockstep
 
 PROFILE = load_profile("phantomx_mk2")
@@ -42,7 +42,7 @@ def test_rates_are_exact_in_count() -> None:
     first = {kind: next(m.stamp_ns for m in made if type(m) is kind) for kind in counts}
     within = Counter(type(m) for m in made if m.stamp_ns < first[type(m)] + 2_000 * MS - 4 * TIME_STEP_NS)
     assert set(first.values()) == {BEAT_NS}
-    assert within == {DepthImage: 60, GroundTruth: 100, Imu: 200}
+    assert within == {DepthImage: 60, CameraState: 8, GroundTruth: 100, Imu: 200}
     for kind, rate in ((DepthImage, 30.0), (GroundTruth, 50.0)):
         stamps = np.array([m.stamp_ns for m in made if type(m) is kind])
         ideal = np.arange(len(stamps)) * 1e9 / rate
@@ -56,6 +56,29 @@ def test_nobody_wants_colour_none_is_made() -> None:
     made = [m for m in run(simulator(), 500 * MS, (topics.COLOR,)) if isinstance(m, ColorImage)]
     assert len(made) == 3  # at once, and five a second
     assert made[0].rgb.shape == (480, 640, 3)
+
+
+@pytest.mark.parametrize("kind", ["absent", "frozen", "blind", "noise"])
+def test_the_camera_fails_as_the_scenario_has_it_and_comes_back(kind: str) -> None:
+    fault = Fault(0.2, "camera", kind, for_s=0.3)  # type: ignore[arg-type]
+    made = run(Simulator(PROFILE, Settings(), Scenario("flat", (Plane(),), Goal(1.0), faults=(fault,))), 800 * MS)
+    before, during, after = (
+        [m for m in made if isinstance(m, DepthImage) and low <= m.stamp_ns - BEAT_NS < high]
+        for low, high in ((0, 195 * MS), (200 * MS, 495 * MS), (505 * MS, 800 * MS))
+    )
+    assert len(during) in ([0] if kind == "absent" else [8, 9])
+    assert len(before) > 4
+    assert len(after) > 7
+    assert np.ptp([m.stamp_ns for m in after]) > 200 * MS
+    for image in during:
+        if kind == "frozen":
+            np.testing.assert_array_equal(image.depth, before[-1].depth)
+        else:
+            assert image.depth.any() == (kind == "noise")
+    assert all(np.count_nonzero(image.depth) > 50_000 for image in (*before, *after))
+    states = [m for m in made if isinstance(m, CameraState)]
+    assert {m.ok for m in states} == ({True, False} if kind == "absent" else {True})
+    assert states[-1].ok
 
 
 def test_no_imu_unless_the_scenario_has_one() -> None:

@@ -1,0 +1,106 @@
+"""A recorded folder in the TUM RGB-D layout as a camera: depth.txt, camera.toml, and rgb.txt where there is colour."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from services.perception import tum
+from services.perception.cameras.camera import (
+    CameraError,
+    Frame,
+    RecordingOverError,
+    check_depth_scale,
+    check_intrinsics,
+)
+from shared.robot import Camera as CameraProfile
+
+_PAIRED_NS = 20_000_000  # [ns] between a depth picture and the colour picture that belongs to it
+_REMEDY = "give a folder with depth.txt and camera.toml, as `sextant run --lockstep --record-depth` writes it"
+
+
+class FolderCamera:
+    """Hands out the pictures of a recording, at the pace of their stamps or as fast as it is asked."""
+
+    def __init__(self, folder: Path, expected: CameraProfile, clock: Callable[[], int], loop: bool = True, paced: bool = True):
+        """Open a recording.
+
+        Args:
+            folder: Of the recording.
+            expected: What the robot's profile says of the camera.
+            clock: [ns] what pictures are stamped by where they are paced.
+            loop: Begin anew when it is over.
+            paced: By the recorded stamps, from now on; else every call gets the next picture with its recorded stamp.
+
+        Raises:
+            CameraError: It cannot be read, or is of another camera.
+        """
+        name = f"recording {folder}"
+        try:
+            self._recording = tum.read_recording(folder)
+            self._colors = tum.read_images(folder / "rgb.txt") if (folder / "rgb.txt").is_file() else None
+        except (OSError, ValueError) as error:
+            raise CameraError(f"{name} cannot be read: {error}", _REMEDY) from error
+        check_intrinsics(name, expected.intrinsics, self._recording.camera.intrinsics)
+        check_depth_scale(name, expected.sensor.depth_scale, self._recording.camera.depth_scale)
+        colored = "" if self._colors is None else ", with colour"
+        self.about = f"{name}: {len(self._recording)} pictures{colored}"
+        self._clock, self._loop, self._paced = clock, loop, paced
+        self._next = 0
+        self._round_ns: int | None = None  # when the first picture of this round is due
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def read(self, color: bool) -> Frame | None:
+        """The picture that is due; what should have come before is passed over, as a device would have dropped it."""
+        stamps = self._recording.stamps_ns - self._recording.stamps_ns[0]
+        now_ns = self._clock()
+        if self._round_ns is None:
+            self._round_ns = now_ns
+        if self._next == len(stamps):
+            if not self._loop:
+                raise RecordingOverError(f"{self.about}: it is over", "set loop=true to see it again and again")
+            period_ns = round(1e9 / self._recording.camera.rate_hz)
+            self._next, self._round_ns = 0, max(self._round_ns + int(stamps[-1]) + period_ns, now_ns - period_ns)
+        if not self._paced:
+            self._next += 1
+            return self._frame(self._next - 1, int(self._recording.stamps_ns[self._next - 1]), color)
+        due = int(np.searchsorted(stamps, now_ns - self._round_ns, side="right"))
+        if due <= self._next:
+            return None
+        self._next = due
+        return self._frame(due - 1, self._round_ns + int(stamps[due - 1]), color)
+
+    def _frame(self, index: int, stamp_ns: int, color: bool) -> Frame:
+        try:
+            depth = self._recording.depth(index)
+            rgb = self._color(int(self._recording.stamps_ns[index])) if color and self._colors is not None else None
+        except (OSError, ValueError) as error:
+            raise CameraError(f"{self.about}: {error}", _REMEDY) from error
+        return Frame(stamp_ns, depth, rgb)
+
+    def _color(self, stamp_ns: int) -> NDArray[np.uint8] | None:
+        """The colour picture nearest in time, as in the association of the benchmark."""
+        assert self._colors is not None
+        stamps, files = self._colors
+        index = int(np.abs(stamps - stamp_ns).argmin())
+        if abs(int(stamps[index]) - stamp_ns) > _PAIRED_NS:
+            return None
+        path = self._recording.folder / files[index]
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+        shape = (self._recording.camera.intrinsics.height, self._recording.camera.intrinsics.width, 3)
+        if image is None or image.shape != shape:
+            found = "no readable image" if image is None else f"{image.shape}"
+            raise ValueError(f"{path}: a colour image {shape} expected, found {found}")
+        return np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8)

@@ -1,0 +1,147 @@
+"""Intel RealSense D400 cameras through pyrealsense2 (librealsense 2.5x)."""
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from services.perception.cameras.camera import CameraError, DeviceClock, Frame, check_depth_scale, check_intrinsics
+from shared.camera import Intrinsics
+from shared.robot import Camera as CameraProfile
+
+_NAME = "Intel RealSense"
+_PLUG = "plug it into a USB 3 port with its own cable, and look for it with `rs-enumerate-devices` or `lsusb`"
+
+
+class RealSense:
+    """The first RealSense found: depth as the sensor measures it, colour brought into the view of the depth."""
+
+    def __init__(self, expected: CameraProfile, clock: Callable[[], int], delay_s: float = 0.0):
+        """Start the streams.
+
+        Args:
+            expected: What the robot's profile says of the camera.
+            clock: [ns] what pictures are stamped by.
+            delay_s: [s] from exposure to arrival at the least.
+
+        Raises:
+            CameraError: No library, no device, or one of another kind than the profile's.
+        """
+        rs = _library()
+        self._rs, self._clock = rs, clock
+        self._stamps = DeviceClock(delay_ns=round(delay_s * 1e9))
+        self._align = rs.align(rs.stream.depth)
+        self._pipeline = rs.pipeline()
+        self._color = False
+        self._number = -1
+        profile = self._start(expected)
+        try:
+            self.about = _about(rs, profile.get_device()) + (", with colour" if self._color else "")
+            self._check(profile, expected)
+        except RuntimeError as error:
+            self.close()
+            raise CameraError(f"{_NAME}: {error}", _PLUG) from error
+        except CameraError:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the streams."""
+        try:
+            self._pipeline.stop()
+        except RuntimeError:
+            return  # it was stopped before, or went away by itself
+
+    def read(self, color: bool) -> Frame | None:
+        """The newest picture, depth and colour of one moment."""
+        try:
+            frames = self._pipeline.poll_for_frames()
+            if frames.size() == 0:
+                return None
+            taken = frames.get_depth_frame()
+            if not taken or taken.get_frame_number() == self._number:
+                return None
+            self._number = taken.get_frame_number()
+            stamp_ns = self._stamps.host_ns(round(taken.get_timestamp() * 1e6), self._clock())
+            depth = np.array(np.asanyarray(taken.get_data()), dtype=np.uint16)  # copied: the library takes its memory back
+            rgb = None
+            if color and self._color:
+                aligned = self._align.process(frames).get_color_frame()
+                rgb = np.array(np.asanyarray(aligned.get_data()), dtype=np.uint8) if aligned else None
+        except RuntimeError as error:
+            raise CameraError(f"{self.about}: {error}", _PLUG) from error
+        return Frame(stamp_ns, depth, rgb)
+
+    def _start(self, expected: CameraProfile) -> Any:
+        """Start depth, and colour where it is wanted and the device has it; returns what was started."""
+        rs, size = self._rs, (expected.intrinsics.width, expected.intrinsics.height)
+        rate = round(expected.sensor.rate_hz)
+        for with_color in (True, False) if expected.color else (False,):
+            config = rs.config()
+            config.enable_stream(rs.stream.depth, *size, rs.format.z16, rate)
+            if with_color:
+                config.enable_stream(rs.stream.color, *size, rs.format.rgb8, rate)
+                if not config.can_resolve(rs.pipeline_wrapper(self._pipeline)):
+                    continue  # a module without a colour sensor, or a slow USB port
+            self._color = with_color
+            try:
+                return self._pipeline.start(config)
+            except RuntimeError as error:
+                found = _devices(rs)
+                if not found:
+                    raise CameraError(f"{_NAME}: no device found ({error})", _PLUG) from error
+                raise CameraError(
+                    f"{_NAME}: depth of {size[0]}x{size[1]} at {rate} Hz expected by the robot's profile, "
+                    f"found {', '.join(found)} that refuses: {error}",
+                    "end other programs that use it, use a USB 3 port, or change size and rate_hz in the profile",
+                ) from error
+        raise AssertionError("unreachable: depth alone is always tried")
+
+    def _check(self, profile: Any, expected: CameraProfile) -> None:
+        """Compare what was started with the robot's profile."""
+        check_depth_scale(
+            self.about, expected.sensor.depth_scale, 1.0 / profile.get_device().first_depth_sensor().get_depth_scale()
+        )
+        i = profile.get_stream(self._rs.stream.depth).as_video_stream_profile().get_intrinsics()
+        check_intrinsics(self.about, expected.intrinsics, Intrinsics(i.width, i.height, i.fx, i.fy, i.ppx, i.ppy))
+
+
+def find() -> list[str]:
+    """RealSense devices that are plugged in, in words.
+
+    Raises:
+        CameraError: The library is missing.
+    """
+    return _devices(_library())
+
+
+def _library() -> Any:
+    try:
+        import pyrealsense2 as rs
+    except (ImportError, OSError) as error:
+        raise CameraError(
+            f"{_NAME}: pyrealsense2 cannot be imported ({error})",
+            "pip install 'sextant[realsense]'; there are wheels for x86-64, elsewhere build librealsense with "
+            "-DBUILD_PYTHON_BINDINGS=ON",
+        ) from error
+    return rs
+
+
+def _devices(rs: Any) -> list[str]:
+    try:
+        return [_about(rs, device) for device in rs.context().query_devices()]
+    except RuntimeError as error:
+        raise CameraError(f"{_NAME}: {error}", _PLUG) from error
+
+
+def _about(rs: Any, device: Any) -> str:
+    """Name, serial number and kind of port, as far as the device tells them."""
+    kinds = ((rs.camera_info.name, ""), (rs.camera_info.serial_number, "no. "), (rs.camera_info.usb_type_descriptor, "USB "))
+    return ", ".join(words + device.get_info(kind) for kind, words in kinds if device.supports(kind)) or _NAME

@@ -1,0 +1,172 @@
+"""The camera as a service: pictures of a device out, and how it fares; it never waits for the device."""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Self
+
+from services.perception.cameras.camera import Camera, CameraError, Frame
+from services.perception.cameras.config import Settings
+from services.perception.cameras.keeper import Keeper
+from services.perception.cameras.watch import Watch
+from shared import topics
+from shared.messages import CameraState, ColorImage, DepthImage, Message, Tick
+from shared.robot import RobotProfile
+from shared.service import AnyTopic, Every, Inbox, Stages
+
+_LOOKS = 4  # at the device in the time of one picture
+_STATE_NS = 250_000_000  # [ns] between two state messages while nothing changes
+_HUNG_NS = 5_000_000_000  # [ns] in one call of the driver, after which it hangs
+_PAUSE_S = 0.002  # between two looks of the thread
+
+
+class CameraService:
+    """Reads a device in a thread of its own, or, where nobody has entered it, in its own steps, for simulated time."""
+
+    name = "camera"
+    reads: tuple[AnyTopic, ...] = ()
+    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE)
+
+    def __init__(
+        self,
+        profile: RobotProfile,
+        settings: Settings,
+        opener: Callable[[], Camera] | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ):
+        """Begin without a camera; that it is absent is said, not raised.
+
+        Args:
+            profile: The robot, for its camera.
+            settings: Of this service.
+            opener: Opens a camera in place of the one that the settings or the profile name.
+            clock: [ns] what pictures are stamped by.
+        """
+        camera, device = profile.camera, settings.device or profile.camera.device
+        i = camera.intrinsics
+        self.paced_by = Every.hz(_LOOKS * camera.sensor.rate_hz)
+        self.stages = Stages()
+        self._settings, self._clock = settings, clock
+        opener = opener or (lambda: open_camera(device, profile, settings, clock))
+        self._keeper = Keeper(device, opener, Watch(camera.sensor, (i.height, i.width)), clock)
+        self._color_due_ns = clock()
+        self._color_wanted = False
+        self._state_due_ns = clock()
+        self._told: tuple[bool, str] | None = None
+        self._pictures = 0
+        self._newest: deque[Frame] = deque(maxlen=1)  # from the thread, until it is published
+        self._called_ns = -1  # since when the thread has been in a call of the driver, -1 between two
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._error: Exception | None = None
+
+    def __enter__(self) -> Self:
+        """Begin to read the device in a thread, since drivers take their time to open."""
+        self._thread = threading.Thread(target=self._read_on, name="camera", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(1.0)  # a driver that hangs is left behind
+
+    def doing(self) -> str:
+        """What is read, or why nothing comes."""
+        trouble = self._trouble()
+        if trouble:
+            return f"no pictures: {trouble}; opened {self._keeper.openings} times so far"
+        return f"{self._keeper.about}, {self._pictures} pictures"
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """Publish what has come."""
+        if self._error is not None:
+            raise self._error
+        self._color_wanted = tick.stamp_ns >= self._color_due_ns and inbox.wanted(topics.COLOR)
+        frame = self._take()
+        if frame is not None:
+            self._pictures += 1
+            yield DepthImage(frame.stamp_ns, frame.depth)
+            if frame.rgb is not None and tick.stamp_ns >= self._color_due_ns:
+                self._color_due_ns = tick.stamp_ns + round(1e9 / self._settings.color_rate_hz)
+                yield ColorImage(frame.stamp_ns, frame.rgb)
+        trouble = self._trouble()
+        if tick.stamp_ns >= self._state_due_ns or (not trouble, trouble) != self._told:
+            self._state_due_ns, self._told = tick.stamp_ns + _STATE_NS, (not trouble, trouble)
+            yield CameraState(tick.stamp_ns, device=self._keeper.about[:500], ok=not trouble, reason=trouble[:1000])
+
+    def _take(self) -> Frame | None:
+        if self._thread is None:
+            return self._keeper.read(self._color_wanted)
+        return self._newest.popleft() if self._newest else None
+
+    def _trouble(self) -> str:
+        called_ns = self._called_ns
+        if called_ns >= 0 and self._clock() - called_ns > _HUNG_NS:
+            hung_s = (self._clock() - called_ns) * 1e-9
+            return f"the driver of {self._keeper.about} has not answered for {hung_s:.0f} s; plug the camera in again"
+        return self._keeper.trouble
+
+    def _read_on(self) -> None:
+        """Look at the device again and again; runs in the thread."""
+        try:
+            while not self._stop.is_set():
+                self._called_ns = self._clock()
+                frame = self._keeper.read(self._color_wanted)
+                self._called_ns = -1
+                if frame is not None:
+                    self._newest.append(frame)
+                self._stop.wait(_PAUSE_S)
+            self._keeper.close()
+        except Exception as error:  # noqa: BLE001 - it is raised again by step, where it ends the process
+            self._error = error
+
+
+def open_camera(device: str, profile: RobotProfile, settings: Settings, clock: Callable[[], int]) -> Camera:
+    """Open a camera by its name.
+
+    Args:
+        device: "openni2", "realsense", or the path of a recorded folder.
+        profile: The robot, for its camera.
+        settings: How it is read.
+        clock: [ns] what pictures are stamped by.
+
+    Raises:
+        CameraError: It cannot be opened, and why.
+    """
+    if device == "openni2":
+        from services.perception.cameras.openni import OpenNI
+
+        return OpenNI(profile.camera, clock, settings.delay_s)
+    if device == "realsense":
+        from services.perception.cameras.realsense import RealSense
+
+        return RealSense(profile.camera, clock, settings.delay_s)
+    if device == "none":
+        raise CameraError(
+            f"the profile {profile.name} names no camera",
+            'set device = "openni2" or "realsense" in its [camera], or give --camera DIR',
+        )
+    from services.perception.cameras.folder import FolderCamera
+
+    return FolderCamera(Path(device), profile.camera, clock, settings.loop)
+
+
+def find(device: str, profile: RobotProfile) -> list[str]:
+    """What is there under a camera's name, in words; nothing where a device is not plugged in.
+
+    Raises:
+        CameraError: It cannot be looked for, or a recording is not as the profile has it.
+    """
+    if device == "openni2":
+        from services.perception.cameras import openni
+
+        return openni.find()
+    if device == "realsense":
+        from services.perception.cameras import realsense
+
+        return realsense.find()
+    with open_camera(device, profile, Settings(), time.monotonic_ns) as camera:
+        return [camera.about]

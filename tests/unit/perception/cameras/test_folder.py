@@ -1,0 +1,111 @@
+"""A recorded folder as a camera: at its own pace or as fast as asked, once or again and again, with its colour."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from services.perception import tum
+from services.perception.cameras.camera import CameraError, RecordingOverError
+from services.perception.cameras.folder import FolderCamera
+
+STAMPS = [5_000_000_000 + 33_000_000 * k for k in range(4)]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, kit) -> Path:  # type: ignore[no-untyped-def]
+    camera = kit.profile.camera
+    with tum.RecordingWriter(tmp_path / "run", tum.Camera(camera.intrinsics, 1000.0, 30.0, None)) as writer:
+        for k, stamp in enumerate(STAMPS):
+            writer.add(stamp, kit.ground(k))
+    return tmp_path / "run"
+
+
+def add_color(folder: Path, shape: tuple[int, int, int] = (48, 64, 3)) -> None:
+    (folder / "rgb").mkdir()
+    lines = []
+    for k, stamp in enumerate(STAMPS[:3]):  # the last picture has no colour
+        image = np.full(shape, (30, 20, 10 + k), dtype=np.uint8)  # blue, green, red, as OpenCV has it
+        cv2.imwrite(str(folder / "rgb" / f"{k}.png"), image)
+        lines.append(f"{(stamp + 4_000_000) * 1e-9:.6f} rgb/{k}.png\n")
+    (folder / "rgb.txt").write_text("# timestamp filename\n" + "".join(lines))
+
+
+def test_pictures_come_at_their_pace_with_times_of_the_clock(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
+    began_ns = kit.clock()
+    with FolderCamera(folder, kit.profile.camera, kit.clock) as camera:
+        first = camera.read(False)
+        assert first is not None
+        assert first.stamp_ns == began_ns
+        assert camera.read(False) is None, "the next is not due"
+        kit.clock.pass_s(0.034)
+        second = camera.read(False)
+        assert second is not None
+        assert second.stamp_ns == began_ns + 33_000_000
+        np.testing.assert_array_equal(second.depth, kit.ground(1))
+        kit.clock.pass_s(0.067)
+        last = camera.read(False)
+        assert last is not None
+        np.testing.assert_array_equal(last.depth, kit.ground(3), "one was passed over, as a device drops it")
+
+
+def test_it_begins_anew_or_ends(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
+    again, once = (FolderCamera(folder, kit.profile.camera, kit.clock, loop=loop) for loop in (True, False))
+    stamps = []
+    for _ in range(40):
+        frame = again.read(False)
+        stamps += [frame.stamp_ns] if frame else []
+        kit.clock.pass_s(0.01)
+    assert len(stamps) > 8
+    assert (np.diff(stamps) > 0).all()
+    once.read(False)
+    kit.clock.pass_s(1.0)
+    assert once.read(False) is not None
+    with pytest.raises(RecordingOverError, match="over"):
+        once.read(False)
+
+
+def test_as_fast_as_asked_it_hands_out_every_picture_with_its_recorded_stamp(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
+    camera = FolderCamera(folder, kit.profile.camera, kit.clock, loop=False, paced=False)
+    frames = [camera.read(False) for _ in STAMPS]
+    assert [frame and frame.stamp_ns for frame in frames] == STAMPS
+    with pytest.raises(RecordingOverError):
+        camera.read(False)
+
+
+def test_colour_is_paired_by_time_and_is_red_green_blue(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
+    add_color(folder)
+    camera = FolderCamera(folder, kit.profile.camera, kit.clock, paced=False)
+    assert "with colour" in camera.about
+    frames = [camera.read(True) for _ in STAMPS]
+    assert [None if f is None or f.rgb is None else f.rgb[0, 0].tolist() for f in frames] == [
+        [10, 20, 30],
+        [11, 20, 30],
+        [12, 20, 30],
+        None,
+    ]
+    assert camera.read(False).rgb is None, "none was wanted"  # type: ignore[union-attr]
+
+
+def test_what_is_wrong_with_a_folder_is_said(folder: Path, tmp_path: Path, kit) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(CameraError, match="no folder"):
+        FolderCamera(tmp_path / "nothing", kit.profile.camera, kit.clock)
+    add_color(folder, (24, 32, 3))
+    (folder / "depth" / f"{STAMPS[1] * 1e-9:.6f}.png").unlink()
+    camera = FolderCamera(folder, kit.profile.camera, kit.clock, paced=False)
+    with pytest.raises(CameraError, match=r"a colour image \(48, 64, 3\) expected"):
+        camera.read(True)
+    with pytest.raises(CameraError, match="missing"):
+        camera.read(False)
+
+
+def test_a_recording_of_another_camera_is_refused(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
+    text = (folder / "camera.toml").read_text()
+    for old, new, words in (
+        ("fx = 58.5", "fx = 52.5", "fx 58.5.*expected"),
+        ("scale = 1000.0", "scale = 5000.0", "depth_scale"),
+    ):
+        (folder / "camera.toml").write_text(text.replace(old, new))
+        with pytest.raises(CameraError, match=words):
+            FolderCamera(folder, kit.profile.camera, kit.clock)

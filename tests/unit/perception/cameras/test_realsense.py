@@ -1,0 +1,227 @@
+"""The RealSense driver against a stand-in for pyrealsense2 with the calls, and the errors, of the library."""
+
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from services.perception.cameras import realsense
+from services.perception.cameras.camera import CameraError
+from services.perception.cameras.realsense import RealSense
+
+INFO = {"name": "Intel RealSense D435I", "serial_number": "0123", "usb_type_descriptor": "3.2"}
+
+
+class Device:
+    def __init__(self, lib: "Library"):
+        self.lib = lib
+
+    def supports(self, kind: str) -> bool:
+        return kind in INFO
+
+    def get_info(self, kind: str) -> str:
+        return INFO[kind]
+
+    def first_depth_sensor(self) -> Any:
+        return SimpleNamespace(get_depth_scale=lambda: self.lib.depth_scale)
+
+
+class Picture:
+    def __init__(self, data: Any = None, number: int = 0, timestamp: float = 0.0):
+        self.data, self.number, self.timestamp = data, number, timestamp
+
+    def __bool__(self) -> bool:
+        return self.data is not None
+
+    def get_data(self) -> Any:
+        return memoryview(self.data)
+
+    def get_frame_number(self) -> int:
+        return self.number
+
+    def get_timestamp(self) -> float:
+        return self.timestamp
+
+
+class FrameSet:
+    def __init__(self, depth: Picture | None = None, color: Picture | None = None):
+        self.depth, self.color = depth, color
+
+    def size(self) -> int:
+        return (self.depth is not None) + (self.color is not None)
+
+    def get_depth_frame(self) -> Picture:
+        return self.depth or Picture()
+
+    def get_color_frame(self) -> Picture:
+        return self.color or Picture()
+
+
+class Pipeline:
+    def __init__(self, lib: "Library"):
+        self.lib, self.started = lib, False
+
+    def start(self, config: "Config") -> Any:
+        if not self.lib.present:
+            raise RuntimeError("No device connected")
+        if self.lib.busy:
+            raise RuntimeError("failed to set power state")
+        self.started, self.lib.streams = True, config.streams
+        i = self.lib.intrinsics
+        video = SimpleNamespace(get_intrinsics=lambda: i)
+        return SimpleNamespace(
+            get_device=lambda: Device(self.lib),
+            get_stream=lambda stream: SimpleNamespace(as_video_stream_profile=lambda: video),
+        )
+
+    def poll_for_frames(self) -> FrameSet:
+        if not self.started:
+            raise RuntimeError("poll_for_frames cannot be called before start()")
+        return self.lib.frames.pop(0) if self.lib.frames else FrameSet()
+
+    def stop(self) -> None:
+        if not self.started:
+            raise RuntimeError("stop() cannot be called before start()")
+        self.started = False
+        self.lib.stops += 1
+
+
+class Config:
+    def __init__(self, lib: "Library"):
+        self.lib, self.streams = lib, []  # type: ignore[var-annotated]
+
+    def enable_stream(self, *wanted: Any) -> None:
+        self.streams.append(wanted)
+
+    def can_resolve(self, wrapper: Any) -> bool:
+        return self.lib.has_color or all(stream[0] != "color" for stream in self.streams)
+
+
+class Library:
+    """What of pyrealsense2 the driver uses."""
+
+    stream = SimpleNamespace(depth="depth", color="color")
+    format = SimpleNamespace(z16="z16", rgb8="rgb8")
+    camera_info = SimpleNamespace(**{key: key for key in INFO})
+
+    def __init__(self, i: Any):
+        self.present, self.busy, self.has_color, self.depth_scale = True, False, True, 0.001
+        self.intrinsics = SimpleNamespace(width=i.width, height=i.height, fx=i.fx, fy=i.fy, ppx=i.cx, ppy=i.cy)
+        self.frames: list[FrameSet] = []
+        self.streams: list[Any] = []
+        self.stops = 0
+
+    def pipeline(self) -> Pipeline:
+        return Pipeline(self)
+
+    def pipeline_wrapper(self, pipeline: Pipeline) -> Pipeline:
+        return pipeline
+
+    def config(self) -> Config:
+        return Config(self)
+
+    def align(self, to: str) -> Any:
+        assert to == "depth", "depth stays as the sensor measured it"
+        return SimpleNamespace(process=lambda frames: frames)
+
+    def context(self) -> Any:
+        return SimpleNamespace(query_devices=lambda: [Device(self)] if self.present else [])
+
+
+@pytest.fixture
+def lib(kit, monkeypatch: pytest.MonkeyPatch) -> Library:  # type: ignore[no-untyped-def]
+    made = Library(kit.profile.camera.intrinsics)
+    monkeypatch.setitem(sys.modules, "pyrealsense2", made)
+    return made
+
+
+def colored(kit):  # type: ignore[no-untyped-def]
+    from dataclasses import replace
+
+    return replace(kit.profile.camera, color=True)
+
+
+def test_pictures_come_with_times_of_the_clock_and_as_copies(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+    with RealSense(kit.profile.camera, kit.clock) as camera:
+        assert camera.about == "Intel RealSense D435I, no. 0123, USB 3.2"
+        assert lib.streams == [("depth", 64, 48, "z16", 30)]
+        assert camera.read(False) is None
+        data = kit.ground(1)
+        lib.frames = [FrameSet(Picture(data, 1, 9000.0)), FrameSet(Picture(kit.ground(2), 2, 9033.0))]
+        first = camera.read(True)
+        kit.clock.pass_s(0.040)
+        second = camera.read(True)
+        assert first is not None
+        assert second is not None
+        assert first.rgb is None, "the profile has no colour"
+        assert second.stamp_ns - first.stamp_ns == 33_000_000
+        before = first.depth.copy()
+        data[:] = 0
+        np.testing.assert_array_equal(first.depth, before)
+    assert lib.stops == 1
+    camera.close()
+
+
+def test_colour_comes_with_its_depth_where_there_is_one(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+    rgb = np.full((48, 64, 3), (1, 2, 3), np.uint8)
+    for has_color in (True, False):
+        lib.has_color = has_color
+        camera = RealSense(colored(kit), kit.clock)
+        assert camera.about.endswith("with colour") is has_color
+        lib.frames = [FrameSet(Picture(kit.ground(n), n, 33.0 * n), Picture(rgb, n) if has_color else None) for n in (1, 2)]
+        frame, bare = camera.read(True), camera.read(False)
+        assert frame is not None
+        assert bare is not None
+        assert bare.rgb is None, "none was wanted"
+        assert (frame.rgb is not None) is has_color
+        if has_color:
+            np.testing.assert_array_equal(frame.rgb, rgb)
+        camera.close()
+
+
+def test_the_same_picture_is_handed_out_once(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+    camera = RealSense(kit.profile.camera, kit.clock)
+    lib.frames = [FrameSet(Picture(kit.ground(1), 7, 1.0)), FrameSet(Picture(kit.ground(1), 7, 1.0))]
+    assert camera.read(False) is not None
+    assert camera.read(False) is None
+
+
+def test_without_the_library_it_says_what_to_install(kit, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    for act in (lambda: RealSense(kit.profile.camera, kit.clock), realsense.find):
+        with pytest.raises(CameraError, match=r"pyrealsense2 cannot be imported.*sextant\[realsense\]"):
+            act()
+
+
+def test_an_absent_or_busy_device_is_named(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+    assert realsense.find() == ["Intel RealSense D435I, no. 0123, USB 3.2"]
+    lib.busy = True
+    with pytest.raises(CameraError, match=r"64x48 at 30 Hz expected.*D435I.*failed to set power state.*end other programs"):
+        RealSense(kit.profile.camera, kit.clock)
+    lib.present = False
+    with pytest.raises(CameraError, match=r"no device found.*plug it into a USB 3 port"):
+        RealSense(kit.profile.camera, kit.clock)
+    assert realsense.find() == []
+
+
+def test_a_device_of_another_kind_is_let_go_with_what_was_expected_and_found(kit, lib: Library) -> None:  # type: ignore[no-untyped-def]
+    lib.intrinsics.fx = 70.0
+    with pytest.raises(CameraError, match=r"fx 58\.5.*expected.*fx 70\.0"):
+        RealSense(kit.profile.camera, kit.clock)
+    lib.intrinsics.fx, lib.depth_scale = 58.5, 0.0001
+    with pytest.raises(CameraError, match=r"1000 units per metre expected.*found 10000"):
+        RealSense(kit.profile.camera, kit.clock)
+    assert lib.stops == 2
+
+
+def test_a_device_that_goes_is_named(kit, lib: Library, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
+    camera = RealSense(kit.profile.camera, kit.clock)
+
+    def gone(_: Pipeline) -> FrameSet:
+        raise RuntimeError("Device disconnected")
+
+    monkeypatch.setattr(Pipeline, "poll_for_frames", gone)
+    with pytest.raises(CameraError, match=r"D435I.*Device disconnected"):
+        camera.read(False)

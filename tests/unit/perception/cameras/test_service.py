@@ -1,0 +1,147 @@
+"""The camera as a service: what it publishes, what it says of itself, and that it never waits for its device."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from services.perception.cameras.camera import CameraError, Frame
+from services.perception.cameras.config import Settings
+from services.perception.cameras.service import CameraService, find, open_camera
+from shared import topics
+from shared.messages import CameraState, ColorImage, DepthImage, Message, Tick
+from shared.service import Inbox
+
+
+class Device:
+    """A camera with a picture whenever a period has passed, until it is unplugged."""
+
+    about = "test camera"
+
+    def __init__(self, kit, rgb=None) -> None:  # type: ignore[no-untyped-def]
+        self.kit, self.rgb, self.plugged, self.due_ns, self.asked = kit, rgb, True, 0, []  # type: ignore[var-annotated]
+
+    def open(self) -> "Device":
+        if not self.plugged:
+            raise CameraError("no device found", "plug it in")
+        return self
+
+    def read(self, color: bool) -> Frame | None:
+        self.asked.append(color)
+        if not self.plugged:
+            raise CameraError("the device is gone", "plug it in")
+        if self.kit.clock() < self.due_ns:
+            return None
+        self.due_ns = self.kit.clock() + 33_000_000
+        return Frame(self.kit.clock(), self.kit.ground(self.kit.clock() % 1000), self.rgb if color else None)
+
+    def close(self) -> None:
+        pass
+
+    def __enter__(self):  # type: ignore[no-untyped-def]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def run(service: CameraService, kit, seconds: float, wanted: bool = False) -> list[Message]:  # type: ignore[no-untyped-def]
+    inbox = Inbox((), service.stages, wanted=lambda topic: wanted or topic is not topics.COLOR)
+    made: list[Message] = []
+    for _ in range(round(seconds * 1e9 / service.paced_by.period_ns)):
+        kit.clock.now_ns += service.paced_by.period_ns
+        inbox.now_ns = kit.clock()
+        made += service.step(Tick(kit.clock()), inbox)
+    return made
+
+
+def of(made: list[Message], kind: type[Message]) -> list:  # type: ignore[type-arg]
+    return [message for message in made if isinstance(message, kind)]
+
+
+def test_depth_comes_at_the_devices_rate_and_its_health_four_times_a_second(kit) -> None:  # type: ignore[no-untyped-def]
+    service = CameraService(kit.profile, Settings(), Device(kit).open, kit.clock)
+    made = run(service, kit, 3.0)
+    assert len(of(made, DepthImage)) == pytest.approx(90, abs=20)
+    assert not of(made, ColorImage)
+    states = of(made, CameraState)
+    assert 10 <= len(states) <= 14
+    assert states[-1].ok
+    assert states[-1].device == "test camera"
+    assert service.doing().startswith("test camera, ")
+
+
+def test_colour_is_asked_for_only_where_somebody_listens_and_has_its_depths_stamp(kit) -> None:  # type: ignore[no-untyped-def]
+    device = Device(kit, np.zeros((48, 64, 3), np.uint8))
+    service = CameraService(kit.profile, Settings(color_rate_hz=5.0), device.open, kit.clock)
+    assert not of(run(service, kit, 1.0), ColorImage)
+    assert not any(device.asked)
+    made = run(service, kit, 2.0, wanted=True)
+    colors, depths = of(made, ColorImage), of(made, DepthImage)
+    assert 8 <= len(colors) <= 11
+    assert {c.stamp_ns for c in colors} <= {d.stamp_ns for d in depths}
+
+
+def test_an_unplugged_device_is_said_at_once_and_found_again(kit) -> None:  # type: ignore[no-untyped-def]
+    device = Device(kit)
+    service = CameraService(kit.profile, Settings(), device.open, kit.clock)
+    run(service, kit, 1.0)
+    device.plugged = False
+    made = run(service, kit, 0.1)
+    assert not of(made, DepthImage)
+    assert of(made, CameraState)[0].reason == "the device is gone; plug it in"
+    made = run(service, kit, 5.0)
+    assert not of(made, DepthImage)
+    assert not any(state.ok for state in of(made, CameraState))
+    assert of(made, CameraState)[-1].reason == "no device found; plug it in"
+    assert "no pictures: no device found" in service.doing()
+    device.plugged = True
+    made = run(service, kit, 5.0)
+    assert of(made, DepthImage)
+    assert of(made, CameraState)[-1].ok
+
+
+def test_a_profile_without_a_camera_and_a_folder_that_is_none_are_named(kit, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    for device, words in (("none", "names no camera"), (str(tmp_path), "camera.toml is missing")):
+        service = CameraService(kit.profile, Settings(device=device), clock=kit.clock)
+        (state,) = of(run(service, kit, 0.05), CameraState)
+        assert words in state.reason
+    with pytest.raises(CameraError, match="names no camera"):
+        open_camera("none", kit.profile, Settings(), kit.clock)
+    with pytest.raises(CameraError, match=r"camera\.toml is missing"):
+        find(str(tmp_path), kit.profile)
+
+
+def test_a_driver_that_hangs_holds_up_nothing_and_is_named(kit) -> None:  # type: ignore[no-untyped-def]
+    called, release = threading.Event(), threading.Event()
+
+    def hang() -> Device:
+        called.set()
+        release.wait(10.0)
+        raise CameraError("it woke up", "begin again")
+
+    with CameraService(kit.profile, Settings(), hang, kit.clock) as service:
+        assert called.wait(5.0)
+        made = run(service, kit, 7.0)  # simulated; the driver has not returned
+        release.set()
+    assert "has not answered for" in of(made, CameraState)[-1].reason
+
+
+def test_a_thread_reads_while_it_is_entered_and_its_errors_end_the_process(kit) -> None:  # type: ignore[no-untyped-def]
+    read = threading.Event()
+
+    class Broken(Device):
+        def read(self, color: bool) -> Frame | None:
+            read.set()
+            raise AssertionError("a bug")
+
+    with CameraService(kit.profile, Settings(), Broken(kit).open, kit.clock) as service:
+        assert read.wait(5.0)
+    with pytest.raises(AssertionError, match="a bug"):  # entered and left: the thread has ended
+        run(service, kit, 0.1)
+
+
+@pytest.mark.parametrize("wrong", [{"color_rate_hz": 0.0}, {"delay_s": -0.1}, {"delay_s": 2.0}])
+def test_nonsense_in_the_settings_is_refused(wrong) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ValueError, match="expected, found"):
+        Settings(**wrong)

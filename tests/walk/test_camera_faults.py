@@ -1,0 +1,56 @@
+"""The camera fails in the middle of a walk: it is named, the robot stops on an old map, invents no ground, and goes on."""
+
+import numpy as np
+import pytest
+
+from shared import topics
+from shared.messages import Mode
+from shared.scenario import Fault
+from tests.support.walks import Walk, flat, walk
+
+AT_S, FOR_S = 4.5, 5.0
+HEARD = (topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.TRUTH, topics.BODY_POSE, topics.TERRAIN, topics.SCAN)
+REASONS = {
+    "absent": "the camera sends none: unplugged",
+    "frozen": "frozen",
+    "noise": "the camera does not help",
+}
+
+
+def faulty(kind: str, for_s: float = FOR_S) -> Walk:
+    return walk(flat(0.5, faults=(Fault(AT_S, "camera", kind, for_s=for_s),)), 1000, wanted=HEARD)  # type: ignore[arg-type]
+
+
+def assert_right_to_the_end(found: Walk) -> None:
+    """It came to its goal, and no map that was ever sent had ground where there is none."""
+    assert found.report.success, found.report.reason
+    assert found.report.falls == 0
+    for terrain in found.heard.of(topics.TERRAIN):
+        assert np.nanmax(np.abs(terrain.elevation)) < 0.05
+
+
+@pytest.mark.parametrize("kind", ["absent", "frozen", "noise"])
+def test_it_stops_says_why_and_goes_on(kind: str) -> None:
+    found = faulty(kind)
+    said = {status.reason for status in found.statuses(AT_S, AT_S + FOR_S)}
+    assert any(REASONS[kind] in reason for reason in said), said
+    assert all(state.mode is Mode.HOLD for state in found.states(AT_S + 3.5, AT_S + FOR_S)), "it stands"
+    bad = [p for p in found.heard.of(topics.BODY_POSE, AT_S + 2.5, AT_S + FOR_S) if p.ok]
+    assert not bad, "no pose stands on such pictures"
+    assert len(found.heard.of(topics.SCAN, AT_S + 2.5, AT_S + FOR_S)) == 0
+    assert_right_to_the_end(found)
+
+
+def test_a_blind_camera_is_named_while_it_walks_on_over_what_it_has_seen() -> None:
+    found = faulty("blind")
+    poses = found.heard.of(topics.BODY_POSE, AT_S + 0.2, AT_S + FOR_S)
+    assert poses
+    assert all(not pose.ok and pose.reason for pose in poses)
+    assert_right_to_the_end(found)
+
+
+def test_a_gap_of_a_fifth_of_a_second_is_nothing() -> None:
+    found = faulty("absent", 0.2)
+    assert all(state.mode is Mode.WALK for state in found.states(AT_S, AT_S + 2.0))
+    assert all(pose.ok for pose in found.heard.of(topics.BODY_POSE, AT_S))
+    assert_right_to_the_end(found)
