@@ -35,6 +35,7 @@ _AGAINST = 18.0  # points that fit make up for one that does not
 _WAY = 0.4  # of the worth that reaching so far, turning so much, or rising by
 _RISE = 0.10  # [m] costs
 _LEVELS = 12  # heights tried to each side, a tolerance apart
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _TRIED, _TRIED_FINELY = 300, 1000  # points looked up at each place
 _SIGHTS = 4  # every how many lines of sight are followed
 _REFINED = 6  # best places of the coarse search that are refined
@@ -150,8 +151,10 @@ class AnchorMap:
 
 
 def _some(points: Array, count: int) -> Array:
-    """Some of many points, evenly."""
-    return np.ascontiguousarray(points[:: max(1, len(points) // count)])
+    """Some of many points, evenly, but in no step: one that goes evenly into the image's width would read few columns."""
+    if len(points) <= count:
+        return points
+    return np.asarray(points[(np.arange(count) * _GOLDEN % 1.0 * len(points)).astype(np.intp)])
 
 
 def _grid(shifts: Array, angles: Array) -> Array:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from services.perception.anchor import AnchorMap
@@ -48,6 +48,7 @@ def test_what_has_been_seen_fits():
     z=st.floats(-0.05, 0.05),
     seed=st.integers(0, 3),
 )
+@example(x=-0.1875, y=-0.125, yaw=0.0, z=0.0, seed=1)  # every sixteenth point of this picture lies in one of eight columns
 def test_a_lost_frame_is_found_on_ground_that_shows_where_it_is(x, y, yaw, z, seed):
     anchor = AnchorMap(SIGMA)
     anchor.add(view(LEVEL, lambda x, y: ground(x, y, seed), half=1.2), LEVEL)
