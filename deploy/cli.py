@@ -164,12 +164,26 @@ def bench_accuracy(arguments: argparse.Namespace) -> int:
 
 
 def bench_speed(arguments: argparse.Namespace) -> int:
-    """`sextant bench speed`: how fast the stages are beside their peers."""
-    from deploy.bench import speed
+    """`sextant bench speed`: how fast registration is beside its peers."""
+    from deploy.bench import chart, speed, timing
 
     out = _out(arguments, "bench-speed")
     timings, missing = speed.registration(arguments.seeds, arguments.frames, _progress(arguments.json).say)
-    return _tell_bench(speed.in_words(timings, missing), speed.to_json(timings, missing), out / "speed.json", arguments.json)
+    chart.draw(out / "speed.png", "Registration beside its peers", timings, missing)
+    words, text = timing.in_words(timings, missing, speed.HEADINGS), timing.to_json(timings, missing)
+    return _tell_bench(words, text, out / "speed.json", arguments.json)
+
+
+def bench_stages(arguments: argparse.Namespace) -> int:
+    """`sextant bench stages`: how fast the stages of the map are beside their peers."""
+    from deploy.bench import chart, stages, timing
+
+    out = _out(arguments, "bench-stages")
+    found = stages.stages(arguments.seeds, arguments.frames, _progress(arguments.json).say)
+    chart.draw(out / "stages.png", "The stages of the map beside their peers", found.timings, found.missing, found.parts_ms)
+    words = f"{timing.in_words(found.timings, found.missing, stages.HEADINGS)}\n{timing.parts_in_words(found.parts_ms)}"
+    text = timing.to_json(found.timings, found.missing, parts_ms=found.parts_ms)
+    return _tell_bench(words, text, out / "stages.json", arguments.json)
 
 
 def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:
@@ -409,6 +423,12 @@ def _positive(text: str) -> int:
     return int(text)
 
 
+def _frames(text: str) -> int:
+    if not text.isdecimal() or int(text) < 3:
+        raise argparse.ArgumentTypeError(f"a whole number of at least 3 expected, found {text!r}: a ride has a way to go")
+    return int(text)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="sextant", description="Six-legged walking where only some places carry a foot.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -464,7 +484,10 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
     _add_bench(one)
     one = add("speed", bench_speed, "time registration beside its peers, frame by frame in one run", group)
-    one.add_argument("--frames", type=_positive, default=100, metavar="N", help="of each ride of 2 m (default %(default)s)")
+    _add_frames(one)
+    _add_bench(one)
+    one = add("stages", bench_stages, "time the stages of the map beside their peers, frame by frame in one run", group)
+    _add_frames(one)
     _add_bench(one)
 
     group = commands.add_parser("topics", help="what travels on the wire").add_subparsers(required=True, metavar="WHAT")
@@ -481,6 +504,11 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--scenario", default="steps", help="name of the scenario (default %(default)s)")
     one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
     return parser
+
+
+def _add_frames(parser: argparse.ArgumentParser) -> None:
+    words = "of each ride, 2 cm apart (default %(default)s)"
+    parser.add_argument("--frames", type=_frames, default=100, metavar="N", help=words)
 
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:

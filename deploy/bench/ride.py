@@ -75,7 +75,12 @@ def ride(terrain: Terrain, rng: np.random.Generator, errors: Errors, frames: int
         errors: Of the odometry.
         frames: Pictures on the way, at least three.
         length: [m]
+
+    Raises:
+        ValueError: Fewer frames.
     """
+    if frames < 3:
+        raise ValueError(f"at least 3 frames expected, found {frames}")
     profile = carried_profile()
     t = np.arange(frames) / profile.camera.sensor.rate_hz
     begin = t[min(_STANDING, frames - 2)]

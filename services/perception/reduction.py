@@ -16,10 +16,10 @@ from shared.compiled import compiled
 
 Array = NDArray[Any]
 
-_JUMP = 0.015  # [m] depth step over two pixels, beyond noise and slope, that parts two surfaces
-_SURFACE = 0.010  # [m] height, beyond noise, by which a point lies below the surface a foot would stand on
-_NOISE = 3.0  # [sigma] of the depth noise on top of either
-_CARRYING = 0.3  # share of a cell's pixels below which its upper surface is an edge of the cell beside it
+JUMP = 0.015  # [m] depth step over two pixels, beyond noise and slope, that parts two surfaces
+SURFACE = 0.010  # [m] height, beyond noise, by which a point lies below the surface a foot would stand on
+NOISE = 3.0  # [sigma] of the depth noise on top of either
+CARRYING = 0.3  # share of a cell's pixels below which its upper surface is an edge of the cell beside it
 _RECORD = 16  # numbers kept of a cell: a cache line
 
 
@@ -83,7 +83,7 @@ def reduce_scan(
     cell_of = np.full((2 * half) ** 2, -1, dtype=np.int32)
     cells = np.empty((min(depth_raw.size, cell_of.size), _RECORD), dtype=np.float32)
     bounds = _raw_bounds(sensor)
-    noise = _NOISE * float(sensor.sigma(np.array(1.0), intrinsics.fx))  # [1/m] of a depth, over its square
+    noise = NOISE * float(sensor.sigma(np.array(1.0), intrinsics.fx))  # [1/m] of a depth, over its square
     n = _bin(
         depth_raw,
         bounds,
@@ -148,8 +148,8 @@ def _bin(
     offset_x, offset_y = np.float32(T[0, 3] / resolution + half), np.float32(T[1, 3] / resolution + half)
     range2, ceiling32, dense32 = np.float32(max_range * max_range), np.float32(ceiling), np.float32(dense)
     first, last = np.int32(bounds[0]), np.int32(bounds[1])
-    jump, jump2 = np.float32(_JUMP / unit), np.float32(noise * unit)  # [raw units] of a depth in those
-    surface, noise32 = np.float32(_SURFACE), np.float32(noise)
+    jump, jump2 = np.float32(JUMP / unit), np.float32(noise * unit)  # [raw units] of a depth in those
+    surface, noise32 = np.float32(SURFACE), np.float32(noise)
     gx, gy, gz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     for j in range(columns):
         gx[j], gy[j], gz[j] = T[0, 0] * x[j], T[1, 0] * x[j], T[2, 0] * x[j]
@@ -235,7 +235,7 @@ def _bin(
             cell[10] += one
     for k in range(n):
         cell = cells[k]
-        if cell[0] < np.float32(_CARRYING) * cell[10]:
+        if cell[0] < np.float32(CARRYING) * cell[10]:
             cell[0], cell[1], cell[2], cell[3] = cell[4], cell[5], cell[6], cell[7]
     return n
 

@@ -2,13 +2,14 @@
 
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from deploy import cli
-from deploy.bench import accuracy, registration_peers, speed
+from deploy.bench import accuracy, map_peers, registration_peers, speed, stages, timing
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED, REGISTERED
 from services.simulator.terrain import Terrain
@@ -113,22 +114,90 @@ def test_the_speed_command_leaves_its_timings(tmp_path: Path, monkeypatch: pytes
     assert cli.main(["bench", "speed", "--seeds", "1000:1001", "--frames", "14", "--out", str(tmp_path)]) == 0
     table = json.loads((tmp_path / "speed.json").read_text(encoding="utf-8"))
     assert [row["method"] for row in table["timings"]] == list(methods)
-    assert table["timings"][0]["ratio"] == 1.0
-    assert all(row["drift_m"] < 0.05 and row["ms"]["q25"] <= row["ms"]["median"] for row in table["timings"])
+    assert table["timings"][0]["ratio"] == {"median": 1.0, "p10": 1.0, "p90": 1.0}
+    for row in table["timings"]:
+        assert row["drift_m"] < 0.05
+        assert row["ms"]["p10"] <= row["ms"]["median"] <= row["ms"]["p90"]
+    assert table["machine"]["processor"]
+    assert is_picture(tmp_path / "speed.png")
 
 
-def test_what_is_not_installed_is_named_and_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_ride_needs_frames(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["bench", "speed", "--frames", "2"])
+    assert "at least 3 expected, found '2'" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="at least 3 frames"):
+        speed.registration([1000], frames=2)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            ModuleNotFoundError("No module named 'somewhere'"),
+            "elsewhere: No module named 'somewhere'; pip install 'sextant[bench]'",
+        ),
+        (
+            ImportError("libusb-1.0.so.0: cannot open shared object file"),
+            "elsewhere: libusb-1.0.so.0: cannot open shared object file",
+        ),
+    ],
+)
+def test_what_cannot_be_timed_is_named_and_left_out(monkeypatch: pytest.MonkeyPatch, error: ImportError, said: str) -> None:
     def absent(*_: object) -> registration_peers.Registers:
-        raise ModuleNotFoundError("no such module", name="something")
+        raise error
 
     ours = registration_peers.METHODS["projective (default)"]
     monkeypatch.setattr(speed, "METHODS", {"projective (default)": ours, "elsewhere": absent})
     monkeypatch.setattr(speed, "REGISTERED", {"stairs": REGISTERED["stairs"]})
     timings, missing = speed.registration([1000], frames=12)
-    assert missing == ["elsewhere (something)"]
-    assert [(t.method, t.scene, t.ratio) for t in timings] == [("projective (default)", "stairs", 1.0)]
-    assert "something" in speed.in_words(timings, missing)
-    assert json.loads(speed.to_json(timings, missing))["missing"] == missing
+    assert missing[0].startswith(said)
+    assert ("pip install" in missing[0]) is isinstance(error, ModuleNotFoundError)
+    assert [(t.method, t.case, t.ratio.median) for t in timings] == [("projective (default)", "stairs", 1.0)]
+    assert said in timing.in_words(timings, missing, speed.HEADINGS)
+    assert json.loads(timing.to_json(timings, missing))["missing"] == missing
+
+
+def is_picture(path: Path) -> bool:
+    return path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_the_stages_command_leaves_timings_and_a_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def absent(*_: object) -> map_peers.Scores:
+        raise ImportError("some library is not there")
+
+    monkeypatch.setattr(stages, "SCENES", ("steps",))
+    monkeypatch.setattr(map_peers, "REDUCTION", {"NumPy": map_peers.NumpyReduction})
+    monkeypatch.setattr(map_peers, "SCORE", {"OpenCV + NumPy": map_peers.OpencvChain, "elsewhere": absent})
+    cores = os.sched_getaffinity(0)
+    assert cli.main(["bench", "stages", "--seeds", "1000:1001", "--frames", "4", "--out", str(tmp_path), "--json"]) == 0
+    assert os.sched_getaffinity(0) == cores
+    table = json.loads(capsys.readouterr().out)
+    assert table == json.loads((tmp_path / "stages.json").read_text(encoding="utf-8"))
+    rows = {(row["stage"], row["case"], row["method"]): row for row in table["timings"]}
+    assert {stage for stage, _, _ in rows} == {"reduction", "map update", "frame into map", "score", "frame to layers"}
+    assert rows["reduction", "640x480", "NumPy"]["agreement"] > 0.95
+    for size in ("256x256", "512x512"):
+        assert rows["map update", size, "NumPy"]["agreement"] > 0.99
+        assert rows["score", size, "OpenCV + NumPy"]["agreement"] > 0.99
+    assert rows["map update", "512x512", "Sextant"]["growth"] > 0.0
+    assert rows["frame to layers", "256x256", "Sextant"]["made"] == 1.0
+    assert {"registration", "reduction", "fuse", "score"} <= table["parts_ms"].keys()
+    assert table["missing"] == ["elsewhere: some library is not there"]
+    assert is_picture(tmp_path / "stages.png")
+
+
+def test_methods_take_turns_and_the_first_pieces_do_not_count() -> None:
+    order: list[str] = []
+    race = timing.Race("stage", "case", warm=1)
+    race.start({name: lambda _, name=name: order.append(name) for name in "abc"})
+    for k in range(3):
+        race.run(k)
+    assert "".join(order) == "abcbcacab"
+    assert [len(race.ms(name)) for name in "abc"] == [2, 2, 2]
+    assert [t.method for t in race.timings({"b": {"figure": 1.0}})] == ["a", "b", "c"]
 
 
 def test_the_reference_of_the_thesis_finds_a_motion_that_the_scene_shows() -> None:

@@ -1,0 +1,394 @@
+"""Other ways to do what the map stages do, with common libraries, to be timed and compared with ours.
+
+Each does the same job and comes to the same result but for rounding and ties; Open3D's cloud alone does less, since it knows
+neither edges nor surfaces. They are written as one would write them for speed: whole arrays, single precision where ours is,
+no loops over pixels or cells.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from services.mapper.elevation import FusionModel
+from services.mapper.score import ScoreWeights
+from services.perception.reduction import CARRYING, JUMP, NOISE, SURFACE
+from shared.camera import DepthSensor, Intrinsics
+from shared.geometry import Array
+
+Layer = NDArray[np.float32]
+Cells = NDArray[np.bool_]
+
+# ------------------------------------------------------------------------------------------------- a frame to a point per cell
+
+
+class Reduces(Protocol):
+    """From a frame to a point per cell of the map."""
+
+    def reduce(self, depth: NDArray[np.uint16], T_world_camera: Array) -> Array:
+        """Points (n, 3) [m] {world} of a raw frame (h, w) seen from a pose (4, 4)."""
+        ...
+
+
+class NumpyReduction:
+    """`services.perception.reduction.reduce_scan` in NumPy."""
+
+    def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor, resolution: float, max_range: float):
+        self._x = ((np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx).astype(np.float32)
+        self._y = ((np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy).astype(np.float32)[:, None]
+        self._scale = np.float32(1.0 / sensor.depth_scale)
+        self._bounds = sensor.min_range * sensor.depth_scale, sensor.max_range * sensor.depth_scale
+        noise = NOISE * float(sensor.sigma(np.array(1.0), intrinsics.fx))
+        self._jump, self._jump2 = np.float32(JUMP * sensor.depth_scale), np.float32(noise / sensor.depth_scale)
+        self._noise = np.float32(noise)
+        self._dense = np.float32(0.25 * resolution * intrinsics.fx)
+        self._resolution, self._range2 = resolution, np.float32(max_range**2)
+        self._half = math.ceil(max_range / resolution) + 2
+        rows, columns = np.indices((intrinsics.height, intrinsics.width), sparse=True)
+        self._every_second = (rows + columns) % 2 == 0
+
+    def reduce(self, depth: NDArray[np.uint16], T_world_camera: Array) -> Array:
+        """The mean of the upper surface of each cell, rounded to millimetres."""
+        origin = np.floor(T_world_camera[:3, 3] / self._resolution) * self._resolution
+        R, t = T_world_camera[:3, :3].astype(np.float32), (T_world_camera[:3, 3] - origin).astype(np.float32)
+        # 1. The pixels that are read, and where they lie from the camera, in world axes.
+        z = depth * self._scale
+        dx, dy, dz = (((R[k, 0] * self._x + (R[k, 1] * self._y + R[k, 2])) * z) for k in range(3))
+        read = (depth >= self._bounds[0]) & (depth <= self._bounds[1]) & (dx * dx + dy * dy <= self._range2)
+        read &= (z >= self._dense) | self._every_second
+        # 2. Without those between two surfaces.
+        read &= ~self._flying(depth)
+        dx, dy, dz, z = dx[read], dy[read], dz[read], z[read]
+        # 3. Their cells, and the highest and the lowest of each.
+        side = 2 * self._half
+        per_cell = np.float32(1.0 / self._resolution)
+        i = (dx * per_cell + (t[0] * per_cell + np.float32(self._half))).astype(np.int32)
+        j = (dy * per_cell + (t[1] * per_cell + np.float32(self._half))).astype(np.int32)
+        key = i * side + j
+        band = SURFACE + self._noise * z * np.abs(dz)
+        top, bottom = np.full(side * side, -np.inf, np.float32), np.full(side * side, np.inf, np.float32)
+        np.maximum.at(top, key, dz)
+        np.minimum.at(bottom, key, dz)
+        # 4. The mean of the upper surface, or of the lower one where the upper is but an edge.
+        upper, lower = dz >= top[key] - band, dz <= bottom[key] + band
+        count = np.bincount(key, minlength=side * side)
+        edge = np.bincount(key[upper], minlength=side * side) < CARRYING * count
+        chosen = np.where(edge[key], lower, upper)
+        key = key[chosen]
+        cells = np.flatnonzero(count)
+        sums = np.stack([np.bincount(key, d[chosen], minlength=side * side)[cells] for d in (dx, dy, dz)], axis=1)
+        mean = sums / np.bincount(key, minlength=side * side)[cells, None] + t
+        # 5. Rounded, and 1 mm inside the cell.
+        mm, edge_mm = np.rint(1000.0 * mean), 1000.0 * self._resolution
+        corner = edge_mm * (np.stack([cells // side, cells % side], axis=1) - self._half)
+        mm[:, :2] = np.clip(mm[:, :2], np.floor(corner + 1.0), np.ceil(corner + edge_mm - 1.0))
+        return np.asarray(origin + 1e-3 * mm.astype(np.int16))
+
+    def _flying(self, depth: NDArray[np.uint16]) -> Cells:
+        """Pixels (h, w) that jump on both sides, along their row or their column, one way in front and one way behind."""
+        raw = depth.astype(np.int32)
+        limit = (self._jump + self._jump2 * (raw.astype(np.float32) ** 2)).astype(np.int32)
+        out = np.zeros(raw.shape, dtype=np.bool_)
+        for axis in (0, 1):
+            # Nothing beyond the image's border speaks against a pixel: it is its own neighbour there.
+            before, after = _shifted(raw, axis, 2, raw), _shifted(raw, axis, -2, raw)
+            steady = ((before != 0) & (np.abs(raw - before) <= limit)) | ((after != 0) & (np.abs(after - raw) <= limit))
+            i, j = np.nonzero(~steady & (raw > 0))
+            r, b, a, most = raw[i, j], before[i, j], after[i, j], limit[i, j]
+            both = (b != 0) & (a != 0)
+            thin = both & ((r > b) != (a > r))
+            slope = np.zeros(len(r), dtype=np.int32)
+            for side, near in ((4, b), (-4, a)):
+                beyond = _shifted(raw, axis, side, np.zeros_like(raw))[i, j]
+                slope = np.maximum(slope, np.where(beyond != 0, np.abs(near - beyond), 0))
+            sloping = both & (2 * np.minimum(np.abs(r - b), np.abs(a - r)) <= 2 * most + 3 * slope)
+            out[i, j] |= ~(thin | sloping)
+        return out
+
+
+def _shifted(image: NDArray[np.int32], axis: int, by: int, border: NDArray[np.int32]) -> NDArray[np.int32]:
+    """An image moved along an axis; what comes in is the border's."""
+    out = border.copy()
+    to = (slice(None),) * axis + (slice(by, None) if by > 0 else slice(None, by),)
+    of = (slice(None),) * axis + (slice(None, -by) if by > 0 else slice(-by, None),)
+    out[to] = image[of]
+    return out
+
+
+class Open3dCloud:
+    """Open3D: the cloud of a frame, placed and thinned to the centroid of each voxel as large as a cell."""
+
+    def __init__(self, intrinsics: Intrinsics, sensor: DepthSensor, resolution: float, max_range: float):
+        import open3d
+
+        self._o3d: Any = open3d
+        k = intrinsics
+        self._intrinsics = open3d.camera.PinholeCameraIntrinsic(k.width, k.height, k.fx, k.fy, k.cx, k.cy)
+        self._scale, self._far, self._resolution = sensor.depth_scale, sensor.max_range, resolution
+
+    def reduce(self, depth: NDArray[np.uint16], T_world_camera: Array) -> Array:
+        """Centroids (n, 3) [m] {world}, several above each other at an edge."""
+        o3d = self._o3d
+        cloud = o3d.geometry.PointCloud.create_from_depth_image(
+            o3d.geometry.Image(depth), self._intrinsics, depth_scale=self._scale, depth_trunc=self._far
+        )
+        return np.asarray(cloud.transform(T_world_camera).voxel_down_sample(self._resolution).points)
+
+
+REDUCTION: Mapping[str, Callable[[Intrinsics, DepthSensor, float, float], Reduces]] = {
+    "NumPy": NumpyReduction,
+    "Open3D cloud": Open3dCloud,
+}
+
+# ------------------------------------------------------------------------------------------------------- a scan into the map
+
+
+class NumpyGrid:
+    """`services.mapper.elevation.ElevationGrid` in NumPy: a circular buffer, a Kalman filter and a rival in each cell."""
+
+    def __init__(self, size: int, resolution: float, model: FusionModel):
+        self._size, self._resolution, self._model = size, resolution, model
+        self._low = np.full(2, -(size // 2), dtype=np.int64)
+        self._height, self._variance, self._rival, self._rival_variance = (
+            np.full(size * size, np.nan, dtype=np.float32) for _ in range(4)
+        )
+        self._support, self._votes = (np.full(size * size, 0, dtype=np.uint8) for _ in range(2))
+        self._slot, self._entry = (np.full(size * size, -1, dtype=np.int64) for _ in range(2))
+
+    def move_to(self, p_world_xy: Array) -> None:
+        """Centre the window on a point (2,) [m] {world}."""
+        n = self._size
+        low = np.floor(p_world_xy / self._resolution).astype(np.int64) - n // 2
+        for axis in range(2):
+            shift = int(low[axis] - self._low[axis])
+            leaving = min(abs(shift), n)
+            first = self._low[axis] if shift > 0 else self._low[axis] + n - leaving
+            lines = np.arange(first, first + leaving) % n
+            where: Any = lines if axis == 0 else (slice(None), lines)
+            for layer in (self._height, self._variance, self._rival, self._rival_variance):
+                layer.reshape(n, n)[where] = np.nan
+            for counter in (self._support, self._votes):
+                counter.reshape(n, n)[where] = 0
+        self._low = low
+
+    def fuse(self, points: Array, count: Array, spread: Array, p_world_camera: Array, pose_variance_z: float = 0.0) -> None:
+        """Take in one reduced scan; arguments as in `ElevationGrid.fuse`."""
+        n, model = self._size, self._model
+        random, systematic = model.height_variance(
+            points, count.astype(np.float64), spread.astype(np.float64), p_world_camera, pose_variance_z
+        )
+        # 1. The cell of each point within the window.
+        ij = np.floor(points[:, :2] / self._resolution).astype(np.int64)
+        inside = ((ij >= self._low) & (ij < self._low + n)).all(axis=1)
+        ij = ij[inside] % n
+        cell, z, random, systematic = ij[:, 0] * n + ij[:, 1], points[inside, 2], random[inside], systematic[inside]
+        # 2. Points of one cell are merged, the first of each with the second of each and so on; scans bring few such.
+        one = self._first_of(cell)
+        cells, out_z, out_random, out_systematic = cell[one], z[one], random[one], systematic[one]
+        if not one.all():
+            self._entry[cells] = np.arange(len(cells))
+            left = np.flatnonzero(~one)
+            while len(left):
+                first = self._first_of(cell[left])
+                now, left = left[first], left[~first]
+                e = self._entry[cell[now]]
+                step = z[now] - out_z[e]
+                apart = (np.abs(step) > model.edge_step) & (
+                    step * step > model.gate**2 * (random[now] + out_random[e] + systematic[now])
+                )
+                gain = (out_random[e] + 1e-12) / (out_random[e] + random[now] + 2e-12)
+                upper = apart & (step > 0)
+                out_z[e] = np.where(upper, z[now], np.where(apart, out_z[e], out_z[e] + gain * step))
+                out_random[e] = np.where(upper, random[now], np.where(apart, out_random[e], out_random[e] * (1.0 - gain)))
+                most = np.maximum(out_systematic[e], systematic[now])
+                out_systematic[e] = np.where(upper, systematic[now], np.where(apart, out_systematic[e], most))
+        self._update(cells, out_z, out_random + out_systematic, out_systematic)
+
+    def _first_of(self, cell: NDArray[np.int64]) -> Cells:
+        """Which entries are the first of their cell."""
+        order = np.arange(len(cell))
+        self._slot[cell[::-1]] = order[::-1]
+        return np.asarray(self._slot[cell] == order)
+
+    def _update(self, cells: NDArray[np.int64], z: Array, noise: Array, systematic: Array) -> None:
+        """One measurement for each cell: filtered in, or a vote for the rival."""
+        gate2 = self._model.gate**2
+        height, believed = self._height[cells].astype(np.float64), self._variance[cells].astype(np.float64)
+        off = z - height
+        new = np.isnan(height)
+        good = ~new & (off * off <= gate2 * (believed + noise))
+        # 1. Unseen cells take the measurement.
+        c = cells[new]
+        self._height[c], self._variance[c], self._support[c], self._votes[c] = z[new], noise[new], 1, 0
+        # 2. Within the gate it is filtered in.
+        c, b, m = cells[good], believed[good], noise[good]
+        self._height[c] = height[good] + b / (b + m) * off[good]
+        self._variance[c] = np.maximum(b * m / (b + m), np.minimum(b, systematic[good]))
+        self._support[c] += self._support[c] < 255
+        self._votes[c] -= self._votes[c] > 0
+        # 3. Outside of it, it votes.
+        bad = ~(new | good)
+        c, z, m, systematic = cells[bad], z[bad], noise[bad], systematic[bad]
+        votes, rival = self._votes[c].astype(np.int64), self._rival[c].astype(np.float64)
+        b = self._rival_variance[c].astype(np.float64)
+        off = z - rival
+        agrees = (votes > 0) & (off * off <= gate2 * (b + m))
+        begins = ~agrees & (votes <= 1)
+        self._rival[c] = np.where(agrees, rival + b / (b + m) * off, np.where(begins, z, rival))
+        filtered = np.maximum(b * m / (b + m), np.minimum(b, systematic))
+        self._rival_variance[c] = np.where(agrees, filtered, np.where(begins, m, b))
+        votes = np.where(agrees, np.minimum(votes + 1, 255), np.where(begins, 1, votes - 1))
+        over = votes >= np.minimum(self._model.patience, self._support[c].astype(np.int64) + 1)
+        self._votes[c] = np.where(over, 0, votes)
+        c = c[over]
+        self._height[c], self._variance[c], self._support[c] = self._rival[c], self._rival_variance[c], votes[over]
+
+    @property
+    def elevation(self) -> Layer:
+        """(n, n) [m] {world} in world order, NaN where never seen."""
+        i, j = (self._low % self._size).tolist()
+        return np.roll(self._height.reshape(self._size, self._size), (-i, -j), axis=(0, 1))
+
+
+# ------------------------------------------------------------------------------------------------------------------ the score
+
+
+class Scores(Protocol):
+    """How well each cell carries a foot."""
+
+    def score(self, elevation: Layer) -> Layer:
+        """Score (nx, ny) of a map (nx, ny) [m]; NaN where unknown or beside it."""
+        ...
+
+
+class _Chain:
+    """`services.mapper.score.WalkabilityScorer` on the filters of some library."""
+
+    def __init__(self, resolution: float, weights: ScoreWeights):
+        self._resolution, self._weights = resolution, weights
+        self._half = round(weights.flat_radius / resolution)
+        self._sigma = weights.proximity_sigma / resolution
+        reach = max(1, math.floor(weights.unknown_clearance / resolution + 1e-6))
+        i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+        radius = weights.unknown_clearance / resolution + 1e-6
+        self._disc = (i * i + j * j <= radius * radius) | (np.maximum(abs(i), abs(j)) <= 1)
+        offsets = np.arange(-self._half, self._half + 1, dtype=np.float32)
+        self._one, self._first, self._second = np.ones_like(offsets), offsets, offsets * offsets
+
+    def score(self, elevation: Layer) -> Layer:
+        """The weighted sum of slope, proximity and roughness."""
+        w = self._weights
+        known = ~np.isnan(elevation)
+        h = np.where(known, elevation - np.float32(np.nanmean(elevation)), np.float32(0.0))
+        k = known.astype(np.float32)
+        slope = np.hypot(self._sobel(h, 0), self._sobel(h, 1)) / np.float32(8.0 * self._resolution)
+        proximity = np.abs(self._gaussian(h) / np.maximum(self._gaussian(k), np.float32(1e-6)) - h)
+        score = w.slope * slope + w.proximity * proximity + w.roughness * self._roughness(h, k)
+        return np.asarray(np.where(self._eroded(known), score, np.nan), dtype=np.float32)
+
+    def _roughness(self, h: Layer, k: Layer) -> Layer:
+        """Deviation from the plane of each window: ten masked moments, summed along one axis, then along the other."""
+        one, first, second = self._one, self._first, self._second
+        k0, k1, k2 = (self._along(k, weights, 0) for weights in (one, first, second))
+        h0, h1 = (self._along(h, weights, 0) for weights in (one, first))
+        square = self._along(h * h, one, 0)
+        n = np.maximum(self._along(k0, one, 1), np.float32(1.0))
+        a, b, z = self._along(k1, one, 1) / n, self._along(k0, first, 1) / n, self._along(h0, one, 1) / n
+        aa = self._along(k2, one, 1) / n - a * a
+        bb = self._along(k0, second, 1) / n - b * b
+        ab = self._along(k1, first, 1) / n - a * b
+        ah = self._along(h1, one, 1) / n - a * z
+        bh = self._along(h0, first, 1) / n - b * z
+        hh = self._along(square, one, 1) / n - z * z
+        determinant = np.maximum(aa * bb - ab * ab, np.float32(1e-6))
+        explained = (bb * ah * ah - np.float32(2.0) * ab * ah * bh + aa * bh * bh) / determinant
+        noise = np.float32(self._weights.noise_sigma**2)
+        return np.asarray(np.sqrt(np.maximum(hh - explained - noise, np.float32(0.0))))
+
+    def _sobel(self, image: Layer, axis: int) -> Layer:
+        raise NotImplementedError
+
+    def _gaussian(self, image: Layer) -> Layer:
+        raise NotImplementedError
+
+    def _along(self, image: Layer, weights: Layer, axis: int) -> Layer:
+        raise NotImplementedError
+
+    def _eroded(self, known: Cells) -> Cells:
+        raise NotImplementedError
+
+
+class ScipyChain(_Chain):
+    """SciPy's image filters."""
+
+    def __init__(self, resolution: float, weights: ScoreWeights):
+        super().__init__(resolution, weights)
+        from scipy import ndimage
+
+        self._nd: Any = ndimage
+
+    def _sobel(self, image: Layer, axis: int) -> Layer:
+        return np.asarray(self._nd.sobel(image, axis=axis))
+
+    def _gaussian(self, image: Layer) -> Layer:
+        return np.asarray(self._nd.gaussian_filter(image, self._sigma, radius=self._half, mode="constant"))
+
+    def _along(self, image: Layer, weights: Layer, axis: int) -> Layer:
+        if weights is self._one:  # a running sum, whatever the width
+            return np.asarray(self._nd.uniform_filter1d(image, len(weights), axis=axis, mode="constant")) * len(weights)
+        return np.asarray(self._nd.correlate1d(image, weights, axis=axis, mode="constant"))
+
+    def _eroded(self, known: Cells) -> Cells:
+        return np.asarray(self._nd.binary_erosion(known, self._disc))
+
+
+class ScikitImageChain(ScipyChain):
+    """scikit-image where it has the filter; it has none that weighs a window, so the moments stay SciPy's."""
+
+    def __init__(self, resolution: float, weights: ScoreWeights):
+        super().__init__(resolution, weights)
+        from skimage import filters, morphology
+
+        self._filters: Any = filters
+        self._morphology: Any = morphology
+
+    def _sobel(self, image: Layer, axis: int) -> Layer:
+        return np.asarray(4.0 * (self._filters.sobel_h if axis == 0 else self._filters.sobel_v)(image))
+
+    def _gaussian(self, image: Layer) -> Layer:
+        truncate = self._half / self._sigma
+        return np.asarray(self._filters.gaussian(image, self._sigma, mode="constant", truncate=truncate, preserve_range=True))
+
+    def _eroded(self, known: Cells) -> Cells:
+        return np.asarray(self._morphology.erosion(np.pad(known, 1), self._disc)[1:-1, 1:-1])
+
+
+class OpencvChain(_Chain):
+    """OpenCV's filters, and NumPy between them."""
+
+    def _sobel(self, image: Layer, axis: int) -> Layer:
+        dx, dy = (0, 1) if axis == 0 else (1, 0)  # OpenCV's y is our first axis
+        return np.asarray(cv2.Sobel(image, cv2.CV_32F, dx, dy), dtype=np.float32)
+
+    def _gaussian(self, image: Layer) -> Layer:
+        width = 2 * self._half + 1
+        return np.asarray(cv2.GaussianBlur(image, (width, width), self._sigma, borderType=cv2.BORDER_CONSTANT))
+
+    def _along(self, image: Layer, weights: Layer, axis: int) -> Layer:
+        here = np.ones(1, np.float32)
+        kx, ky = (here, weights) if axis == 0 else (weights, here)
+        return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, kx, ky, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
+
+    def _eroded(self, known: Cells) -> Cells:
+        eroded = cv2.erode(known.view(np.uint8), self._disc.astype(np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=[0.0])
+        return np.asarray(eroded, dtype=np.bool_)
+
+
+SCORE: Mapping[str, Callable[[float, ScoreWeights], Scores]] = {
+    "SciPy": ScipyChain,
+    "scikit-image": ScikitImageChain,
+    "OpenCV + NumPy": OpencvChain,
+}

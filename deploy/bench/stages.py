@@ -1,0 +1,263 @@
+"""How fast the stages of the map are beside their peers, on the pictures of rides over rebuilt scenes.
+
+Each picture goes through everything in turn: the frame to a point per cell, that scan into a map, the map to its score, each
+by us and by the peers; and through the two services, encoded, from the frame that comes in to the layers that go out.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.bench import map_peers
+from deploy.bench.ride import CarriedCamera, Errors, ride
+from deploy.bench.scenes import MAPPED
+from deploy.bench.timing import Race, Timing, held_against_first, installed, one_core
+from services.mapper.config import Settings as MapperSettings
+from services.mapper.elevation import ElevationGrid, FusionModel, fill_small_holes
+from services.mapper.score import ScoreWeights, WalkabilityScorer
+from services.mapper.service import Mapper
+from services.perception.config import Settings as PerceptionSettings
+from services.perception.reduction import ReducedScan, reduce_scan
+from services.perception.service import Perception
+from shared import codec, topics
+from shared.geometry import Array
+from shared.host import keep_memory
+from shared.messages import DepthImage, Odometry, Tick
+from shared.robot import RobotProfile
+from shared.service import AnyTopic, Inbox, Stages, Worker
+
+SCENES = ("steps", "boxes", "mixed")
+SIZES = (256, 512)  # cells along an edge
+OURS = "Sextant"
+HEADINGS = {"agreement": ("agrees %", 1e2, 2), "growth": ("growth", 1.0, 2)}
+_RESOLUTION = 0.01  # [m]
+_WARM = 5  # frames that are not timed, where there are more
+_STEP = 0.02  # [m] between frames
+_COMPARED = 10  # every how many frames results are compared
+_WEIGHTS = ScoreWeights(unknown_clearance=0.02)
+_POSE_VARIANCE_Z = 1e-6  # [m^2]
+_SAME_MM, _SAME_SCORE = 2.0, 0.01  # results that differ by less agree
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What came of it."""
+
+    timings: list[Timing]
+    missing: list[str]  # what could not be timed, and why
+    parts_ms: dict[str, float]  # stage -> median of its time on the way from frame to layers
+
+
+def stages(seeds: Sequence[int], frames: int = 100, say: Callable[[str], object] = lambda _: None) -> Measured:
+    """Time the stages of the map.
+
+    Figures: `agreement`, share of the cells that a peer and we know alike; `growth`, our time over that on the smallest map;
+    `made`, share of the frames in that brought layers out.
+
+    Args:
+        seeds: A ride over each scene for each of them.
+        frames: Of a ride.
+        say: Hears how far it is.
+
+    Raises:
+        ValueError: Fewer than three frames.
+    """
+    keep_memory()  # as the services' processes do
+    at_work = _Races(min(_WARM, frames - 1))
+    with one_core():
+        for scene in SCENES:
+            for seed in seeds:
+                rngs = [np.random.default_rng([seed, k]) for k in range(3)]
+                way = ride(MAPPED[scene](rngs[0]), rngs[1], Errors(), frames, _STEP * frames)
+                camera, inbox = CarriedCamera(way, rngs[2]), Inbox((), Stages())
+                at_work.start(way.profile)
+                for k, T in enumerate(way.T_world_camera):
+                    odometry, image = camera.step(Tick(int(way.stamps_ns[k])), inbox)
+                    at_work.run(odometry, image, T, compare=k % _COMPARED == 0)  # type: ignore[arg-type]
+                at_work.end()
+                say(f"map: {scene}, seed {seed} done")
+    return at_work.measured()
+
+
+class _Races:
+    """All jobs, and what is kept of them."""
+
+    def __init__(self, warm: int):
+        self._reduce = Race("reduction", "640x480", warm)
+        self._fuse = {n: Race("map update", f"{n}x{n}", warm) for n in SIZES}
+        self._score = {n: Race("score", f"{n}x{n}", warm) for n in SIZES}
+        self._whole = Race("frame to layers", "256x256", warm)
+        self._agreement: dict[tuple[str, str], dict[str, list[float]]] = {}
+        self._missing: list[str] = []
+        self._parts: list[dict[str, float]] = []
+        self._made: list[bool] = []
+
+    def start(self, profile: RobotProfile) -> None:
+        """Begin a ride: nothing is known."""
+        camera, reach, most = profile.camera, PerceptionSettings().scan_range, PerceptionSettings().scan_points
+
+        def ours(depth: NDArray[np.uint16], T: Array) -> ReducedScan:
+            return reduce_scan(
+                depth, camera.intrinsics, camera.sensor, T, resolution=_RESOLUTION, max_range=reach, max_points=most
+            )
+
+        peers, missing = installed(map_peers.REDUCTION, camera.intrinsics, camera.sensor, _RESOLUTION, reach)
+        self._reduce.start({OURS: ours, **{name: peer.reduce for name, peer in peers.items()}})
+        scores, also_missing = installed(map_peers.SCORE, _RESOLUTION, _WEIGHTS)
+        self._missing = missing + also_missing
+        model = FusionModel.of_sensor(camera.sensor, camera.intrinsics.fx)
+        self._grids: dict[int, dict[str, Any]] = {}
+        for n in SIZES:
+            grids = {OURS: ElevationGrid(n, _RESOLUTION, model), "NumPy": map_peers.NumpyGrid(n, _RESOLUTION, model)}
+            self._grids[n] = grids
+            self._fuse[n].start({name: _fused_into(grid) for name, grid in grids.items()})
+            ours_scored = _scored_by(WalkabilityScorer((n, n), _RESOLUTION, _WEIGHTS))
+            self._score[n].start({OURS: ours_scored, **{name: peer.score for name, peer in scores.items()}})
+        self._services = _Services(profile)
+        self._whole.start({OURS: self._services.run})
+
+    def run(self, odometry: Odometry, image: DepthImage, T: Array, compare: bool) -> None:
+        """One picture through all of them."""
+        points = self._reduce.run(image.depth, T)
+        scan: ReducedScan = points[OURS]
+        for n in SIZES:
+            self._fuse[n].run(scan, T[:3, 3])
+            grids = self._grids[n]
+            elevation = grids[OURS].snapshot().elevation
+            scores = self._score[n].run(fill_small_holes(elevation))
+            if compare:
+                self._agree(self._fuse[n], {OURS: elevation, "NumPy": grids["NumPy"].elevation}, 1e-3 * _SAME_MM)
+                self._agree(self._score[n], scores, _SAME_SCORE)
+        if compare:
+            maps = {name: _rastered(_points(found), scan.origin) for name, found in points.items()}
+            self._agree(self._reduce, maps, 1e-3 * _SAME_MM)
+        layers = self._whole.run(codec.encode(odometry), codec.encode(image), image.stamp_ns)
+        self._made.append(bool(layers[OURS]))
+
+    def end(self) -> None:
+        """The ride is over."""
+        self._parts.append(self._services.parts_ms())
+
+    def measured(self) -> Measured:
+        """What came of all rides."""
+        out = []
+        for race in (self._reduce, *self._fuse.values(), *self._score.values(), self._whole):
+            agreement = self._agreement.get((race.stage, race.case), {})
+            figures = {name: {"agreement": float(np.mean(shares))} for name, shares in agreement.items()}
+            small = {"map update": self._fuse, "score": self._score}.get(race.stage, {}).get(SIZES[0], race)
+            if race is not small:
+                figures[OURS] = {"growth": float(np.median(race.ms(OURS) / small.ms(OURS)))}
+            if race is self._whole:
+                figures[OURS] = {"made": float(np.mean(self._made))}
+            out += race.timings(figures)
+        # From the frame into the map: what each of two stages took, together.
+        n = SIZES[0]
+        both = {name: self._reduce.ms(name) + self._fuse[n].ms(name) for name in (OURS, "NumPy")}
+        at = next(k for k, t in enumerate(out) if t.stage == "score")
+        out[at:at] = held_against_first("frame into map", f"{n}x{n}", both, {})
+        names = dict.fromkeys(name for parts in self._parts for name in parts)
+        parts = {name: float(np.median([p[name] for p in self._parts if name in p])) for name in names}
+        whole = float(np.median(self._whole.ms(OURS)))
+        return Measured(out, self._missing, {**parts, "codec and the rest": max(0.0, whole - sum(parts.values()))})
+
+    def _agree(self, race: Race, layers: Mapping[str, Array], same: float) -> None:
+        """Note which share of the cells that either knows ours and each other method know alike."""
+        ours = layers[OURS]
+        for name, other in layers.items():
+            if name != OURS:
+                either = np.isfinite(ours) | np.isfinite(other)
+                share = float((np.abs(ours - other) < same)[either].mean()) if either.any() else 1.0
+                self._agreement.setdefault((race.stage, race.case), {}).setdefault(name, []).append(share)
+
+
+def _fused_into(grid: Any) -> Callable[[ReducedScan, Array], None]:
+    """One scan into a grid, from the millimetres of the wire on."""
+
+    def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
+        grid.move_to(p_world_camera[:2])
+        grid.fuse(
+            scan.origin + scan.points * 1e-3, scan.count, scan.spread * 1e-3, p_world_camera, pose_variance_z=_POSE_VARIANCE_Z
+        )
+
+    return fuse
+
+
+def _scored_by(scorer: WalkabilityScorer) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
+    return lambda elevation: scorer.score(elevation).score
+
+
+def _points(found: ReducedScan | Array) -> Array:
+    return np.asarray(found.origin + 1e-3 * found.points) if isinstance(found, ReducedScan) else found
+
+
+def _rastered(points: Array, centre: Array) -> Array:
+    """Highest of the points (n, 3) [m] in each cell around a place, NaN without one."""
+    half = round(PerceptionSettings().scan_range / _RESOLUTION) + 2
+    cells = np.floor((points[:, :2] - centre[:2]) / _RESOLUTION + 1e-6).astype(int) + half
+    inside = ((cells >= 0) & (cells < 2 * half)).all(axis=1)
+    out = np.full((2 * half, 2 * half), -np.inf)
+    np.maximum.at(out, tuple(cells[inside].T), points[inside, 2])
+    return np.where(np.isfinite(out), out, np.nan)
+
+
+class _Services:
+    """Perception and mapper with every message encoded and decoded, a map out for each frame in."""
+
+    def __init__(self, profile: RobotProfile):
+        rate_hz = profile.camera.sensor.rate_hz
+        perception = Perception(profile, PerceptionSettings(settle_s=0.0, scan_rate_hz=rate_hz))
+        mapper = Mapper(profile, MapperSettings(publish_every=1))
+        perception.stages, mapper.stages = _CoreStages(), _CoreStages()
+        self._now_ns = 0
+        self._mapper = Worker(mapper, self._done, lambda: self._now_ns)
+        self._perception = Worker(perception, self._to_mapper, lambda: self._now_ns)
+        self._layers = b""
+
+    def run(self, odometry: bytes, image: bytes, now_ns: int) -> bytes:
+        """The encoded layers that come of an encoded frame; empty where it comes to none."""
+        self._now_ns, self._layers = now_ns, b""
+        self._perception.inbox.receive(topics.ODOMETRY, odometry, self._now_ns)
+        self._perception.inbox.receive(topics.DEPTH, image, self._now_ns)
+        self._perception.arrived()
+        return self._layers
+
+    def parts_ms(self) -> dict[str, float]:
+        """Stage -> median of its time."""
+        out = {}
+        for worker in (self._perception, self._mapper):
+            for name, (p50, _) in worker.service.stages.percentiles().items():
+                if name != worker.service.name and not name.startswith("latency "):
+                    out[name] = p50
+        return out
+
+    def _to_mapper(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        if topic in self._mapper.reads:
+            self._mapper.inbox.receive(topic, frame, at_ns)
+            if topic is topics.SCAN:
+                self._mapper.arrived()
+
+    def _done(self, topic: AnyTopic, frame: bytes, _at_ns: int) -> None:
+        if topic is topics.TERRAIN:
+            self._layers = frame
+
+
+class _CoreStages(Stages):
+    """Stages by the time of the core."""
+
+    def __call__(self, name: str) -> Any:
+        return _CoreStage(self, name)
+
+
+class _CoreStage:
+    def __init__(self, stages: Stages, name: str):
+        self._stages, self._name = stages, name
+
+    def __enter__(self) -> None:
+        self._began = time.process_time_ns()
+
+    def __exit__(self, *_: object) -> None:
+        self._stages.add(self._name, 1e-6 * (time.process_time_ns() - self._began))

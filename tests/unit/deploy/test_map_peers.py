@@ -1,0 +1,78 @@
+"""The peers of the map stages come to the same results as ours: only then do their times compare."""
+
+import numpy as np
+import pytest
+
+from deploy.bench import map_peers
+from deploy.bench.ride import CarriedCamera, Errors, ride
+from deploy.bench.scenes import MAPPED
+from services.mapper.elevation import ElevationGrid, FusionModel
+from services.mapper.score import ScoreWeights, WalkabilityScorer
+from services.perception.reduction import reduce_scan
+
+WEIGHTS = ScoreWeights(unknown_clearance=0.02)
+MODEL = FusionModel()
+
+
+@pytest.mark.parametrize("scene", ["steps", "boxes"])
+def test_numpy_reduces_a_frame_to_the_same_cells(scene: str) -> None:
+    way = ride(MAPPED[scene](np.random.default_rng(1000)), np.random.default_rng(1), Errors(), frames=3, length=0.1)
+    camera, T = way.profile.camera, way.T_world_camera[0]
+    depth = CarriedCamera(way, np.random.default_rng(2)).frame(0)
+    found = reduce_scan(depth, camera.intrinsics, camera.sensor, T, max_range=1.5)
+    ours = found.origin + 1e-3 * found.points
+    theirs = map_peers.NumpyReduction(camera.intrinsics, camera.sensor, 0.01, 1.5).reduce(depth, T)
+    cells, others = ({tuple(c) for c in np.floor(p[:, :2] / 0.01 + 1e-6).astype(int).tolist()} for p in (ours, theirs))
+    assert len(cells ^ others) < 0.002 * len(cells)
+    heights = dict(zip(map(tuple, np.floor(theirs[:, :2] / 0.01 + 1e-6).astype(int).tolist()), theirs[:, 2], strict=True))
+    off = [
+        abs(heights[c] - z)
+        for *xy, z in ours
+        for c in [tuple(np.floor(np.array(xy) / 0.01 + 1e-6).astype(int))]
+        if c in heights
+    ]
+    assert np.mean(np.array(off) < 0.002) > 0.95
+
+
+def test_open3d_sees_the_same_ground() -> None:
+    pytest.importorskip("open3d", reason="Open3D, of the bench extra, and what it needs of the system", exc_type=ImportError)
+    way = ride(MAPPED["flat"](np.random.default_rng(0)), np.random.default_rng(1), Errors(), frames=3, length=0.1)
+    camera, T = way.profile.camera, way.T_world_camera[0]
+    depth = CarriedCamera(way, np.random.default_rng(2)).frame(0)
+    points = map_peers.Open3dCloud(camera.intrinsics, camera.sensor, 0.01, 1.5).reduce(depth, T)
+    assert len(points) > 10_000
+    assert abs(np.median(points[:, 2])) < 0.002
+
+
+def test_numpy_fuses_scans_into_the_same_map() -> None:
+    rng = np.random.default_rng(0)
+    ours, theirs = ElevationGrid(64, 0.01, MODEL), map_peers.NumpyGrid(64, 0.01, MODEL)
+    for k in range(40):
+        p = rng.uniform([-0.4, -0.4, 0.0], [0.6, 0.4, 0.0], (600, 3))  # some cells twice or more, some outside
+        p[:, 2] = 0.1 * (p[:, 0] > 0.1 + 0.1 * (k > 20)) + 0.003 * rng.standard_normal(600)  # a step that moves away
+        p[rng.random(600) < 0.05, 2] += 0.05
+        count, spread = rng.integers(1, 20, 600), rng.uniform(0.0, 0.004, 600)
+        camera = np.array([0.005 * k - 0.3, 0.1 - 0.004 * k, 0.5])
+        for grid in (ours, theirs):
+            grid.move_to(camera[:2])
+            grid.fuse(p, count, spread, camera, pose_variance_z=1e-6)
+    elevation = ours.snapshot().elevation
+    known = np.isfinite(elevation)
+    assert known.mean() > 0.5
+    np.testing.assert_array_equal(known, np.isfinite(theirs.elevation))
+    assert np.mean(np.abs(elevation - theirs.elevation)[known] < 1e-5) > 0.99
+
+
+@pytest.mark.parametrize("name", map_peers.SCORE)
+def test_other_libraries_come_to_the_same_score(name: str) -> None:
+    pytest.importorskip({"SciPy": "scipy", "scikit-image": "skimage"}.get(name, "cv2"), reason="of the bench extra")
+    rng = np.random.default_rng(1)
+    x, y = np.mgrid[0:80, 0:60] * 0.01
+    elevation = (0.2 * x + 0.05 * (y > 0.3) + 0.001 * rng.standard_normal(x.shape)).astype(np.float32)
+    elevation[20:30, 15:40] = np.nan
+    elevation[rng.random(x.shape) < 0.005] = np.nan
+    ours = WalkabilityScorer(elevation.shape, 0.01, WEIGHTS).score(elevation).score
+    theirs = map_peers.SCORE[name](0.01, WEIGHTS).score(elevation)
+    assert np.isfinite(ours).mean() > 0.5
+    np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
+    np.testing.assert_allclose(theirs, ours, atol=1e-3, rtol=1e-3)
