@@ -44,7 +44,7 @@ class LockstepRun:
             "actuator": lambda: _actuator(profile, simulator, self.now_ns),
             "perception": lambda: Perception(profile, PerceptionSettings(method=scenario.variation.registration)),
             "mapper": lambda: Mapper(profile, MapperSettings()),
-            "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind)),
+            "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind, footholds=scenario.walk.footholds)),
         }
         for name, service in self.attendance.services().items():
             makers[name] = lambda service=service: service  # type: ignore[misc]

@@ -32,6 +32,7 @@ class Choices:
     seed: int = 3
     bus_port: int = BUS_PORT  # TCP port of the simulated servo bus
     blind: bool = False
+    footholds: str = "score"  # the map's layer that the planner walks on
     registration: str = "projective"
     camera: str = ""  # device in place of the one of the robot's profile: "openni2", "realsense", or a recorded folder
 
@@ -63,6 +64,10 @@ def _perception(choices: Choices) -> dict[str, Value]:
     return {"method": choices.registration}
 
 
+def _planner(choices: Choices) -> dict[str, Value]:
+    return {"blind": choices.blind, "footholds": choices.footholds}
+
+
 def _actuator(choices: Choices) -> dict[str, Value]:
     return {"port": f"socket://127.0.0.1:{choices.bus_port}"} if choices.scenario else {}
 
@@ -74,7 +79,7 @@ TABLE: tuple[Process, ...] = (
     Process("camera", "services.perception.cameras", "device", 3, _camera),
     Process("perception", "services.perception", "robot", 3, _perception, nice=2),
     Process("mapper", "services.mapper", "either", 3, lambda _: {}, nice=5),
-    Process("planner", "services.planner", "either", 3, lambda choices: {"blind": choices.blind}, nice=2),
+    Process("planner", "services.planner", "either", 3, _planner, nice=2),
 )
 
 
@@ -98,6 +103,7 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
         seed=seed,
         bus_port=bus_port,
         blind=scenario.walk.blind,
+        footholds=scenario.walk.footholds,
         registration=scenario.variation.registration,
     )
 

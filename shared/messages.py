@@ -177,6 +177,9 @@ class TerrainMap(Message):
     variance: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m^2] of elevation, NaN where never seen
     score: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # 0 best, above 1 no foothold, NaN unknown
     assumed: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # filled in at the start, not measured
+    # Masri's evaluation function [cells]: -1 and less where a foot may stand, the least being best; 1 and more elsewhere, the
+    # distance from there; 127 where nothing is known.
+    evaluation: Annotated[NDArray[np.int8], Dims("nx", "ny")]
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,6 +133,7 @@ class Walk:
     body_height: float = 0.10  # [m]
     lift: float = 0.04  # [m] clearance of a swinging foot over start and touchdown
     blind: bool = False  # the baseline: the planner gets no map and walks as on flat ground
+    footholds: Literal["score", "evaluation"] = "score"  # the layer of the map that says where: Lotriet's or Masri's
 
     def __post_init__(self) -> None:
         _expect(self.speed > 0, "a speed greater than 0 m/s", self.speed)

@@ -14,12 +14,18 @@ also tells a low step two cells away from noise better than (6.4) can, whose noi
 
 import math
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from services.mapper.foothold_map import disc
 from shared.compiled import compiled
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+_REFERENCE_STEP = 0.0625  # [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +72,7 @@ class ScoreTerms:
 
 
 class WalkabilityScorer:
-    """Scores maps of one shape; keeps its scratch layers from call to call, the results are fresh."""
+    """Scores maps of one shape, or parts of them; keeps its scratch layers from call to call, the results are fresh."""
 
     def __init__(self, shape: tuple[int, int], resolution: float, weights: ScoreWeights | None = None) -> None:
         """Take the map's shape (nx, ny), its resolution [m] and the weights.
@@ -86,22 +92,19 @@ class WalkabilityScorer:
             raise ValueError(
                 f"flat_radius of 1 to 15 cells expected, found {self.weights.flat_radius} m at {resolution} m per cell"
             )
-        self._near_unknown = _disc(self.weights.unknown_clearance / resolution)
-        self._height, self._gx, self._gy, self._mean, self._weight, self._known = (
-            np.full(shape, 0, dtype=np.float32) for _ in range(6)
-        )
-        self._slope, self._proximity, self._roughness = (np.full(shape, np.nan, dtype=np.float32) for _ in range(3))
-        self._seen, self._evaluable = (np.full(shape, 0, dtype=np.uint8) for _ in range(2))
+        self._near_unknown = disc(self.weights.unknown_clearance / resolution)
+        self._neighbours = disc(0.0)
+        # [cells] how far a score looks.
+        self.halo = max(self._half, self._near_unknown.shape[0] // 2)
+        self._floats = [np.full(shape, 0, dtype=np.float32) for _ in range(10)]
+        self._bytes = [np.full(shape, 0, dtype=np.uint8) for _ in range(3)]
+        for layer in self._floats[6:]:
+            layer[:] = np.nan
+        terms, masks = self._floats[6:], self._bytes
+        self._scored = Scored(terms[0], terms[1], terms[2], terms[3], masks[0], masks[1], masks[2])
 
     def score(self, elevation: NDArray[np.float32]) -> Walkability:
         """Score a map; whatever lies beyond its border counts as unknown.
-
-        1. Unknown cells are masked: height 0 and weight 0. A cell is evaluable if none of its eight neighbours nor
-           any cell within the clearance is unknown.
-        2. Slope: Sobel over the 3x3 known cells (Lotriet 2024, eq. 6.1-6.3).
-        3. Proximity: Gaussian mean of the known cells less the cell (eq. 6.4), a normalised convolution.
-        4. Roughness: deviation of the known cells from their least-squares plane.
-        5. The weighted sum against the limit.
 
         Args:
             elevation: (nx, ny) [m], NaN where unseen; any constant may be added without changing the result.
@@ -112,68 +115,147 @@ class WalkabilityScorer:
         h = np.ascontiguousarray(elevation, dtype=np.float32)
         if h.shape != self.shape:
             raise ValueError(f"map of shape {self.shape} expected, found {h.shape}")
-        if not _mask_unknown(h, self._height, self._known, self._seen):
-            raise ValueError("heights finite or NaN expected, found an infinite one")
+        score = self.evaluate(h, reference_height(h)).score.copy()
+        return Walkability(score, score <= np.float32(self.weights.limit))
+
+    def evaluate(self, elevation: NDArray[np.float32], reference: float) -> "Scored":
+        """Score a map or a part of it, no larger than the scorer's shape; the result is overwritten by the next call.
+
+        1. Unknown cells are masked: height 0 and weight 0. A cell is evaluable if none of its eight neighbours nor
+           any cell within the clearance is unknown.
+        2. Slope: Sobel over the 3x3 known cells (Lotriet 2024, eq. 6.1-6.3).
+        3. Proximity: Gaussian mean of the known cells less the cell (eq. 6.4), a normalised convolution.
+        4. Roughness: deviation of the known cells from their least-squares plane.
+        5. The weighted sum.
+
+        Args:
+            elevation: (a, b) [m] without gaps in memory, NaN where unseen; what lies beyond counts as unknown.
+            reference: [m] near the heights, which are taken from it: it conditions sums in single precision.
+        """
+        shape = elevation.shape
+        height, known, gx, gy, mean, weight, slope, proximity, roughness, score = (_part(f, shape) for f in self._floats)
+        seen, complete, evaluable = (_part(b, shape) for b in self._bytes)
+        _mask_unknown(elevation.ravel(), np.float32(reference), height.ravel(), known.ravel(), seen.ravel())
         # Outside is unknown: the mask is eroded and blurred against zeros.
-        cv2.erode(self._seen, self._near_unknown, dst=self._evaluable, borderType=cv2.BORDER_CONSTANT, borderValue=[0.0])
+        for room, out in ((self._neighbours, complete), (self._near_unknown, evaluable)):
+            cv2.erode(seen, room, dst=out, borderType=cv2.BORDER_CONSTANT, borderValue=[0.0])
         scale = 1.0 / (8.0 * self.resolution)
-        cv2.Sobel(self._height, cv2.CV_32F, 0, 1, dst=self._gx, ksize=3, scale=scale)  # OpenCV's y is our first axis
-        cv2.Sobel(self._height, cv2.CV_32F, 1, 0, dst=self._gy, ksize=3, scale=scale)
+        cv2.Sobel(height, cv2.CV_32F, 0, 1, dst=gx, ksize=3, scale=scale)  # OpenCV's y is our first axis
+        cv2.Sobel(height, cv2.CV_32F, 1, 0, dst=gy, ksize=3, scale=scale)
         kernel = (2 * self._half + 1, 2 * self._half + 1)
         sigma = self.weights.proximity_sigma / self.resolution
-        cv2.GaussianBlur(self._height, kernel, sigma, dst=self._mean, borderType=cv2.BORDER_CONSTANT)
-        cv2.GaussianBlur(self._known, kernel, sigma, dst=self._weight, borderType=cv2.BORDER_CONSTANT)
+        cv2.GaussianBlur(height, kernel, sigma, dst=mean, borderType=cv2.BORDER_CONSTANT)
+        cv2.GaussianBlur(known, kernel, sigma, dst=weight, borderType=cv2.BORDER_CONSTANT)
         w = self.weights
-        _plane_deviation(self._height, self._known, self._evaluable, self._half, w.noise_sigma, self._roughness)
-        slope, proximity, roughness = self._slope.ravel(), self._proximity.ravel(), self._roughness.ravel()
-        _slope_and_proximity(
-            self._gx.ravel(), self._gy.ravel(), self._height.ravel(), self._mean.ravel(), self._weight.ravel(),
-            slope, proximity,
-        )  # fmt: skip
-        for term in (slope, proximity, roughness):
-            _mask(self._evaluable.ravel(), term)
-        score = np.empty(self.shape, dtype=np.float32)
-        _weighted_sum(slope, proximity, roughness, (w.slope, w.proximity, w.roughness), score.ravel())
-        return Walkability(score, score <= np.float32(w.limit))
+        _plane_deviation(height, known, complete, self._half, w.noise_sigma, roughness)
+        flat = [layer.ravel() for layer in (slope, proximity, roughness)]
+        _slope_and_proximity(gx.ravel(), gy.ravel(), height.ravel(), mean.ravel(), weight.ravel(), flat[0], flat[1])
+        for term in flat:
+            _mask(complete.ravel(), term)
+        _weighted_sum(flat[0], flat[1], flat[2], (w.slope, w.proximity, w.roughness), score.ravel())
+        _mask(evaluable.ravel(), score.ravel())
+        self._scored = Scored(slope, proximity, roughness, score, seen, complete, evaluable)
+        return self._scored
 
     def terms(self) -> ScoreTerms:
         """Copy the terms of the last score, to show or explain it; all NaN before the first."""
-        return ScoreTerms(self._slope.copy(), self._proximity.copy(), self._roughness.copy())
+        s = self._scored
+        return ScoreTerms(*(np.where(s.evaluable, term, np.float32(np.nan)) for term in (s.slope, s.proximity, s.roughness)))
 
 
-def _disc(radius: float) -> NDArray[np.uint8]:
-    """Cells within a radius [cells], and always the eight neighbours that the Sobel kernel reads."""
-    half = max(1, math.floor(radius + 1e-6))
-    i, j = np.mgrid[-half : half + 1, -half : half + 1]
-    near = (i**2 + j**2 <= (radius + 1e-6) ** 2) | (np.maximum(abs(i), abs(j)) <= 1)
-    return np.asarray(near, dtype=np.uint8)
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """A part of a map with its score and what it is made of."""
+
+    slope: NDArray[np.float32]  # (a, b) [m/m] as in `ScoreTerms`, where complete
+    proximity: NDArray[np.float32]  # (a, b) [m] where complete
+    roughness: NDArray[np.float32]  # (a, b) [m] where complete
+    score: NDArray[np.float32]  # (a, b) where evaluable
+    seen: NDArray[np.uint8]  # (a, b) 1 where there is a height
+    complete: NDArray[np.uint8]  # (a, b) 1 where the eight neighbours have one, too
+    evaluable: NDArray[np.uint8]  # (a, b) 1 where all cells within the clearance have one
+
+
+def reference_height(elevation: NDArray[np.float32]) -> float:
+    """A height [m] near those of a map (nx, ny): their mean, rounded so that it seldom changes; 0 for an unknown map.
+
+    Raises:
+        ValueError: A height is infinite.
+    """
+    total = np.zeros((2, elevation.shape[1]), dtype=np.float32)
+    _add_known(elevation, total[0], total[1])
+    number = float(total[1].sum(dtype=np.float64))
+    mean = float(total[0].sum(dtype=np.float64)) / max(number, 1.0)
+    if not math.isfinite(mean):
+        raise ValueError("heights finite or NaN expected, found an infinite one")
+    return round(mean / _REFERENCE_STEP) * _REFERENCE_STEP
+
+
+def published_score(
+    elevation: NDArray[np.float32], slope: float, proximity: float, kernel: int = 5, sigma: float = 1.5
+) -> NDArray[np.float32]:
+    """The score as the thesis has it, for comparison: the sum of (6.3) and (6.4), constants and all, without a roughness.
+
+    Args:
+        elevation: (nx, ny) [m], NaN where unseen.
+        slope: [1/m] C_g, on the sum of Sobel's kernel, which is 8 cells' edges times the gradient.
+        proximity: [1/m] C_p, on the mean that is divided by n^2 once more.
+        kernel: [cells] n, odd.
+        sigma: [cells] standard deviation of the Gaussian kernel K, which sums to one.
+
+    Returns:
+        (nx, ny) score, NaN where a kernel meets an unknown cell or the border.
+
+    Raises:
+        ValueError: The kernel is even or smaller than 3.
+
+    Source: Lotriet 2024, eq. (6.1)-(6.4).
+    """
+    if kernel < 3 or kernel % 2 == 0:
+        raise ValueError(f"an odd kernel of at least 3 cells expected, found {kernel}")
+    nan = float(np.nan)
+    frame = kernel // 2
+    h = cv2.copyMakeBorder(elevation, frame, frame, frame, frame, cv2.BORDER_CONSTANT, value=[nan])
+    gx, gy = cv2.Sobel(h, cv2.CV_32F, 0, 1, ksize=3), cv2.Sobel(h, cv2.CV_32F, 1, 0, ksize=3)
+    column = cv2.getGaussianKernel(kernel, sigma, cv2.CV_32F)
+    difference = cv2.filter2D(h, cv2.CV_32F, column @ column.T) - h
+    score = slope * np.sqrt(gx**2 + gy**2) + proximity * np.abs(difference / kernel**2)
+    return np.asarray(score[frame:-frame, frame:-frame], dtype=np.float32)
+
+
+def _part(layer: NDArray[Scalar], shape: tuple[int, ...]) -> NDArray[Scalar]:
+    """A scratch layer's memory as one of a smaller shape, without gaps."""
+    return layer if layer.shape == shape else layer.reshape(-1)[: shape[0] * shape[1]].reshape(shape)
+
+
+@compiled
+def _add_known(elevation: NDArray[np.float32], total: NDArray[np.float32], number: NDArray[np.float32]) -> None:
+    """Add the known heights of a map (nx, ny) to column sums (ny,), and how many they are."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for i in range(len(elevation)):
+        row = elevation[i]
+        for j in range(len(row)):
+            z = row[j]
+            total[j] += z if z == z else zero
+            number[j] += one if z == z else zero
 
 
 @compiled
 def _mask_unknown(
     elevation: NDArray[np.float32],
+    reference: np.float32,
     height: NDArray[np.float32],
     known: NDArray[np.float32],
     seen: NDArray[np.uint8],
-) -> bool:
-    """Heights about their mean with unknown ones zero, and the mask twice; False if a height is infinite."""
-    nx, ny = elevation.shape
-    total, n = 0.0, 0
-    for i in range(nx):
-        for j in range(ny):
-            if not np.isnan(elevation[i, j]):
-                total += elevation[i, j]
-                n += 1
-    reference = total / max(n, 1)
-    if not np.isfinite(reference):
-        return False
-    for i in range(nx):
-        for j in range(ny):
-            unknown = np.isnan(elevation[i, j])
-            height[i, j] = 0.0 if unknown else elevation[i, j] - reference
-            known[i, j] = 0.0 if unknown else 1.0
-            seen[i, j] = 0 if unknown else 1
-    return True
+) -> None:
+    """Heights about the reference with unknown ones zero, and the mask twice. All arrays flat."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for k in range(len(elevation)):
+        z = elevation[k]
+        height[k] = z - reference if z == z else zero
+        known[k] = one if z == z else zero
+    for k in range(len(elevation)):
+        seen[k] = elevation[k] == elevation[k]
 
 
 @compiled

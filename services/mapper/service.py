@@ -1,15 +1,18 @@
 """The mapper: scans in, the terrain with its score out."""
 
+import math
 from collections.abc import Iterator
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from services.mapper.cloud import Strip
 from services.mapper.config import Settings
-from services.mapper.elevation import ElevationGrid, FusionModel, fill_small_holes
+from services.mapper.elevation import ElevationGrid, ElevationSnapshot, FusionModel
+from services.mapper.layers import FootholdLayers, Margin
 from services.mapper.passage import PassageGrid, cell_centres, cells_of, feet_plane
-from services.mapper.score import ScoreWeights, WalkabilityScorer
+from services.mapper.score import ScoreWeights
 from services.mapper.survey import Outlook, Survey
 from shared import topics
 from shared.geometry import Array, apply
@@ -39,7 +42,7 @@ class Mapper:
         self._profile = profile
         model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx)
         self._grid = ElevationGrid(settings.shape, settings.resolution, model)
-        self._scorer = WalkabilityScorer(settings.shape, settings.resolution, _WEIGHTS)
+        self._layers = FootholdLayers(settings.shape, settings.resolution, Margin(profile.foot.radius), _WEIGHTS)
         self._seeded = False
         self._scans = 0
         self._known = 0.0  # share of the cells
@@ -70,7 +73,7 @@ class Mapper:
             self._seeded = True
         self._scans += 1
         if self._scans % self._settings.publish_every == 0:
-            yield self._terrain(scan.stamp_ns)
+            yield self._terrain(scan.stamp_ns, pose)
         request = inbox.fresh(topics.PASSAGE_REQUEST)
         if request is None:
             self._survey = None  # nobody asks any more: nothing is kept
@@ -151,11 +154,17 @@ class Mapper:
         seen = above[np.isfinite(above)]
         return bool(len(seen) > 0.3 * len(points) and np.percentile(np.abs(seen), 95) < _LEVEL)
 
-    def _terrain(self, stamp_ns: int) -> TerrainMap:
+    def _terrain(self, stamp_ns: int, pose: BodyPose | None) -> TerrainMap:
         with self.stages("snapshot"):
             snapshot = self._grid.snapshot()
         with self.stages("score"):
-            score = self._scorer.score(fill_small_holes(snapshot.elevation)).score
+            layers = self._layers.update(
+                snapshot.elevation,
+                _measured_variance(snapshot),
+                np.round(snapshot.origin / snapshot.resolution - 0.5).astype(np.int64),
+                math.inf if pose is None else float(pose.T_world_body[2, 3]),
+                0.0 if pose is None else _position_sigma(pose),
+            )
         self._known = float(np.isfinite(snapshot.elevation).mean())
         return TerrainMap(
             stamp_ns=stamp_ns,
@@ -163,7 +172,8 @@ class Mapper:
             origin=snapshot.origin,
             elevation=snapshot.elevation,
             variance=snapshot.variance,
-            score=score,
+            score=layers.score,
+            evaluation=layers.evaluation,
             assumed=snapshot.assumed.astype(np.bool_),
         )
 
@@ -209,3 +219,15 @@ def _no_passage(stamp_ns: int, request: PassageRequest, resolution: float, reaso
         T_world_look=np.eye(4),
         look_shows=nothing.astype(np.bool_),
     )
+
+
+def _measured_variance(snapshot: ElevationSnapshot) -> NDArray[np.float32]:
+    """Variance (nx, ny) [m^2] where there is a measurement; what is assumed is no less certain of its edges: it has none."""
+    return np.where(snapshot.assumed != 0, np.float32(0.0), snapshot.variance)
+
+
+def _position_sigma(pose: BodyPose) -> float:
+    """Standard deviation [m] of the body's place in the direction in which it is known least."""
+    xy = pose.covariance[:2, :2]
+    half, spread = (xy[0, 0] + xy[1, 1]) / 2, math.hypot((xy[0, 0] - xy[1, 1]) / 2, xy[0, 1])
+    return math.sqrt(max(0.0, half + spread))

@@ -1,6 +1,7 @@
 """Settings of the planner."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -8,6 +9,7 @@ class Settings:
     """How the robot steps; defaults walk."""
 
     blind: bool = False  # the baseline: no map is read, the ground is taken for the plane of the standing feet
+    footholds: Literal["score", "evaluation"] = "score"  # the map's layer to walk on: Lotriet's or Masri's
     step_s: float = 0.80  # [s] duration of a step
     max_stride: float = 0.09  # [m] of the body in one step
     max_turn_deg: float = 10.0  # [deg] of the body in one step

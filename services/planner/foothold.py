@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.terrain import ACCEPTABLE, Terrain
+from services.planner.terrain import GOOD, NONE, Terrain
 from shared.geometry import Array
 
 Reachable = Callable[[Array], NDArray[np.bool_]]
@@ -46,7 +46,7 @@ def offsets_by_distance(radius: float, resolution: float) -> Array:
 def nearest_foothold(
     terrain: Terrain, nominal: Array, offsets: Array, others: Array, min_distance: float, reachable: Reachable
 ) -> Foothold | NoFoothold:
-    """The acceptable foothold nearest to a nominal one.
+    """The acceptable foothold nearest to a nominal one; where the terrain tells good ones from poor ones, the nearest good one.
 
     Args:
         terrain: The map.
@@ -71,14 +71,16 @@ def _search(
     terrain: Terrain, xy: Array, others: Array, min_distance: float, reachable: Reachable, nominal: Array | None = None
 ) -> Foothold | NoFoothold:
     """The one of (n, 2) [m] {world} places that carries a foot and is nearest to the nominal one, None for the first."""
-    scores = terrain.scores(xy)
+    suitability = terrain.suitability(xy)
     footing = terrain.footing(xy)
-    unknown = ~np.isfinite(scores) | ~np.isfinite(footing)
-    rough = ~unknown & (scores > ACCEPTABLE)
+    unknown = np.isnan(suitability) | ~np.isfinite(footing)
+    rough = ~unknown & (suitability == NONE)
     near = ((xy[:, None] - others) ** 2).sum(axis=2).min(axis=1, initial=np.inf) < min_distance**2
     candidates = np.flatnonzero(~unknown & ~rough & ~near)
     points = np.column_stack([xy[candidates], footing[candidates]])
     within = reachable(points) if len(points) else np.zeros(0, dtype=bool)
+    good = within & (suitability[candidates] == GOOD)
+    within = good if nominal is None or good.any() else within
     if within.any():
         if nominal is None:
             return Foothold(points[int(np.argmax(within))], 0.0)

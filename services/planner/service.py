@@ -116,7 +116,7 @@ class Planner:
             feet = _feet_in_world(state, pose)[~state.swing]
             return flat_terrain(state.stamp_ns, feet[:, :2].mean(axis=0), float(feet[:, 2].mean()) - self._profile.foot.radius)
         map_ = inbox.fresh(topics.TERRAIN, self._settings.map_age_s)
-        return None if map_ is None else Terrain(map_)
+        return None if map_ is None else Terrain(map_, self._settings.footholds)
 
     def _next_step(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain) -> "_Sent | None":
         at = self._situation(state, pose, command)

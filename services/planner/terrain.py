@@ -1,6 +1,7 @@
 """The terrain map as the planner asks it: heights and scores at places in the world."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,13 @@ from shared.geometry import Array
 from shared.messages import TerrainMap
 
 ACCEPTABLE = 1.0  # highest score that carries a foot
+UNKNOWN = 127  # of the evaluation function
+FIRM = 0.03  # [m] from the end of accessible ground, beyond which Masri's evaluation function is strongly negative
+NONE, POOR, GOOD = 0.0, 1.0, 2.0  # a place as a foothold
+Layer = Literal["score", "evaluation"]
+
+_AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+_DEEP = -100  # [cells] of level ground without an end
 
 
 @dataclass(frozen=True)
@@ -16,6 +24,7 @@ class Terrain:
     """A map and what it knows at a point; outside it everything is unknown."""
 
     map: TerrainMap
+    layer: Layer = "score"  # which of the map's layers says what carries a foot
 
     def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Indices (n, 2) of the cells of (n, 2) [m] {world} points, clipped, and which of them are in the map."""
@@ -33,6 +42,25 @@ class Terrain:
         """Scores (n,) at (n, 2) [m] {world} points, NaN where unknown."""
         ij, inside = self.cells(xy)
         return np.where(inside, self.map.score[ij[..., 0], ij[..., 1]], np.nan)
+
+    def suitability(self, xy: Array) -> Array:
+        """How good (n,) places (n, 2) [m] {world} are as footholds: `NONE`, `POOR` or `GOOD`; NaN where unknown.
+
+        By Lotriet's score a place is good or it is none. By Masri's evaluation function (2016, section 5.2.1) it is good where
+        that is strongly negative or at a local minimum, poor where it is negative else.
+        """
+        if self.layer == "score":
+            scores = self.scores(xy)
+            return np.where(np.isnan(scores), np.nan, np.where(scores <= ACCEPTABLE, GOOD, NONE))
+        here = self._evaluations(xy)
+        around = np.min([self._evaluations(xy + self.map.resolution * np.array(step)) for step in _AROUND], axis=0)
+        good = here <= np.maximum(around, round(-FIRM / self.map.resolution))
+        return np.where(here == UNKNOWN, np.nan, np.where(here >= 0, NONE, np.where(good, GOOD, POOR)))
+
+    def _evaluations(self, xy: Array) -> NDArray[np.int64]:
+        """Evaluation function (n,) [cells] at (n, 2) [m] {world} points, UNKNOWN outside the map."""
+        ij, inside = self.cells(xy)
+        return np.where(inside, self.map.evaluation[ij[..., 0], ij[..., 1]].astype(np.int64), UNKNOWN)
 
     def centres(self, xy: Array) -> Array:
         """Centres (n, 2) [m] {world} of the cells that hold (n, 2) points."""
@@ -90,5 +118,6 @@ def flat_terrain(stamp_ns: int, centre: Array, height: float, half_size: float =
         variance=np.zeros_like(layer),
         score=np.zeros_like(layer),
         assumed=np.ones((n, n), dtype=np.bool_),
+        evaluation=np.full((n, n), _DEEP, dtype=np.int8),
     )
     return Terrain(flat)

@@ -183,7 +183,8 @@ class Story:
         assumed[: max(0, 100 - first)] = True  # up to x = 0.6
         score = np.where(np.abs(np.gradient(height)[0]) > 0.004, 2.0, 0.2).astype(np.float32)
         origin = np.array([0.01 * (first - 40), -0.6])
-        return TerrainMap(ms * _MS, 0.01, origin, height, np.full_like(height, 1e-5), score, assumed)
+        evaluation = np.where(score > 1, 1, -1).astype(np.int8)
+        return TerrainMap(ms * _MS, 0.01, origin, height, np.full_like(height, 1e-5), score, assumed, evaluation)
 
     def scorer(self) -> Scorer:
         return Scorer(self.profile, self.scenario, self.seed)

@@ -22,7 +22,8 @@ def velocity(stamp_ns: int, rng: np.random.Generator) -> VelocityCommand:
 
 def terrain(stamp_ns: int) -> TerrainMap:
     layer = np.full((5, 4), np.nan, dtype=np.float32)
-    return TerrainMap(stamp_ns, 0.01, np.zeros(2), layer, layer, layer, np.zeros((5, 4), dtype=np.bool_))
+    flags, cells = np.zeros((5, 4), dtype=np.bool_), np.zeros((5, 4), dtype=np.int8)
+    return TerrainMap(stamp_ns, 0.01, np.zeros(2), layer, layer, layer, flags, cells)
 
 
 def some_messages(seed: int = 0, n: int = 40) -> list[tuple[AnyTopic, Message, int]]:

@@ -92,7 +92,8 @@ def test_a_missing_picture_is_named(folder: Path) -> None:
 
 def terrain(elevation: np.ndarray) -> TerrainMap:
     layer = elevation.astype(np.float32)
-    return TerrainMap(0, 0.01, np.zeros(2), layer, layer, layer, np.zeros(layer.shape, dtype=np.bool_))
+    flags, cells = np.zeros(layer.shape, dtype=np.bool_), np.zeros(layer.shape, dtype=np.int8)
+    return TerrainMap(0, 0.01, np.zeros(2), layer, layer, layer, flags, cells)
 
 
 def test_maps_that_agree_do_not_differ_and_a_shift_is_a_bias() -> None:

@@ -15,11 +15,12 @@ RESOLUTION = 0.01
 def terrain_of(
     height: Callable[[Array, Array], Array] = lambda x, y: 0.0 * x,
     score: Callable[[Array, Array], Array] = lambda x, y: 0.0 * x,
+    evaluation: Callable[[Array, Array], Array] = lambda x, y: 0.0 * x - 5.0,
     stamp_ns: int = 0,
     half: float = 1.0,
     origin: tuple[float, float] = (0.0, 0.0),
 ) -> Terrain:
-    """A map of heights [m] and scores given as functions of x and y [m] {world}."""
+    """A map of heights [m] scores and evaluations [cells] given as functions of x and y [m] {world}."""
     n = round(2 * half / RESOLUTION) + 1
     low = np.array(origin) - half
     x, y = np.meshgrid(low[0] + RESOLUTION * np.arange(n), low[1] + RESOLUTION * np.arange(n), indexing="ij")
@@ -33,6 +34,7 @@ def terrain_of(
             variance=np.full_like(elevation, 1e-6),
             score=np.asarray(score(x, y), dtype=np.float32),
             assumed=np.zeros(elevation.shape, dtype=bool),
+            evaluation=np.asarray(evaluation(x, y), dtype=np.int8),
         )
     )
 

@@ -394,9 +394,10 @@ def test_nor_does_it_pass_in_a_large_array(where: int) -> None:
     n = 300
     layer = np.zeros((n, n), dtype=np.float32)
     flags = np.zeros((n, n), dtype=np.bool_)
-    frame = bytearray(codec.encode(m.TerrainMap(0, 0.01, np.zeros(2), layer, layer, layer, flags)))
+    cells = np.zeros((n, n), dtype=np.int8)
+    frame = bytearray(codec.encode(m.TerrainMap(0, 0.01, np.zeros(2), layer, layer, layer, flags, cells)))
     assert codec.decode(bytes(frame), m.TerrainMap)
-    begin = len(frame) - n * n  # the flags are the last array, and no gap follows them
+    begin = len(frame) - 2 * n * n  # the flags are the last array but one, and no gap follows them
     frame[begin + where % (n * n)] = 2
     assert "truth values of 0 or 1" in refusal(bytes(frame), m.TerrainMap)
 

@@ -1,0 +1,329 @@
+"""The two foothold layers of a map that moves and grows, made anew only where something changed.
+
+What changed is told from the map itself, cell by cell against the one before: whatever wrote to it cannot forget to say so.
+A cell of a layer looks no further than its halo, so the changed cells' rectangle and its halo are scored, on a part of the
+map that is a halo wider still. Where the window has left ground behind, the new border is scored as well. The evaluation
+function is made anew around cells of the foothold map that changed, few as a rule, and throughout when the window moved.
+
+**Margin.** A foot that is aimed at a cell stands within `margin` of it: the foot's radius, and `sigmas` times the error of
+its place, which is that of the body's and that of the ground's. The ground's is taken as large along the floor as it is in
+height: both come from a depth along a ray that looks down at 30 to 45 degrees. The score already looks `flat_radius` around;
+what the margin asks beyond that is added by taking the worst score, and the ground of Masri's map by taking only what is all
+accessible, within so many cells more.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from services.mapper.elevation import fill_small_holes
+from services.mapper.foothold_map import EvaluationFunction, FootholdRules, disc
+from services.mapper.score import Scalar, ScoreWeights, WalkabilityScorer, reference_height
+from shared.compiled import compiled
+
+_MOST_ADDED = 4  # [cells] that a margin may ask for beyond the score's own: more than that and nothing would be left
+_WHOLE = 0.8  # share of the map from which all of it is made anew
+_BAND = 65536  # cells scored at a time
+
+Rectangle = tuple[int, int, int, int]  # first row, end of rows, first column, end of columns
+
+
+@dataclass(frozen=True, slots=True)
+class Margin:
+    """How far from a cell a foot may come to stand."""
+
+    foot_radius: float = 0.01  # [m]
+    sigmas: float = 2.0  # standard deviations of the place that are kept free
+
+    def __post_init__(self) -> None:
+        if not (0 < self.foot_radius < math.inf and 0 <= self.sigmas < math.inf):
+            raise ValueError(f"a positive foot radius and sigmas of at least 0 expected, found {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class Layers:
+    """Where a foot may stand, by either thesis."""
+
+    score: NDArray[np.float32]  # (nx, ny) Lotriet's walkability, NaN where not known well enough
+    evaluation: NDArray[np.int8]  # (nx, ny) [cells] Masri's evaluation function, see `EvaluationFunction.evaluate`
+    rescored: float  # share of the cells that were scored anew
+
+
+class FootholdLayers:
+    """Keeps both layers of one map from call to call."""
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        resolution: float,
+        margin: Margin | None = None,
+        weights: ScoreWeights | None = None,
+        rules: FootholdRules | None = None,
+    ) -> None:
+        """Take the map's shape (nx, ny), its resolution [m], and what a foothold must be.
+
+        Raises:
+            ValueError: What does not fit, from the scorer or the evaluation function.
+        """
+        self.shape = shape
+        self._resolution = resolution
+        self._margin = margin or Margin()
+        self._scorer = WalkabilityScorer(shape, resolution, weights)
+        self._evaluator = EvaluationFunction(resolution, rules)
+        self._halo = self._scorer.halo + 1  # a bridged hole shows its neighbours' heights
+        self._first: NDArray[np.int64] | None = None  # cell of the world at (0, 0)
+        self._reference = math.nan
+        self._moved = True  # since the evaluation function was made
+        self._elevation = np.full(shape, np.nan, dtype=np.float32)  # as it was last time
+        self._score = np.full(shape, np.nan, dtype=np.float32)
+        self._even = np.full(shape, 0, dtype=np.uint8)  # 1 accessible but for its depth, 2 refused
+        self._ground = np.full(shape, 0, dtype=np.uint8)  # what the evaluation function was made from
+        self._evaluation = np.full(shape, 0, dtype=np.int8)
+
+    def update(
+        self,
+        elevation: NDArray[np.float32],
+        variance: NDArray[np.float32],
+        first: NDArray[np.int64],
+        body_height: float = math.inf,
+        position_sigma: float = 0.0,
+    ) -> Layers:
+        """Both layers of a map.
+
+        1. What is still in the window moves with it.
+        2. Score the cells that changed, and tell even ground from edges and slopes.
+        3. Widen by the margin.
+        4. Foothold map and evaluation function where the foothold map changed.
+
+        Args:
+            elevation: (nx, ny) [m] {world}, NaN where unseen.
+            variance: (nx, ny) [m^2] of it; NaN counts as zero.
+            first: (2,) index of cell (0, 0) in the world: two maps that share ground differ by whole cells.
+            body_height: [m] {world} height of the body's centre, from which Masri's depth limit counts; infinite for none.
+            position_sigma: [m] standard deviation of the body's place along x and y.
+
+        Raises:
+            ValueError: A shape is not the map's, a height is infinite, or the sigma is not a number of at least 0.
+        """
+        h = np.ascontiguousarray(elevation, dtype=np.float32)
+        if h.shape != self.shape or variance.shape != self.shape or np.shape(first) != (2,):
+            raise ValueError(
+                f"maps {self.shape} and a cell (2,) expected, found {h.shape}, {variance.shape}, {np.shape(first)}"
+            )
+        if not 0 <= position_sigma < math.inf:
+            raise ValueError(f"a position_sigma of at least 0 m expected, found {position_sigma}")
+        reference = reference_height(h)
+        parts = self._move(np.asarray(first, dtype=np.int64), reference, h)
+        rescored = sum(self._rescore(h, band) for part in parts for band in _bands(part))
+        self._elevation = h.copy()
+        level = self._level(np.asarray(variance, dtype=np.float32), position_sigma)
+        score = self._score.copy() if level is None else _worst_within(self._score, level)
+        self._evaluate(h, self._depth_limit(body_height), level)
+        return Layers(score, self._evaluation.copy(), rescored / h.size)
+
+    @property
+    def _all(self) -> Rectangle:
+        return 0, self.shape[0], 0, self.shape[1]
+
+    def _move(self, first: NDArray[np.int64], reference: float, elevation: NDArray[np.float32]) -> list[Rectangle]:
+        """Shift what is kept to a window's new place; the parts that must be scored."""
+        before, self._first = self._first, first
+        if before is None or reference != self._reference or (np.abs(first - before) >= self.shape).any():
+            self._reference = reference
+            self._score[:] = np.nan
+            self._even[:] = 0
+            self._moved = True
+            return [self._all]
+        shift = first - before
+        if shift.any():
+            self._elevation = _shifted(self._elevation, shift, np.float32(np.nan))
+            self._score = _shifted(self._score, shift, np.float32(np.nan))
+            self._even = _shifted(self._even, shift, np.uint8(0))
+            self._moved = True
+        changed = _changed(elevation.view(np.int32), self._elevation.view(np.int32))
+        parts = [self._wider(changed, self._halo)] if changed[1] > changed[0] else []
+        (nx, ny), k = self.shape, self._halo
+        if shift[0]:
+            parts.append((0, min(k, nx), 0, ny) if shift[0] > 0 else (max(nx - k, 0), nx, 0, ny))
+        if shift[1]:
+            parts.append((0, nx, 0, min(k, ny)) if shift[1] > 0 else (0, nx, max(ny - k, 0), ny))
+        if parts and (parts[0][1] - parts[0][0]) * (parts[0][3] - parts[0][2]) > _WHOLE * elevation.size:
+            return [self._all]
+        return parts
+
+    def _wider(self, part: Rectangle, by: int) -> Rectangle:
+        i0, i1, j0, j1 = part
+        return max(i0 - by, 0), min(i1 + by, self.shape[0]), max(j0 - by, 0), min(j1 + by, self.shape[1])
+
+    def _rescore(self, elevation: NDArray[np.float32], part: Rectangle) -> int:
+        """Score a part of the map; the number of its cells."""
+        i0, i1, j0, j1 = part
+        a0, a1, b0, b1 = self._wider(part, self._halo)
+        scored = self._scorer.evaluate(fill_small_holes(elevation[a0:a1, b0:b1]), self._reference)
+        here, there = (slice(i0, i1), slice(j0, j1)), (slice(i0 - a0, i1 - a0), slice(j0 - b0, j1 - b0))
+        self._score[here] = scored.score[there]
+        rules = self._evaluator.rules
+        even = np.empty(scored.seen.shape, dtype=np.uint8)
+        _tell_even(
+            scored.complete.ravel(), scored.slope.ravel(), scored.roughness.ravel(),
+            np.float32(math.tan(rules.slope_limit)), np.float32(rules.edge_deviation), even.ravel(),
+        )  # fmt: skip
+        self._even[here] = even[there]
+        return (i1 - i0) * (j1 - j0)
+
+    def _depth_limit(self, body_height: float) -> np.float32:
+        return (
+            np.float32(body_height - self._evaluator.rules.depth_limit) if math.isfinite(body_height) else np.float32(-np.inf)
+        )
+
+    def _level(self, variance: NDArray[np.float32], position_sigma: float) -> NDArray[np.uint8] | None:
+        """Cells (nx, ny) by which each cell's margin is wider than what the score looks at; None where none is."""
+        margin, weights, r = self._margin, self._scorer.weights, self._resolution
+        room = weights.flat_radius - margin.foot_radius + r / 2  # [m] of sigmas until a first cell is added
+        steps = [room + k * r for k in range(_MOST_ADDED)]
+        if steps[-1] < 0 or margin.sigmas == 0:
+            fixed = sum(step < 0 for step in steps)
+            return np.full(self.shape, fixed, dtype=np.uint8) if fixed else None
+        limits = np.array(
+            [-1.0 if step < 0 else (step / margin.sigmas) ** 2 - position_sigma**2 for step in steps], dtype=np.float32
+        )
+        highest = np.float32(weights.limit)
+        if limits[0] >= 0 and not _any_beyond(variance, limits[0], self._score, highest):
+            return None  # as a rule
+        level = np.empty(self.shape, dtype=np.uint8)
+        _count_beyond(variance.ravel(), limits, self._score.ravel(), highest, level.ravel())
+        return level
+
+    def _evaluate(self, elevation: NDArray[np.float32], lowest: np.float32, level: NDArray[np.uint8] | None) -> None:
+        """Bring the evaluation function up to date; it looks so far that a window that moved has a new one throughout."""
+        ground = np.empty(self.shape, dtype=np.uint8)
+        _tell_ground(elevation.ravel(), self._even.ravel(), lowest, ground.ravel())
+        if level is not None:
+            ground |= level << 4
+        part = self._all if self._moved else _changed(ground, self._ground)
+        self._ground, self._moved = ground, False
+        if part[1] <= part[0]:
+            return
+        halo = self._evaluator.halo + _MOST_ADDED
+        i0, i1, j0, j1 = part = self._wider(part, halo)
+        a0, a1, b0, b1 = self._wider(part, halo)
+        accessible, refused, known = (np.asarray(ground[a0:a1, b0:b1] >> bit & 1, dtype=np.uint8) for bit in range(3))
+        F = self._evaluator.evaluate(accessible, refused, known, None if level is None else level[a0:a1, b0:b1])
+        self._evaluation[i0:i1, j0:j1] = F[i0 - a0 : i1 - a0, j0 - b0 : j1 - b0]
+
+
+def _bands(part: Rectangle) -> Iterator[Rectangle]:
+    """A part in bands of rows whose scratch layers stay in the processor's cache."""
+    i0, i1, j0, j1 = part
+    number = max(1, round((i1 - i0) * (j1 - j0) / _BAND))
+    for k in range(number):
+        yield i0 + k * (i1 - i0) // number, i0 + (k + 1) * (i1 - i0) // number, j0, j1
+
+
+def _worst_within(score: NDArray[np.float32], level: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """The highest score within so many cells of each, NaN where one of them has none or lies beyond the border."""
+    worst = score.copy()
+    known = np.where(np.isnan(score), np.float32(np.inf), score)
+    for k in range(1, int(level.max()) + 1):
+        around = cv2.dilate(known, disc(k, least=0), borderType=cv2.BORDER_CONSTANT, borderValue=[float(np.inf)])
+        np.copyto(worst, around, where=level == k)
+    worst[np.isinf(worst)] = np.nan
+    return worst
+
+
+def _shifted(layer: NDArray[Scalar], shift: NDArray[np.int64], fill: Scalar) -> NDArray[Scalar]:
+    """A layer seen from a window that moved by (2,) cells."""
+    out = np.full_like(layer, fill)
+    to, source = [], []
+    for n, by in zip(layer.shape, shift.tolist(), strict=True):
+        to.append(slice(max(-by, 0), n - max(by, 0)))
+        source.append(slice(max(by, 0), n - max(-by, 0)))
+    out[tuple(to)] = layer[tuple(source)]
+    return out
+
+
+@compiled
+def _changed(new: NDArray[np.integer], old: NDArray[np.integer]) -> Rectangle:
+    """The rectangle of the entries of (nx, ny) that differ, bit for bit; empty, (0, 0, 0, 0), where none does."""
+    nx, ny = new.shape
+    columns = np.zeros(ny, dtype=np.uint8)
+    first, end = nx, 0
+    for i in range(nx):
+        a, b = new[i], old[i]
+        different = 0
+        for j in range(ny):
+            different |= a[j] ^ b[j]
+        if different:
+            first, end = min(first, i), i + 1
+            for j in range(ny):
+                columns[j] |= a[j] != b[j]
+    if end == 0:
+        return 0, 0, 0, 0
+    left, right = 0, ny
+    while not columns[left]:
+        left += 1
+    while not columns[right - 1]:
+        right -= 1
+    return first, end, left, right
+
+
+@compiled
+def _tell_even(
+    complete: NDArray[np.uint8],
+    slope: NDArray[np.float32],
+    roughness: NDArray[np.float32],
+    steepest: np.float32,
+    edge: np.float32,
+    even: NDArray[np.uint8],
+) -> None:
+    """1 where a cell is neither on an edge nor steep, 2 where it is, 0 where that is not known. All arrays flat."""
+    for k in range(len(even)):
+        good = (slope[k] <= steepest) & (roughness[k] <= edge)
+        even[k] = complete[k] * (1 if good else 2)
+
+
+@compiled
+def _tell_ground(
+    elevation: NDArray[np.float32], even: NDArray[np.uint8], lowest: np.float32, ground: NDArray[np.uint8]
+) -> None:
+    """Bit 0 accessible, bit 1 refused, bit 2 known. All arrays flat."""
+    for k in range(len(ground)):
+        ground[k] = elevation[k] == elevation[k]
+    for k in range(len(ground)):
+        deep = np.uint8(elevation[k] < lowest)
+        ground[k] = np.uint8(ground[k] << np.uint8(2)) | (np.uint8(2) if deep else even[k])
+
+
+@compiled
+def _any_beyond(variance: NDArray[np.float32], limit: np.float32, score: NDArray[np.float32], highest: np.float32) -> bool:
+    """Whether a cell's variance is beyond a limit where it would else be a foothold."""
+    for i in range(len(variance)):
+        v, s = variance[i], score[i]
+        found = 0
+        for j in range(len(v)):
+            found |= (v[j] > limit) & (s[j] <= highest)
+        if found:
+            return True
+    return False
+
+
+@compiled
+def _count_beyond(
+    variance: NDArray[np.float32],
+    limits: NDArray[np.float32],
+    score: NDArray[np.float32],
+    highest: np.float32,
+    level: NDArray[np.uint8],
+) -> None:
+    """How many of the limits a cell's variance is beyond, where it would else be a foothold. All arrays flat."""
+    zero = np.float32(0.0)
+    for k in range(len(level)):
+        v = variance[k] if variance[k] == variance[k] else zero
+        n = 0
+        for limit in limits:
+            n += v > limit
+        level[k] = n if score[k] <= highest else 0
