@@ -164,7 +164,9 @@ class Scan(Message):
     count: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # pixels behind a point, 255 for more
     spread_mm: Annotated[NDArray[np.uint8], Dims("n", packed=True)]  # [mm] from the lowest to the highest of them, 255 for more
     p_world_camera: Vector3  # [m] where the camera was
-    pose_variance_z: float  # [m^2] of the pose the points were placed by
+    pose_covariance: Annotated[
+        NDArray[np.float64], Dims(6, 6)
+    ]  # [m^2, m rad, rad^2] of the camera's position, then rotation, {world}, by which the points were placed
 
 
 @dataclass(frozen=True, slots=True)

@@ -174,15 +174,14 @@ class NumpyGrid:
                 counter.reshape(n, n)[where] = 0
         self._low = low
 
-    def fuse(self, points: Array, count: Array, spread: Array, p_world_camera: Array, pose_variance_z: float = 0.0) -> None:
+    def fuse(self, points: Array, count: Array, spread: Array, p_world_camera: Array, pose_covariance: Array) -> None:
         """Take in one reduced scan; arguments as in `ElevationGrid.fuse`."""
         n, model = self._size, self._model
-        random, systematic = model.height_variance(
-            points, count.astype(np.float64), spread.astype(np.float64), p_world_camera, pose_variance_z
-        )
-        # 1. The cell of each point within the window.
+        # 1. The cell of each point within the window, and how sure its height is.
         ij = np.floor(points[:, :2] / self._resolution).astype(np.int64)
-        inside = ((ij >= self._low) & (ij < self._low + n)).all(axis=1)
+        inside: Cells = np.asarray(((ij >= self._low) & (ij < self._low + n)).all(axis=1))
+        slope = self._slopes(ij, inside)
+        random, systematic = self._height_variance(points - p_world_camera, count, spread, pose_covariance, slope)
         ij = ij[inside] % n
         cell, z, random, systematic = ij[:, 0] * n + ij[:, 1], points[inside, 2], random[inside], systematic[inside]
         # 2. Points of one cell are merged, the first of each with the second of each and so on; scans bring few such.
@@ -206,6 +205,47 @@ class NumpyGrid:
                 most = np.maximum(out_systematic[e], systematic[now])
                 out_systematic[e] = np.where(upper, systematic[now], np.where(apart, out_systematic[e], most))
         self._update(cells, out_z, out_random + out_systematic, out_systematic)
+
+    def _slopes(self, ij: NDArray[np.int64], inside: Cells) -> Array:
+        """Gradient (k, 2) of the map at cells (k, 2): of both sides' differences the smaller, 0 where their signs differ."""
+        n = self._size
+        out = np.full(ij.shape, np.nan)
+        here = self._height[(ij[:, 0] % n) * n + ij[:, 1] % n]
+        for axis in (0, 1):
+            sides = []
+            for by in (1, -1):
+                beside = ij.copy()
+                beside[:, axis] += by
+                known = inside & (beside[:, axis] >= self._low[axis]) & (beside[:, axis] < self._low[axis] + n)
+                height = self._height[(beside[:, 0] % n) * n + beside[:, 1] % n]
+                sides.append(np.where(known, by * (height - here), np.nan))
+            up, down = sides
+            smaller = np.where(np.abs(up) < np.abs(down), up, down) / self._resolution
+            out[:, axis] = np.where(up * down > 0, smaller, np.where(up * down <= 0, 0.0, np.nan))
+        return out
+
+    def _height_variance(self, ray: Array, count: Array, spread: Array, S: Array, slope: Array) -> tuple[Array, Array]:
+        """`FusionModel.height_variance` of points at a ray (k, 3) [m] from the camera."""
+        model = self._model
+        x, y, z = ray.T
+        flat2 = x * x + y * y
+        range2 = np.maximum(flat2 + z * z, 1e-12)
+        leverage2 = (np.abs(z) + model.terrain_slope * np.sqrt(flat2)) ** 2 / range2
+        pixel = (model.depth_sigma * range2 + model.range_sigma) ** 2 * leverage2
+        # Rows of (1, -[r]x): how the point's x, y and z move with the pose's twist.
+        zero, one = np.zeros_like(x), np.ones_like(x)
+        along = np.stack(
+            [[one, zero, zero, zero, z, -y], [zero, one, zero, -z, zero, x], [zero, zero, one, y, -x, zero]]
+        ).transpose(2, 0, 1)
+        P = along @ S @ along.transpose(0, 2, 1)
+        known = np.isfinite(slope)
+        n = np.concatenate([np.where(known, -slope, 0.0), one[:, None]], axis=1)
+        unknown = 0.5 * model.terrain_slope**2 * (~known[:, 0] * P[:, 0, 0] + ~known[:, 1] * P[:, 1, 1])
+        pose = np.einsum("ki,kij,kj->k", n, P, n) + unknown
+        quantised = (model.quantisation_sigma * range2) ** 2 * leverage2
+        own = np.maximum(spread.astype(np.float64) ** 2 - pixel, 0.0)
+        random = pixel / np.minimum(count, model.independent_pixels)
+        return random, model.floor_sigma**2 + quantised + np.maximum(pose, 0.0) + own
 
     def _first_of(self, cell: NDArray[np.int64]) -> Cells:
         """Which entries are the first of their cell."""

@@ -39,7 +39,7 @@ _WARM = 5  # frames that are not timed, where there are more
 _STEP = 0.02  # [m] between frames
 _COMPARED = 10  # every how many frames results are compared
 _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
-_POSE_VARIANCE_Z = 1e-6  # [m^2]
+_POSE_COVARIANCE = 1e-6 * np.eye(6)  # [m, rad]
 _SAME_MM, _SAME_SCORE = 2.0, 0.01  # results that differ by less agree
 
 
@@ -180,7 +180,7 @@ def _fused_into(grid: Any) -> Callable[[ReducedScan, Array], None]:
     def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
         grid.move_to(p_world_camera[:2])
         grid.fuse(
-            scan.origin + scan.points * 1e-3, scan.count, scan.spread * 1e-3, p_world_camera, pose_variance_z=_POSE_VARIANCE_Z
+            scan.origin + scan.points * 1e-3, scan.count, scan.spread * 1e-3, p_world_camera, pose_covariance=_POSE_COVARIANCE
         )
 
     return fuse

@@ -68,8 +68,8 @@ class FusionModel:
         count: NDArray[np.float64],
         spread: NDArray[np.float64],
         p_world_camera: NDArray[np.float64],
-        pose_variance_z: float = 0.0,
-        pose_variance_tilt: float = 0.0,
+        pose_covariance: NDArray[np.float64] | None = None,
+        slope: NDArray[np.float64] | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Variance of measured heights: the part that repeated measurement averages away, and the part it does not.
 
@@ -77,31 +77,33 @@ class FusionModel:
         spread beyond the noise of a pixel is the ground's own: a foot may meet any of it, so it does not average away,
         and a scan that saw a cell's face and top together yields to one that saw the top alone.
 
+        A pose that is wrong by the twist (v, w) carries a point at r from the camera off by v + w x r, and the height
+        that is noted at a place of ground with the gradient s off by n . (v + w x r), n = (-s, 1). So a pose covariance S
+        adds J S J' with J = (n, r x n). Where s is unknown, it is taken as isotropic with `terrain_slope` for its rms.
+        Pose errors are shared by all points of a scan and last from scan to scan, so they do not average away.
+
         Args:
             points: (n, 3) [m] {world} one point per cell, the mean of its pixels.
             count: (n,) pixels merged into each point.
             spread: (n,) [m] standard deviation of the heights merged.
             p_world_camera: (3,) [m] {world} optical centre.
-            pose_variance_z: [m^2] of the camera's height.
-            pose_variance_tilt: [rad^2] of the camera's roll and pitch.
+            pose_covariance: (6, 6) [m^2, m rad, rad^2] of the camera's position, then rotation, in world axes; none: exact.
+            slope: (n, 2) [m/m] gradient of the ground at each point in x and y, NaN or none where it is unknown.
 
         Returns:
             random, systematic: (n,) [m^2] each.
+
+        Source: Fankhauser et al. 2014, "Robot-centric elevation mapping with uncertainty estimates", section 3.1: the
+        sensor's and the pose's covariance through the Jacobians of the height; there without correlations, x, y and slope.
         """
-        ray = points - p_world_camera
-        flat2 = ray[:, 0] ** 2 + ray[:, 1] ** 2
-        range2 = np.maximum(flat2 + ray[:, 2] ** 2, 1e-12)
-        leverage2 = (np.abs(ray[:, 2]) + self.terrain_slope * np.sqrt(flat2)) ** 2 / range2
-        pixel = (self.depth_sigma * range2 + self.range_sigma) ** 2 * leverage2
-        random = pixel / np.minimum(count, self.independent_pixels)
-        systematic = (
-            self.floor_sigma**2
-            + (self.quantisation_sigma * range2) ** 2 * leverage2
-            + pose_variance_z
-            + pose_variance_tilt * flat2
-            + np.maximum(spread**2 - pixel, 0.0)
-        )
-        return random, systematic
+        covariance = np.zeros((6, 6)) if pose_covariance is None else np.asarray(pose_covariance, dtype=np.float64)
+        gradient = np.full((len(points), 2), np.nan) if slope is None else np.asarray(slope, dtype=np.float64)
+        return _variances(
+            np.asarray(points, dtype=np.float64), np.asarray(count, dtype=np.float64), np.asarray(spread, dtype=np.float64),
+            np.asarray(p_world_camera, dtype=np.float64), covariance, gradient,
+            self.depth_sigma, self.range_sigma, self.quantisation_sigma, self.floor_sigma, self.terrain_slope,
+            self.independent_pixels,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,12 +206,12 @@ class ElevationGrid:
         spread: NDArray[np.floating],
         p_world_camera: ArrayLike,
         *,
-        pose_variance_z: float = 0.0,
-        pose_variance_tilt: float = 0.0,
+        pose_covariance: NDArray[np.float64] | None = None,
     ) -> FusionCount:
         """Take one reduced scan into the map; a cell counts at most once per scan.
 
-        1. Each point gets a variance from the sensor model; the part that does not average away is its floor.
+        1. Each point gets a variance from the sensor model and the pose's covariance through the map's own slope; the
+           part that does not average away is its floor.
         2. Points of one cell are merged; across an edge the upper one stands (Masri 2016, section 4.4).
         3. Each cell: an unseen or assumed cell takes the measurement outright; one within the gate is filtered in,
            its variance never below the floor; one outside votes for the rival (see the module).
@@ -219,17 +221,16 @@ class ElevationGrid:
             count: (n,) pixels merged into each point, at least 1.
             spread: (n,) [m] standard deviation of the merged heights, at least 0.
             p_world_camera: (3,) [m] {world} optical centre.
-            pose_variance_z: [m^2] of the scan's height.
-            pose_variance_tilt: [rad^2] of the scan's roll and pitch.
+            pose_covariance: (6, 6) [m^2, m rad, rad^2] of the camera's position, then rotation, in world axes.
 
         Raises:
             ValueError: A shape is wrong, or a value is not finite or out of its range; the map is then unchanged.
         """
         p, n, s, c = _checked_scan(points, count, spread, p_world_camera)
-        if not (0 <= pose_variance_z < math.inf and 0 <= pose_variance_tilt < math.inf):
-            raise ValueError(f"pose variances of at least 0 expected, found {pose_variance_z} and {pose_variance_tilt}")
+        covariance = _checked_covariance(pose_covariance)
         cell, inside = self._cells(p[:, :2])
-        random, systematic = self.model.height_variance(p, n, s, c, pose_variance_z, pose_variance_tilt)
+        slope = _slopes(cell, self._height, self.resolution, int(self._low[0]), int(self._low[1]))
+        random, systematic = self.model.height_variance(p, n, s, c, covariance, slope)
         touched, z, random, systematic = _merge_scan(
             cell, p[:, 2], random, systematic, self._slot, self.model.gate, self.model.edge_step
         )
@@ -403,6 +404,19 @@ def _checked_scan(
     return p, n, s, c
 
 
+def _checked_covariance(covariance: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """A (6, 6) covariance, zero for none; ValueError where it is none."""
+    if covariance is None:
+        return np.zeros((6, 6))
+    out = np.ascontiguousarray(covariance, dtype=np.float64)
+    if out.shape != (6, 6) or not np.isfinite(out).all():
+        raise ValueError(f"a finite pose covariance (6, 6) expected, found {covariance!r}")
+    size = float(np.abs(out).max())
+    if np.abs(out - out.T).max() > 1e-6 * size or np.linalg.eigvalsh(out)[0] < -1e-6 * size:
+        raise ValueError("a pose covariance that is symmetric and has no negative eigenvalue expected")
+    return out
+
+
 def _inside_polygon(x: NDArray[np.float64], y: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Even-odd rule on the grid x (nx, 1), y (1, ny)."""
     inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), dtype=np.bool_)
@@ -430,6 +444,96 @@ def _cell_indices(
         else:
             cell[k] = -1
     return cell
+
+
+@compiled
+def _slopes(
+    cell: NDArray[np.int64], height: NDArray[np.float32], resolution: float, low_i: int, low_j: int
+) -> NDArray[np.float64]:
+    """Gradient (n, 2) [m/m] of the map at cells (n,), NaN where one of the neighbours along an axis is unknown.
+
+    Of the differences to both sides the smaller, and none where they disagree in sign: on a plane that is its slope, beside
+    a step it is that of the ground a foot would stand on, and not the step's.
+    """
+    rows, columns = height.shape
+    first_i, first_j = low_i % rows, low_j % columns  # buffer index of the window's lowest cell
+    out = np.empty((len(cell), 2))
+    for k in range(len(cell)):
+        out[k, 0] = out[k, 1] = np.nan
+        if cell[k] < 0:
+            continue
+        i, j = cell[k] // columns, cell[k] % columns
+        here = height[i, j]
+        for axis in range(2):
+            if axis == 0:
+                at, n, first = i, rows, first_i
+            else:
+                at, n, first = j, columns, first_j
+            after = at + 1 if at + 1 < n else 0
+            before = at - 1 if at > 0 else n - 1
+            if at == first or after == first:
+                continue  # at the window's border the buffer goes on with its other side
+            up = (height[after, j] if axis == 0 else height[i, after]) - here
+            down = here - (height[before, j] if axis == 0 else height[i, before])
+            if up * down > 0.0:
+                out[k, axis] = (up if abs(up) < abs(down) else down) / resolution
+            elif up * down <= 0.0:  # not NaN
+                out[k, axis] = 0.0
+    return out
+
+
+@compiled
+def _variances(
+    points: NDArray[np.float64],
+    count: NDArray[np.float64],
+    spread: NDArray[np.float64],
+    camera: NDArray[np.float64],
+    S: NDArray[np.float64],
+    slope: NDArray[np.float64],
+    depth_sigma: float,
+    range_sigma: float,
+    quantisation_sigma: float,
+    floor_sigma: float,
+    terrain_slope: float,
+    independent_pixels: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Random and systematic variance (n,) [m^2]; see `FusionModel.height_variance`."""
+    n = len(points)
+    random, systematic = np.empty(n), np.empty(n)
+    unknown2 = 0.5 * terrain_slope**2  # of either component of an isotropic gradient
+    for k in range(n):
+        x, y, z = points[k, 0] - camera[0], points[k, 1] - camera[1], points[k, 2] - camera[2]
+        flat2 = x * x + y * y
+        range2 = max(flat2 + z * z, 1e-12)
+        leverage2 = (abs(z) + terrain_slope * math.sqrt(flat2)) ** 2 / range2
+        pixel = (depth_sigma * range2 + range_sigma) ** 2 * leverage2
+        quantised = (quantisation_sigma * range2) ** 2 * leverage2
+        # Covariance of the point itself: rows of (1, -[r]x).
+        zz = S[2, 2] + 2 * (y * S[2, 3] - x * S[2, 4]) + y * y * S[3, 3] - 2 * x * y * S[3, 4] + x * x * S[4, 4]
+        xx = S[0, 0] + 2 * (z * S[0, 4] - y * S[0, 5]) + z * z * S[4, 4] - 2 * y * z * S[4, 5] + y * y * S[5, 5]
+        yy = S[1, 1] + 2 * (x * S[1, 5] - z * S[1, 3]) + x * x * S[5, 5] - 2 * x * z * S[3, 5] + z * z * S[3, 3]
+        a, b = slope[k, 0], slope[k, 1]
+        # A known component counts with its correlations, an unknown one with its spread.
+        pose = zz
+        if a == a:
+            xz = S[0, 2] + y * S[0, 3] - x * S[0, 4] + z * S[2, 4] - y * S[2, 5]
+            xz += y * z * S[3, 4] - x * z * S[4, 4] - y * y * S[3, 5] + x * y * S[4, 5]
+            pose += a * a * xx - 2 * a * xz
+        else:
+            pose += unknown2 * xx
+        if b == b:
+            yz = S[1, 2] + y * S[1, 3] - x * S[1, 4] + x * S[2, 5] - z * S[2, 3]
+            yz += x * y * S[3, 5] - x * x * S[4, 5] - y * z * S[3, 3] + x * z * S[3, 4]
+            pose += b * b * yy - 2 * b * yz
+        else:
+            pose += unknown2 * yy
+        if a == a and b == b:
+            xy = S[0, 1] + x * S[0, 5] - z * S[0, 3] + z * S[1, 4] - y * S[1, 5]
+            xy += x * z * S[4, 5] - z * z * S[3, 4] - x * y * S[5, 5] + y * z * S[3, 5]
+            pose += 2 * a * b * xy
+        random[k] = pixel / min(count[k], independent_pixels)
+        systematic[k] = floor_sigma**2 + quantised + max(pose, 0.0) + max(spread[k] ** 2 - pixel, 0.0)
+    return random, systematic
 
 
 @compiled

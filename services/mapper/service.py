@@ -66,7 +66,7 @@ class Mapper:
                 scan.count,
                 scan.spread_mm * 1e-3,
                 scan.p_world_camera,
-                pose_variance_z=scan.pose_variance_z,
+                pose_covariance=scan.pose_covariance,
             )
         if not self._seeded and pose is not None and legs is not None and np.count_nonzero(~legs.swing) >= 3:
             self._assume_ground(pose, legs)

@@ -186,7 +186,7 @@ class Perception:
             count=reduced.count,
             spread_mm=reduced.spread,
             p_world_camera=np.array(found.T_world_camera[:3, 3]),
-            pose_variance_z=float(found.covariance[2, 2]),
+            pose_covariance=np.asarray(found.covariance, dtype=np.float64),
         )
 
 

@@ -55,7 +55,7 @@ def test_numpy_fuses_scans_into_the_same_map() -> None:
         camera = np.array([0.005 * k - 0.3, 0.1 - 0.004 * k, 0.5])
         for grid in (ours, theirs):
             grid.move_to(camera[:2])
-            grid.fuse(p, count, spread, camera, pose_variance_z=1e-6)
+            grid.fuse(p, count, spread, camera, pose_covariance=1e-6 * np.eye(6))
     elevation = ours.snapshot().elevation
     known = np.isfinite(elevation)
     assert known.mean() > 0.5

@@ -118,7 +118,8 @@ def test_a_description_gives_shapes_types_and_words() -> None:
         "finite": True,
         "packed": True,
     }
-    assert fields["pose_variance_z"]["type"] == "float"
+    assert fields["pose_covariance"]["shape"] == [6, 6]
+    assert fields["p_world_camera"]["dtype"] == "<f8"
     state = {f["name"]: f for f in json.loads(describe(topics.ACTUATOR_STATE.type))["fields"]}
     assert state["mode"]["one_of"] == [str(mode) for mode in Mode]
     assert state["warnings"]["type"] == "list of str"

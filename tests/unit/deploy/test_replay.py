@@ -113,7 +113,7 @@ def test_maps_that_agree_do_not_differ_and_a_shift_is_a_bias() -> None:
 def scan(stamp_ns: int, rng: np.random.Generator) -> Scan:
     points = np.column_stack([rng.integers(300, 900, (400, 2)), rng.integers(-5, 5, 400)]).astype(np.int16)
     count, spread = np.full(400, 9, np.uint8), np.full(400, 2, np.uint8)
-    return Scan(stamp_ns, np.zeros(3), points, count, spread, np.array([0.1, 0.0, 0.2]), 1e-6)
+    return Scan(stamp_ns, np.zeros(3), points, count, spread, np.array([0.1, 0.0, 0.2]), 1e-6 * np.eye(6))
 
 
 @pytest.fixture

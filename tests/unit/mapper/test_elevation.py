@@ -1,6 +1,7 @@
 """Laws of the height map: convergence, forgetting, gating, the moving window, and a scene of low blocks."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ def centres(grid: ElevationGrid) -> NDArray[np.float64]:
 
 
 def scan(
-    grid: ElevationGrid, xy: NDArray[np.float64], z: NDArray[np.float64] | float, count: int = 4, **kwargs: float
+    grid: ElevationGrid, xy: NDArray[np.float64], z: NDArray[np.float64] | float, count: int = 4, **kwargs: Any
 ) -> FusionCount:
     points = np.column_stack([xy, np.broadcast_to(z, len(xy))])
     return grid.fuse(points, np.full(len(xy), count), np.zeros(len(xy)), CAMERA, **kwargs)
@@ -73,14 +74,77 @@ def test_more_pixels_and_a_nearer_camera_weigh_more_but_never_beat_the_floor() -
     near, far = np.array([[0.5, 0.0, 0.0]]), np.array([[1.5, 0.0, 0.0]])
     one, many, spread = np.ones(1), np.full(1, 1000.0), np.zeros(1)
 
-    def total(points: NDArray[np.float64], count: NDArray[np.float64], **kwargs: float) -> float:
-        random, systematic = model.height_variance(points, count, spread, CAMERA, **kwargs)
+    def total(points: NDArray[np.float64], count: NDArray[np.float64], pose: NDArray[np.float64] | None = None) -> float:
+        level = np.zeros((1, 2))
+        random, systematic = model.height_variance(points, count, spread, CAMERA, pose, level)
         return float(random[0] + systematic[0])
 
     assert total(near, many) < total(near, one) < total(far, one)
     assert total(near, many) > model.floor_sigma**2
-    assert total(near, one, pose_variance_z=1e-4) == pytest.approx(total(near, one) + 1e-4)
-    assert total(far, one, pose_variance_tilt=1e-4) == pytest.approx(total(far, one) + 1e-4 * 1.5**2)
+    height, tilt, aside = np.diag([0, 0, 1e-4, 0, 0, 0]), np.diag([0, 0, 0, 0, 1e-4, 0]), np.diag([1e-4, 1e-4, 0, 0, 0, 1e-4])
+    assert total(near, one, height) == pytest.approx(total(near, one) + 1e-4)
+    assert total(far, one, tilt) == pytest.approx(total(far, one) + 1e-4 * 1.5**2)
+    assert total(far, one, aside) == pytest.approx(total(far, one))  # level ground shows no shift
+
+
+def random_covariance(rng: np.random.Generator) -> NDArray[np.float64]:
+    """A pose covariance of millimetres and tenths of a degree, with correlations."""
+    L = np.tril(rng.normal(size=(6, 6))) * np.array([2e-3, 2e-3, 1e-3, 2e-3, 2e-3, 3e-3])[:, None]
+    return np.asarray(L @ L.T)
+
+
+@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.27, 0.0), (-0.2, 0.4)])
+def test_the_variance_by_the_pose_is_that_of_many_wrong_poses(slope: tuple[float, float]) -> None:
+    rng = np.random.default_rng(2)
+    model = FusionModel(depth_sigma=0.0, quantisation_sigma=0.0, floor_sigma=1e-9)
+    S = random_covariance(rng)
+    camera = np.array([0.3, -0.2, 0.5])
+    places = np.array([[0.9, 0.1], [1.4, -0.6], [0.8, 0.5]])
+    points = np.column_stack([places, places @ slope])
+    _, predicted = model.height_variance(points, np.ones(3), np.zeros(3), camera, S, np.tile(slope, (3, 1)))
+    twist = rng.multivariate_normal(np.zeros(6), S, 20_000)
+    moved = points + twist[:, None, :3] + np.cross(twist[:, None, 3:], points - camera)
+    error = moved[..., 2] - moved[..., :2] @ slope  # of the height noted at the place where the point comes to lie
+    np.testing.assert_allclose(error.var(axis=0), predicted, rtol=0.05)
+
+
+def test_an_unknown_slope_counts_with_its_spread() -> None:
+    rng = np.random.default_rng(3)
+    model = FusionModel(depth_sigma=0.0, quantisation_sigma=0.0, floor_sigma=1e-9, terrain_slope=0.3)
+    S = random_covariance(rng)
+    points, camera = np.array([[0.9, 0.1, 0.0]]), np.array([0.3, -0.2, 0.5])
+    _, unknown = model.height_variance(points, np.ones(1), np.zeros(1), camera, S)
+    angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    slopes = 0.3 * np.column_stack([np.cos(angle), np.sin(angle)])
+    known = [model.height_variance(points, np.ones(1), np.zeros(1), camera, S, s[None])[1][0] for s in slopes]
+    assert unknown[0] == pytest.approx(np.mean(known), rel=1e-6)
+
+
+@pytest.mark.parametrize("gradient", [(0.0, 0.0), (0.2, -0.1)])
+def test_a_map_knows_how_wrong_it_is_where_sensor_and_pose_are_as_modelled(gradient: tuple[float, float]) -> None:
+    """The squared error over the variance claimed is 1 in the mean, over many maps of a plane, after a second look."""
+    rng = np.random.default_rng(4)
+    model = FusionModel(depth_sigma=2e-3, quantisation_sigma=0.0, floor_sigma=1e-6, terrain_slope=0.0, gate=10.0)
+    S = random_covariance(rng)
+    camera, ratios = np.array([-0.6, 0.0, 0.4]), []
+    for _ in range(300):
+        grid = ElevationGrid(size=16, model=model)
+        xy = centres(grid)
+        truth = xy @ gradient
+        # The exact map lends the slope; then its cells are made as good as new.
+        grid.fuse(np.column_stack([xy, truth]), np.full(len(xy), 8), np.zeros(len(xy)), camera, pose_covariance=np.eye(6))
+        v, w = np.split(rng.multivariate_normal(np.zeros(6), S), 2)
+        points = np.column_stack([xy, truth])
+        n = np.append(-np.array(gradient), 1.0)
+        ray = points - camera
+        # Noise along the ray, as the height at the place shows it on level ground.
+        noise = 2e-3 * (ray**2).sum(axis=1) * np.abs(ray[:, 2]) / np.linalg.norm(ray, axis=1) * rng.normal(size=len(xy))
+        points[:, 2] += (v + np.cross(w, ray)) @ n + noise
+        grid.fuse(points, np.ones(len(xy)), np.zeros(len(xy)), camera, pose_covariance=S)
+        snapshot = grid.snapshot()
+        ratio = (snapshot.elevation - truth.reshape(16, 16)) ** 2 / snapshot.variance
+        ratios.append(ratio[1:-1, 1:-1].mean())  # at the window's border the slope is unknown
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.2)
 
 
 def test_model_of_a_sensor_has_its_depth_noise() -> None:
@@ -185,7 +249,7 @@ def test_no_finite_scan_breaks_the_map(rows: list[tuple[float, float, float, int
     grid = ElevationGrid(size=16)
     table = np.array(rows, dtype=np.float64).reshape(-1, 5)
     for _ in range(8):
-        report = grid.fuse(table[:, :3], table[:, 3], table[:, 4], CAMERA, pose_variance_z=pose)
+        report = grid.fuse(table[:, :3], table[:, 3], table[:, 4], CAMERA, pose_covariance=pose * np.eye(6))
         cells = len(np.unique(np.floor(table[:, :2] / 0.01)[(grid.heights(table[:, :2]) > -np.inf)], axis=0))
         assert report.updated + report.disputed == cells
     snapshot = grid.snapshot()
@@ -228,8 +292,10 @@ def test_bad_scans_are_refused_and_leave_the_map_as_it_was(index: int, bad: NDAr
 
 def test_bad_settings_are_refused() -> None:
     grid = ElevationGrid(size=16)
-    with pytest.raises(ValueError, match="pose variances"):
-        grid.fuse(*GOOD, pose_variance_z=-1.0)
+    with pytest.raises(ValueError, match="negative eigenvalue"):
+        grid.fuse(*GOOD, pose_covariance=-np.eye(6))
+    with pytest.raises(ValueError, match="pose covariance"):
+        grid.fuse(*GOOD, pose_covariance=np.full((6, 6), np.nan))
     with pytest.raises(ValueError, match="coordinates"):
         grid.move_to((0.0, math.nan))
     with pytest.raises(ValueError, match="8 cells"):

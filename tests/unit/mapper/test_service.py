@@ -60,7 +60,7 @@ def ground_scan(stamp_ns: int, height: float, x: tuple[float, float] = (0.5, 1.0
         count=np.full(n, 20, dtype=np.uint8),
         spread_mm=np.zeros(n, dtype=np.uint8),
         p_world_camera=np.array([0.1, 0.0, 0.25]),
-        pose_variance_z=1e-6,
+        pose_covariance=np.eye(6) * 1e-6,
     )
 
 
