@@ -1,7 +1,7 @@
-"""What a run through perception and mapper said: its poses and its newest map."""
+"""What a run through perception and mapper said: its poses, its newest map and its newest survey."""
 
 from shared import codec, topics
-from shared.messages import BodyPose, TerrainMap
+from shared.messages import BodyPose, PassageMap, TerrainMap
 from shared.service import AnyTopic
 
 
@@ -11,6 +11,7 @@ class Listener:
     def __init__(self) -> None:
         self.poses: list[BodyPose] = []  # all, in the order in which they were sent
         self.terrain: TerrainMap | None = None  # the newest
+        self.passage: PassageMap | None = None  # the newest
 
     def tap(self, topic: AnyTopic, frame: bytes, _at_ns: int) -> None:
         """See one frame."""
@@ -18,3 +19,5 @@ class Listener:
             self.poses.append(codec.decode(frame, BodyPose)[0])
         elif topic is topics.TERRAIN:
             self.terrain = codec.decode(frame, TerrainMap)[0]
+        elif topic is topics.PASSAGE:
+            self.passage = codec.decode(frame, PassageMap)[0]

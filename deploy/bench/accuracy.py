@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.bench import model
 from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
 from deploy.bench.scenes import MAPPED, REGISTERED, Scene
 from deploy.listener import Listener
@@ -21,12 +22,13 @@ from services.perception.service import Perception
 from services.simulator.render import Renderer
 from shared import topics
 from shared.geometry import apply
-from shared.messages import BodyPose, TerrainMap
-from shared.service import Lockstep
+from shared.messages import BodyPose, PassageMap, TerrainMap
+from shared.service import Lockstep, Service
 
 Cells = NDArray[np.bool_]
 
 _SETTLE_NS = 500_000_000  # simulated time after the last picture, for what is still on its way
+_SURVEYED = 10  # scans per survey: the last one of a ride has seen all of it
 _REACH = 2  # cells by which noise may carry a point out of view, on top of the drift of the pose
 
 
@@ -43,10 +45,15 @@ class RideResult:
     edge: float  # [m] median distance from a true edge to the mapped one, NaN without edges
     coverage: float  # share of the cells in view that are known
     invented: int  # known cells that were never in view
+    # The survey of a strip, the model of Masri's thesis, where one was made:
+    model_rmse: float = math.nan  # [m] off edges
+    beside_rmse: float = math.nan  # [m] of the elevation map on the same cells
+    normal_deg: float = math.nan  # [deg] rms error of the normals off edges
+    model_coverage: float = math.nan  # share of the strip's cells in view that are known
 
 
-def measure(scene: Scene, seed: int, errors: Errors | None = None) -> RideResult:
-    """Ride over a scene, whose terrain, errors and noise are drawn by the seed.
+def measure(scene: Scene, seed: int, errors: Errors | None = None, survey: bool = False) -> RideResult:
+    """Ride over a scene, whose terrain, errors and noise are drawn by the seed; with `survey`, a strip is surveyed, too.
 
     Raises:
         RuntimeError: Not one map came of it.
@@ -56,22 +63,25 @@ def measure(scene: Scene, seed: int, errors: Errors | None = None) -> RideResult
     camera = CarriedCamera(way, rngs[2])
     heard = Listener()
     settings = PerceptionSettings(settle_s=0.0, scan_rate_hz=way.profile.camera.sensor.rate_hz)
+    makers: dict[str, Callable[[], Service]] = {
+        "carried camera": lambda: camera,
+        "perception": lambda: Perception(way.profile, settings),
+        "mapper": lambda: Mapper(way.profile, MapperSettings(passage_every=_SURVEYED)),
+    }
+    if survey:
+        makers["asker"] = model.Asker
     lockstep = Lockstep(
-        {
-            "carried camera": lambda: camera,
-            "perception": lambda: Perception(way.profile, settings),
-            "mapper": lambda: Mapper(way.profile, MapperSettings()),
-        },
+        makers,
         heard.tap,
         latency_s={topics.ODOMETRY.key: 0.001},  # it comes fifty times a second from a robot, here with each picture
     )
     lockstep.run(int(way.stamps_ns[-1]) + _SETTLE_NS)
     if heard.terrain is None:
         raise RuntimeError(f"a map expected of the ride with seed {seed}, found none")
-    return _judged(way, heard.poses, heard.terrain, settings.scan_range)
+    return _judged(way, heard.poses, heard.terrain, heard.passage, settings.scan_range)
 
 
-def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, scan_range: float) -> RideResult:
+def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, passage: PassageMap | None, scan_range: float) -> RideResult:
     end = way.T_world_body[-1, :3, 3]
     truth = TrueGround.under(way.terrain.height_at, terrain.origin, terrain.elevation.shape, terrain.resolution)
     known = np.isfinite(terrain.elevation)
@@ -81,6 +91,7 @@ def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, scan_range: f
     could_be_seen = cv2.dilate(seen.astype(np.uint8), np.ones((2 * reach + 1,) * 2)) > 0
     error = (terrain.elevation - truth.heights)[known & np.isfinite(truth.heights)]
     interior = known & (truth.edge_distance > INTERIOR) & np.isfinite(truth.heights)
+    surveyed = None if passage is None else model.judged(passage, terrain, truth, seen)
     return RideResult(
         drift=drift,
         legs_drift=float(np.linalg.norm(way.T_odom_body[-1, :3, 3] - end)),
@@ -91,6 +102,10 @@ def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, scan_range: f
         edge=truth.edge_error(terrain.elevation),
         coverage=float(known[seen].mean()),
         invented=int((known & ~could_be_seen).sum()),
+        model_rmse=math.nan if surveyed is None else surveyed.rmse,
+        beside_rmse=math.nan if surveyed is None else surveyed.elevation_rmse,
+        normal_deg=math.nan if surveyed is None else surveyed.normal_deg,
+        model_coverage=math.nan if surveyed is None else surveyed.coverage,
     )
 
 
@@ -142,13 +157,15 @@ def tables(seeds: Sequence[int], jobs: int, say: Callable[[str], object] = lambd
         results.append(result)
         if len(results) == len(seeds):
             out.append(Row(*rows[len(out)], len(seeds), medians(results)))
-            say(in_words(out[-1:]).splitlines()[-1])
+            say(in_words(out[-1:]).splitlines()[2])
             results.clear()
     return out
 
 
 def _ride_by_name(table: str, scene: str, legs: str, seed: int) -> RideResult:
-    return measure((REGISTERED if table == "registration" else MAPPED)[scene], seed, LEGS[legs])
+    if table == "registration":
+        return measure(REGISTERED[scene], seed, LEGS[legs])
+    return measure(MAPPED[scene], seed, LEGS[legs], survey=True)
 
 
 def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
@@ -162,7 +179,7 @@ def medians(results: Iterable[RideResult]) -> dict[str, tuple[float, float]]:
         values = np.array([getattr(r, name) for r in rides], dtype=np.float64)
         values = np.abs(values[np.isfinite(values)])
         if len(values):
-            out[name] = float(np.median(values)), float(values.min() if name == "coverage" else values.max())
+            out[name] = float(np.median(values)), float(values.min() if name.endswith("coverage") else values.max())
     return out
 
 
@@ -177,6 +194,12 @@ _COLUMNS = {  # what is told of each table: figure -> heading, factor, digits
         "invented": ("invented cells", 1, 0),
         "drift": ("drift mm", 1e3, 1),
     },
+    "maps, the survey of a strip beside the elevation map": {
+        "model_rmse": ("off edges mm", 1e3, 1),
+        "beside_rmse": ("elevation map mm", 1e3, 1),
+        "normal_deg": ("normals deg", 1, 1),
+        "model_coverage": ("coverage %", 1e2, 1),
+    },
 }
 
 
@@ -184,7 +207,7 @@ def in_words(rows: Sequence[Row]) -> str:
     """The tables for people."""
     lines = []
     for table, columns in _COLUMNS.items():
-        chosen = [row for row in rows if row.table == table]
+        chosen = [row for row in rows if table.startswith(row.table) and columns.keys() & row.figures.keys()]
         if not chosen:
             continue
         lines.append(f"{table}, median (worst) of {chosen[0].rides} rides of 2 m")

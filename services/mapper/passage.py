@@ -14,6 +14,7 @@ from services.mapper.mls import smooth
 from shared.geometry import Array
 
 _ONE_SURFACE = 0.02  # [m] below the highest point of a column within which points are of its surface
+_CARRYING = 0.3  # share of a column's pixels below which its upper surface is an edge of the column beside it
 _STEEP = 0.5  # [1] upward part of a normal below which a plane says nothing about the height beside its point
 
 
@@ -66,8 +67,9 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
     """Build the map of a strip from the cloud over it.
 
     1. Moving least squares: points onto their surface, with normals and roughness.
-    2. The highest point of each column stands for it: the robot walks on top of things. Its normal is the mean over the
-       points of that surface; the thesis takes all of the column, but those on the floor below do not bear the foot.
+    2. The highest point of each column stands for it: the robot walks on top of things. What hangs above it by less than
+       30 % of the column's pixels is noise, or the edge of the column beside it. The normal is the mean over the points of
+       that surface; the thesis takes all of the column, but those on the floor below do not bear the foot.
     3. A cell lies in the column that its centre falls into, and takes its height there by the plane of that column's
        point. A column without a point leaves its cell unknown.
 
@@ -85,7 +87,7 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
     centres = cell_centres(strip, resolution)
     shape = centres.shape[:2]
     surface = smooth(cloud.points, cloud.weight, radius)
-    top, normals, roughness = _tops(cloud.column, surface.points, surface.normals, surface.roughness)
+    top, normals, roughness = _tops(cloud.column, cloud.weight, surface.points, surface.normals, surface.roughness)
     point_of = np.full(cloud.shape, -1, dtype=np.int64)
     point_of.ravel()[cloud.column[top]] = np.arange(len(top))
     i, j = np.moveaxis(np.floor((centres - cloud.origin) / resolution + 0.5).astype(np.int64), -1, 0)
@@ -153,18 +155,26 @@ def _slope(heights: Array, axis: int, resolution: float) -> Array:
     return np.asarray((np.nan_to_num(before) + np.nan_to_num(after)) / np.maximum(known, 1))
 
 
-def _tops(column: NDArray[np.int64], points: Array, normals: Array, roughness: Array) -> tuple[NDArray[np.int64], Array, Array]:
-    """Of points (n, 3) sorted by column (n,): index (m,) of each column's highest, normals (m, 3) and roughness (m,) there."""
+def _tops(
+    column: NDArray[np.int64], weight: Array, points: Array, normals: Array, roughness: Array
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """The top of each column: its index (m,) among the points (n, 3), its normal (m, 3) and roughness (m,).
+
+    Points lie column by column (n,) and upward in each, with the pixels (n,) behind them as their weight.
+    """
     if not len(column):
         return np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0)
     first = np.flatnonzero(np.diff(column, prepend=-1))
     of = np.repeat(np.arange(len(first)), np.diff(first, append=len(column)))
-    highest = np.maximum.reduceat(points[:, 2], first)[of]
-    top = np.flatnonzero(points[:, 2] == highest)
-    top = top[np.unique(of[top], return_index=True)[1]]  # two may be equally high
-    counts = (highest - points[:, 2] <= _ONE_SURFACE) & np.isfinite(roughness)
-    total = np.add.reduceat(np.where(counts[:, None], normals, 0.0), first)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    n = np.where(length > 0, total / np.where(length > 0, length, 1.0), np.nan)
+    total = np.add.reduceat(weight, first)
+    upward = np.cumsum(weight)
+    above = (upward[first] - weight[first] + total)[of] - upward + weight  # of each point and those above it
+    carries = np.where(above >= _CARRYING * total[of], np.arange(len(column)), -1)
+    top = np.maximum.reduceat(carries, first)
+    below = points[top, 2][of] - points[:, 2]
+    counts = (np.abs(below) <= _ONE_SURFACE) & np.isfinite(roughness)
+    sums = np.add.reduceat(np.where(counts[:, None], normals, 0.0), first)
+    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    n = np.where(length > 0, sums / np.where(length > 0, length, 1.0), np.nan)
     worst = np.maximum.reduceat(np.where(counts, roughness, -1.0), first)
     return top, n, np.where(worst >= 0, worst, np.nan)

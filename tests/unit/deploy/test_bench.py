@@ -3,17 +3,20 @@
 import json
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from deploy import cli
-from deploy.bench import accuracy, map_peers, registration_peers, speed, stages, timing
+from deploy.bench import accuracy, map_peers, model, registration_peers, speed, stages, timing
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED, REGISTERED
+from deploy.true_ground import TrueGround
 from services.simulator.terrain import Terrain
 from shared.geometry import inverse
+from shared.messages import PassageMap, TerrainMap
 
 SCENES = {**MAPPED, **REGISTERED}
 
@@ -66,7 +69,7 @@ def test_a_robot_that_is_carried_off_walks_on_as_before() -> None:
 
 
 def test_a_ride_is_judged() -> None:
-    result = accuracy.measure(MAPPED["steps"], 1000)
+    result = accuracy.measure(MAPPED["steps"], 1000, survey=True)
     assert result.legs_drift == pytest.approx(0.1, abs=0.01)
     assert result.drift < 0.01
     assert result.refused == 0
@@ -75,6 +78,9 @@ def test_a_ride_is_judged() -> None:
     assert result.edge < 0.010
     assert result.coverage > 0.95
     assert result.invented == 0
+    assert result.model_rmse < 1.2 * result.beside_rmse < 0.006
+    assert result.normal_deg < 1.0
+    assert result.model_coverage > 0.95
 
 
 def test_tables_tell_median_and_worst() -> None:
@@ -86,6 +92,9 @@ def test_tables_tell_median_and_worst() -> None:
     assert "edge" not in figures  # no ride has one
     rows = [accuracy.Row("maps", "flat", "5 % wrong", 5, figures)]
     assert "maps, median (worst) of 5 rides" in accuracy.in_words(rows)
+    assert "survey of a strip" not in accuracy.in_words(rows)  # none was made
+    surveyed = accuracy.Row("maps", "flat", "5 % wrong", 5, {"normal_deg": (0.5, 0.7), "model_coverage": (0.98, 0.96)})
+    assert "0.5 (0.7)" in accuracy.in_words([surveyed])
     assert json.loads(accuracy.to_json(rows))[0]["drift"] == {"median": 0.002, "worst": 0.004}
 
 
@@ -94,7 +103,7 @@ def test_the_accuracy_command_leaves_its_tables(
 ) -> None:
     asked: list[tuple[object, int, Errors]] = []
 
-    def measure(scene: object, seed: int, errors: Errors) -> accuracy.RideResult:
+    def measure(scene: object, seed: int, errors: Errors, survey: bool = False) -> accuracy.RideResult:
         asked.append((scene, seed, errors))
         return accuracy.RideResult(0.002 * (seed - 999), 0.1, 0, 0.01, 0.002, 0.001, 0.005, 0.97, 0)
 
@@ -212,3 +221,26 @@ def test_the_reference_of_the_thesis_finds_a_motion_that_the_scene_shows() -> No
     for k in (8, 9, 10, 11, 12):
         T = thesis.update(camera.frame(k), k - 8, T if k > 8 else way.T_world_camera[8], np.eye(6))
     assert np.linalg.norm((T - way.T_world_camera[12])[:3, 3]) < 0.05
+
+
+def test_a_survey_is_compared_where_both_maps_reach() -> None:
+    truth = TrueGround(np.zeros((59, 39)), 0.01)
+    layers, flags = np.full((3, 30, 20), 0.002, np.float32), np.zeros((30, 20), np.bool_)
+    terrain = TerrainMap(0, 0.01, np.zeros(2), *layers, flags, flags.astype(np.int8))
+    normals = np.zeros((40, 10, 3), np.int16)
+    normals[..., 2] = 32767
+    elevation = np.full((40, 10), 0.001, np.float32)
+    elevation[:15] = np.nan
+    grid = np.zeros((40, 10), np.float32)
+    flags = np.zeros((40, 10), np.bool_)
+    passage = PassageMap(
+        0, 0.01, np.array([0.10, 0.05]), 0.0, elevation, normals, grid, flags, 0.5, "", np.eye(4), flags
+    )  # fmt: skip
+    seen = np.ones((30, 20), np.bool_)
+    figures = model.judged(passage, terrain, truth, seen)
+    assert figures.rmse == pytest.approx(0.001)
+    assert figures.elevation_rmse == pytest.approx(0.002)
+    assert figures.normal_deg == pytest.approx(0.0, abs=1e-6)
+    assert figures.coverage == pytest.approx(5 / 20)  # of its first twenty rows, which the elevation map has too
+    with pytest.raises(ValueError, match="beside"):
+        model.judged(replace(passage, origin=np.array([0.105, 0.05])), terrain, truth, seen)

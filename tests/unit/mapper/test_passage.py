@@ -63,6 +63,20 @@ def test_the_top_stands_for_its_column_and_its_normal_is_its_own(heading: float)
     np.testing.assert_allclose(grid.elevation[on > 0.115], -0.3 + beside @ SLOPE, atol=1e-6)
 
 
+def test_what_few_pixels_show_above_a_surface_does_not_stand_for_it() -> None:
+    where = strip(0.0)
+    floor = ground(where)
+    few = np.abs(where.local(floor[:, :2]) - [0.4, 0.0]).max(axis=1) < 0.1
+    over = floor[few] + np.array([0.0, 0.0, 0.08])
+    for pixels, height in ((3.0, 0.0), (10.0, 0.08)):
+        cloud = cloud_of(where)
+        cloud.insert(floor, np.full(len(floor), 10.0))
+        cloud.insert(over, np.full(len(over), pixels))
+        grid = passage_grid(cloud.snapshot(), where, 0.01)
+        on = np.abs(local_centres(where, 0.01) - [0.4, 0.0]).max(axis=-1) < 0.085
+        np.testing.assert_allclose(grid.elevation[on], height, atol=1e-6)
+
+
 def test_what_was_not_seen_is_unknown() -> None:
     where = strip(0.7)
     points = ground(where)
