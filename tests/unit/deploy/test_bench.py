@@ -90,10 +90,10 @@ def test_tables_tell_median_and_worst() -> None:
     assert figures["bias"] == (0.002, 0.004)
     assert figures["coverage"] == pytest.approx((0.98, 0.96))
     assert "edge" not in figures  # no ride has one
-    rows = [accuracy.Row("maps", "flat", "5 % wrong", 5, figures)]
+    rows = [accuracy.Row("maps", "flat", "5 % wrong", 5, 4, figures)]
     assert "maps, median (worst) of 5 rides" in accuracy.in_words(rows)
     assert "survey of a strip" not in accuracy.in_words(rows)  # none was made
-    surveyed = accuracy.Row("maps", "flat", "5 % wrong", 5, {"normal_deg": (0.5, 0.7), "model_coverage": (0.98, 0.96)})
+    surveyed = accuracy.Row("maps", "flat", "5 % wrong", 5, 5, {"normal_deg": (0.5, 0.7), "model_coverage": (0.98, 0.96)})
     assert "0.5 (0.7)" in accuracy.in_words([surveyed])
     assert json.loads(accuracy.to_json(rows))[0]["drift"] == {"median": 0.002, "worst": 0.004}
 
@@ -110,7 +110,8 @@ def test_the_accuracy_command_leaves_its_tables(
     monkeypatch.setattr(accuracy, "measure", measure)
     assert cli.main(["bench", "accuracy", "--seeds", "1000:1002", "--out", str(tmp_path)]) == 0
     rows = json.loads((tmp_path / "accuracy.json").read_text(encoding="utf-8"))
-    assert len(rows) == len(REGISTERED) * len(accuracy.LEGS) + len(MAPPED)
+    assert len(rows) == (len(REGISTERED) + 1) * len(accuracy.LEGS) + len(MAPPED)
+    assert all(row["found"] == 2 for row in rows)
     assert len(asked) == 2 * len(rows)
     assert rows[0]["drift"] == {"median": 0.003, "worst": 0.004}
     assert "3.0 (4.0)" in capsys.readouterr().out
