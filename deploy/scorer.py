@@ -30,7 +30,7 @@ from shared import topics
 from shared.geometry import Array, apply, inverse, rotation_z, transform, yaw_of
 from shared.messages import ActuatorState, BodyPose, GroundTruth, Message, Mode, PlannerStatus, StepPlan, TerrainMap
 from shared.robot import JOINTS, LEGS, RobotProfile
-from shared.scenario import Box, Pillars, Plane, Rubble, Scenario
+from shared.scenario import Box, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
 from shared.service import Inbox, Stages
 
 FALL_TILT_DEG = 35.0  # [deg]
@@ -113,7 +113,7 @@ class Scorer:
         self.finished = False
         self._profile, self._scenario, self._seed = profile, scenario, seed
         self._terrain: Ground = build_terrain(scenario, np.random.default_rng([seed, 0])) if terrain is None else terrain
-        unblocked = tuple(part for part in scenario.terrain if not isinstance(part, Box | Rubble | Pillars))
+        unblocked = tuple(part for part in scenario.terrain if not isinstance(part, Box | Rubble | Pillars | Puddle | Puddles))
         self._unblocked: Ground = build_terrain(replace(scenario, terrain=unblocked or (Plane(),)), np.random.default_rng(0))
         self._truth: list[GroundTruth] = []
         self._recent: deque[tuple[int, float, float]] = deque()  # stamp, x, y of the last half second
@@ -209,6 +209,16 @@ class Scorer:
         """True height (n,) [m] {start} at (n, 2) [m] {start}."""
         T = self._T_sim_start
         return np.asarray(self._terrain.height_at(xy @ T[:2, :2].T + T[:2, 3]) - T[2, 3])
+
+    def _sink_in_start(self, xy: Array) -> Array:
+        """How far (n,) [m] the ground at (n, 2) [m] {start} gives way."""
+        sink_at = getattr(self._terrain, "sink_at", None)
+        T = self._T_sim_start
+        return np.zeros(len(xy)) if sink_at is None else np.asarray(sink_at(xy @ T[:2, :2].T + T[:2, 3]))
+
+    def _carrying_in_start(self, xy: Array) -> Array:
+        """Height (n,) [m] {start} of what carries at (n, 2) [m] {start}: below what is seen where that gives way."""
+        return self._height_in_start(xy) - self._sink_in_start(xy)
 
     def _note(self, status: PlannerStatus) -> None:
         self._moved[status.step] = status.moved_footholds
@@ -477,7 +487,7 @@ class Scorer:
             p=p,
             moved=moved,
             raised=self._height_in_start(p[:, :2]) > _RAISED,
-            misstep=~is_foothold(self._height_in_start, p[:, :2]),
+            misstep=~is_foothold(self._carrying_in_start, p[:, :2]) | (self._sink_in_start(p[:, :2]) > 0),
         )
 
     def _moved_legs(self, step: int) -> NDArray[np.bool_]:

@@ -27,17 +27,20 @@ MAX_LENGTH = 4_000_000  # elements along an array
 class Dims:
     """Shape of an array field: numbers are exact lengths, names are free lengths that agree within one message.
 
-    A packed array of whole numbers crosses the wire as its differences along the first axis, compressed.
+    A packed array of whole numbers crosses the wire as its differences along the first axis, compressed. An optional one may be
+    left empty: all its free lengths are then 0, whatever they are elsewhere.
     """
 
     shape: tuple[int | str, ...]
     finite: bool
     packed: bool
+    optional: bool
 
-    def __init__(self, *shape: int | str, finite: bool = True, packed: bool = False):
+    def __init__(self, *shape: int | str, finite: bool = True, packed: bool = False, optional: bool = False):
         object.__setattr__(self, "shape", shape)
         object.__setattr__(self, "finite", finite)
         object.__setattr__(self, "packed", packed)
+        object.__setattr__(self, "optional", optional)
 
 
 Pose: TypeAlias = Annotated[NDArray[np.float64], Dims(4, 4)]
@@ -45,6 +48,8 @@ Vector3: TypeAlias = Annotated[NDArray[np.float64], Dims(3)]
 PerLeg: TypeAlias = Annotated[NDArray[np.float64], Dims(6)]
 PerJoint: TypeAlias = Annotated[NDArray[np.float64], Dims(6, 3)]
 LegFlags: TypeAlias = Annotated[NDArray[np.bool_], Dims(6)]
+_POINTS_WITHOUT_COLOR, _CELLS_WITHOUT_COLOR = np.zeros((0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8)
+_NO_CELLS = np.zeros((0, 0), np.uint8)
 
 
 class Mode(StrEnum):
@@ -85,7 +90,7 @@ class DepthImage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ColorImage(Message):
-    """One colour frame, pixel for pixel over the depth; camera -> console."""
+    """One colour frame, pixel for pixel over the depth frame of the same stamp; camera -> perception."""
 
     rgb: Annotated[NDArray[np.uint8], Dims("h", "w", 3)]
 
@@ -167,6 +172,9 @@ class Scan(Message):
     pose_covariance: Annotated[
         NDArray[np.float64], Dims(6, 6)
     ]  # [m^2, m rad, rad^2] of the camera's position, then rotation, {world}, by which the points were placed
+    color: Annotated[NDArray[np.uint8], Dims("n", 3, packed=True, optional=True)] = dataclasses.field(
+        default_factory=lambda: _POINTS_WITHOUT_COLOR
+    )  # codes of `shared.color`, a row per point, or none at all
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +190,16 @@ class TerrainMap(Message):
     # Masri's evaluation function [cells]: -1 and less where a foot may stand, the least being best; 1 and more elsewhere, the
     # distance from there; 127 where nothing is known.
     evaluation: Annotated[NDArray[np.int8], Dims("nx", "ny")]
+    # Without a colour camera these are empty.
+    color: Annotated[NDArray[np.uint8], Dims("nx", "ny", 3, optional=True)] = dataclasses.field(
+        default_factory=lambda: _CELLS_WITHOUT_COLOR
+    )  # R, G, B
+    hazard: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True)] = dataclasses.field(
+        default_factory=lambda: _NO_CELLS
+    )  # 1 water, 2 loose ground under a foot here, which is then no foothold; 0 neither
+    confidence: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True)] = dataclasses.field(
+        default_factory=lambda: _NO_CELLS
+    )  # [%] of the type of ground that is the most probable, 0 where nothing is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -386,12 +404,15 @@ def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
     """The check of an array field; arrays of fixed shape take the short way."""
     expected, names = dims.shape, any(isinstance(n, str) for n in dims.shape)
     finite = dims.finite and dtype.kind == "f"
+    empty = tuple(0 if isinstance(n, str) else n for n in expected) if dims.optional else None
 
     def check(value: Any, lengths: dict[str, int]) -> str:
         if not isinstance(value, np.ndarray):
             return f"an array of {dtype} expected, found {type(value).__name__}"
         if value.dtype != dtype:
             return f"an array of {dtype} expected, found {value.dtype}"
+        if empty is not None and value.shape == empty:
+            return ""
         if names:
             problem = _shape_misfit(value.shape, expected, lengths)
             if problem:

@@ -11,6 +11,8 @@ from typing import Literal
 
 from shared import config
 
+Color = tuple[int, int, int]  # R, G, B from 0 to 255
+
 
 @dataclass(frozen=True, slots=True)
 class Plane:
@@ -18,6 +20,7 @@ class Plane:
 
     kind: Literal["plane"] = "plane"
     height: float = 0.0  # [m]
+    color: Color | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +33,7 @@ class Box:
     kind: Literal["box"] = "box"
     yaw_deg: float = 0.0  # [deg]
     depth: float = 0.5  # [m] how far it reaches down from its top
+    color: Color | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +49,7 @@ class Stairs:
     landing: float = 1.0  # [m]
     yaw_deg: float = 0.0
     base: float = 0.0  # [m] height of the ground before the first riser
+    color: Color | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +61,7 @@ class Pillars:
     top: float  # [m]
     kind: Literal["pillars"] = "pillars"
     depth: float = 0.5  # [m]
+    color: Color | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +75,7 @@ class Slope:
     kind: Literal["slope"] = "slope"
     yaw_deg: float = 0.0
     landing: float = 1.0  # [m]
+    color: Color | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +91,7 @@ class Rubble:
     gap: float = 0.02  # [m]
     yaw_deg: float = 180.0  # [deg] headings are uniform within +- this
     base: float = 0.0  # [m] ground they stand on
+    color: Color | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +103,38 @@ class HeightMap:
     xy: tuple[float, float]  # [m] where cell (0, 0) lies; rows run along x
     kind: Literal["height_map"] = "height_map"
     scale: float = 1.0  # heights are multiplied by it
+    color: Color | None = None
 
 
-Terrain = Plane | Box | Stairs | Pillars | Slope | Rubble | HeightMap
+@dataclass(frozen=True, slots=True)
+class Puddle:
+    """A rectangle of the level ground that gives way: seen level with it, but a foot goes through to the bed.
+
+    Of another colour, and shallower, it is loose ground.
+    """
+
+    xy: tuple[float, float]  # [m] centre
+    size: tuple[float, float]  # [m] along x and y
+    kind: Literal["puddle"] = "puddle"
+    depth: float = 0.05  # [m] from what is seen to the bed
+    color: Color = (74, 94, 118)
+
+
+@dataclass(frozen=True, slots=True)
+class Puddles:
+    """Puddles of random size, placed by the run's seed, `gap` apart and none overlapping."""
+
+    x: tuple[float, float]  # [m] region
+    y: tuple[float, float]  # [m]
+    count: int
+    size: tuple[float, float]  # [m] shortest and longest edge
+    kind: Literal["puddles"] = "puddles"
+    gap: float = 0.10  # [m]
+    depth: float = 0.05  # [m]
+    color: Color = (74, 94, 118)
+
+
+Terrain = Plane | Box | Stairs | Pillars | Slope | Rubble | HeightMap | Puddle | Puddles
 
 
 def _expect(holds: bool, expected: str, found: object) -> None:

@@ -63,8 +63,9 @@ class FootholdLayers:
         margin: Margin | None = None,
         weights: ScoreWeights | None = None,
         rules: FootholdRules | None = None,
+        keep_terms: bool = False,
     ) -> None:
-        """Take the map's shape (nx, ny), its resolution [m], and what a foothold must be.
+        """Take the map's shape (nx, ny), its resolution [m], and what a foothold must be; `keep_terms` for who asks for them.
 
         Raises:
             ValueError: What does not fit, from the scorer or the evaluation function.
@@ -80,6 +81,7 @@ class FootholdLayers:
         self._moved = True  # since the evaluation function was made
         self._elevation = np.full(shape, np.nan, dtype=np.float32)  # as it was last time
         self._score = np.full(shape, np.nan, dtype=np.float32)
+        self._terms = [np.full(shape, np.nan, dtype=np.float32) for _ in range(2 * keep_terms)]  # slope and roughness
         self._even = np.full(shape, 0, dtype=np.uint8)  # 1 accessible but for its depth, 2 refused
         self._ground = np.full(shape, 0, dtype=np.uint8)  # what the evaluation function was made from
         self._evaluation = np.full(shape, 0, dtype=np.int8)
@@ -125,6 +127,16 @@ class FootholdLayers:
         self._evaluate(h, self._depth_limit(body_height), level)
         return Layers(score, self._evaluation.copy(), rescored / h.size)
 
+    def terms(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Slope [m/m] and roughness [m] (nx, ny) of the last map, NaN where the score is; not to be written to.
+
+        Raises:
+            ValueError: They were not asked for from the beginning.
+        """
+        if not self._terms:
+            raise ValueError("layers made with keep_terms=True expected, found some without")
+        return self._terms[0], self._terms[1]
+
     @property
     def _all(self) -> Rectangle:
         return 0, self.shape[0], 0, self.shape[1]
@@ -136,6 +148,8 @@ class FootholdLayers:
             self._reference = reference
             self._score[:] = np.nan
             self._even[:] = 0
+            for term in self._terms:
+                term[:] = np.nan
             self._moved = True
             return [self._all]
         shift = first - before
@@ -143,6 +157,7 @@ class FootholdLayers:
             self._elevation = _shifted(self._elevation, shift, np.float32(np.nan))
             self._score = _shifted(self._score, shift, np.float32(np.nan))
             self._even = _shifted(self._even, shift, np.uint8(0))
+            self._terms = [_shifted(term, shift, np.float32(np.nan)) for term in self._terms]
             self._moved = True
         changed = _changed(elevation.view(np.int32), self._elevation.view(np.int32))
         parts = [self._wider(changed, self._halo)] if changed[1] > changed[0] else []
@@ -166,6 +181,8 @@ class FootholdLayers:
         scored = self._scorer.evaluate(fill_small_holes(elevation[a0:a1, b0:b1]), self._reference)
         here, there = (slice(i0, i1), slice(j0, j1)), (slice(i0 - a0, i1 - a0), slice(j0 - b0, j1 - b0))
         self._score[here] = scored.score[there]
+        for term, new in zip(self._terms, (scored.slope, scored.roughness), strict=False):
+            term[here] = new[there]
         rules = self._evaluator.rules
         even = np.empty(scored.seen.shape, dtype=np.uint8)
         _tell_even(

@@ -14,7 +14,10 @@ from services.mapper.layers import FootholdLayers, Margin
 from services.mapper.passage import PassageGrid, cell_centres, cells_of, feet_plane
 from services.mapper.score import ScoreWeights
 from services.mapper.survey import Outlook, Survey
+from services.mapper.terrain_type import TerrainType
+from services.mapper.touch import TouchWatch
 from shared import topics
+from shared.color import from_codes
 from shared.geometry import Array, apply
 from shared.messages import ActuatorState, BodyPose, Message, PassageMap, PassageRequest, Scan, TerrainMap
 from shared.robot import RobotProfile
@@ -23,6 +26,7 @@ from shared.service import AnyTopic, Inbox, Stages
 # What is unknown may be the edge of a block seen from below, so a foot keeps as far from it as from an edge.
 _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 
+_FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
 _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
 
 
@@ -42,7 +46,12 @@ class Mapper:
         self._profile = profile
         model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx)
         self._grid = ElevationGrid(settings.shape, settings.resolution, model)
-        self._layers = FootholdLayers(settings.shape, settings.resolution, Margin(profile.foot.radius), _WEIGHTS)
+        self._layers = FootholdLayers(
+            settings.shape, settings.resolution, Margin(profile.foot.radius), _WEIGHTS, keep_terms=profile.camera.color
+        )
+        self._type: TerrainType | None = None  # from the first scan in colour on
+        self._touches = TouchWatch(profile.foot.radius)
+        self._stands = False  # whether it is known what the ground looks like that the robot came from
         self._seeded = False
         self._scans = 0
         self._known = 0.0  # share of the cells
@@ -71,6 +80,9 @@ class Mapper:
         if not self._seeded and pose is not None and legs is not None and np.count_nonzero(~legs.swing) >= 3:
             self._assume_ground(pose, legs)
             self._seeded = True
+        if len(scan.color) or self._type is not None:
+            with self.stages("terrain type"):
+                self._learn(scan, pose, legs)
         self._scans += 1
         if self._scans % self._settings.publish_every == 0:
             yield self._terrain(scan.stamp_ns, pose)
@@ -124,6 +136,32 @@ class Mapper:
             raise ValueError(f"at most {settings.passage_cells} cells expected, found {nx} x {ny}")
         return strip
 
+    def _learn(self, scan: Scan, pose: BodyPose | None, legs: ActuatorState | None) -> None:
+        """Colours of a scan, and what feet have found since the last."""
+        if self._type is None:
+            self._type = TerrainType(self._settings.shape, self._settings.resolution, self._grid.low)
+        known = self._type
+        known.move_to(self._grid.low)
+        if len(scan.color):
+            known.see(scan.origin[:2] + scan.points_mm[:, :2] * 1e-3, from_codes(scan.color))
+        if pose is None or legs is None:
+            return
+        if not self._stands:
+            self._stands = known.stand_on(self._first_seen(pose.T_world_body))
+        for touch in self._touches.update(legs, pose):
+            mapped = float(self._grid.heights(touch.p_world[:2]))
+            if np.isfinite(mapped):
+                known.touch(touch.p_world[:2], mapped - float(touch.p_world[2]) if touch.carries else None)
+
+    def _first_seen(self, T_world_body: Array) -> NDArray[np.bool_]:
+        """Cells (nx, ny) of the nearest ground ahead that the camera sees, as level as the feet stand."""
+        settings, snapshot = self._settings, self._grid.snapshot()
+        x, y = (snapshot.origin[k] + settings.resolution * np.arange(settings.shape[k]) for k in (0, 1))
+        off = np.stack(np.broadcast_arrays(x[:, None] - T_world_body[0, 3], y - T_world_body[1, 3]), axis=-1)
+        ahead, aside = np.moveaxis(off @ T_world_body[:2, :2], -1, 0)
+        near = (ahead < settings.assumed_ahead + _FIRST_SEEN) & (ahead > 0) & (np.abs(aside) < settings.assumed_aside)
+        return np.asarray(near & np.isfinite(snapshot.elevation))
+
     def _assume_ground(self, pose: BodyPose, legs: ActuatorState) -> None:
         """Fill what the camera cannot see at the start with the plane of the standing feet; measurements amend it."""
         settings, T = self._settings, pose.T_world_body
@@ -166,15 +204,24 @@ class Mapper:
                 0.0 if pose is None else _position_sigma(pose),
             )
         self._known = float(np.isfinite(snapshot.elevation).mean())
+        score, evaluation = layers.score, layers.evaluation
+        made_of: dict[str, NDArray[np.uint8]] = {}
+        if self._type is not None:
+            with self.stages("terrain type"):
+                found = self._type.classify(*self._layers.terms())
+                score = score + found.cost
+                evaluation = np.where(found.hazard > 0, np.maximum(evaluation, np.int8(1)), evaluation)
+                made_of = {"color": self._type.rgb(), "hazard": found.hazard, "confidence": found.confidence}
         return TerrainMap(
             stamp_ns=stamp_ns,
             resolution=snapshot.resolution,
             origin=snapshot.origin,
             elevation=snapshot.elevation,
             variance=snapshot.variance,
-            score=layers.score,
-            evaluation=layers.evaluation,
+            score=score,
+            evaluation=evaluation,
             assumed=snapshot.assumed.astype(np.bool_),
+            **made_of,
         )
 
 

@@ -1,19 +1,21 @@
 """Perception: depth frames in, the body's pose and a reduced scan out."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from services.perception.coloring import Coloring
 from services.perception.config import Settings
 from services.perception.motion import Motion, OdometryHistory
 from services.perception.reduction import reduce_scan
 from services.perception.registration import AXES, Registered, Registration, refused
 from shared import topics
 from shared.geometry import Array, inverse, rotation_from_rpy, rpy_from_rotation, transform, yaw_of
-from shared.messages import BodyPose, DepthImage, Message, Scan
+from shared.messages import BodyPose, ColorImage, DepthImage, Message, Scan
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
 
@@ -41,6 +43,11 @@ class Perception:
         self._T_body_camera = profile.camera.T_body_camera
         self._T_camera_body = inverse(self._T_body_camera)
         self._registration = _make_registration(profile, settings)
+        self._coloring = (
+            Coloring(profile.camera.intrinsics, profile.camera.sensor.depth_scale) if profile.camera.color else None
+        )
+        if self._coloring is not None:
+            self.reads = (*self.reads, topics.COLOR)  # nobody else asks a camera for pictures that are a megabyte each
         self._odometry = OdometryHistory()
         self._restarts = 0
         self._T_world_odom: Array = np.eye(4)
@@ -62,7 +69,10 @@ class Perception:
         for message in inbox.drain(topics.ODOMETRY):
             self._odometry.add(message)
         self._frames += 1
-        if self._frames % self._every:
+        used = self._frames % self._every == 0
+        if self._coloring is not None and not used:
+            self._keep_for_color(image)
+        if not used:
             return
         expected = (self._camera.intrinsics.height, self._camera.intrinsics.width)
         if image.depth.shape != expected:
@@ -99,7 +109,30 @@ class Perception:
             return  # what lies who knows where is no ground: the map is left to grow old, and whoever walks by it stops
         with self.stages("reduction"):
             scan = self._scan(image, found)
+        if self._coloring is not None:
+            self._coloring.keep(image.stamp_ns, image.depth, np.array(found.T_world_camera))
+            scan = self._colored(scan, inbox.latest(topics.COLOR), self._coloring)
         yield scan
+
+    def _keep_for_color(self, image: DepthImage) -> None:
+        """Remember a frame that is not registered, by where the legs say that it was taken: its colour may be on its way."""
+        motion = self._odometry.at(image.stamp_ns)
+        if self._coloring is None or self._last is None or motion is None:
+            return
+        if image.depth.shape == (self._camera.intrinsics.height, self._camera.intrinsics.width):
+            T_world_camera = self._T_world_odom @ motion.T_odom_body @ self._T_body_camera
+            self._coloring.keep(image.stamp_ns, image.depth, np.asarray(T_world_camera))
+
+    def _colored(self, scan: Scan, picture: ColorImage | None, coloring: Coloring) -> Scan:
+        """A scan with the colours of the newest picture, where that is a new one."""
+        if picture is None:
+            return scan
+        with self.stages("color"):
+            points = scan.origin + scan.points_mm * 1e-3
+            color = coloring.colors(points, picture.stamp_ns, picture.rgb)
+        if coloring.problem:
+            self._words += f"; {coloring.problem}"
+        return replace(scan, color=color) if len(color) else scan
 
     def _sees_nothing_yet(self, image: DepthImage, motion: Motion) -> bool:
         """Whether nothing is in the camera's range, as before a wall or an abyss, and legs can still be relied upon."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.terrain import GOOD, NONE, Terrain
+from services.planner.terrain import GOOD, HAZARDS, NONE, Terrain
 from shared.geometry import Array
 
 Reachable = Callable[[Array], NDArray[np.bool_]]
@@ -88,10 +88,12 @@ def _search(
         moved = np.where(within, np.linalg.norm(points[:, :2] - nominal, axis=1), np.inf)
         best = int(np.argmin(moved))
         return Foothold(points[best], float(moved[best]))
+    hazards = np.where(rough, terrain.hazards(xy), 0)
     counts = Counter(
         {
             "not seen": int(unknown.sum()),
-            "too steep or too near an edge": int(rough.sum()),
+            "too steep or too near an edge": int((rough & (hazards == 0)).sum()),
+            **{name: int((hazards == number).sum()) for number, name in enumerate(HAZARDS) if number},
             "too near another foot": int((near & ~unknown & ~rough).sum()),
             "out of reach": len(points),
         }

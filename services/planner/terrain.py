@@ -17,6 +17,7 @@ Layer = Literal["score", "evaluation"]
 
 _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _DEEP = -100  # [cells] of level ground without an end
+HAZARDS = ("", "water", "loose ground")  # by the numbers of TerrainMap.hazard
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,13 @@ class Terrain:
         """Evaluation function (n,) [cells] at (n, 2) [m] {world} points, UNKNOWN outside the map."""
         ij, inside = self.cells(xy)
         return np.where(inside, self.map.evaluation[ij[..., 0], ij[..., 1]].astype(np.int64), UNKNOWN)
+
+    def hazards(self, xy: Array) -> NDArray[np.uint8]:
+        """What makes ground that is flat enough no foothold (n,) at (n, 2) [m] {world} points: an index into `HAZARDS`."""
+        if not self.map.hazard.size:
+            return np.zeros(len(xy), dtype=np.uint8)
+        ij, inside = self.cells(xy)
+        return np.where(inside, self.map.hazard[ij[..., 0], ij[..., 1]], 0).astype(np.uint8)
 
     def centres(self, xy: Array) -> Array:
         """Centres (n, 2) [m] {world} of the cells that hold (n, 2) points."""

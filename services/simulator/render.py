@@ -44,14 +44,21 @@ class Renderer:
 
     def __init__(self, terrain: Terrain, intrinsics: Intrinsics):
         self.intrinsics = intrinsics
+        look = terrain.look
         quads, colours = _box_quads(terrain.boxes, _BOX_COLOUR)
+        if look is not None:
+            painted = np.repeat(look.boxes, 6, axis=0)
+            colours = np.where(np.isfinite(painted), painted, colours)
+        self._plane_colour = _own_colour(look.plane if look else None, _PLANE_COLOUR)
+        field_colour = _own_colour(look.height_field if look else None, _FIELD_COLOUR)
         field = terrain.height_field
         if field is not None:
-            skirt, skirt_colours = _skirt(field)
+            skirt = _skirt(field)
+            skirt_colours = np.tile(field_colour, (len(skirt), 1))
             quads, colours = np.concatenate([quads, skirt]), np.concatenate([colours, skirt_colours])
         self._quads, self._colours = quads, colours
         self._plane = np.nan if terrain.plane is None else terrain.plane
-        self._field = _FieldMesh(field)
+        self._field = _FieldMesh(field, field_colour)
         self._camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
         # Column numbers as floats: converting them in the inner loops would keep those from being vectorised.
         self._ramp = np.arange(intrinsics.width, dtype=np.float64)
@@ -78,9 +85,14 @@ class Renderer:
 
     def rgb(self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None = None) -> NDArray[np.uint8]:
         """Flat-shaded colour picture (h, w, 3) from an optical camera pose (4, 4)."""
+        return self.colored(T_world_camera, robot)[0].copy()
+
+    def colored(
+        self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None = None
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Flat-shaded colour picture (h, w, 3) and its inverse depth (h, w) [1/m]; both are the renderer's own, as above."""
         self._rgb[:] = _SKY
-        self._render(T_world_camera, robot, self._rgb)
-        return self._rgb.copy()
+        return self._rgb, self._render(T_world_camera, robot, self._rgb)
 
     def _render(
         self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None, rgb: NDArray[np.uint8]
@@ -91,7 +103,7 @@ class Renderer:
         T_camera_world = inverse(T)
         light = T_camera_world[:3, :3] @ (_LIGHT / np.linalg.norm(_LIGHT))
         w, camera = self._inverse_depth, self._camera
-        _draw_plane(w, rgb, camera, self._ramp, T_camera_world, self._plane, np.array(_PLANE_COLOUR, dtype=np.float64), light)
+        _draw_plane(w, rgb, camera, self._ramp, T_camera_world, self._plane, self._plane_colour, light)
         _draw_quads(w, rgb, camera, self._ramp, T_camera_world, self._quads, self._colours, light)
         mesh = self._field
         if len(mesh.blocks):
@@ -108,10 +120,10 @@ class Renderer:
 class _FieldMesh:
     """A height field in blocks, each with its box for culling."""
 
-    def __init__(self, field: HeightField | None):
+    def __init__(self, field: HeightField | None, colour: Array):
         self.heights = np.zeros((0, 0)) if field is None else np.ascontiguousarray(field.heights)
         self.grid = np.zeros(3) if field is None else np.array([*field.origin, field.resolution])
-        self.colour = np.array(_FIELD_COLOUR, dtype=np.float64)
+        self.colour = colour
         blocks = []
         for i in range(0, max(self.heights.shape[0] - 1, 0), _BLOCK):
             for j in range(0, self.heights.shape[1] - 1, _BLOCK):
@@ -123,14 +135,19 @@ class _FieldMesh:
         self.blocks = np.array(blocks).reshape(-1, 8)
 
 
+def _own_colour(own: Array | None, usual: tuple[int, int, int]) -> Array:
+    """A surface's own colour (3,), or where it has none the usual one."""
+    return np.array(usual, dtype=np.float64) if own is None or np.isnan(own).any() else own
+
+
 def _box_quads(boxes: Boxes, colour: tuple[int, int, int]) -> tuple[Array, Array]:
     """Faces (6 n, 4, 3) [m] {world} of boxes and their colours (6 n, 3)."""
     corners = np.einsum("nij,fkj,nj->nfki", boxes.R, _FACES, boxes.half) + boxes.centre[:, None, None]
     return corners.reshape(-1, 4, 3), np.tile(np.array(colour, dtype=np.float64), (6 * len(boxes), 1))
 
 
-def _skirt(field: HeightField) -> tuple[Array, Array]:
-    """The sides and the base of a height field: it is as solid as in the physics."""
+def _skirt(field: HeightField) -> Array:
+    """The sides and the base (n, 4, 3) [m] {world} of a height field: it is as solid as in the physics."""
     z, low = field.heights, float(field.heights.min())
     nx, ny = z.shape
     x = field.origin[0] + field.resolution * np.arange(nx)
@@ -149,8 +166,7 @@ def _skirt(field: HeightField) -> tuple[Array, Array]:
     size = np.array([x[-1] - x[0], y[-1] - y[0], DEPTH])
     middle = np.array([(x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2, low - DEPTH / 2])
     base, _ = _box_quads(Boxes(middle[None], size[None] / 2, np.eye(3)[None]), _FIELD_COLOUR)
-    quads = np.concatenate([*walls, base])
-    return quads, np.tile(np.array(_FIELD_COLOUR, dtype=np.float64), (len(quads), 1))
+    return np.concatenate([*walls, base])
 
 
 @compiled

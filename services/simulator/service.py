@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.simulator.bus import ServoBusEmulator
+from services.simulator.color_camera import ColorCamera
 from services.simulator.config import Settings
 from services.simulator.depth_camera import DepthCamera
 from services.simulator.imu import Imu as ImuSensor
@@ -59,7 +60,7 @@ class Simulator:
         self._settings = settings
         scenario = load_scenario(settings.scenario) if scenario is None else scenario
         self._scenario = scenario
-        seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(4)]
+        seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(5)]
         terrain = build_terrain(scenario, seeds[0])
         self.world = World(profile, terrain, Factors.draw(scenario.variation, seeds[1]), imu=scenario.variation.imu)
         self._renderer = Renderer(terrain, profile.camera.intrinsics)
@@ -71,6 +72,7 @@ class Simulator:
             dropouts=scenario.camera.dropouts,
         )
         self._last_depth: NDArray[np.uint16] | None = None
+        self._color = ColorCamera(self._renderer, terrain, seeds[4]) if profile.camera.color else None
         self._imu = ImuSensor(ImuNoise(), seeds[3])
         self._signs = profile.servo_signs
         self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
@@ -142,11 +144,14 @@ class Simulator:
             depth = self._depth(self._camera_fault())
             if depth is not None:
                 yield DepthImage(now_ns, depth)
+                # Of the same instant as a depth frame, so that a pixel of one is a pixel of the other.
+                if self._color is not None and inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
+                    with self.stages("color"):
+                        color = self._color.picture(self._camera_pose(), self.world.robot_solids())
+                    yield ColorImage(now_ns, color)
         if self._due(topics.CAMERA_STATE, now_ns):
             absent = "unplugged by the scenario" if self._camera_fault() == "absent" else ""
             yield CameraState(now_ns, device="simulated depth camera", ok=not absent, reason=absent)
-        if inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
-            yield ColorImage(now_ns, self._renderer.rgb(self._camera_pose(), self.world.robot_solids()))
         if self._scenario.variation.imu and self._due(topics.IMU, now_ns):
             yield self._feel(now_ns)
         if self._due(topics.TRUTH, now_ns):

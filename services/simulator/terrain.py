@@ -6,6 +6,7 @@ and scorer read the same few numbers.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -13,12 +14,38 @@ import numpy as np
 
 from services.simulator.solids import Boxes, HeightField
 from shared.geometry import Array, rotation_from_rpy, rotation_z
-from shared.scenario import Box, HeightMap, Pillars, Plane, Rubble, Scenario, Slope, Stairs
+from shared.scenario import Box, Color, HeightMap, Pillars, Plane, Puddle, Puddles, Rubble, Scenario, Slope, Stairs
 
 DEPTH = 0.5  # [m] how far stairs, slopes, rubble and height fields reach below the ground they join
 _BATCH = 256  # rubble candidates drawn at a time
 _BATCHES = 40  # tried for one block before the heap is begun anew
 _RESTARTS = 20
+_FAR = 50.0  # [m] how far the level ground reaches where it has puddles
+
+
+@dataclass(frozen=True, slots=True)
+class Hollows:
+    """Rectangles of the level ground, along its axes, that look like it and give way under a foot."""
+
+    low: Array  # (n, 2) [m] {world}
+    high: Array  # (n, 2) [m] {world}
+    depth: Array  # (n,) [m] down to what carries
+    color: Array  # (n, 3) R, G, B
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+
+_NO_HOLLOWS = Hollows(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros((0, 3)))
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Colours of the ground, (3,) R, G, B each, NaN where it has none of its own."""
+
+    boxes: Array  # (n, 3)
+    plane: Array
+    height_field: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +55,11 @@ class Terrain:
     boxes: Boxes
     height_field: HeightField | None = None
     plane: float | None = None  # [m] height of the level ground, None for an abyss
+    hollows: Hollows = _NO_HOLLOWS  # of the plane
+    look: Look | None = None
 
     def height_at(self, xy: Array) -> Array:
-        """True height (n,) [m] of the uppermost surface at (n, 2) [m] {world}; -inf where there is no ground.
+        """True height (n,) [m] of the uppermost surface seen at (n, 2) [m] {world}; -inf where there is no ground.
 
         Raises:
             ValueError: The points are not (n, 2).
@@ -51,6 +80,22 @@ class Terrain:
             z[below] = np.maximum(z[below], _box_top(xy[below], centre, half, R))
         return z
 
+    def sink_at(self, xy: Array) -> Array:
+        """How far (n,) [m] the surface at (n, 2) [m] {world} gives way under a foot."""
+        sink = np.zeros(len(xy))
+        if self.plane is None or not len(self.hollows):
+            return sink
+        for low, high, depth in zip(self.hollows.low, self.hollows.high, self.hollows.depth, strict=True):
+            sink[((xy >= low) & (xy <= high)).all(axis=1)] = depth
+        return np.where(self.height_at(xy) > self.plane, 0.0, sink)  # something stands in it
+
+    def carrying_boxes(self) -> Boxes:
+        """The level ground around its hollows, and their beds, as boxes; none where it has no hollows."""
+        heap = _Heap()
+        if self.plane is not None and len(self.hollows):
+            _surround(heap, self.hollows, self.plane)
+        return heap.boxes()
+
     def raster(self, x0: float, y0: float, nx: int, ny: int, resolution: float) -> Array:
         """True heights (nx, ny) [m] at the points (x0 + i * resolution, y0 + j * resolution) [m] {world}."""
         x, y = np.meshgrid(x0 + resolution * np.arange(nx), y0 + resolution * np.arange(ny), indexing="ij")
@@ -64,12 +109,14 @@ def build_terrain(scenario: Scenario, rng: np.random.Generator) -> Terrain:
         ValueError: Two planes or two height maps, rubble that finds no room, a height map that cannot be read.
     """
     heap = _Heap()
-    planes: list[float] = []
-    fields: list[HeightField] = []
+    planes: list[Plane] = []
+    fields: list[tuple[HeightField, Color | None]] = []
+    puddles: list[Puddle] = []
     for part in scenario.terrain:
+        heap.paint = part.color
         match part:
             case Plane():
-                planes.append(part.height)
+                planes.append(part)
             case Box():
                 heap.add(part.xy, part.size, part.top, part.top - part.depth, np.radians(part.yaw_deg))
             case Stairs():
@@ -82,11 +129,63 @@ def build_terrain(scenario: Scenario, rng: np.random.Generator) -> Terrain:
             case Rubble():
                 _rubble(heap, part, rng)
             case HeightMap():
-                fields.append(_height_field(part, Path(scenario.folder)))
-    for name, found in (("plane", planes), ("height_map", fields)):
-        if len(found) > 1:
-            raise ValueError(f"at most one {name} in a terrain expected, found {len(found)}; join them")
-    return Terrain(heap.boxes(), fields[0] if fields else None, planes[0] if planes else None)
+                fields.append((_height_field(part, Path(scenario.folder)), part.color))
+            case Puddle():
+                puddles.append(part)
+            case Puddles():
+                puddles += _scattered(part, rng)
+    for name, count in (("plane", len(planes)), ("height_map", len(fields))):
+        if count > 1:
+            raise ValueError(f"at most one {name} in a terrain expected, found {count}; join them")
+    if puddles and not planes:
+        raise ValueError('puddles need level ground to lie in: add [[terrain]] with kind = "plane"')
+    field_, field_color = fields[0] if fields else (None, None)
+    look = Look(_rgb(heap.color), _rgb([planes[0].color if planes else None])[0], _rgb([field_color])[0])
+    return Terrain(heap.boxes(), field_, planes[0].height if planes else None, _hollows(puddles), look)
+
+
+def _rgb(colors: list[Color | None]) -> Array:
+    """Colours (n, 3), NaN for none.
+
+    Raises:
+        ValueError: One beyond 0 to 255.
+    """
+    rgb = np.array([(np.nan,) * 3 if color is None else color for color in colors], dtype=np.float64).reshape(-1, 3)
+    if np.any((rgb < 0) | (rgb > 255)):
+        raise ValueError(f"colours of R, G, B from 0 to 255 expected, found {colors}")
+    return rgb
+
+
+def _hollows(puddles: list[Puddle]) -> Hollows:
+    for puddle in puddles:
+        if min(*puddle.size, puddle.depth) <= 0:
+            raise ValueError(f"a puddle of positive size and depth expected, found {puddle.size} and {puddle.depth} m")
+    xy, size = (np.array([getattr(p, name) for p in puddles]).reshape(-1, 2) for name in ("xy", "size"))
+    return Hollows(xy - size / 2, xy + size / 2, np.array([p.depth for p in puddles]), _rgb([p.color for p in puddles]))
+
+
+def _scattered(puddles: Puddles, rng: np.random.Generator) -> list[Puddle]:
+    """Puddles placed as rubble is, with their edges along the axes."""
+    like = Rubble(puddles.x, puddles.y, puddles.count, puddles.size, (0.0, 0.0), gap=puddles.gap, yaw_deg=0.0)
+    return [
+        Puddle((x, y), (length, width), depth=puddles.depth, color=puddles.color)
+        for x, y, length, width, _ in _placed(like, rng).tolist()
+    ]
+
+
+def _surround(heap: "_Heap", hollows: Hollows, plane: float) -> None:
+    """Fill the plane with boxes but for the hollows, slab by slab along x, and lay their beds."""
+    edges = np.unique(np.concatenate([[-_FAR, _FAR], hollows.low[:, 0], hollows.high[:, 0]]))
+    for x0, x1 in pairwise(edges):
+        across = (hollows.low[:, 0] < (x0 + x1) / 2) & (hollows.high[:, 0] > (x0 + x1) / 2)
+        y = -_FAR
+        for low, high in sorted(zip(hollows.low[across, 1], hollows.high[across, 1], strict=True)):
+            if low > y:
+                heap.add(((x0 + x1) / 2, (y + low) / 2), (x1 - x0, low - y), plane, plane - DEPTH)
+            y = max(y, high)
+        heap.add(((x0 + x1) / 2, (y + _FAR) / 2), (x1 - x0, _FAR - y), plane, plane - DEPTH)
+    for low, high, depth in zip(hollows.low, hollows.high, hollows.depth, strict=True):
+        heap.add((low + high) / 2, tuple((high - low).tolist()), plane - depth, plane - depth - DEPTH)
 
 
 @dataclass(slots=True)
@@ -96,6 +195,8 @@ class _Heap:
     centre: list[Array] = field(default_factory=list)
     half: list[Array] = field(default_factory=list)
     R: list[Array] = field(default_factory=list)
+    color: list[Color | None] = field(default_factory=list)
+    paint: Color | None = None  # of what is added next
 
     def add(self, xy: Iterable[float], size: tuple[float, float], top: float, bottom: float, yaw: float = 0.0) -> None:
         """An upright box."""
@@ -104,6 +205,7 @@ class _Heap:
         self.centre.append(np.array([*xy, (top + bottom) / 2]))
         self.half.append(np.array([*size, top - bottom]) / 2)
         self.R.append(rotation_z(yaw))
+        self.color.append(self.paint)
 
     def boxes(self) -> Boxes:
         return Boxes(
@@ -135,29 +237,37 @@ def _slope(heap: _Heap, slope: Slope) -> None:
     heap.centre.append(middle_of_top - R[:, 2] * half[2])
     heap.half.append(half)
     heap.R.append(R)
+    heap.color.append(heap.paint)
     if slope.landing > 0:
         middle = np.asarray(slope.xy) + (slope.length + slope.landing / 2) * along
         heap.add(middle, (slope.landing, slope.width), rise, min(rise, 0.0) - DEPTH, yaw)
 
 
 def _rubble(heap: _Heap, rubble: Rubble, rng: np.random.Generator) -> None:
-    """Place blocks by rejection: size, heading and place are drawn together until the block keeps the gap to all others."""
+    placed = _placed(rubble, rng)
+    tops = rng.uniform(*rubble.top, rubble.count)
+    for (x, y, length, width, yaw), top in zip(placed, tops, strict=True):
+        heap.add((x, y), (length, width), rubble.base + float(top), rubble.base - DEPTH, yaw)
+
+
+def _placed(rubble: Rubble, rng: np.random.Generator) -> Array:
+    """Place blocks by rejection: size, heading and place are drawn together until the block keeps the gap to all others.
+
+    Returns:
+        (count, 5) centre x, y, length, width [m], yaw [rad].
+    """
     for bounds in (rubble.x, rubble.y, rubble.size, rubble.top):
         if bounds[0] > bounds[1]:
             raise ValueError(f"rubble bounds in rising order expected, found {bounds}")
     for _ in range(_RESTARTS):
         placed = _place_rectangles(rubble, rng)
         if len(placed) == rubble.count:
-            break
-    else:
-        raise ValueError(
-            f"room for {rubble.count} blocks of rubble expected, found room for about {len(placed)} of {rubble.size[0]} to "
-            f"{rubble.size[1]} m in {rubble.x[1] - rubble.x[0]:g} x {rubble.y[1] - rubble.y[0]:g} m, {rubble.gap} m apart; "
-            "ask for fewer, smaller or closer ones, or a larger region"
-        )
-    tops = rng.uniform(*rubble.top, rubble.count)
-    for (x, y, length, width, yaw), top in zip(placed, tops, strict=True):
-        heap.add((x, y), (length, width), rubble.base + float(top), rubble.base - DEPTH, yaw)
+            return placed
+    raise ValueError(
+        f"room for {rubble.count} blocks of rubble expected, found room for about {len(placed)} of {rubble.size[0]} to "
+        f"{rubble.size[1]} m in {rubble.x[1] - rubble.x[0]:g} x {rubble.y[1] - rubble.y[0]:g} m, {rubble.gap} m apart; "
+        "ask for fewer, smaller or closer ones, or a larger region"
+    )
 
 
 def _place_rectangles(rubble: Rubble, rng: np.random.Generator) -> Array:

@@ -264,12 +264,13 @@ def _add_terrain(spec: Any, terrain: Terrain, friction: list[float]) -> None:
         "group": TERRAIN_GROUP,
     }
     world = spec.worldbody
-    if terrain.plane is not None:
+    ground = terrain.carrying_boxes()
+    if terrain.plane is not None and not len(ground):
         plane = mujoco.mjtGeom.mjGEOM_PLANE
         world.add_geom(name="plane", type=plane, size=[0, 0, 0.05], pos=[0, 0, terrain.plane], **solid)
-    boxes = terrain.boxes
-    for i, (centre, half, quat) in enumerate(zip(boxes.centre, boxes.half, quaternion_from_rotation(boxes.R), strict=True)):
-        world.add_geom(name=f"box {i}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, quat=quat, **solid)
+    for kind, boxes in (("box", terrain.boxes), ("ground", ground)):
+        for i, (centre, half, quat) in enumerate(zip(boxes.centre, boxes.half, quaternion_from_rotation(boxes.R), strict=True)):
+            world.add_geom(name=f"{kind} {i}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, quat=quat, **solid)
     if terrain.height_field is not None:
         _add_height_field(spec, terrain.height_field, solid)
 

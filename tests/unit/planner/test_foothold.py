@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -128,3 +129,19 @@ def test_outside_the_map_nothing_carries() -> None:
 def test_a_score_at_the_limit_carries(make_terrain: Maker) -> None:
     ground = make_terrain(score=lambda x, y: np.full_like(x, ACCEPTABLE))
     assert isinstance(nearest_foothold(ground, np.zeros(2), OFFSETS, NOBODY, 0.0, everywhere), Foothold)
+
+
+@pytest.mark.parametrize(("number", "words"), [(1, "water"), (2, "loose ground")])
+def test_what_the_ground_is_made_of_is_named(number: int, words: str) -> None:
+    ground = flat_terrain(0, np.zeros(2), 0.0)
+    shape = ground.map.elevation.shape
+    score = np.full(shape, 3.0, dtype=np.float32)
+    score[:100] = 5.0  # too steep besides
+    hazard = np.full(shape, number, dtype=np.uint8)
+    hazard[:100] = 0
+    wet = Terrain(replace(ground.map, score=score, hazard=hazard))
+    offsets = offsets_by_distance(0.06, 0.01)
+    found = nearest_foothold(wet, np.zeros(2), offsets, np.zeros((0, 2)), 0.06, lambda p: np.ones(len(p), dtype=bool))
+    assert isinstance(found, NoFoothold)
+    assert f" {words}" in found.reason
+    assert "too steep" in found.reason

@@ -128,4 +128,13 @@ def test_an_empty_picture_and_an_empty_scan_are_messages() -> None:
         points_mm=np.zeros((0, 3), np.int16),  # type: ignore[call-arg]
         count=np.zeros(0, np.uint8),
         spread_mm=np.zeros(0, np.uint8),
+        color=np.zeros((0, 3), np.uint8),
     )
+
+
+def test_what_is_optional_is_there_for_all_or_for_none() -> None:
+    scan = example(m.Scan)
+    dataclasses.replace(scan, color=np.zeros((0, 3), np.uint8))  # type: ignore[call-arg]
+    for bad in (np.zeros((1, 3), np.uint8), np.zeros((0, 4), np.uint8), np.zeros(0, np.uint8)):
+        with pytest.raises(ValueError, match="color"):
+            dataclasses.replace(scan, color=bad)  # type: ignore[call-arg]

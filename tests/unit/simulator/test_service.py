@@ -51,11 +51,23 @@ def test_rates_are_exact_in_count() -> None:
         assert late[1:].max() < BEAT_NS + 100  # no drift: it is at most one beat of the simulator late
 
 
-def test_nobody_wants_colour_none_is_made() -> None:
-    assert not [m for m in run(simulator(), 300 * MS) if isinstance(m, ColorImage)]
-    made = [m for m in run(simulator(), 500 * MS, (topics.COLOR,)) if isinstance(m, ColorImage)]
-    assert len(made) == 3  # at once, and five a second
-    assert made[0].rgb.shape == (480, 640, 3)
+def test_colour_is_made_where_the_camera_has_it_and_somebody_wants_it() -> None:
+    in_colour = Simulator(load_profile("phantomx_mk2_rgbd"), Settings(), FLAT)
+    assert not [m for m in run(in_colour, 300 * MS) if isinstance(m, ColorImage)]
+    assert not [m for m in run(simulator(), 300 * MS, (topics.COLOR,)) if isinstance(m, ColorImage)]
+    sim = Simulator(load_profile("phantomx_mk2_rgbd"), Settings(), FLAT)
+    made = run(sim, 500 * MS, (topics.COLOR,))
+    pictures = [m for m in made if isinstance(m, ColorImage)]
+    assert len(pictures) == 3  # at once, and five a second
+    assert pictures[0].rgb.shape == (480, 640, 3)
+    assert {m.stamp_ns for m in pictures} <= {m.stamp_ns for m in made if isinstance(m, DepthImage)}
+
+
+def test_depth_is_the_same_with_and_without_colour() -> None:
+    both = [Simulator(load_profile(name), Settings(), FLAT) for name in ("phantomx_mk2", "phantomx_mk2_rgbd")]
+    one, two = ([m.depth for m in run(sim, 120 * MS, (topics.COLOR,)) if isinstance(m, DepthImage)] for sim in both)
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("kind", ["absent", "frozen", "blind", "noise"])

@@ -11,7 +11,20 @@ from services.simulator.terrain import Terrain, build_terrain
 from services.simulator.world import World
 from shared.geometry import Array
 from shared.robot import load_profile
-from shared.scenario import Box, Goal, HeightMap, Pillars, Plane, Rubble, Scenario, Slope, Stairs, load_scenario
+from shared.scenario import (
+    Box,
+    Goal,
+    HeightMap,
+    Pillars,
+    Plane,
+    Puddle,
+    Puddles,
+    Rubble,
+    Scenario,
+    Slope,
+    Stairs,
+    load_scenario,
+)
 from shared.scenario import Terrain as Primitive
 
 
@@ -183,3 +196,51 @@ def test_the_courses_that_come_with_sextant_can_be_built(name: str) -> None:
     # The camera sees nothing nearer than 0.5 m, so every course begins with level ground.
     strip = build_terrain(replace(course), np.random.default_rng(0)).raster(-0.3, -0.3, 100, 60, 0.01)
     assert np.ptp(strip) == 0.0
+
+
+PUDDLES = (
+    Puddle((1.0, 0.0), (0.2, 0.3)),
+    Puddle((1.05, 0.4), (0.3, 0.1), depth=0.02),
+    Puddle((2.0, -1.0), (0.1, 0.1), color=(120, 90, 60)),
+)
+
+
+def test_puddles_are_seen_level_and_give_way() -> None:
+    terrain = build_terrain(Scenario("wet", (Plane(), *PUDDLES), Goal(1.0)), np.random.default_rng(0))
+    xy = np.random.default_rng(1).uniform((0.5, -1.5), (2.5, 1.0), (4000, 2))
+    np.testing.assert_array_equal(terrain.height_at(xy), 0.0)
+    inside = [np.all(np.abs(xy - p.xy) < np.array(p.size) / 2, axis=1) for p in PUDDLES]
+    np.testing.assert_allclose(terrain.sink_at(xy), sum(p.depth * i for p, i in zip(PUDDLES, inside, strict=True)))
+    # What carries in the physics is the surface less the sink, everywhere.
+    carrying = Terrain(terrain.carrying_boxes()).height_at(xy)
+    np.testing.assert_allclose(carrying, terrain.height_at(xy) - terrain.sink_at(xy), atol=1e-12)
+
+
+def test_a_stone_in_a_puddle_carries() -> None:
+    scenario = Scenario("wet", (Plane(), PUDDLES[0], Box((1.0, 0.0), (0.1, 0.1), 0.02)), Goal(1.0))
+    terrain = build_terrain(scenario, np.random.default_rng(0))
+    np.testing.assert_array_equal(terrain.sink_at(np.array([[1.0, 0.0], [1.08, 0.0]])), [0.0, 0.05])
+
+
+def test_scattered_puddles_keep_apart_and_follow_the_seed() -> None:
+    scenario = Scenario("wet", (Plane(), Puddles((0.0, 2.0), (-0.5, 0.5), 15, (0.05, 0.10), gap=0.05)), Goal(1.0))
+    one, same, other = (build_terrain(scenario, np.random.default_rng(seed)).hollows for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one.low, same.low)
+    assert not np.array_equal(one.low, other.low)
+    assert len(one) == 15
+    gap = np.maximum(one.low[:, None] - one.high, one.low - one.high[:, None]).max(axis=-1)
+    assert gap[~np.eye(15, dtype=bool)].min() >= 0.05 - 1e-9
+
+
+def test_puddles_need_ground_and_sense() -> None:
+    for terrain in ((PUDDLES[0],), (Plane(), Puddle((0.0, 0.0), (0.1, 0.0))), (Plane(color=(0, 0, 300)),)):
+        with pytest.raises(ValueError, match=r"puddle|colours"):
+            build_terrain(Scenario("bad", terrain, Goal(1.0)), np.random.default_rng(0))
+
+
+def test_surfaces_keep_their_colours() -> None:
+    scenario = Scenario("painted", (Plane(), Box((0, 0), (1, 1), 0.1, color=(1, 2, 3)), Box((2, 0), (1, 1), 0.1)), Goal(1.0))
+    look = build_terrain(scenario, np.random.default_rng(0)).look
+    assert look is not None
+    np.testing.assert_array_equal(look.boxes, [[1, 2, 3], [np.nan] * 3])
+    assert np.isnan(look.plane).all()
