@@ -269,7 +269,9 @@ def _unpacked(where: str, data: bytes, shape: tuple[int, ...], dtype: np.dtype[A
         raise DecodeError(f"{where}: not a packed array") from None
     if len(planes) != size:
         raise DecodeError(f"{where}: {size} bytes expected when unpacked, found {len(planes)}")
-    numbers = np.ascontiguousarray(planes.reshape(dtype.itemsize, size // dtype.itemsize).T).view(f"u{dtype.itemsize}")
+    numbers = np.zeros(size // dtype.itemsize, dtype=f"u{dtype.itemsize}")
+    for k, plane in enumerate(planes.reshape(dtype.itemsize, numbers.size)):
+        numbers |= plane.astype(numbers.dtype) << (8 * k)
     steps = ((numbers >> 1) ^ -(numbers & 1)).view(dtype).reshape(prod(shape[1:]), shape[0])
     out: NDArray[Any] = np.ascontiguousarray(np.cumsum(steps, axis=1, dtype=dtype).T).reshape(shape)
     out.flags.writeable = False
