@@ -235,8 +235,7 @@ class ElevationGrid:
             cell, p[:, 2], random, systematic, self._slot, self.model.gate, self.model.edge_step
         )
         if len(touched):
-            seen = p[cell >= 0, :2]
-            self._touch(*np.floor(np.array([seen.min(axis=0), seen.max(axis=0)]) / self.resolution).astype(np.int64))
+            self._touch(*_bounds(p, cell, self.resolution))
         updated, disputed, replaced = _update_cells(
             touched, z, random, systematic,
             self._height.ravel(), self._variance.ravel(), self._support.ravel(), self._assumed.ravel(),
@@ -447,6 +446,19 @@ def _cell_indices(
 
 
 @compiled
+def _bounds(points: NDArray[np.float64], cell: NDArray[np.int64], resolution: float) -> NDArray[np.int64]:
+    """First and last world index (2, 2) of the points' cells, of those whose cell is in the window; at least one is."""
+    out = np.empty((2, 2), dtype=np.int64)
+    for axis in range(2):
+        low, high = np.inf, -np.inf
+        for k in range(len(points)):
+            if cell[k] >= 0:
+                low, high = min(low, points[k, axis]), max(high, points[k, axis])
+        out[0, axis], out[1, axis] = math.floor(low / resolution), math.floor(high / resolution)
+    return out
+
+
+@compiled
 def _slopes(
     cell: NDArray[np.int64], height: NDArray[np.float32], resolution: float, low_i: int, low_j: int
 ) -> NDArray[np.float64]:
@@ -501,38 +513,39 @@ def _variances(
     n = len(points)
     random, systematic = np.empty(n), np.empty(n)
     unknown2 = 0.5 * terrain_slope**2  # of either component of an isotropic gradient
+    # Columns and numbers of their own and no branches, so that the loop runs in vectors.
+    px, py, pz = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1]), np.ascontiguousarray(points[:, 2])
+    slope_x, slope_y = np.ascontiguousarray(slope[:, 0]), np.ascontiguousarray(slope[:, 1])
+    s00, s01, s02, s03, s04, s05 = S[0, 0], S[0, 1], S[0, 2], S[0, 3], S[0, 4], S[0, 5]
+    s11, s12, s13, s14, s15 = S[1, 1], S[1, 2], S[1, 3], S[1, 4], S[1, 5]
+    s22, s23, s24, s25 = S[2, 2], S[2, 3], S[2, 4], S[2, 5]
+    s33, s34, s35, s44, s45, s55 = S[3, 3], S[3, 4], S[3, 5], S[4, 4], S[4, 5], S[5, 5]
+    x0, y0, z0 = camera[0], camera[1], camera[2]
+    floor2, most = floor_sigma**2, float(independent_pixels)
     for k in range(n):
-        x, y, z = points[k, 0] - camera[0], points[k, 1] - camera[1], points[k, 2] - camera[2]
+        x, y, z = px[k] - x0, py[k] - y0, pz[k] - z0
         flat2 = x * x + y * y
         range2 = max(flat2 + z * z, 1e-12)
-        leverage2 = (abs(z) + terrain_slope * math.sqrt(flat2)) ** 2 / range2
-        pixel = (depth_sigma * range2 + range_sigma) ** 2 * leverage2
-        quantised = (quantisation_sigma * range2) ** 2 * leverage2
+        leverage = abs(z) + terrain_slope * math.sqrt(flat2)
+        leverage2 = leverage * leverage / range2
+        pixel = depth_sigma * range2 + range_sigma
+        pixel = pixel * pixel * leverage2
+        quantised = quantisation_sigma * range2
+        quantised = quantised * quantised * leverage2
         # Covariance of the point itself: rows of (1, -[r]x).
-        zz = S[2, 2] + 2 * (y * S[2, 3] - x * S[2, 4]) + y * y * S[3, 3] - 2 * x * y * S[3, 4] + x * x * S[4, 4]
-        xx = S[0, 0] + 2 * (z * S[0, 4] - y * S[0, 5]) + z * z * S[4, 4] - 2 * y * z * S[4, 5] + y * y * S[5, 5]
-        yy = S[1, 1] + 2 * (x * S[1, 5] - z * S[1, 3]) + x * x * S[5, 5] - 2 * x * z * S[3, 5] + z * z * S[3, 3]
-        a, b = slope[k, 0], slope[k, 1]
-        # A known component counts with its correlations, an unknown one with its spread.
-        pose = zz
-        if a == a:
-            xz = S[0, 2] + y * S[0, 3] - x * S[0, 4] + z * S[2, 4] - y * S[2, 5]
-            xz += y * z * S[3, 4] - x * z * S[4, 4] - y * y * S[3, 5] + x * y * S[4, 5]
-            pose += a * a * xx - 2 * a * xz
-        else:
-            pose += unknown2 * xx
-        if b == b:
-            yz = S[1, 2] + y * S[1, 3] - x * S[1, 4] + x * S[2, 5] - z * S[2, 3]
-            yz += x * y * S[3, 5] - x * x * S[4, 5] - y * z * S[3, 3] + x * z * S[3, 4]
-            pose += b * b * yy - 2 * b * yz
-        else:
-            pose += unknown2 * yy
-        if a == a and b == b:
-            xy = S[0, 1] + x * S[0, 5] - z * S[0, 3] + z * S[1, 4] - y * S[1, 5]
-            xy += x * z * S[4, 5] - z * z * S[3, 4] - x * y * S[5, 5] + y * z * S[3, 5]
-            pose += 2 * a * b * xy
-        random[k] = pixel / min(count[k], independent_pixels)
-        systematic[k] = floor_sigma**2 + quantised + max(pose, 0.0) + max(spread[k] ** 2 - pixel, 0.0)
+        zz = s22 + 2 * (y * s23 - x * s24) + y * y * s33 - 2 * x * y * s34 + x * x * s44
+        xx = s00 + 2 * (z * s04 - y * s05) + z * z * s44 - 2 * y * z * s45 + y * y * s55
+        yy = s11 + 2 * (x * s15 - z * s13) + x * x * s55 - 2 * x * z * s35 + z * z * s33
+        xz = s02 + y * s03 - x * s04 + z * s24 - y * s25 + y * z * s34 - x * z * s44 - y * y * s35 + x * y * s45
+        yz = s12 + y * s13 - x * s14 + x * s25 - z * s23 + x * y * s35 - x * x * s45 - y * z * s33 + x * z * s34
+        xy = s01 + x * s05 - z * s03 + z * s14 - y * s15 + x * z * s45 - z * z * s34 - x * y * s55 + y * z * s35
+        # A known component of the slope counts with its correlations, an unknown one with its spread.
+        a, b = slope_x[k], slope_y[k]
+        a, a2 = (a, a * a) if a == a else (0.0, unknown2)
+        b, b2 = (b, b * b) if b == b else (0.0, unknown2)
+        pose = zz + a2 * xx - 2 * a * xz + b2 * yy - 2 * b * yz + 2 * a * b * xy
+        random[k] = pixel / min(count[k], most)
+        systematic[k] = floor2 + quantised + max(pose, 0.0) + max(spread[k] * spread[k] - pixel, 0.0)
     return random, systematic
 
 
