@@ -104,6 +104,7 @@ class HeightMap:
     kind: Literal["height_map"] = "height_map"
     scale: float = 1.0  # heights are multiplied by it
     color: Color | None = None
+    base: float = 0.0  # [m] and this is added: a .png has no negative heights
 
 
 @dataclass(frozen=True, slots=True)

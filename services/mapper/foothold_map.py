@@ -15,7 +15,7 @@ Readings and departures:
 - The two passes of (4.9)-(4.10) are made along the columns and then along the rows: |dx| + |dy| is separable, and each pass
   is then without a dependence inside a row.
 - The closing is meant for vacant cells, but it also brings back an edge that was removed: a step takes cells off both its
-  sides, fewer than five. Here what was refused stays refused.
+  sides, fewer than five. Here what was refused stays refused, and nothing is bridged within the square around it.
 - A vacant cell within accessible ones counts as accessible ground for its neighbours, but never is a foothold itself; and
   next to what stays vacant, where an edge may be hidden, cells keep the clearance that the score keeps.
 `published_evaluation` is the form of the thesis.
@@ -73,6 +73,7 @@ class EvaluationFunction:
         if max(self.bound, self.reach) >= UNKNOWN:
             raise ValueError(f"bounds of at most {UNKNOWN - 1} cells expected, found {max(self.bound, self.reach)}")
         self._half = max(0, round((self.rules.closing / resolution - 1) / 2))
+        self._square = np.ones((2 * self._half + 1, 2 * self._half + 1), dtype=np.uint8)
         self._vacant_disc = disc(self.rules.unknown_clearance / resolution, least=0)  # one cell for no clearance
         # How far a cell of the result looks: to its nearest border, and what makes the border there.
         self.halo = max(self.bound, self.reach) + 2 * self._half + self._vacant_disc.shape[0] // 2
@@ -86,7 +87,7 @@ class EvaluationFunction:
     ) -> NDArray[np.int8]:
         """The evaluation function of a map, or of a part of one; what lies beyond counts as vacant.
 
-        1. Close B, take off it what was refused, and what lies near to ground that is still vacant.
+        1. Close B, but not beside what was refused, and take off it what lies near to ground that is still vacant.
         2. Of cells with a wider margin keep those in whose margin all is ground.
         3. The signed Manhattan distance within its bounds.
         4. Cells never seen are marked.
@@ -101,7 +102,8 @@ class EvaluationFunction:
             (nx, ny) [cells] negative on accessible ground, at least -bound; positive elsewhere, at most reach; UNKNOWN where
             there is no height.
         """
-        ground = np.asarray(closed(accessible, self._half) & (refused ^ 1), dtype=np.uint8)
+        clear = _eroded(np.asarray(refused ^ 1, dtype=np.uint8), self._square)
+        ground = np.asarray(accessible | (closed(accessible, self._half) & clear), dtype=np.uint8)
         # Whatever is known or bridged keeps nothing away; beyond the border all is vacant.
         filled = ground | known
         ground &= _eroded(filled, self._vacant_disc)

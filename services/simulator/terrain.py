@@ -322,7 +322,7 @@ def _height_field(part: HeightMap, folder: Path) -> HeightField:
     if not np.any(np.isfinite(heights)):
         raise ValueError(f"a height map with at least one known height expected, found none in {str(path)!r}")
     lowest = heights[np.isfinite(heights)].min()
-    return HeightField(np.where(np.isfinite(heights), heights, lowest) * part.scale, part.resolution, part.xy)
+    return HeightField(np.where(np.isfinite(heights), heights, lowest) * part.scale + part.base, part.resolution, part.xy)
 
 
 def _box_top(xy: Array, centre: Array, half: Array, R: Array) -> Array:

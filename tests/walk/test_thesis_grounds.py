@@ -1,0 +1,315 @@
+"""The theses' own tests of their maps: the scoring terrain and its six picks, the walk past objects, the single pillar.
+
+A camera is carried over each scenario's ground; what it renders goes through perception and mapper, noise, codec and all.
+Where a figure is missing, what must hold is taken from the text beside it.
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
+from services.mapper.config import Settings as MapperSettings
+from services.mapper.foothold_map import UNKNOWN
+from services.mapper.layers import FootholdLayers
+from services.mapper.score import ScoreWeights, WalkabilityScorer, published_score
+from services.mapper.service import Mapper
+from services.perception.config import Settings as PerceptionSettings
+from services.perception.service import Perception
+from services.planner.foothold import Foothold, nearest_foothold, offsets_by_distance
+from services.planner.terrain import ACCEPTABLE, GOOD, Layer, Terrain
+from services.simulator import terrain as ground
+from services.simulator.terrain import build_terrain
+from shared import codec, topics
+from shared.geometry import Array
+from shared.messages import TerrainMap
+from shared.scenario import load_scenario
+from shared.service import AnyTopic, Lockstep
+from tests.support import thesis_grounds as things
+
+SEARCH = 0.06  # [m] the planner's
+R = 0.01  # [m]
+
+
+@cache
+def truth(name: str) -> ground.Terrain:
+    return build_terrain(load_scenario(name), np.random.default_rng(0))
+
+
+@cache
+def ridden(name: str, length: float = 2.0, frames: int = 50) -> tuple[Ride, list[TerrainMap]]:
+    """A ride over a scenario's ground, and all maps of it."""
+    way = ride(truth(name), np.random.default_rng(1), Errors(), frames, length)
+    camera = CarriedCamera(way, np.random.default_rng(2))
+    maps: list[TerrainMap] = []
+
+    def hear(topic: AnyTopic, frame: bytes, _at_ns: int) -> None:
+        if topic is topics.TERRAIN:
+            maps.append(codec.decode(frame, TerrainMap, topics.TERRAIN.max_bytes)[0])
+
+    settings = PerceptionSettings(settle_s=0.0, scan_rate_hz=way.profile.camera.sensor.rate_hz)
+    services = {
+        "carried camera": lambda: camera,
+        "perception": lambda: Perception(way.profile, settings),
+        "mapper": lambda: Mapper(way.profile, MapperSettings()),
+    }
+    Lockstep(services, hear, latency_s={topics.ODOMETRY.key: 0.001}).run(int(way.stamps_ns[-1]) + 300_000_000)
+    return way, maps
+
+
+def true_heights(name: str, map_: TerrainMap) -> Array:
+    return truth(name).raster(*map_.origin, *map_.elevation.shape, map_.resolution)
+
+
+def test_the_pictures_are_what_the_builder_makes() -> None:
+    for name, heights in things.GROUNDS.items():
+        path = Path(load_scenario(name).folder) / f"{name}.png"
+        np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), things.grey(heights()))
+
+
+# ---- the scoring terrain: Lotriet 2024, section 6.5
+
+
+class Pick(NamedTuple):
+    """A nominal foothold of Figure 6.8 and what the text says becomes of it."""
+
+    xy: tuple[float, float]  # [m]
+    stays: bool
+    height: tuple[float, float]  # [m] true ground under the place that is chosen
+    level: bool = True  # else on the ramp
+
+
+PICKS = {
+    "middle left, on level ground": Pick((1.6, 0.45), True, (0.0, 0.0)),
+    "top right, too near a box": Pick((2.20, -0.37), False, (0.0, 0.0)),
+    "bottom right, onto the ramp": Pick((1.085, -0.46), False, (0.04, 0.076), level=False),
+    "middle right, onto the round pedestal": Pick((1.6, -0.375), False, (things.PEDESTAL_TOP, things.PEDESTAL_TOP)),
+    "top left, onto the sloped pillar": Pick((2.2, 0.37), False, (things.PILLAR_TOP, things.PILLAR_TOP)),
+    "bottom left, into the sloped hole": Pick((1.06, 0.52), False, (things.HOLE_BOTTOM, things.HOLE_BOTTOM)),
+}
+
+
+def chosen(terrain: Terrain, xy: tuple[float, float]) -> Foothold:
+    found = nearest_foothold(
+        terrain,
+        np.array(xy),
+        offsets_by_distance(SEARCH, R),
+        others=np.zeros((0, 2)),
+        min_distance=0.06,
+        reachable=lambda points: np.ones(len(points), dtype=bool),
+    )
+    assert isinstance(found, Foothold), found.reason
+    return found
+
+
+@pytest.mark.parametrize("layer", ["score", "evaluation"])
+@pytest.mark.parametrize("name", PICKS)
+def test_the_six_picks(name: str, layer: Layer) -> None:
+    pick = PICKS[name]
+    _, maps = ridden("lotriet_scoring")
+    terrain = Terrain(maps[-1], layer)
+    found = chosen(terrain, pick.xy)
+    low, high = pick.height
+    here = truth("lotriet_scoring").height_at(found.p_world[None, :2])[0]
+    assert low - 0.003 <= here <= high + 0.003  # the sides of the ground's 2 cm grid begin a little early
+    assert found.p_world[2] == pytest.approx(here, abs=0.006)
+    assert (found.moved == 0) == pick.stays
+    if not pick.stays:
+        assert terrain.suitability(np.array([pick.xy]))[0] != GOOD
+    if layer == "score":
+        score = terrain.scores(found.p_world[None, :2])[0]
+        assert score <= ACCEPTABLE
+        if not pick.level:
+            assert score > 0.3  # not a perfect score, but an acceptable one
+
+
+@pytest.mark.parametrize("name", PICKS)
+def test_the_nearest_acceptable_cell_is_picked(name: str) -> None:
+    """Section 6.3 searches growing squares to find it; here no cell may be nearer."""
+    _, maps = ridden("lotriet_scoring")
+    terrain, nominal = Terrain(maps[-1]), np.array(PICKS[name].xy)
+    cells = terrain.centres(nominal) + offsets_by_distance(SEARCH, R)
+    good = terrain.scores(cells) <= ACCEPTABLE
+    assert chosen(terrain, PICKS[name].xy).moved <= np.linalg.norm(cells[good] - nominal, axis=1).min() + 1e-9
+
+
+def raster(name: str) -> tuple[Array, NDArray[np.float32]]:
+    """Cell centres and true heights of a scenario's ground, in cells of 1 cm."""
+    x, y = np.meshgrid(np.arange(0.6, 2.6, R) + R / 2, np.arange(-1.0, 1.0, R) + R / 2, indexing="ij")
+    xy = np.stack([x.ravel(), y.ravel()], axis=1)
+    return xy.reshape(*x.shape, 2), truth(name).height_at(xy).reshape(x.shape).astype(np.float32)
+
+
+def test_slope_and_proximity_each_do_their_part() -> None:
+    """Figure 6.6: the slope marks slopes and walls; the proximity marks walls, the higher the wider, and spares the ramp."""
+    xy, z = raster("lotriet_scoring")
+    scorer = WalkabilityScorer((z.shape[0], z.shape[1]), R)
+    scorer.score(z)
+    terms = scorer.terms()
+    on_ramp = (np.abs(xy[..., 0] - 0.95) < 0.09) & (np.abs(xy[..., 1] + 0.46) < 0.09)
+    np.testing.assert_allclose(terms.slope[on_ramp], np.tan(np.radians(15.0)), atol=0.01)
+    assert terms.proximity[on_ramp].max() < 1e-3
+    level = (z == 0) & (cv2.dilate(np.abs(z), np.ones((9, 9))) == 0)
+    assert np.nanmax(terms.slope[level]) == np.nanmax(terms.proximity[level]) == 0.0
+    box = np.hypot(xy[..., 0] - 2.2, xy[..., 1] + 0.38) < 0.015  # at its wall
+    assert terms.slope[box].max() > 2.0
+
+
+def test_higher_boxes_are_kept_away_from_further_and_more_strongly() -> None:
+    """Figure 6.6b, by the thesis's own score: "the magnitude of the height differential will increase size and strength"."""
+    widths, strengths = [], []
+    for height in (0.01, 0.03, 0.10):
+        z = np.zeros((60, 60), dtype=np.float32)
+        z[30:] = height
+        score = published_score(z, 0.0, 300.0 * 49, kernel=7, sigma=2.0)[:, 30]
+        widths.append(int((score > 1).sum()))
+        strengths.append(float(np.nanmax(score)))
+    assert widths[0] < widths[1] <= widths[2]
+    assert strengths[0] < strengths[1] < strengths[2]
+
+
+def test_the_thesis_s_score_picks_the_same_surfaces() -> None:
+    """His form, on the true ground and with his two terms alone, for comparison."""
+    xy, z = raster("lotriet_scoring")
+    w = ScoreWeights()
+    score = published_score(z, w.slope / (8 * R), w.proximity * 25, kernel=5, sigma=w.proximity_sigma / R)
+    for name, pick in PICKS.items():
+        away = np.linalg.norm(xy - np.array(pick.xy), axis=2)
+        away[~((score <= ACCEPTABLE) & (away <= SEARCH))] = np.inf
+        here = z.ravel()[np.argmin(away)]
+        assert np.isfinite(away.min()), name
+        assert pick.height[0] - 0.005 <= here <= pick.height[1] + 0.005, name
+
+
+# ---- the walk past objects: section 4.6 and Figure 6.9
+
+
+class Region(NamedTuple):
+    """Part of the ground."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+
+    def of(self, map_: TerrainMap, layer: NDArray[np.floating]) -> Array:
+        """A layer's cells (n, m) in it; NaN beyond the map."""
+        x, y = (np.arange(lo, hi, R) + R / 2 for lo, hi in (self.x, self.y))
+        i, j = np.round((x - map_.origin[0]) / R).astype(int), np.round((y - map_.origin[1]) / R).astype(int)
+        out = np.full((len(x), len(y)), np.nan)
+        good_i, good_j = (i >= 0) & (i < layer.shape[0]), (j >= 0) & (j < layer.shape[1])
+        out[np.ix_(good_i, good_j)] = layer[np.ix_(i[good_i], j[good_j])]
+        return out
+
+
+PIG, BOX = Region((0.84, 1.20), (0.36, 0.62)), Region((1.06, 1.36), (-0.62, -0.30))
+LATER = {
+    "wedge": Region((1.55, 1.79), (0.41, 0.59)),
+    "tray": Region((1.95, 2.25), (0.39, 0.69)),
+    "stone": Region((2.0, 2.2), (-0.6, -0.42)),
+}
+
+
+def known(region: Region, map_: TerrainMap) -> NDArray[np.bool_]:
+    return np.isfinite(region.of(map_, map_.elevation))
+
+
+def test_shadows_shrink_objects_persist_and_new_ones_appear() -> None:
+    _, maps = ridden("lotriet_walk_past")
+    start, middle, end = maps[1], maps[len(maps) // 2], maps[-1]
+    for region in (PIG, BOX):
+        assert 0 < known(region, start).sum() < known(region, middle).sum() <= known(region, end).sum()
+    # "The somewhat spherical pig object now also appears larger."
+    high = [int((PIG.of(m, m.elevation) > 0.02).sum()) for m in (start, middle)]
+    assert high[1] > high[0]
+    # "The original objects are also now out of vision, but they persist": what the end does not see is as it was.
+    for region in (PIG, BOX):
+        before, after = region.of(middle, middle.elevation), region.of(end, end.elevation)
+        kept = np.isfinite(before)
+        np.testing.assert_allclose(after[kept], before[kept], atol=0.02)
+    for name, region in LATER.items():
+        assert not known(region, start).any(), name
+        assert known(region, end).mean() > 0.4, name
+    # A shadow is unknown, and no foothold by either layer.
+    for map_ in (start, middle, end):
+        unknown = np.isnan(map_.elevation)
+        assert np.isnan(map_.score[unknown]).mean() > 0.999  # single cells are bridged for the score
+        assert (map_.evaluation[unknown] == UNKNOWN).all()
+
+
+def test_objects_stand_where_and_as_high_as_they_are() -> None:
+    _, maps = ridden("lotriet_walk_past")
+    end = maps[-1]
+    error = end.elevation - true_heights("lotriet_walk_past", end)
+    steep = cv2.morphologyEx(true_heights("lotriet_walk_past", end), cv2.MORPH_GRADIENT, np.ones((5, 5))) > 0.02
+    away = np.isfinite(error) & ~steep
+    assert np.sqrt(np.mean(error[away] ** 2)) < 0.006
+    for name, region, top in (("box", BOX, 0.10), ("tray", LATER["tray"], 0.06)):
+        assert np.nanpercentile(region.of(end, end.elevation), 95) == pytest.approx(top, abs=0.006), name
+    # The object with a hole: what is seen of the floor in it is floor.
+    hole = Region((2.03, 2.17), (0.47, 0.61))
+    assert np.nanmin(hole.of(end, end.elevation)) == pytest.approx(0.0, abs=0.008)
+
+
+def test_the_floor_shows_no_lines() -> None:
+    """Where his poses leave lines on the floor and stripes in the score (Figures 4.6 and 6.9), floor is to be floor."""
+    _, maps = ridden("lotriet_walk_past")
+    end = maps[-1]
+    heights = true_heights("lotriet_walk_past", end)
+    floor = (cv2.dilate(np.abs(heights), np.ones((13, 13))) == 0) & np.isfinite(end.elevation)
+    assert floor.sum() > 10_000
+    assert np.percentile(np.abs(end.elevation[floor]), 99) < 0.008
+    known_well = floor & np.isfinite(end.score)
+    assert (end.score[known_well] <= ACCEPTABLE).mean() > 0.995
+    assert (end.evaluation[known_well] < 0).mean() > 0.97
+
+
+# ---- the single pillar: Masri 2016, Figures 4.7 and 4.11
+
+
+def test_the_evaluation_function_of_a_pillar_by_the_book() -> None:
+    """A pillar of 24 cm in an abyss: F falls by one a cell from its border to its middle, and is cut off at -5."""
+    z = np.full((80, 80), -0.4, dtype=np.float32)
+    z[28:52, 28:52] = 0.0
+    made = FootholdLayers((80, 80), R).update(z, np.zeros_like(z), np.zeros(2, dtype=np.int64), body_height=0.1)
+    across = made.evaluation[:, 40].astype(int)
+    on = np.flatnonzero(across < 0)
+    assert (on[0], on[-1]) == (30, 49)  # two cells of each side are edge
+    np.testing.assert_array_equal(across[30:50], -np.minimum(np.minimum(np.arange(1, 21), np.arange(20, 0, -1)), 5))
+    np.testing.assert_array_equal(across[15:30], np.arange(15, 0, -1))  # grows outside, over ground too deep
+    assert (made.evaluation[on[0] : on[-1] + 1, 30:50] < 0).all()
+
+
+def test_the_single_pillar() -> None:
+    way, maps = ridden("masri_pillar", length=0.35, frames=24)
+    map_ = maps[-1]
+    heights = true_heights("masri_pillar", map_)
+    x, y = (map_.origin[k] + R * np.arange(map_.elevation.shape[k]) for k in (0, 1))
+    F = map_.evaluation.astype(int)
+    # Whatever lies 0.25 m below the body and more is not accessible, seen or not.
+    deep = np.isfinite(map_.elevation) & (map_.elevation < -0.3)
+    assert deep.sum() > 1000
+    assert (F[deep] > 0).all()
+    # The pillar, and it alone beyond the platform, carries a foot.
+    beyond = (F < 0) & (x > 0.9)[:, None]
+    i, j = np.nonzero(beyond)
+    assert beyond.sum() > 100
+    assert (heights[beyond] == 0).all()
+    assert (np.abs(x[i] - 1.40) <= 0.12 - R).all()
+    assert (np.abs(y[j]) <= 0.12 - R).all()
+    # Its middle is a local minimum at the threshold; from there F rises by one a cell, through zero, to beyond the border.
+    assert np.abs(y[j].mean()) < 0.01
+    a = int(np.argmin(np.abs(x - 1.38)))
+    across = F[a]
+    middle = int(np.argmin(np.abs(y)))
+    assert across[middle] == F.min() == -5
+    for side in (across[middle : middle + 20], across[middle::-1][:20]):
+        end = int(np.argmax(side > 0))
+        assert 0.06 < end * R < 0.12
+        rise = np.where(side[: end + 3] > 0, side[: end + 3] - 1, side[: end + 3])  # no cell is at zero
+        assert (np.diff(rise) >= 0).all()
+        assert set(np.diff(rise[end - 5 :]).tolist()) <= {0, 1}
+    assert way.T_world_body[-1, 2, 3] == pytest.approx(0.15, abs=0.03)
