@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from services.perception.cameras.watch import is_noise
 from services.perception.coloring import Coloring
 from services.perception.config import Settings
 from services.perception.motion import Motion, OdometryHistory
@@ -23,6 +24,7 @@ _SAMPLED = 8  # every how many rows and columns are looked at to tell a frozen o
 _EMPTY = 0.02  # share of the picture that is measured, below which it shows nothing
 _BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothing is in range
 _MOVED = 0.01  # [m] or [rad] beyond which no two pictures are the same
+_OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a frame that was overtaken may be late
 _LEFT = 0.8  # share of an axis that must be left to odometry to be named
 
 
@@ -56,6 +58,7 @@ class Perception:
         self._tilt: Array = np.zeros(2)  # [rad] roll and pitch of {odom} in {world}, steadied
         self._stamp_ns = -1
         self._frames = 0
+        self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest frame
         self._every = max(1, round(profile.camera.sensor.rate_hz / settings.scan_rate_hz))  # frames per one that is used
         self._picture: tuple[NDArray[np.uint16], int, Motion | None] | None = None  # a sample, since when, and where
         self._words = "waiting for the first frame"
@@ -74,14 +77,12 @@ class Perception:
             self._keep_for_color(image)
         if not used:
             return
-        expected = (self._camera.intrinsics.height, self._camera.intrinsics.width)
-        if image.depth.shape != expected:
-            self._words = (
-                f"a frame of {expected} expected by the profile, found {image.depth.shape}: check the camera's intrinsics"
-            )
+        if 0 <= self._newest_ns - image.stamp_ns < _OUT_OF_ORDER_NS:  # further back it is another clock
+            self._words = "the camera's frames do not come in the order of their stamps; passing over those that are late"
             return
+        self._newest_ns = image.stamp_ns
         motion = self._odometry.at(image.stamp_ns)
-        frozen = self._is_frozen(image, motion)
+        useless = self._has_wrong_size(image) or _is_noise(image) or self._is_frozen(image, motion)
         if motion is None:
             self._words = "waiting for odometry from the actuator"
             return
@@ -95,17 +96,17 @@ class Perception:
         prior, covariance = self._prior(motion)
         T_camera = prior @ self._T_body_camera
         with self.stages("registration"):
-            if frozen:  # it would fit where it was taken, and hold the body back there
-                found = refused(image.stamp_ns, T_camera, covariance, None, frozen)
+            if useless:  # a frozen one would fit where it was taken, and hold the body back there
+                found = refused(image.stamp_ns, T_camera, covariance, None, useless)
             else:
                 found = self._registration.update(image.depth, image.stamp_ns, T_camera, covariance)
         self._T_world_body = found.T_world_camera @ self._T_camera_body
         self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
         self._steady_tilt(image.stamp_ns)
-        if found.ok or self._last is None:
+        if found.ok:
             self._last = motion  # what was travelled on odometry alone goes on adding to the doubt
         yield self._pose(found, motion)
-        if not (found.ok or self._sees_nothing_yet(image, motion)):
+        if useless or not (found.ok or self._sees_nothing_yet(image, motion)):
             return  # what lies who knows where is no ground: the map is left to grow old, and whoever walks by it stops
         with self.stages("reduction"):
             scan = self._scan(image, found)
@@ -138,6 +139,13 @@ class Perception:
         """Whether nothing is in the camera's range, as before a wall or an abyss, and legs can still be relied upon."""
         empty = np.count_nonzero(image.depth[::_SAMPLED, ::_SAMPLED]) * _SAMPLED**2 < _EMPTY * image.depth.size
         return bool(empty and self._last is not None and motion.travelled - self._last.travelled < _BLIND_WAY)
+
+    def _has_wrong_size(self, image: DepthImage) -> str:
+        """Why a picture is not of the profile's camera, or nothing."""
+        expected = (self._camera.intrinsics.height, self._camera.intrinsics.width)
+        if image.depth.shape == expected:
+            return ""
+        return f"a frame of {expected} expected by the profile, found {image.depth.shape}: check the camera's intrinsics"
 
     def _is_frozen(self, image: DepthImage, motion: Motion | None) -> str:
         """Why a picture is no new one though the body has moved since it first came, or nothing."""
@@ -180,7 +188,7 @@ class Perception:
         applied to the other would build up; what both share is what stays.
         """
         tilt = rpy_from_rotation(self._T_world_odom[:3, :3])[:2]
-        since_s = (stamp_ns - self._stamp_ns) * 1e-9 if self._stamp_ns >= 0 else np.inf
+        since_s = max(0, stamp_ns - self._stamp_ns) * 1e-9 if self._stamp_ns >= 0 else np.inf
         self._stamp_ns = stamp_ns
         self._tilt = self._tilt + (1.0 - np.exp(-since_s / self._settings.tilt_s)) * (tilt - self._tilt)
 
@@ -221,6 +229,11 @@ class Perception:
             p_world_camera=np.array(found.T_world_camera[:3, 3]),
             pose_covariance=np.asarray(found.covariance, dtype=np.float64),
         )
+
+
+def _is_noise(image: DepthImage) -> str:
+    """That a picture is noise, or nothing."""
+    return "the camera sends noise: neighbouring pixels have nothing to do with each other" if is_noise(image.depth) else ""
 
 
 def in_words(found: Registered) -> str:

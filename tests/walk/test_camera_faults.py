@@ -13,7 +13,7 @@ HEARD = (topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.TRUTH, topics.BODY
 REASONS = {
     "absent": "the camera sends none: unplugged",
     "frozen": "frozen",
-    "noise": "the camera does not help",
+    "noise": "the camera sends noise",
 }
 
 

@@ -7,7 +7,8 @@ from shared.camera import DepthSensor
 
 EMPTY, POOR = 0.02, 0.20  # shares of the picture that are measured, below which it shows nothing, or hardly anything
 _SAMPLED = 8  # every how many rows and columns are looked at
-_NOISE_STEP = 0.10  # [1] of the depth between two neighbouring pixels: on any ground most differ by far less
+_NOISE_SAMPLED = 16  # likewise for pairs of neighbours
+_NOISE_STEP = 10  # the share of the depth by which neighbouring pixels differ on no ground, save for few: a tenth
 _NOISE_SHARE = 0.5  # of the neighbours, from which a picture is noise
 _PATIENCE_S = 2.0  # [s] for which a camera may see next to nothing: a wall right before it, a hand
 _FROZEN_S = 1.0  # [s] after which a picture that does not change in a single pixel is an old one
@@ -23,10 +24,11 @@ def measured_share(depth: NDArray[np.uint16], sensor: DepthSensor) -> float:
 
 def is_noise(depth: NDArray[np.uint16]) -> bool:
     """Whether most neighbouring pixels of a raw picture (h, w) have nothing to do with each other, by a sample."""
-    left, right = depth[::_SAMPLED, :-1:_SAMPLED].astype(np.float32), depth[::_SAMPLED, 1::_SAMPLED].astype(np.float32)
+    left = depth[::_NOISE_SAMPLED, :-1:_NOISE_SAMPLED].astype(np.int32)
+    right = depth[::_NOISE_SAMPLED, 1::_NOISE_SAMPLED].astype(np.int32)
     both = (left > 0) & (right > 0)
-    jumps = int(np.count_nonzero(both & (np.abs(left - right) > _NOISE_STEP * np.maximum(left, right))))
-    return jumps > _NOISE_SHARE * max(1, int(np.count_nonzero(both)))
+    jumps = both & (np.abs(left - right) * _NOISE_STEP > np.minimum(left, right))
+    return int(np.count_nonzero(jumps)) > _NOISE_SHARE * max(1, int(np.count_nonzero(both)))
 
 
 class Watch:

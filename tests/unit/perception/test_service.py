@@ -161,7 +161,10 @@ def test_when_the_legs_count_from_zero_again_the_body_stays_where_it_was(world) 
 def test_a_frame_of_the_wrong_size_is_named_and_skipped(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.frame(body_at(0.0))
-    assert rig.frame(body_at(0.0), depth=np.zeros((120, 160), dtype=np.uint16)) == []
+    (pose,) = rig.frame(body_at(0.0), depth=np.zeros((120, 160), dtype=np.uint16))
+    assert isinstance(pose, BodyPose)
+    assert not pose.ok
+    assert "(240, 320) expected" in pose.reason
     assert "(240, 320) expected" in rig.perception.doing()
     assert "found (120, 160)" in rig.perception.doing()
     assert pose_of(rig.frame(body_at(0.005))).ok
