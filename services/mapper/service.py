@@ -26,6 +26,8 @@ from shared.service import AnyTopic, Inbox, Stages
 # What is unknown may be the edge of a block seen from below, so a foot keeps as far from it as from an edge.
 _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 
+_OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a scan that was overtaken may be late
+_FROM_BODY = 1.0  # [m] from the body to the camera, beyond which pose and scan have nothing to do with each other
 _FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
 _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
 
@@ -54,12 +56,16 @@ class Mapper:
         self._stands = False  # whether it is known what the ground looks like that the robot came from
         self._seeded = False
         self._scans = 0
+        self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest scan that was mapped
+        self._refused = ""  # why the newest scan was not, in words
         self._known = 0.0  # share of the cells
         self._survey: Survey | None = None
         self._surveyed = 0  # scans since the survey of this strip began
 
     def doing(self) -> str:
         """How much is known."""
+        if self._refused:
+            return f"the newest scan is not mapped: {self._refused}"
         surveying = ", surveying a passage" if self._survey is not None else ""
         return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{surveying}"
 
@@ -68,15 +74,23 @@ class Mapper:
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.latest(topics.ACTUATOR_STATE)
         centre = scan.p_world_camera if pose is None else pose.T_world_body[:3, 3]
         points = scan.origin + scan.points_mm * 1e-3
+        self._refused = self._objection(scan, centre)
+        if self._refused:
+            return  # no map goes out, so that nobody takes the old one for a new one
         with self.stages("fuse"):
-            self._grid.move_to(centre[:2])
-            self._grid.fuse(
-                points,
-                scan.count,
-                scan.spread_mm * 1e-3,
-                scan.p_world_camera,
-                pose_covariance=scan.pose_covariance,
-            )
+            try:
+                self._grid.move_to(centre[:2])
+                self._grid.fuse(
+                    points,
+                    scan.count,
+                    scan.spread_mm * 1e-3,
+                    scan.p_world_camera,
+                    pose_covariance=scan.pose_covariance,
+                )
+            except ValueError as error:
+                self._refused = str(error)
+                return
+        self._newest_ns = scan.stamp_ns
         if not self._seeded and pose is not None and legs is not None and np.count_nonzero(~legs.swing) >= 3:
             self._assume_ground(pose, legs)
             self._seeded = True
@@ -135,6 +149,15 @@ class Mapper:
         if nx * ny > settings.passage_cells:
             raise ValueError(f"at most {settings.passage_cells} cells expected, found {nx} x {ny}")
         return strip
+
+    def _objection(self, scan: Scan, centre: Array) -> str:
+        """Why a scan is none of here and now, by the body's place (3,) [m] {world}; nothing if it is."""
+        if 0 <= self._newest_ns - scan.stamp_ns < _OUT_OF_ORDER_NS:  # further back it is another clock
+            return "it is no newer than the one before"
+        away = float(np.abs(scan.p_world_camera - centre).max())
+        if away > _FROM_BODY:
+            return f"it was taken {away:.3g} m from where the body is"
+        return ""
 
     def _learn(self, scan: Scan, pose: BodyPose | None, legs: ActuatorState | None) -> None:
         """Colours of a scan, and what feet have found since the last."""

@@ -101,6 +101,9 @@ class Planner:
         if terrain is None:
             blind = f", and the camera does not help: {pose.reason}" if not pose.ok else _blamed_on_camera(inbox)
             return self._hold("waiting", f"no fresh terrain map{blind}")  # never walk blind
+        nonsense = terrain.nonsense()
+        if nonsense:
+            return self._hold("waiting", f"the terrain map makes no sense: {nonsense}")
         if state.phase < 1.0 and state.phase < self._settings.retarget_until:
             return self._retarget(state, pose, terrain)
         if np.abs(command.velocity).max() < _STILL and abs(command.yaw_rate) < _STILL:

@@ -19,6 +19,9 @@ _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _DEEP = -100  # [cells] of level ground without an end
 HAZARDS = ("", "water", "loose ground")  # by the numbers of TerrainMap.hazard
 
+_RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest cells that make sense under a foot
+_FAR = 1e6  # [m] beyond it a cell's index is no longer exact
+
 
 @dataclass(frozen=True)
 class Terrain:
@@ -26,6 +29,17 @@ class Terrain:
 
     map: TerrainMap
     layer: Layer = "score"  # which of the map's layers says what carries a foot
+
+    def nonsense(self) -> str:
+        """Why this can be no map of anything, in words; nothing if it can."""
+        low, high = _RESOLUTIONS
+        if not low <= self.map.resolution <= high:
+            return f"cells of {low} to {high} m expected, found {self.map.resolution:.3g} m"
+        if self.map.elevation.size == 0:
+            return "cells expected, found none"
+        if np.abs(self.map.origin).max() > _FAR:
+            return f"an origin within {_FAR:g} m expected, found {self.map.origin.tolist()}"
+        return ""
 
     def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Indices (n, 2) of the cells of (n, 2) [m] {world} points, clipped, and which of them are in the map."""

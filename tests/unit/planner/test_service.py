@@ -149,6 +149,33 @@ def test_a_camera_that_sends_nothing_is_named_where_its_map_or_pose_is_missing(m
     assert "camera" not in rig.status().reason, "it has not been heard of for a second"
 
 
+def garbled(map_: TerrainMap) -> dict[str, TerrainMap]:
+    """Maps that are well formed and none."""
+    shape, cells = map_.elevation.shape, ("elevation", "variance", "score", "assumed", "evaluation")
+    unknown, rng = np.full(shape, np.nan, np.float32), np.random.default_rng(0)
+    return {
+        "not seen": replace(map_, elevation=unknown, score=unknown),
+        "of 113 cells": replace(map_, elevation=np.full(shape, np.inf, np.float32)),
+        "left front leg": replace(map_, elevation=rng.normal(0.0, 1.0, shape).astype(np.float32)),
+        "found 0 m": replace(map_, resolution=0.0),
+        "found -0.01 m": replace(map_, resolution=-0.01),
+        "found 1e-300 m": replace(map_, resolution=1e-300),
+        "found 1e+300 m": replace(map_, resolution=1e300),
+        "found none": replace(map_, **{name: getattr(map_, name)[:0, :0] for name in cells}),
+        "an origin within": replace(map_, origin=np.full(2, 1e300)),
+    }
+
+
+@pytest.mark.parametrize("words", garbled(FLAT))
+def test_a_map_that_is_none_is_not_walked_on_and_the_next_one_is(words: str) -> None:
+    rig = Rig()
+    rig.terrain, kept = garbled(FLAT)[words], rig.terrain
+    assert rig.plans(30) == []
+    assert words in rig.status().reason
+    rig.terrain = kept
+    assert rig.plans(30)
+
+
 @pytest.mark.parametrize("mode", [Mode.OFF, Mode.STAND, Mode.FAULT])
 def test_it_waits_for_legs_that_may_walk(mode: Mode) -> None:
     rig = Rig()

@@ -1,0 +1,162 @@
+"""The mapper on scans that are none: it keeps running, says what is wrong, sends no map of it, and recovers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from services.mapper.config import Settings
+from services.mapper.service import Mapper
+from shared import codec, topics
+from shared.geometry import Array, from_xyz_rpy
+from shared.messages import BodyPose, Scan, TerrainMap
+from shared.robot import load_profile
+from shared.service import Inbox
+
+PROFILE = load_profile("phantomx_mk2")
+CAMERA = (0.1, 0.0, 0.25)
+EMPTY = np.zeros((0, 3), np.int16)
+
+
+def scan(points_mm, stamp_ns: int = 0, **changes: object) -> Scan:  # type: ignore[no-untyped-def]
+    n = len(points_mm)
+    made = Scan(
+        stamp_ns=stamp_ns,
+        origin=np.zeros(3),
+        points_mm=np.asarray(points_mm, dtype=np.int16),
+        count=np.full(n, 20, dtype=np.uint8),
+        spread_mm=np.zeros(n, dtype=np.uint8),
+        p_world_camera=np.array(CAMERA),
+        pose_covariance=1e-6 * np.eye(6),
+    )
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def ground(height_mm: float = 0.0) -> Array:
+    x, y = np.meshgrid(np.arange(505, 1000, 10), np.arange(-295, 300, 10), indexing="ij")
+    return np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height_mm)])
+
+
+class Rig:
+    """A mapper, and a body that stands at the origin."""
+
+    def __init__(self) -> None:
+        self.mapper = Mapper(PROFILE, Settings(cells=200, publish_every=1))
+        self.inbox = Inbox([self.mapper.paced_by, *self.mapper.reads], self.mapper.stages)
+        self.now_ns = 1_000_000_000
+        self.stand((0.0, 0.0, 0.1))
+
+    def stand(self, xyz: tuple[float, float, float]) -> None:
+        pose = BodyPose(
+            self.now_ns, from_xyz_rpy(xyz, np.zeros(3)), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6))
+        )
+        self.inbox.receive(topics.BODY_POSE, codec.encode(pose), self.now_ns)
+
+    def map(self, sent: Scan, late_ns: int = 0) -> TerrainMap | None:
+        """The map that a scan leads to, through the codec; one of now unless it is `late_ns`."""
+        self.now_ns += 66_000_000
+        frame = codec.encode(replace(sent, stamp_ns=self.now_ns - late_ns))
+        made = list(self.mapper.step(codec.decode(frame, Scan)[0], self.inbox))
+        return next((m for m in made if isinstance(m, TerrainMap)), None)
+
+
+GARBAGE = {
+    "no pixels behind its points": (scan(ground(), count=np.zeros(len(ground()), np.uint8)), "counts of at least 1"),
+    "a negative variance": (scan(ground(), pose_covariance=-np.eye(6)), "covariance"),
+    "a place beyond all maps": (scan(ground(), origin=np.full(3, 1e12)), "finite and within"),
+    "a camera that is elsewhere": (scan(ground(), p_world_camera=np.array([40.0, 0.0, 0.25])), "40 m from where the body is"),
+    "a camera at the end of the world": (scan(ground(), p_world_camera=np.full(3, 1e300)), "from where the body is"),
+}
+
+
+@pytest.mark.parametrize("name", GARBAGE)
+def test_what_makes_no_sense_is_said_and_leaves_the_map_as_it_was(name: str) -> None:
+    rig, (garbage, words) = Rig(), GARBAGE[name]
+    before = rig.map(scan(ground()))
+    assert before is not None
+    for _ in range(5):
+        assert rig.map(garbage) is None, "nobody takes the old map for a new one"
+        assert words in rig.mapper.doing()
+    after = rig.map(scan(ground()))
+    assert after is not None
+    np.testing.assert_array_equal(np.isfinite(after.elevation), np.isfinite(before.elevation))
+    np.testing.assert_allclose(after.elevation, before.elevation, atol=1e-4)
+    assert rig.mapper.doing().startswith("mapping")
+
+
+def test_nothing_seen_adds_nothing() -> None:
+    rig = Rig()
+    before = rig.map(scan(ground()))
+    after = rig.map(scan(EMPTY))
+    assert before is not None
+    assert after is not None
+    np.testing.assert_array_equal(after.elevation, before.elevation)
+    alone = Rig().map(scan(EMPTY))
+    assert alone is not None
+    assert np.isnan(alone.elevation).all()
+    assert np.isnan(alone.score).all()
+
+
+def test_one_scan_for_five_seconds_is_mapped_once() -> None:
+    rig = Rig()
+    assert rig.map(scan(ground())) is not None
+    for k in range(1, 16):
+        assert rig.map(scan(ground()), late_ns=k * 66_000_000) is None
+        assert "no newer" in rig.mapper.doing()
+    assert rig.map(scan(ground())) is not None
+
+
+def test_a_gap_changes_nothing() -> None:
+    rig = Rig()
+    before = rig.map(scan(ground()))
+    rig.now_ns += 200_000_000
+    after = rig.map(scan(ground()))
+    assert before is not None
+    assert after is not None
+    np.testing.assert_allclose(after.elevation, before.elevation, atol=1e-6)
+
+
+def test_noise_is_no_ground() -> None:
+    rig, rng = Rig(), np.random.default_rng(0)
+    points = ground()
+    for _ in range(5):
+        points[:, 2] = rng.integers(-2000, 2000, len(points))
+        map_ = rig.map(scan(points))
+        assert map_ is not None
+        assert not (map_.score <= 1.0).any()
+    for _ in range(40):  # the ground wins in the end
+        map_ = rig.map(scan(ground()))
+    assert map_ is not None
+    measured = map_.elevation[np.isfinite(map_.elevation)]
+    assert np.percentile(np.abs(measured), 95) < 0.02
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.integers(0, 200),
+    st.integers(0, 2**32 - 1),
+    st.floats(-1e300, 1e300),
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.tuples(*[st.floats(-1e300, 1e300)] * 3),
+)
+def test_whatever_the_scan_it_keeps_running(
+    n: int, seed: int, origin: float, variance: float, body: tuple[float, float, float]
+) -> None:
+    rig, rng = Rig(), np.random.default_rng(seed)
+    wild = scan(
+        rng.integers(-32768, 32768, (n, 3)),
+        count=rng.integers(0, 256, n).astype(np.uint8),
+        spread_mm=rng.integers(0, 256, n).astype(np.uint8),
+        origin=np.array([origin, 0.0, -origin]),
+        pose_covariance=variance * np.eye(6),
+    )
+    rig.map(wild)
+    rig.stand(body)
+    rig.map(wild)
+    rig.map(replace(wild, p_world_camera=np.array(body)))
+    rig.stand((0.0, 0.0, 0.1))
+    map_ = rig.map(scan(ground()))
+    assert map_ is not None
+    assert rig.mapper.doing().startswith("mapping")
