@@ -17,6 +17,7 @@ BLOCKS = Rubble(x=(0.6, 1.4), y=(-0.4, 0.4), count=6, size=(0.10, 0.20), top=(0.
 WALKING = (
     topics.ODOMETRY,
     topics.ACTUATOR_STATE,
+    topics.CAMERA_STATE,
     topics.BODY_POSE,
     topics.SCAN,
     topics.TERRAIN,
