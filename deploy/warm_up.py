@@ -40,8 +40,9 @@ def _survey(profile: RobotProfile) -> None:
     survey = Survey(profile, Strip((0.0, 0.0), 0.0, 1.0, 0.5), known, reach=1.5)
     i, j = np.meshgrid(np.arange(0.505, 0.7, 0.01), np.arange(-0.195, 0.2, 0.01), indexing="ij")
     survey.add(np.column_stack([i.ravel(), j.ravel(), np.zeros(i.size)]), np.full(i.size, 8, dtype=np.uint8))
-    height = profile.stance.body_height
-    survey.outlook(survey.grid(known), from_xyz_rpy((0.0, 0.0, height), (0.0, 0.0, 0.0)), profile.rest_feet(height))
+    height, grid = profile.stance.body_height, survey.grid(known)
+    survey.evaluation(grid, height, 0.0)
+    survey.outlook(grid, from_xyz_rpy((0.0, 0.0, height), (0.0, 0.0, 0.0)), profile.rest_feet(height))
 
 
 if __name__ == "__main__":

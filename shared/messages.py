@@ -228,6 +228,8 @@ class PassageMap(Message):
     ]  # {world} upward, of length 32767; zero where there is none
     roughness: Annotated[NDArray[np.float32], Dims("nx", "ny", finite=False)]  # [m] rms of points around off their plane
     assumed: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # taken for the plane under the feet, not measured
+    # Masri's evaluation function [cells], as the terrain map's; what lies beside the strip counts as vacant.
+    evaluation: Annotated[NDArray[np.int8], Dims("nx", "ny")]
     unseen: float  # [1] share of the cells
     reason: str  # what is unseen and why, or why there is no map, in words; empty when all is seen
     T_world_look: Pose  # body pose, reachable from here without a step, from which most of what is unseen would show

@@ -11,7 +11,7 @@ from services.mapper.cloud import Strip
 from services.mapper.config import Settings
 from services.mapper.elevation import ElevationGrid, ElevationSnapshot, FusionModel
 from services.mapper.layers import FootholdLayers, Margin
-from services.mapper.passage import PassageGrid, cell_centres, cells_of, feet_plane
+from services.mapper.passage import cell_centres, cells_of, feet_plane
 from services.mapper.score import ScoreWeights
 from services.mapper.survey import Outlook, Survey
 from services.mapper.terrain_type import TerrainType
@@ -117,7 +117,7 @@ class Mapper:
             return
         with self.stages("merge"):
             if self._survey is None:
-                self._survey = Survey(self._profile, strip, self._grid.snapshot(), self._settings.scan_range)
+                self._survey = Survey(self._profile, strip, self._grid.snapshot(), self._settings.scan_range, _WEIGHTS)
                 self._surveyed = 0
             elif self._survey.strip != strip:
                 self._survey.move_to(strip, self._grid.snapshot())
@@ -125,17 +125,43 @@ class Mapper:
             self._survey.add(points, scan.count)
         self._surveyed += 1
         if self._surveyed % self._settings.passage_every == 0:
-            with self.stages("passage"):
-                grid = self._survey.grid(self._grid.snapshot())
-            pose, legs = inbox.latest(topics.BODY_POSE), inbox.fresh(topics.ACTUATOR_STATE)
-            if pose is None or legs is None or legs.swing.any():
-                # Where the body could look from depends on feet that stand, and are known to.
-                outlook, T_world_body = Outlook("", None), np.eye(4) if pose is None else pose.T_world_body
-            else:
-                T_world_body = pose.T_world_body
-                with self.stages("look"):
-                    outlook = self._survey.outlook(grid, T_world_body, legs.feet)
-            yield _passage(scan.stamp_ns, grid, outlook, T_world_body)
+            yield self._passage(scan.stamp_ns, self._survey, inbox)
+
+    def _passage(self, stamp_ns: int, survey: Survey, inbox: Inbox) -> PassageMap:
+        """A survey as it crosses the wire."""
+        pose, legs = inbox.latest(topics.BODY_POSE), inbox.fresh(topics.ACTUATOR_STATE)
+        T_world_body = np.eye(4) if pose is None else pose.T_world_body
+        with self.stages("passage"):
+            grid = survey.grid(self._grid.snapshot())
+            evaluation = survey.evaluation(
+                grid,
+                math.inf if pose is None else float(T_world_body[2, 3]),
+                0.0 if pose is None else _position_sigma(pose),
+            )
+        unseen = grid.unseen
+        if pose is None or legs is None or legs.swing.any():
+            # Where the body could look from depends on feet that stand, and are known to.
+            words = f"{np.count_nonzero(unseen)} of {unseen.size} cells not seen"
+            outlook = Outlook(f"{words}; no look is proposed while legs swing or are silent" if unseen.any() else "", None)
+        else:
+            with self.stages("look"):
+                outlook = survey.outlook(grid, T_world_body, legs.feet)
+        view = outlook.view
+        return PassageMap(
+            stamp_ns=stamp_ns,
+            resolution=grid.resolution,
+            origin=cell_centres(grid.strip, grid.resolution)[0, 0],
+            heading=grid.strip.heading,
+            elevation=grid.elevation,
+            normals=np.rint(np.nan_to_num(grid.normals) * 32767.0).astype(np.int16),
+            roughness=grid.roughness,
+            assumed=grid.assumed,
+            evaluation=evaluation,
+            unseen=float(unseen.mean()),
+            reason=outlook.words,
+            T_world_look=T_world_body if view is None else view.T_world_body,
+            look_shows=np.zeros(unseen.shape, dtype=np.bool_) if view is None else view.sees,
+        )
 
     def _strip(self, request: PassageRequest) -> Strip:
         """The strip that is asked for.
@@ -248,30 +274,6 @@ class Mapper:
         )
 
 
-def _passage(stamp_ns: int, grid: PassageGrid, outlook: Outlook, T_world_body: Array) -> PassageMap:
-    """A survey as it crosses the wire."""
-    unseen, view = grid.unseen, outlook.view
-    words = outlook.words
-    if unseen.any() and not words:
-        words = (
-            f"{np.count_nonzero(unseen)} of {unseen.size} cells not seen; no look is proposed while legs swing or are silent"
-        )
-    return PassageMap(
-        stamp_ns=stamp_ns,
-        resolution=grid.resolution,
-        origin=cell_centres(grid.strip, grid.resolution)[0, 0],
-        heading=grid.strip.heading,
-        elevation=grid.elevation,
-        normals=np.rint(np.nan_to_num(grid.normals) * 32767.0).astype(np.int16),
-        roughness=grid.roughness,
-        assumed=grid.assumed,
-        unseen=float(unseen.mean()),
-        reason=words,
-        T_world_look=T_world_body if view is None else view.T_world_body,
-        look_shows=np.zeros(unseen.shape, dtype=np.bool_) if view is None else view.sees,
-    )
-
-
 def _no_passage(stamp_ns: int, request: PassageRequest, resolution: float, reason: str) -> PassageMap:
     """An answer without a cell."""
     nothing = np.zeros((0, 0))
@@ -284,6 +286,7 @@ def _no_passage(stamp_ns: int, request: PassageRequest, resolution: float, reaso
         normals=np.zeros((0, 0, 3), dtype=np.int16),
         roughness=nothing.astype(np.float32),
         assumed=nothing.astype(np.bool_),
+        evaluation=nothing.astype(np.int8),
         unseen=1.0,
         reason=reason,
         T_world_look=np.eye(4),

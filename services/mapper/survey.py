@@ -7,11 +7,15 @@ from numpy.typing import NDArray
 
 from services.mapper.cloud import Strip, VoxelCloud
 from services.mapper.elevation import ElevationSnapshot
-from services.mapper.passage import PassageGrid, cell_centres, feet_plane, passage_grid, with_assumed
+from services.mapper.layers import FootholdLayers, Margin
+from services.mapper.passage import PassageGrid, cell_centres, cells_of, feet_plane, passage_grid, with_assumed
+from services.mapper.score import ScoreWeights
 from services.mapper.view import View, best_view, candidates, expected_heights, sights, unseen_in_words
 from shared.geometry import Array, apply
 from shared.robot import RobotProfile
 
+_SAME_PLACE, _SAME_WAY = 0.01, 0.02  # [m] [rad] within which two looks are one
+_LOOKS = 8  # that are remembered
 _TAKEN_OVER = 8.0  # [pixels] behind a height that the elevation map had before the survey began
 
 
@@ -26,7 +30,14 @@ class Outlook:
 class Survey:
     """A merged cloud over one strip, begun with what the walk has measured there."""
 
-    def __init__(self, profile: RobotProfile, strip: Strip, known: ElevationSnapshot, reach: float):
+    def __init__(
+        self,
+        profile: RobotProfile,
+        strip: Strip,
+        known: ElevationSnapshot,
+        reach: float,
+        weights: ScoreWeights | None = None,
+    ):
         """Begin a survey.
 
         Args:
@@ -34,13 +45,16 @@ class Survey:
             strip: Of a whole number of cells of the elevation map's resolution.
             known: The elevation map.
             reach: [m] horizontally from the camera, as far as scans go.
+            weights: What ground must be for a foothold.
 
         Raises:
             ValueError: The strip is no whole number of cells long and wide.
         """
         self._centres = cell_centres(strip, known.resolution)
-        self._profile, self._reach = profile, reach
+        self._profile, self._reach, self._weights = profile, reach, weights
         self._cloud = VoxelCloud(strip, known.resolution)
+        self._layers = self._fresh_layers(known.resolution)
+        self._looked_from: list[Array] = []  # (4, 4) optical poses, the newest last
         self._take_over(known)
 
     @property
@@ -56,6 +70,7 @@ class Survey:
         """
         self._centres = cell_centres(strip, known.resolution)
         self._cloud.move_to(strip)
+        self._layers = self._fresh_layers(known.resolution)
         self._take_over(known)
 
     def add(self, points: Array, count: NDArray[np.uint8]) -> None:
@@ -75,6 +90,19 @@ class Survey:
         assumed = inside & (known.assumed[i, j] != 0)
         return with_assumed(measured, np.where(assumed, known.elevation[i, j], np.nan))
 
+    def evaluation(self, grid: PassageGrid, body_height: float, position_sigma: float) -> NDArray[np.int8]:
+        """Masri's evaluation function (nx, ny) [cells] of the map of the strip, beside which all counts as vacant.
+
+        Args:
+            grid: The map of the strip.
+            body_height: [m] {world} of the body's centre, from which the depth limit counts.
+            position_sigma: [m] standard deviation of the body's place.
+
+        Source: Masri 2016, sections 4.5 and 4.6.
+        """
+        sure = np.zeros(grid.elevation.shape, dtype=np.float32)
+        return self._layers.update(grid.elevation, sure, np.zeros(2, dtype=np.int64), body_height, position_sigma).evaluation
+
     def outlook(self, grid: PassageGrid, T_world_body: Array, feet: Array) -> Outlook:
         """What of a map is not seen, and how the body had better stand to see it.
 
@@ -90,11 +118,21 @@ class Survey:
         a, b, c = feet_plane(feet_world - [0.0, 0.0, self._profile.foot.radius])
         level = float(a + b * T_world_body[0, 3] + c * T_world_body[1, 3])
         T_world_camera = T_world_body @ camera.T_body_camera
-        heights = expected_heights(grid, T_world_camera, camera, self._reach, level)
+        looked_from = self._looks(T_world_camera)
+        heights = expected_heights(grid, looked_from, camera, self._reach, level)
         why = sights(grid, heights, grid.unseen, T_world_camera, camera, self._reach)
         poses = candidates(self._profile, T_world_body, feet_world, level)
-        view = best_view(grid, heights, grid.unseen, T_world_body, poses, camera, self._reach)
+        view = best_view(grid, heights, grid.unseen, looked_from, poses, camera, self._reach)
         return Outlook(unseen_in_words(grid, why), view)
+
+    def _looks(self, T_world_camera: Array) -> Array:
+        """Optical poses (k, 4, 4) from which the strip was looked at, this one the last of them."""
+        self._looked_from = [T for T in self._looked_from if not _same_look(T, T_world_camera)][1 - _LOOKS :]
+        self._looked_from.append(T_world_camera)
+        return np.array(self._looked_from)
+
+    def _fresh_layers(self, resolution: float) -> FootholdLayers:
+        return FootholdLayers(cells_of(self.strip, resolution), resolution, Margin(self._profile.foot.radius), self._weights)
 
     def _take_over(self, known: ElevationSnapshot) -> None:
         """What the elevation map has measured, into the columns of which the cloud holds nothing."""
@@ -103,3 +141,8 @@ class Survey:
         new = ~self._cloud.holds(places)
         points = np.column_stack([places, known.elevation[i, j]])[new]
         self._cloud.insert(points, np.full(len(points), _TAKEN_OVER))
+
+
+def _same_look(T: Array, other: Array) -> bool:
+    turned = np.abs(T[:3, :3] - other[:3, :3]).max()
+    return bool(np.linalg.norm(T[:3, 3] - other[:3, 3]) < _SAME_PLACE and turned < _SAME_WAY)

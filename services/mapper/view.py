@@ -97,7 +97,7 @@ class _Ground:
         return out
 
 
-def expected_heights(grid: PassageGrid, T_world_camera: Array, camera: Camera, reach: float, level: float) -> Array:
+def expected_heights(grid: PassageGrid, looked_from: Array, camera: Camera, reach: float, level: float) -> Array:
     """Heights (nx, ny) [m] {world} to expect of the ground, the known ones where there are any.
 
     1. What is hidden goes on as what is seen beyond it: behind a block lies the floor that shows past its shadow.
@@ -107,12 +107,12 @@ def expected_heights(grid: PassageGrid, T_world_camera: Array, camera: Camera, r
 
     Args:
         grid: What is known.
-        T_world_camera: (4, 4) optical pose from which the strip was looked at.
+        looked_from: (k, 4, 4) optical poses from which the strip was looked at, the present one last.
         camera: Its intrinsics and range.
         reach: [m] horizontally from the camera beyond which scans hold nothing.
         level: [m] {world} height of the ground under the robot.
     """
-    towards = local_centres(grid.strip, grid.resolution) - grid.strip.local(T_world_camera[:2, 3])
+    towards = local_centres(grid.strip, grid.resolution) - grid.strip.local(looked_from[-1, :2, 3])
     towards /= np.maximum(np.linalg.norm(towards, axis=-1, keepdims=True), 1e-9)
     unseen = grid.unseen
     heights = np.where(unseen, _beyond(grid.elevation, np.ascontiguousarray(towards)), grid.elevation).astype(np.float64)
@@ -120,7 +120,7 @@ def expected_heights(grid: PassageGrid, T_world_camera: Array, camera: Camera, r
     if behind.any():
         lowest = float(np.percentile(grid.elevation[~unseen], 1.0))
         absent = np.zeros(unseen.shape, dtype=np.bool_)
-        absent[behind] = sights(grid, heights, behind, T_world_camera, camera, reach) == SEEN
+        absent[behind] = _in_view(grid, heights, behind, looked_from, camera, reach)
         around = cv2.dilate(absent.astype(np.uint8), np.ones((2 * _AROUND + 1,) * 2)) > 0
         heights[behind & around & (heights > lowest + _LOWER)] = lowest
     open_ = np.isnan(heights)
@@ -163,21 +163,21 @@ def best_view(
     grid: PassageGrid,
     heights: Array,
     wanted: Cells,
-    T_world_body: Array,
+    looked_from: Array,
     poses: Array,
     camera: Camera,
     reach: float,
 ) -> View | None:
-    """The pose that shows most of the wanted cells that cannot be seen from here; None if none shows enough to be worth it.
+    """The pose that shows most of the wanted cells; None if none shows enough to be worth it.
 
-    What is in view from here and still unknown gives no return, and would give none from there.
+    What was in view before and is still unknown gives no return, and would give none from there.
 
     Args:
         grid: What is known.
         heights: (nx, ny) [m] {world} expected, of the wanted cells.
         wanted: (nx, ny) cells to be seen.
-        T_world_body: (4, 4) where the body is now.
-        poses: (k, 4, 4) where it could be, in the order of preference among those that show as much.
+        looked_from: (k, 4, 4) optical poses from which the strip was looked at.
+        poses: (m, 4, 4) where the body could be, in the order of preference among those that show as much.
         camera: The camera and how it is mounted.
         reach: [m] horizontally from the camera beyond which scans hold nothing.
     """
@@ -185,7 +185,9 @@ def best_view(
         return None
     T_body_camera = camera.T_body_camera
     wanted = wanted.copy()
-    wanted[wanted] = sights(grid, heights, wanted, T_world_body @ T_body_camera, camera, reach) != SEEN
+    wanted[wanted] = ~_in_view(grid, heights, wanted, looked_from, camera, reach)
+    if not wanted.any():
+        return None
     every = max(1, math.ceil(np.count_nonzero(wanted) / _SAMPLES))
     sample = np.zeros(wanted.shape, dtype=np.bool_)
     sample.reshape(-1)[np.flatnonzero(wanted)[::every]] = True
@@ -198,6 +200,12 @@ def best_view(
     sees = wanted.copy()
     sees[wanted] = sights(grid, heights, wanted, best @ T_body_camera, camera, reach) == SEEN
     return View(np.asarray(best), sees)
+
+
+def _in_view(grid: PassageGrid, heights: Array, wanted: Cells, looked_from: Array, camera: Camera, reach: float) -> Cells:
+    """Which (n,) of the wanted cells are seen from any of some optical poses (k, 4, 4)."""
+    ground = _Ground(grid, heights, wanted)
+    return np.asarray(np.any([ground.sights(T, camera, reach) == SEEN for T in looked_from], axis=0))
 
 
 def unseen_in_words(grid: PassageGrid, why: NDArray[np.uint8]) -> str:

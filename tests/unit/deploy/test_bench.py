@@ -235,7 +235,7 @@ def test_a_survey_is_compared_where_both_maps_reach() -> None:
     grid = np.zeros((40, 10), np.float32)
     flags = np.zeros((40, 10), np.bool_)
     passage = PassageMap(
-        0, 0.01, np.array([0.10, 0.05]), 0.0, elevation, normals, grid, flags, 0.5, "", np.eye(4), flags
+        0, 0.01, np.array([0.10, 0.05]), 0.0, elevation, normals, grid, flags, flags.astype(np.int8), 0.5, "", np.eye(4), flags
     )  # fmt: skip
     seen = np.ones((30, 20), np.bool_)
     figures = model.judged(passage, terrain, truth, seen)

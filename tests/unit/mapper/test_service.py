@@ -241,6 +241,8 @@ def test_measured_assumed_and_unseen_cells_are_told_apart() -> None:
     assert told.look_shows.sum() > 20
     assert np.isnan(told.elevation[told.look_shows]).all()
     assert len(codec.encode(told)) < 500_000
+    assert (told.evaluation[(x[:, None] > 0.6) & (x[:, None] < 0.9) & (np.abs(y) < 0.2)] == -5).all()
+    assert (told.evaluation[beyond] == 127).all()
 
 
 def test_no_look_is_proposed_while_feet_are_in_the_air() -> None:

@@ -147,7 +147,8 @@ class Look:
         self.look(self.T)
         self.grid = self.mapped()
         self.T_camera = self.T @ CAMERA.T_body_camera
-        self.expected = expected_heights(self.grid, self.T_camera, CAMERA, REACH, 0.0)
+        self.looked_from = self.T_camera[None]
+        self.expected = expected_heights(self.grid, self.looked_from, CAMERA, REACH, 0.0)
 
     def look(self, T: Array, frames: int = 8) -> None:
         T_camera = T @ CAMERA.T_body_camera
@@ -163,7 +164,7 @@ class Look:
         return candidates(PROFILE, self.T, apply(self.T, PROFILE.rest_feet(HEIGHT)), 0.0)
 
     def best(self) -> tuple[Array, np.ndarray]:
-        view = best_view(self.grid, self.expected, self.grid.unseen, self.T, self.poses(), CAMERA, REACH)
+        view = best_view(self.grid, self.expected, self.grid.unseen, self.looked_from, self.poses(), CAMERA, REACH)
         assert view is not None
         return view.T_world_body, view.sees
 
@@ -222,13 +223,13 @@ def test_before_a_pillar_in_a_gap_lies_the_floor_of_the_gap() -> None:
 def test_where_all_is_seen_or_nothing_comes_back_no_look_is_proposed() -> None:
     robot = Look(Plane())
     nothing = np.zeros(robot.grid.elevation.shape, dtype=bool)
-    assert best_view(robot.grid, robot.expected, nothing, robot.T, robot.poses(), CAMERA, REACH) is None
-    assert best_view(robot.grid, robot.expected, robot.grid.unseen, robot.T, robot.poses()[:0], CAMERA, REACH) is None
+    assert best_view(robot.grid, robot.expected, nothing, robot.looked_from, robot.poses(), CAMERA, REACH) is None
+    assert best_view(robot.grid, robot.expected, robot.grid.unseen, robot.looked_from, robot.poses()[:0], CAMERA, REACH) is None
     assert unseen_in_words(known(), np.empty(0, np.uint8)) == ""
     abyss = Look(Box((-0.2, 0.0), (1.5, 4.0), 0.0))
     x, y = np.moveaxis(local_centres(abyss.strip, 0.01) - [0.45, 0.0], -1, 0)
     ahead = abyss.grid.unseen & (x > 0.6) & (x < 1.0) & (np.abs(y) < 0.2)
-    assert best_view(abyss.grid, abyss.expected, ahead, abyss.T, abyss.poses(), CAMERA, REACH) is None
+    assert best_view(abyss.grid, abyss.expected, ahead, abyss.looked_from, abyss.poses(), CAMERA, REACH) is None
 
 
 def test_what_is_unseen_is_said_with_the_reason_and_the_place() -> None:
@@ -240,4 +241,4 @@ def test_what_is_unseen_is_said_with_the_reason_and_the_place() -> None:
     for text in ("nearer than the camera measures", "too far", "outside the picture", "hidden behind"):
         assert text in words
     nowhere = replace(robot.grid, elevation=np.full_like(robot.grid.elevation, np.nan))
-    np.testing.assert_array_equal(expected_heights(nowhere, robot.T_camera, CAMERA, REACH, 0.25), 0.25)
+    np.testing.assert_array_equal(expected_heights(nowhere, robot.looked_from, CAMERA, REACH, 0.25), 0.25)
