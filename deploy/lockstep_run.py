@@ -33,7 +33,14 @@ Tap = Callable[[AnyTopic, bytes, int], object]
 class LockstepRun:
     """The services of a run on simulated time, with those who attend it."""
 
-    def __init__(self, scenario: Scenario, seed: int, profile: RobotProfile, tap: Tap = lambda _topic, _frame, _at_ns: None):
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        profile: RobotProfile,
+        tap: Tap = lambda _topic, _frame, _at_ns: None,
+        guests: Sequence[Service] = (),
+    ):
         keep_memory()
         self.scenario = scenario
         self.attendance = Attendance(profile, scenario, seed)
@@ -46,7 +53,7 @@ class LockstepRun:
             "mapper": lambda: Mapper(profile, MapperSettings()),
             "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind, footholds=scenario.walk.footholds)),
         }
-        for name, service in self.attendance.services().items():
+        for name, service in [*self.attendance.services().items(), *((guest.name, guest) for guest in guests)]:
             makers[name] = lambda service=service: service  # type: ignore[misc]
         spare_collector()
         self._lockstep = Lockstep(makers, tap, outages=[_outage(fault) for fault in scenario.faults if not fault.of_camera])
@@ -67,7 +74,11 @@ class LockstepRun:
 
 
 def assemble(
-    scenario: Scenario, seed: int, profile: RobotProfile, tap: Tap = lambda _topic, _frame, _at_ns: None
+    scenario: Scenario,
+    seed: int,
+    profile: RobotProfile,
+    tap: Tap = lambda _topic, _frame, _at_ns: None,
+    guests: Sequence[Service] = (),
 ) -> LockstepRun:
     """All services of a run in this process, the actuator's port being the other end of the simulator's servo bus.
 
@@ -76,8 +87,9 @@ def assemble(
         seed: Of everything random.
         profile: The robot.
         tap: Sees every frame as it is sent, with the simulated time [ns].
+        guests: Further services that take part.
     """
-    return LockstepRun(scenario, seed, profile, tap)
+    return LockstepRun(scenario, seed, profile, tap, guests)
 
 
 def run_lockstep(

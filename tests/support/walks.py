@@ -1,6 +1,6 @@
 """Walks in lockstep with an ear on the wire: what a run said, message by message."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,7 +14,7 @@ from shared.geometry import Array
 from shared.messages import ActuatorState, Message, PlannerStatus
 from shared.robot import load_profile
 from shared.scenario import Goal, Plane, Scenario, load_scenario
-from shared.service import AnyTopic
+from shared.service import AnyTopic, Service
 from shared.topics import Topic
 
 S = 1_000_000_000
@@ -79,10 +79,14 @@ def walk(
     seed: int,
     wanted: Iterable[AnyTopic] = (topics.ACTUATOR_STATE, topics.PLANNER_STATUS, topics.TRUTH, topics.BODY_POSE),
     look: Callable[[LockstepRun], None] = lambda _: None,
+    guests: Sequence[Service] = (),
 ) -> Walk:
-    """Walk to the end, as `run_lockstep` does, listening; `look` is called every tenth of a simulated second."""
+    """Walk to the end, as `run_lockstep` does, listening; `look` is called every tenth of a simulated second.
+
+    Guests are further services that take part.
+    """
     heard = Heard(tuple(wanted))
-    run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap)
+    run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap, guests)
     while not run.attendance.over():
         assert run.now_ns() < 2 * scenario.time_limit_s * S, "no verdict"
         run.run(run.now_ns() + LOOK_NS)
