@@ -10,19 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.bench import model
+from deploy.bench.full_frame import FullFrames
 from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
 from deploy.bench.scenes import MAPPED, REGISTERED, Scene
 from deploy.listener import Listener
 from deploy.true_ground import INTERIOR, TrueGround, rms
 from deploy.workers import share_out
 from services.mapper.config import Settings as MapperSettings
+from services.mapper.elevation import ElevationSnapshot
 from services.mapper.service import Mapper
 from services.perception.config import Settings as PerceptionSettings
 from services.perception.service import Perception
 from services.simulator.render import Renderer
 from shared import topics
 from shared.geometry import apply
-from shared.messages import BodyPose, PassageMap, TerrainMap
+from shared.messages import TerrainMap
 from shared.service import Lockstep, Service
 
 Cells = NDArray[np.bool_]
@@ -50,10 +52,17 @@ class RideResult:
     beside_rmse: float = math.nan  # [m] of the elevation map on the same cells
     normal_deg: float = math.nan  # [deg] rms error of the normals off edges
     model_coverage: float = math.nan  # share of the strip's cells in view that are known
+    # The elevation map of full frames, where one was made:
+    full_rmse: float = math.nan  # [m] over all measured cells
+    full_interior_rmse: float = math.nan  # [m] over those further than 2 cm from an edge
+    full_edge: float = math.nan  # [m] median distance from a true edge to the mapped one
+    full_coverage: float = math.nan  # share of the cells in view that are known
 
 
 def measure(scene: Scene, seed: int, errors: Errors | None = None, survey: bool = False) -> RideResult:
-    """Ride over a scene, whose terrain, errors and noise are drawn by the seed; with `survey`, a strip is surveyed, too.
+    """Ride over a scene, whose terrain, errors and noise are drawn by the seed.
+
+    With `survey`, a strip is surveyed, too, and full frames are mapped beside the scans.
 
     Raises:
         RuntimeError: Not one map came of it.
@@ -68,8 +77,11 @@ def measure(scene: Scene, seed: int, errors: Errors | None = None, survey: bool 
         "perception": lambda: Perception(way.profile, settings),
         "mapper": lambda: Mapper(way.profile, MapperSettings(passage_every=_SURVEYED)),
     }
+    mapped = MapperSettings()
+    full = FullFrames(way.profile.camera, mapped.shape, mapped.resolution, settings.scan_range)
     if survey:
         makers["asker"] = model.Asker
+        makers["full frames"] = lambda: full
     lockstep = Lockstep(
         makers,
         heard.tap,
@@ -78,10 +90,11 @@ def measure(scene: Scene, seed: int, errors: Errors | None = None, survey: bool 
     lockstep.run(int(way.stamps_ns[-1]) + _SETTLE_NS)
     if heard.terrain is None:
         raise RuntimeError(f"a map expected of the ride with seed {seed}, found none")
-    return _judged(way, heard.poses, heard.terrain, heard.passage, settings.scan_range)
+    return _judged(way, heard, heard.terrain, full.grid.snapshot() if survey else None, settings.scan_range)
 
 
-def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, passage: PassageMap | None, scan_range: float) -> RideResult:
+def _judged(way: Ride, heard: Listener, terrain: TerrainMap, full: ElevationSnapshot | None, scan_range: float) -> RideResult:
+    poses, passage = heard.poses, heard.passage
     end = way.T_world_body[-1, :3, 3]
     truth = TrueGround.under(way.terrain.height_at, terrain.origin, terrain.elevation.shape, terrain.resolution)
     known = np.isfinite(terrain.elevation)
@@ -106,10 +119,24 @@ def _judged(way: Ride, poses: list[BodyPose], terrain: TerrainMap, passage: Pass
         beside_rmse=math.nan if surveyed is None else surveyed.elevation_rmse,
         normal_deg=math.nan if surveyed is None else surveyed.normal_deg,
         model_coverage=math.nan if surveyed is None else surveyed.coverage,
+        **({} if full is None else _of_full_frames(full, way, scan_range)),
     )
 
 
-def _in_view(way: Ride, terrain: TerrainMap, scan_range: float) -> Cells:
+def _of_full_frames(full: ElevationSnapshot, way: Ride, scan_range: float) -> dict[str, float]:
+    """The figures of the map of full frames, whose window is where it was when the last of them came."""
+    truth = TrueGround.under(way.terrain.height_at, full.origin, full.elevation.shape, full.resolution)
+    error = full.elevation - truth.heights
+    known = np.isfinite(error)
+    return {
+        "full_rmse": rms(error[known]),
+        "full_interior_rmse": rms(error[known & (truth.edge_distance > INTERIOR)]),
+        "full_edge": truth.edge_error(full.elevation),
+        "full_coverage": float(np.isfinite(full.elevation)[_in_view(way, full, scan_range)].mean()),
+    }
+
+
+def _in_view(way: Ride, terrain: TerrainMap | ElevationSnapshot, scan_range: float) -> Cells:
     """Cells (nx, ny) of a map into which an undisturbed picture of the ride shows."""
     camera = way.profile.camera
     renderer = Renderer(way.terrain, camera.intrinsics)
@@ -198,6 +225,12 @@ _COLUMNS = {  # what is told of each table: figure -> heading, factor, digits
         "coverage": ("coverage %", 1e2, 1),
         "invented": ("invented cells", 1, 0),
         "drift": ("drift mm", 1e3, 1),
+    },
+    "maps of full frames beside those of scans": {
+        "full_rmse": ("rmse mm", 1e3, 1),
+        "full_interior_rmse": ("off edges mm", 1e3, 1),
+        "full_edge": ("edges mm", 1e3, 1),
+        "full_coverage": ("coverage %", 1e2, 1),
     },
     "maps, the survey of a strip beside the elevation map": {
         "model_rmse": ("off edges mm", 1e3, 1),

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from deploy import cli
-from deploy.bench import accuracy, map_peers, model, registration_peers, speed, stages, timing
+from deploy.bench import accuracy, full_frame, map_peers, model, registration_peers, speed, stages, timing
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED, REGISTERED
 from deploy.true_ground import TrueGround
 from services.simulator.terrain import Terrain
 from shared.geometry import inverse
 from shared.messages import PassageMap, TerrainMap
+from shared.robot import load_profile
 
 SCENES = {**MAPPED, **REGISTERED}
 
@@ -245,3 +246,17 @@ def test_a_survey_is_compared_where_both_maps_reach() -> None:
     assert figures.coverage == pytest.approx(5 / 20)  # of its first twenty rows, which the elevation map has too
     with pytest.raises(ValueError, match="beside"):
         model.judged(replace(passage, origin=np.array([0.105, 0.05])), terrain, truth, seen)
+
+
+def test_the_steady_pixels_of_a_full_frame_are_those_that_a_scan_takes() -> None:
+    camera = load_profile("phantomx_mk2").camera
+    raw = np.full((camera.intrinsics.height, camera.intrinsics.width), 900, dtype=np.uint16)
+    raw[:, 320:] = 1500  # a block's edge, with pixels that hang in between
+    raw[:, 320] = 1200
+    raw[0, 0] = 0
+    z = full_frame.steady_depth(raw, camera)
+    assert np.isnan(z[:, 320]).all()
+    assert np.isnan(z[0, 0])
+    kept = np.isfinite(z)
+    kept[:, 320] = kept[0, 0] = True
+    assert kept.all()

@@ -1,0 +1,68 @@
+"""The same map from full frames: every pixel fused at the same poses, to tell what the reduction of a scan costs."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.mapper.elevation import ElevationGrid, FusionModel
+from services.perception.reduction import JUMP, NOISE
+from shared import topics
+from shared.geometry import Array, apply
+from shared.messages import BodyPose, DepthImage, Message
+from shared.robot import Camera
+from shared.service import AnyTopic, Inbox, Stages
+
+_EVERY = 2  # pictures, of which one is mapped: all of them take twice as long
+
+
+class FullFrames:
+    """Maps pictures as they are, without reduction, rounding or wire."""
+
+    name = "full frames"
+    paced_by: AnyTopic = topics.BODY_POSE
+    reads: tuple[AnyTopic, ...] = (topics.DEPTH,)
+    writes: tuple[AnyTopic, ...] = ()
+
+    def __init__(self, camera: Camera, size: tuple[int, int], resolution: float, max_range: float):
+        """Begin with an unknown world of a size [cells] and a resolution [m]; pixels count up to a range [m]."""
+        self.stages = Stages()
+        self.grid = ElevationGrid(size, resolution, FusionModel.of_sensor(camera.sensor, camera.intrinsics.fx))
+        self._camera, self._max_range = camera, max_range
+        self._poses = 0
+
+    def doing(self) -> str:
+        """What it is for."""
+        return "mapping full frames"
+
+    def step(self, pose: BodyPose, inbox: Inbox) -> Iterator[Message]:
+        """Fuse the picture that a pose belongs to, if it is its turn."""
+        image = inbox.latest(topics.DEPTH)
+        self.grid.move_to(pose.T_world_body[:2, 3])
+        if self._poses % _EVERY == 0 and pose.ok and image is not None and image.stamp_ns == pose.stamp_ns:
+            self._fuse(image, pose)
+        self._poses += 1
+        yield from ()
+
+    def _fuse(self, image: DepthImage, pose: BodyPose) -> None:
+        T = pose.T_world_body @ self._camera.T_body_camera
+        z = steady_depth(image.depth, self._camera)
+        points = apply(T, self._camera.intrinsics.points(z)[np.isfinite(z)])
+        points = points[np.hypot(*(points[:, :2] - T[:2, 3]).T) <= self._max_range]
+        ones = np.ones(len(points))
+        self.grid.fuse(points, ones, 0.0 * ones, T[:3, 3], pose_covariance=pose.covariance)
+
+
+def steady_depth(raw: NDArray[np.uint16], camera: Camera) -> Array:
+    """Depth (h, w) [m] of a picture, NaN out of range and where a pixel hangs between two surfaces, by the rule of the scan."""
+    sensor = camera.sensor
+    z = raw / sensor.depth_scale
+    limit = JUMP + NOISE * sensor.sigma(z, camera.intrinsics.fx)
+    steady = np.ones(z.shape, dtype=np.bool_)
+    for axis in (0, 1):
+        near, far = np.roll(z, 2, axis), np.roll(z, -2, axis)
+        goes_on = ((near > 0) & (np.abs(z - near) <= limit)) | ((far > 0) & (np.abs(far - z) <= limit))
+        border = np.arange(z.shape[axis])
+        inner = (border >= 2) & (border < len(border) - 2)  # nothing speaks against a pixel at the border
+        steady &= goes_on | ~(inner[:, None] if axis == 0 else inner)
+    return np.where(steady & (z >= sensor.min_range) & (z <= sensor.max_range), z, np.nan)
