@@ -32,6 +32,7 @@ class Mosaic:
     elevation: NDArray[np.float32]  # (nx, ny) [m] {start}, NaN where never seen
     unacceptable: NDArray[np.bool_]  # (nx, ny) no foothold by the map's score
     assumed: NDArray[np.bool_]  # (nx, ny) filled in, never measured
+    color: NDArray[np.uint8] | None = None  # (nx, ny, 3) R, G, B, black where none was seen; None without a colour camera
 
     @property
     def measured(self) -> NDArray[np.float32]:
@@ -112,6 +113,7 @@ class MapJudge:
         self._elevation = np.full(grid.shape, np.nan, dtype=np.float32)
         self._unacceptable = np.zeros(grid.shape, dtype=bool)
         self._assumed = np.zeros(grid.shape, dtype=bool)
+        self._color: NDArray[np.uint8] | None = None
         self._errors: list[tuple[float, float, float]] = []
         self._coverage: list[float] = []
 
@@ -133,8 +135,13 @@ class MapJudge:
         measured = seen & ~assumed
         fill = measured | (seen & (np.isnan(self._elevation[here]) | self._assumed[here]))
         np.copyto(self._elevation[here], elevation, where=fill)
-        np.copyto(self._unacceptable[here], score > 1, where=fill)
+        np.copyto(self._unacceptable[here], score > 1, where=fill & np.isfinite(score))  # none along the border of a map
         np.copyto(self._assumed[here], assumed, where=fill)
+        if terrain.color.size:
+            if self._color is None:
+                self._color = np.zeros((*grid.shape, 3), dtype=np.uint8)
+            color = terrain.color[there]
+            np.copyto(self._color[here], color, where=color.any(axis=-1, keepdims=True))
         if compare:
             x, y = (grid.origin[k] + grid.resolution * np.arange(low[k], high[k]) for k in (0, 1))
             near = (x[:, None] - T_world_body[0, 3]) ** 2 + (y - T_world_body[1, 3]) ** 2 <= _MAP_RADIUS**2
@@ -182,7 +189,7 @@ class MapJudge:
 
     def mosaic(self) -> Mosaic:
         """The maps laid over each other."""
-        return Mosaic(self.grid.origin, self.grid.resolution, self._elevation, self._unacceptable, self._assumed)
+        return Mosaic(self.grid.origin, self.grid.resolution, self._elevation, self._unacceptable, self._assumed, self._color)
 
 
 def judge_course(mosaic: Mosaic, height_at: HeightAt, seen: NDArray[np.bool_] | None = None) -> CourseMap:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from deploy.listener import Listener
 from deploy.progress import Progress
 from deploy.recording import Recording
+from deploy.relief import shaded
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception import tum
@@ -24,7 +25,7 @@ from services.perception.trajectory import TrajectoryError, trajectory_error
 from shared import codec, topics
 from shared.camera import DepthSensor
 from shared.geometry import Array, inverse, log_so3, transform
-from shared.messages import BodyPose, DepthImage, Message, Odometry, TerrainMap, Tick
+from shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
 from shared.robot import Camera, RobotProfile, load_profile
 from shared.service import AnyTopic, Every, Inbox, Lockstep, Service, Stages, Worker
 
@@ -64,12 +65,13 @@ class Player:
     name = "player"
     paced_by = Every(5_000_000)
     reads: tuple[AnyTopic, ...] = ()
-    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.ODOMETRY)
+    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.ODOMETRY)
 
     def __init__(self, sequence: tum.Recording):
         self.stages = Stages()
         self.played = 0
         self._sequence = sequence
+        self._color_due_ns = 0
         self._stamps_ns = [int(stamp) for stamp in sequence.stamps_ns - sequence.stamps_ns[0]]
 
     @property
@@ -82,8 +84,19 @@ class Player:
         if self.played == 0:
             yield odometry(0, np.eye(4), 0.0, 0.0)
         while not self.finished and self._stamps_ns[self.played] <= tick.stamp_ns:
-            yield DepthImage(self._stamps_ns[self.played], self._depth(self.played))
+            stamp_ns = self._stamps_ns[self.played]
+            yield DepthImage(stamp_ns, self._depth(self.played))
+            color = self._color(self.played) if stamp_ns >= self._color_due_ns else None
+            if color is not None:
+                self._color_due_ns = stamp_ns + round(1e9 / topics.COLOR.rate_hz)
+                yield ColorImage(stamp_ns, color)
             self.played += 1
+
+    def _color(self, index: int) -> NDArray[np.uint8] | None:
+        try:
+            return self._sequence.color(index)
+        except ValueError as error:
+            raise ReplayError(str(error)) from None
 
     def _depth(self, index: int) -> NDArray[np.uint16]:
         try:
@@ -268,6 +281,7 @@ def profile_for(sequence: tum.Recording) -> RobotProfile:
         sensor=DepthSensor(rate_hz=camera.rate_hz, depth_scale=camera.depth_scale),
         mount_xyz=(0.0, 0.0, 0.0),
         pitch_down_deg=0.0,
+        color=sequence.colors is not None,
         down=(float(down[0]), float(down[1]), float(down[2])),
     )
     return replace(load_profile("phantomx_mk2"), camera=hand_held)
@@ -365,12 +379,16 @@ def _error(truth: tum.Trajectory | None, stamps_ns: NDArray[np.int64], T_estimat
 
 
 def _draw(path: Path, terrain: TerrainMap, T: Array) -> None:
-    """The map as a picture, x up and y left, heights from blue to red, unknown grey, the camera's way in white."""
+    """The map as a picture, x up and y left, unknown grey, the camera's way in white: in its own colours under a lamp where it
+    has some, else heights from blue to red."""
     scale = max(1, math.ceil(640 / max(terrain.elevation.shape)))
     known = np.isfinite(terrain.elevation)
     low, high = np.percentile(terrain.elevation[known], (1, 99)) if known.any() else (0.0, 1.0)
     level = np.clip((np.where(known, terrain.elevation, low) - low) / max(high - low, 1e-6), 0, 1)
     picture = cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_TURBO)
+    colored = known & terrain.color.any(axis=-1) if terrain.color.size else np.zeros_like(known)
+    if colored.any():
+        picture[colored] = shaded(terrain.color, terrain.elevation, terrain.resolution)[colored][:, ::-1]
     picture[~known] = (96, 96, 96)
     picture = np.ascontiguousarray(picture[::-1, ::-1])
     picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
@@ -379,6 +397,8 @@ def _draw(path: Path, terrain: TerrainMap, T: Array) -> None:
     way = np.stack([(ny - 0.5 - cells[:, 1]) * scale, (nx - 0.5 - cells[:, 0]) * scale], axis=-1)
     cv2.polylines(picture, [np.clip(way, -1e6, 1e6).round().astype(np.int32)], False, (255, 255, 255), 2, cv2.LINE_AA)
     words = f"{low:.2f} m (blue) to {high:.2f} m (red), cell {terrain.resolution * 100:.0f} cm"
+    if colored.any():
+        words = f"heights {low:.2f} to {high:.2f} m in the ground's colours, cell {terrain.resolution * 100:.0f} cm"
     cv2.putText(picture, words, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
     cv2.imwrite(str(path), picture)
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.map_metrics import Mosaic
+from deploy.relief import shaded
 from deploy.report import Report
 from deploy.scorer import Trace
 from shared.robot import LEGS
@@ -129,6 +130,11 @@ def _draw_ground(figure: Any, axes: Any, mosaic: Mosaic, low: NDArray[np.float64
     x = mosaic.origin[0] + mosaic.resolution * np.arange(nx)
     y = mosaic.origin[1] + mosaic.resolution * np.arange(ny)
     seen = np.isfinite(mosaic.elevation)
+    if mosaic.color is not None:
+        colored = np.zeros((ny, nx, 4), dtype=np.uint8)
+        colored[..., :3] = shaded(mosaic.color, mosaic.elevation, mosaic.resolution).swapaxes(0, 1)
+        colored[..., 3] = 255 * (mosaic.color.any(axis=-1) & np.isfinite(mosaic.elevation)).T
+        axes.imshow(colored, origin="lower", extent=extent, interpolation="nearest", zorder=0.5)
     tint = np.zeros((ny, nx, 4))
     tint[(mosaic.unacceptable & seen & ~mosaic.assumed).T] = _NO_FOOTHOLD
     axes.imshow(tint, origin="lower", extent=extent, interpolation="nearest", zorder=1)
@@ -139,7 +145,7 @@ def _draw_ground(figure: Any, axes: Any, mosaic: Mosaic, low: NDArray[np.float64
     figure.canvas.draw()  # the map keeps its proportions, so only now its place is known
     box = axes.get_position()
     bar = figure.colorbar(image, cax=figure.add_axes((box.x1 + 0.008, box.y0, 0.010, box.height)))
-    bar.set_label("mapped height [cm]", size=11)
+    bar.set_label("mapped height [cm]" + (", where no colour is seen" if mosaic.color is not None else ""), size=11)
     bar.ax.tick_params(labelsize=10)
     bar.outline.set_visible(False)
 

@@ -1,7 +1,8 @@
 """Recordings in the TUM RGB-D layout: a folder with depth.txt, groundtruth.txt, camera.toml and PNG depth images.
 
 depth.txt: `timestamp filename`; groundtruth.txt: `timestamp tx ty tz qx qy qz qw` of the depth camera in the world; `#`
-starts a comment. camera.toml: width, height, fx, fy, cx, cy [px], depth_scale (raw units per metre), and optionally
+starts a comment. Where there is an rgb.txt, laid out as depth.txt, its colour images lie pixel for pixel over the depth image
+that is nearest in time. camera.toml: width, height, fx, fy, cx, cy [px], depth_scale (raw units per metre), and optionally
 rate_hz and gravity_world, the unit vector that points down in the world of groundtruth.txt.
 (Sturm et al. 2012, A benchmark for the evaluation of RGB-D SLAM systems.)
 """
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from shared.camera import Intrinsics
 from shared.geometry import interpolate, quaternion_from_rotation, rotation_from_quaternion, transform
 
+_PAIRED_NS = 20_000_000  # [ns] between depth and colour that are taken for one, as in the benchmark's tools
 _DEPTH_HEADER = "# timestamp filename\n"
 _TRUTH_HEADER = "# timestamp tx ty tz qx qy qz qw  (depth camera in world)\n"
 
@@ -72,6 +74,9 @@ class Recording:
     stamps_ns: NDArray[np.int64]  # (n,) [ns] ascending
     files: tuple[str, ...]  # of the depth images, relative to folder
     truth: Trajectory | None  # None where there is no groundtruth.txt
+    colors: tuple[NDArray[np.int64], tuple[str, ...]] | None = (
+        None  # stamps [ns] and files of rgb.txt, None where there is none
+    )
 
     def __len__(self) -> int:
         return len(self.files)
@@ -92,6 +97,26 @@ class Recording:
             found = "no readable image" if image is None else f"{image.dtype} {image.shape}"
             raise ValueError(f"{path}: 16-bit depth image {shape} expected, found {found}")
         return np.asarray(image)
+
+    def color(self, index: int) -> NDArray[np.uint8] | None:
+        """Colour image (h, w, 3), R, G, B, nearest in time to a depth image; None where none was taken near it.
+
+        Raises:
+            ValueError: It is no colour image of the camera's size.
+        """
+        if self.colors is None:
+            return None
+        stamps, files = self.colors
+        nearest = int(np.abs(stamps - self.stamps_ns[index]).argmin())
+        if abs(int(stamps[nearest] - self.stamps_ns[index])) > _PAIRED_NS:
+            return None
+        path = self.folder / files[nearest]
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
+        shape = (self.camera.intrinsics.height, self.camera.intrinsics.width, 3)
+        if image is None or image.shape != shape:
+            found = "no readable image" if image is None else f"{image.shape}"
+            raise ValueError(f"{path}: a colour image {shape} expected, found {found}")
+        return np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8)
 
     def frames(self) -> Iterator[tuple[int, NDArray[np.uint16]]]:
         """Stamps [ns] and raw depth images in order; errors as in `depth`."""
@@ -117,7 +142,8 @@ def read_recording(folder: Path) -> Recording:
     stamps, files = read_images(folder / "depth.txt")
     truth_path = folder / "groundtruth.txt"
     truth = read_trajectory(truth_path) if truth_path.is_file() else None
-    return Recording(folder, camera, stamps, files, truth)
+    colors = read_images(folder / "rgb.txt") if (folder / "rgb.txt").is_file() else None
+    return Recording(folder, camera, stamps, files, truth, colors)
 
 
 def read_images(path: Path) -> tuple[NDArray[np.int64], tuple[str, ...]]:

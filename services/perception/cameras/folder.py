@@ -5,9 +5,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from services.perception import tum
 from services.perception.cameras.camera import (
@@ -19,7 +17,6 @@ from services.perception.cameras.camera import (
 )
 from shared.robot import Camera as CameraProfile
 
-_PAIRED_NS = 20_000_000  # [ns] between a depth picture and the colour picture that belongs to it
 _REMEDY = "give a folder with depth.txt and camera.toml, as `sextant run --lockstep --record-depth` writes it"
 
 
@@ -42,12 +39,11 @@ class FolderCamera:
         name = f"recording {folder}"
         try:
             self._recording = tum.read_recording(folder)
-            self._colors = tum.read_images(folder / "rgb.txt") if (folder / "rgb.txt").is_file() else None
         except (OSError, ValueError) as error:
             raise CameraError(f"{name} cannot be read: {error}", _REMEDY) from error
         check_intrinsics(name, expected.intrinsics, self._recording.camera.intrinsics)
         check_depth_scale(name, expected.sensor.depth_scale, self._recording.camera.depth_scale)
-        colored = "" if self._colors is None else ", with colour"
+        colored = "" if self._recording.colors is None else ", with colour"
         self.about = f"{name}: {len(self._recording)} pictures{colored}"
         self._clock, self._loop, self._paced = clock, loop, paced
         self._next = 0
@@ -85,22 +81,7 @@ class FolderCamera:
     def _frame(self, index: int, stamp_ns: int, color: bool) -> Frame:
         try:
             depth = self._recording.depth(index)
-            rgb = self._color(int(self._recording.stamps_ns[index])) if color and self._colors is not None else None
+            rgb = self._recording.color(index) if color else None
         except (OSError, ValueError) as error:
             raise CameraError(f"{self.about}: {error}", _REMEDY) from error
         return Frame(stamp_ns, depth, rgb)
-
-    def _color(self, stamp_ns: int) -> NDArray[np.uint8] | None:
-        """The colour picture nearest in time, as in the association of the benchmark."""
-        assert self._colors is not None
-        stamps, files = self._colors
-        index = int(np.abs(stamps - stamp_ns).argmin())
-        if abs(int(stamps[index]) - stamp_ns) > _PAIRED_NS:
-            return None
-        path = self._recording.folder / files[index]
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
-        shape = (self._recording.camera.intrinsics.height, self._recording.camera.intrinsics.width, 3)
-        if image is None or image.shape != shape:
-            found = "no readable image" if image is None else f"{image.shape}"
-            raise ValueError(f"{path}: a colour image {shape} expected, found {found}")
-        return np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8)

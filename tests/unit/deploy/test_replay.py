@@ -1,6 +1,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ from services.perception import tum
 from shared import codec, topics
 from shared.camera import Intrinsics
 from shared.geometry import exp_se3, from_xyz_rpy, transform
-from shared.messages import BodyPose, DepthImage, Odometry, Scan, TerrainMap, Tick
+from shared.messages import BodyPose, ColorImage, DepthImage, Odometry, Scan, TerrainMap, Tick
 from shared.robot import load_profile
 from shared.service import AnyTopic, Inbox, Stages, Worker
 
@@ -75,6 +76,26 @@ def test_pictures_come_once_in_order_and_never_early(folder: Path) -> None:
     assert player.finished
     assert [m.depth[0, 0] for m in played] == [1000, 1001, 1002, 1003, 1004]
     assert played[0].stamp_ns == 0
+
+
+def test_colour_goes_with_the_depth_nearest_in_time(folder: Path) -> None:
+    (folder / "rgb").mkdir()
+    lines = []
+    for i, second in enumerate(("100.004", "100.130", "100.500")):
+        cv2.imwrite(str(folder / "rgb" / f"{i}.png"), np.full((6, 8, 3), (10 * i, 100, 200), np.uint8))  # blue first
+        lines.append(f"{second} rgb/{i}.png")
+    (folder / "rgb.txt").write_text("\n".join(lines), encoding="utf-8")
+    sequence = tum.read_recording(folder)
+    colors = [sequence.color(index) for index in range(5)]
+    assert [c is None for c in colors] == [False, True, True, True, False]
+    assert colors[0] is not None
+    np.testing.assert_array_equal(colors[0][0, 0], [200, 100, 0])
+    assert replay.profile_for(sequence).camera.color
+    made = list(Player(sequence).step(Tick(S), Inbox((), Stages())))
+    assert [m.stamp_ns for m in made if isinstance(m, ColorImage)] == [0], "at most five a second"
+    (folder / "rgb" / "0.png").write_bytes(b"nothing")
+    with pytest.raises(ReplayError, match="a colour image"):
+        list(Player(sequence).step(Tick(0), Inbox((), Stages())))
 
 
 def test_what_is_wrong_in_a_folder_is_said(folder: Path, tmp_path: Path) -> None:
