@@ -1,0 +1,70 @@
+"""The robot's side as it is started on a robot: emulated servos on a port, a recorded folder as the camera."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy.launcher import free_port
+from services.perception import tum
+from services.simulator.bus import ServoBusEmulator
+from services.simulator.servos import AX_12A_MOTOR, ServoBank
+from services.simulator.tcp_port import TcpBusServer
+from shared import codec, topics
+from shared import dynamixel as dxl
+from shared.messages import CameraState, DepthImage, Health
+from shared.robot import load_profile
+from shared.service import AnyTopic
+from shared.transport import Endpoints, ZenohLink
+from tests.support.commands import Command
+
+pytestmark = pytest.mark.live
+PROFILE = load_profile("phantomx_mk2")
+
+
+def record(folder: Path) -> None:
+    """A few pictures of level ground, with noise."""
+    camera, rng = PROFILE.camera, np.random.default_rng(0)
+    rows = np.linspace(2000.0, 600.0, camera.intrinsics.height)[:, None]
+    with tum.RecordingWriter(folder, tum.Camera(camera.intrinsics, 1000.0, 30.0, None)) as writer:
+        for k in range(4):
+            noise = rng.normal(0, 3, (camera.intrinsics.height, camera.intrinsics.width))
+            writer.add(1_000_000_000 + 33_333_000 * k, np.rint(rows + noise).astype(np.uint16))
+
+
+def test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none(tmp_path: Path) -> None:
+    folder, endpoint = tmp_path / "ground", f"tcp/127.0.0.1:{free_port()}"
+    record(folder)
+    ids = PROFILE.servo_ids.ravel().tolist()
+    heard: dict[str, list[bytes]] = {"depth": [], "state": [], "health": []}
+
+    def states() -> list[CameraState]:
+        return [codec.decode(frame, CameraState)[0] for frame in heard["state"]]
+
+    def doing() -> set[str]:
+        health = (codec.decode(frame, Health)[0] for frame in heard["health"])
+        return {m.doing for m in health if m.service == "camera"}
+
+    with TcpBusServer(ServoBusEmulator(ServoBank(ids, dxl.AX_12A, AX_12A_MOTOR))) as servos:
+        words = ("--camera", str(folder), "--set", f"actuator.port={servos.url}", "--listen", endpoint)
+        with Command("up", "onboard", *words, cwd=tmp_path) as up:
+            up.wait_for(lambda: "starting" in up.text(), "the router")
+            assert "starting actuator, camera, perception" in up.text()
+            with ZenohLink(Endpoints((endpoint,))) as link:
+
+                def hear(kind: str, topic: AnyTopic) -> None:
+                    link.subscribe(topic, lambda _topic, frame: heard[kind].append(frame))
+
+                for kind, topic in (("depth", topics.DEPTH), ("state", topics.CAMERA_STATE), ("health", topics.HEALTH)):
+                    hear(kind, topic)
+                up.wait_for(lambda: len(heard["depth"]) > 10, "pictures")
+                image = codec.decode(heard["depth"][-1], DepthImage)[0]
+                assert image.depth.shape == (480, 640)
+                up.wait_for(lambda: any(state.ok for state in states()), "a good state")
+                folder.rename(tmp_path / "elsewhere")
+                up.wait_for(lambda: states()[-1].reason, "its absence being said")
+                up.wait_for(lambda: any("no pictures" in words and "ground" in words for words in doing()), "health")
+                assert up.running(), "a camera that is absent ends nothing"
+            up.interrupt()
+            assert up.status() == 130
+            up.gone()

@@ -1,0 +1,121 @@
+"""A recorded folder as the camera of the whole chain, in lockstep: it is mapped, missed when it goes, and mapped again."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy.tum_recording import record_tum
+from services.mapper.config import Settings as MapperSettings
+from services.mapper.service import Mapper
+from services.perception.cameras.config import Settings as CameraSettings
+from services.perception.cameras.service import CameraService
+from services.perception.config import Settings as PerceptionSettings
+from services.perception.service import Perception
+from services.planner.config import Settings as PlannerSettings
+from services.planner.service import Planner
+from shared import codec, topics
+from shared.geometry import from_xyz_rpy
+from shared.messages import ActuatorState, Message, Mode, Odometry, Tick, VelocityCommand
+from shared.robot import load_profile
+from shared.service import AnyTopic, Every, Inbox, Lockstep, Stages
+from tests.support.walks import Heard, flat
+
+S = 1_000_000_000
+PROFILE = load_profile("phantomx_mk2")
+T_BODY = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
+
+
+class Standing:
+    """Legs that stand, and an operator who wants them to walk."""
+
+    name = "legs"
+    paced_by = Every.hz(50.0)
+    reads: tuple[AnyTopic, ...] = ()
+    writes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.VELOCITY)
+
+    def __init__(self) -> None:
+        self.stages = Stages()
+
+    def doing(self) -> str:
+        return "standing"
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterable[Message]:
+        nobody, zeros = np.zeros(6, dtype=bool), np.zeros((6, 3))
+        yield Odometry(tick.stamp_ns, T_BODY.copy(), 0.0, 0.0, ~nobody, True)
+        yield ActuatorState(
+            tick.stamp_ns, Mode.HOLD, "", "", -1, -1, 0, 1.0, nobody, ~nobody, zeros, zeros,
+            PROFILE.rest_feet(), T_BODY.copy(), T_BODY.copy(), np.eye(4), 11.0, 30.0, (),
+        )  # fmt: skip
+        yield VelocityCommand(tick.stamp_ns, np.array([0.1, 0.0]), 0.0, PROFILE.stance.body_height, 0.04)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the camera sees of level ground in the second before the robot sets out."""
+    made = tmp_path_factory.mktemp("recorded") / "ground"
+    record_tum(flat(1.0), 1000, made, 1.0)
+    return made
+
+
+def test_a_folder_is_mapped_missed_and_mapped_again(folder: Path) -> None:
+    heard = Heard((topics.DEPTH, topics.CAMERA_STATE, topics.SCAN, topics.TERRAIN, topics.PLANNER_STATUS, topics.HEALTH))
+    run: Lockstep | None = None
+
+    def clock() -> int:
+        return 0 if run is None else run.now_ns
+
+    camera = CameraService(PROFILE, CameraSettings(device=str(folder)), clock=clock)
+    run = Lockstep(
+        {
+            "legs": Standing,
+            "camera": lambda: camera,
+            "perception": lambda: Perception(PROFILE, PerceptionSettings()),
+            "mapper": lambda: Mapper(PROFILE, MapperSettings()),
+            "planner": lambda: Planner(PROFILE, PlannerSettings()),
+        },
+        heard.tap,
+    )
+    # 1. It is mapped, as level as it is, and walked on.
+    run.run(4 * S)
+    assert len(heard.of(topics.DEPTH)) == pytest.approx(4 * 30, abs=4)
+    terrain = heard.of(topics.TERRAIN)[-1]
+    measured = np.isfinite(terrain.elevation) & ~terrain.assumed
+    assert measured.sum() > 3000
+    assert np.abs(terrain.elevation[measured]).max() < 0.03
+    assert heard.of(topics.PLANNER_STATUS)[-1].state == "stepping"
+    # 2. It goes: no scan, no map, and the planner says on account of what.
+    folder.rename(folder.with_name("elsewhere"))
+    run.run(12 * S)
+    assert not heard.of(topics.DEPTH, 4.2)
+    assert not heard.of(topics.TERRAIN, 4.5)
+    (reason,) = {state.reason for state in heard.of(topics.CAMERA_STATE, 6.0)}
+    assert "ground" in reason
+    assert not any(state.ok for state in heard.of(topics.CAMERA_STATE, 4.2))
+    status = heard.of(topics.PLANNER_STATUS)[-1]
+    assert status.state == "waiting"
+    assert reason in status.reason
+    said = [health.doing for health in heard.of(topics.HEALTH, 6.0) if health.service == "camera"]
+    assert said
+    assert all(reason in words for words in said)
+    # 3. It comes back.
+    folder.with_name("elsewhere").rename(folder)
+    run.run(24 * S)
+    assert heard.of(topics.CAMERA_STATE)[-1].ok
+    after = heard.of(topics.TERRAIN)[-1]
+    assert after.stamp_ns > 23 * S
+    assert heard.of(topics.PLANNER_STATUS)[-1].state == "stepping"
+    both = np.isfinite(after.elevation) & np.isfinite(terrain.elevation)
+    assert np.abs(after.elevation - terrain.elevation)[both].max() < 0.03
+
+
+def test_what_another_camera_recorded_is_refused_in_words(folder: Path) -> None:
+    wide = replace(PROFILE, camera=replace(PROFILE.camera, intrinsics=replace(PROFILE.camera.intrinsics, fx=500.0)))
+    heard = Heard((topics.DEPTH, topics.CAMERA_STATE))
+    run = Lockstep({"camera": lambda: CameraService(wide, CameraSettings(device=str(folder)), clock=lambda: 0)}, heard.tap)
+    run.run(S)
+    assert not heard.of(topics.DEPTH)
+    assert "fx 500.0" in heard.of(topics.CAMERA_STATE)[-1].reason
+    assert codec.encode(heard.of(topics.CAMERA_STATE)[-1])
