@@ -42,7 +42,7 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
     Returns:
         Exit status: 0 when it was told to stop, 2 for what the caller got wrong; anything else ends in a traceback.
     """
-    arguments = _parser(name, schema).parse_args(argv)
+    arguments = _parser(name, make.__module__.rpartition(".")[0], schema).parse_args(argv)
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format=f"{name}: %(message)s")
     faulthandler.enable()
     if arguments.parent:
@@ -121,9 +121,9 @@ def _toml(value: object) -> str:
     return str(value)
 
 
-def _parser(name: str, schema: type[Any]) -> argparse.ArgumentParser:
+def _parser(name: str, package: str, schema: type[Any]) -> argparse.ArgumentParser:
     known = ", ".join(f.name for f in dataclasses.fields(schema))
-    parser = argparse.ArgumentParser(prog=f"python -m services.{name}", description=f"The {name} service.")
+    parser = argparse.ArgumentParser(prog=f"python -m {package}", description=f"The {name} service.")
     parser.add_argument("--robot", default="phantomx_mk2", help="profile by name, or the path of a TOML file")
     parser.add_argument("--connect", action="append", default=[], help="endpoint to connect to, e.g. tcp/127.0.0.1:7447")
     parser.add_argument("--scouting", action="store_true", help="find the others by multicast instead")

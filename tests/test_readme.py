@@ -26,6 +26,7 @@ RUN_BY = {
     "trials": "tests/walk/test_walks.py::test_trials_of_several_seeds_at_a_time",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_tell_the_rate_and_the_baseline_beside_it",
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
+    "up --camera": "tests/live/test_camera.py::test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none",
     "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
     "bench accuracy": "tests/unit/deploy/test_bench.py::test_the_accuracy_command_leaves_its_tables",
@@ -49,7 +50,7 @@ def commands(text: str) -> Iterator[list[str]]:
 def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
     group = words[:2] if words[0] in ("topics", "bench") else words[:1]
-    ways = [word for word in words if word in ("--lockstep", "--connect", "--blind")]
+    ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera")]
     return " ".join(group + ways)
 
 
