@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.mapper.elevation import FusionModel
+from services.mapper.foothold_map import UNKNOWN, FootholdRules, disc
 from services.mapper.score import ScoreWeights
 from services.perception.reduction import CARRYING, JUMP, NOISE, SURFACE
 from shared.camera import DepthSensor, Intrinsics
@@ -297,37 +298,54 @@ class NumpyGrid:
 
 
 class Scores(Protocol):
-    """How well each cell carries a foot."""
+    """How well each cell carries a foot, by either thesis."""
 
-    def score(self, elevation: Layer) -> Layer:
-        """Score (nx, ny) of a map (nx, ny) [m]; NaN where unknown or beside it."""
+    def layers(self, elevation: Layer) -> tuple[Layer, NDArray[np.int8]]:
+        """Score and evaluation function (nx, ny) of a map (nx, ny) [m], as `services.mapper.layers.Layers` has them."""
         ...
 
 
 class _Chain:
-    """`services.mapper.score.WalkabilityScorer` on the filters of some library."""
+    """`services.mapper.layers.FootholdLayers`, of a whole map whose heights are sure, on the filters of some library."""
 
-    def __init__(self, resolution: float, weights: ScoreWeights):
+    def __init__(self, resolution: float, weights: ScoreWeights, rules: FootholdRules):
         self._resolution, self._weights = resolution, weights
+        self._flattest, self._evenest = math.tan(rules.slope_limit), rules.edge_deviation
+        self._bound, self._reach = round(rules.bound / resolution), round(rules.reach / resolution)
+        self._close = round((rules.closing / resolution - 1) / 2)
+        self._square = np.ones((2 * self._close + 1, 2 * self._close + 1), dtype=np.bool_)
+        self._vacant = disc(rules.unknown_clearance / resolution, least=0).astype(np.bool_)
         self._half = round(weights.flat_radius / resolution)
         self._sigma = weights.proximity_sigma / resolution
-        reach = max(1, math.floor(weights.unknown_clearance / resolution + 1e-6))
-        i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-        radius = weights.unknown_clearance / resolution + 1e-6
-        self._disc = (i * i + j * j <= radius * radius) | (np.maximum(abs(i), abs(j)) <= 1)
+        self._disc = disc(weights.unknown_clearance / resolution).astype(np.bool_)
+        self._neighbours = np.ones((3, 3), dtype=np.bool_)
         offsets = np.arange(-self._half, self._half + 1, dtype=np.float32)
         self._one, self._first, self._second = np.ones_like(offsets), offsets, offsets * offsets
 
-    def score(self, elevation: Layer) -> Layer:
-        """The weighted sum of slope, proximity and roughness."""
+    def layers(self, elevation: Layer) -> tuple[Layer, NDArray[np.int8]]:
+        """The weighted sum of slope, proximity and roughness, and the signed distance on ground that is even and not steep."""
         w = self._weights
         known = ~np.isnan(elevation)
         h = np.where(known, elevation - np.float32(np.nanmean(elevation)), np.float32(0.0))
         k = known.astype(np.float32)
         slope = np.hypot(self._sobel(h, 0), self._sobel(h, 1)) / np.float32(8.0 * self._resolution)
         proximity = np.abs(self._gaussian(h) / np.maximum(self._gaussian(k), np.float32(1e-6)) - h)
-        score = w.slope * slope + w.proximity * proximity + w.roughness * self._roughness(h, k)
-        return np.asarray(np.where(self._eroded(known), score, np.nan), dtype=np.float32)
+        roughness = self._roughness(h, k)
+        score = w.slope * slope + w.proximity * proximity + w.roughness * roughness
+        score = np.where(self._eroded(known, self._disc), score, np.float32(np.nan))
+        complete = self._eroded(known, self._neighbours)
+        even = (slope <= self._flattest) & (roughness <= self._evenest)
+        return np.asarray(score, dtype=np.float32), self._evaluation(complete & even, complete & ~even, known)
+
+    def _evaluation(self, accessible: Cells, refused: Cells, known: Cells) -> NDArray[np.int8]:
+        """Closed where nothing beside was refused, without what is near to vacant ground; then how far in, or out."""
+        frame = 2 * self._close
+        closed = self._closed(np.pad(accessible, frame), self._square)[frame:-frame, frame:-frame]
+        ground = accessible | (closed & self._eroded(~refused, self._square))
+        ground &= self._eroded(ground | known, self._vacant)
+        inside = np.minimum(self._manhattan(np.pad(ground, 1))[1:-1, 1:-1], self._bound)
+        outside = np.minimum(self._manhattan(~ground), self._reach) if ground.any() else np.full(ground.shape, self._reach)
+        return np.where(known, np.where(ground, -inside, outside), UNKNOWN).astype(np.int8)
 
     def _roughness(self, h: Layer, k: Layer) -> Layer:
         """Deviation from the plane of each window: ten masked moments, summed along one axis, then along the other."""
@@ -357,15 +375,22 @@ class _Chain:
     def _along(self, image: Layer, weights: Layer, axis: int) -> Layer:
         raise NotImplementedError
 
-    def _eroded(self, known: Cells) -> Cells:
+    def _eroded(self, cells: Cells, room: Cells) -> Cells:
+        raise NotImplementedError
+
+    def _closed(self, cells: Cells, square: Cells) -> Cells:
+        raise NotImplementedError
+
+    def _manhattan(self, cells: Cells) -> NDArray[np.integer | np.floating]:
+        """Distance of each cell to the next that is False."""
         raise NotImplementedError
 
 
 class ScipyChain(_Chain):
     """SciPy's image filters."""
 
-    def __init__(self, resolution: float, weights: ScoreWeights):
-        super().__init__(resolution, weights)
+    def __init__(self, resolution: float, weights: ScoreWeights, rules: FootholdRules):
+        super().__init__(resolution, weights, rules)
         from scipy import ndimage
 
         self._nd: Any = ndimage
@@ -381,15 +406,21 @@ class ScipyChain(_Chain):
             return np.asarray(self._nd.uniform_filter1d(image, len(weights), axis=axis, mode="constant")) * len(weights)
         return np.asarray(self._nd.correlate1d(image, weights, axis=axis, mode="constant"))
 
-    def _eroded(self, known: Cells) -> Cells:
-        return np.asarray(self._nd.binary_erosion(known, self._disc))
+    def _eroded(self, cells: Cells, room: Cells) -> Cells:
+        return np.asarray(self._nd.binary_erosion(cells, room))
+
+    def _closed(self, cells: Cells, square: Cells) -> Cells:
+        return np.asarray(self._nd.binary_closing(cells, square))
+
+    def _manhattan(self, cells: Cells) -> NDArray[np.integer | np.floating]:
+        return np.asarray(self._nd.distance_transform_cdt(cells, "taxicab"))
 
 
 class ScikitImageChain(ScipyChain):
-    """scikit-image where it has the filter; it has none that weighs a window, so the moments stay SciPy's."""
+    """scikit-image where it has the filter; windows with weights and Manhattan distances it has not: those stay SciPy's."""
 
-    def __init__(self, resolution: float, weights: ScoreWeights):
-        super().__init__(resolution, weights)
+    def __init__(self, resolution: float, weights: ScoreWeights, rules: FootholdRules):
+        super().__init__(resolution, weights, rules)
         from skimage import filters, morphology
 
         self._filters: Any = filters
@@ -402,8 +433,11 @@ class ScikitImageChain(ScipyChain):
         truncate = self._half / self._sigma
         return np.asarray(self._filters.gaussian(image, self._sigma, mode="constant", truncate=truncate, preserve_range=True))
 
-    def _eroded(self, known: Cells) -> Cells:
-        return np.asarray(self._morphology.erosion(np.pad(known, 1), self._disc)[1:-1, 1:-1])
+    def _eroded(self, cells: Cells, room: Cells) -> Cells:
+        return np.asarray(self._morphology.erosion(np.pad(cells, 1), room)[1:-1, 1:-1])
+
+    def _closed(self, cells: Cells, square: Cells) -> Cells:
+        return np.asarray(self._morphology.closing(cells, square))
 
 
 class OpencvChain(_Chain):
@@ -422,12 +456,18 @@ class OpencvChain(_Chain):
         kx, ky = (here, weights) if axis == 0 else (weights, here)
         return np.asarray(cv2.sepFilter2D(image, cv2.CV_32F, kx, ky, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
 
-    def _eroded(self, known: Cells) -> Cells:
-        eroded = cv2.erode(known.view(np.uint8), self._disc.astype(np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=[0.0])
+    def _eroded(self, cells: Cells, room: Cells) -> Cells:
+        eroded = cv2.erode(cells.view(np.uint8), room.view(np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=[0.0])
         return np.asarray(eroded, dtype=np.bool_)
 
+    def _closed(self, cells: Cells, square: Cells) -> Cells:
+        return np.asarray(cv2.morphologyEx(cells.view(np.uint8), cv2.MORPH_CLOSE, square.view(np.uint8)), dtype=np.bool_)
 
-SCORE: Mapping[str, Callable[[float, ScoreWeights], Scores]] = {
+    def _manhattan(self, cells: Cells) -> NDArray[np.integer | np.floating]:
+        return np.asarray(cv2.distanceTransform(cells.view(np.uint8), cv2.DIST_L1, cv2.DIST_MASK_3))
+
+
+SCORE: Mapping[str, Callable[[float, ScoreWeights, FootholdRules], Scores]] = {
     "SciPy": ScipyChain,
     "scikit-image": ScikitImageChain,
     "OpenCV + NumPy": OpencvChain,

@@ -13,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.bench import map_peers
+from deploy.bench.map_peers import Layer, Scores
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED
 from deploy.bench.timing import Race, Timing, held_against_first, installed, one_core
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.elevation import ElevationGrid, FusionModel, fill_small_holes
-from services.mapper.score import ScoreWeights, WalkabilityScorer
+from services.mapper.foothold_map import UNKNOWN, FootholdRules
+from services.mapper.layers import FootholdLayers, Margin
+from services.mapper.score import ScoreWeights
 from services.mapper.service import Mapper
 from services.perception.config import Settings as PerceptionSettings
 from services.perception.reduction import ReducedScan, reduce_scan
@@ -32,13 +35,13 @@ from shared.service import AnyTopic, Inbox, Stages, Worker
 
 SCENES = ("steps", "boxes", "mixed")
 SIZES = (256, 512)  # cells along an edge
-OURS = "Sextant"
+OURS, CHANGED = "Sextant", "Sextant, changes only"
 HEADINGS = {"agreement": ("agrees %", 1e2, 2), "growth": ("growth", 1.0, 2)}
 _RESOLUTION = 0.01  # [m]
 _WARM = 5  # frames that are not timed, where there are more
 _STEP = 0.02  # [m] between frames
 _COMPARED = 10  # every how many frames results are compared
-_WEIGHTS = ScoreWeights(unknown_clearance=0.02)
+_WEIGHTS, _RULES, _MARGIN = ScoreWeights(unknown_clearance=0.02), FootholdRules(), Margin(sigmas=0.0)
 _POSE_COVARIANCE = 1e-6 * np.eye(6)  # [m, rad]
 _SAME_MM, _SAME_SCORE = 2.0, 0.01  # results that differ by less agree
 
@@ -89,7 +92,7 @@ class _Races:
     def __init__(self, warm: int):
         self._reduce = Race("reduction", "640x480", warm)
         self._fuse = {n: Race("map update", f"{n}x{n}", warm) for n in SIZES}
-        self._score = {n: Race("score", f"{n}x{n}", warm) for n in SIZES}
+        self._score = {n: Race("score chain", f"{n}x{n}", warm) for n in SIZES}
         self._whole = Race("frame to layers", "256x256", warm)
         self._agreement: dict[tuple[str, str], dict[str, list[float]]] = {}
         self._missing: list[str] = []
@@ -107,7 +110,7 @@ class _Races:
 
         peers, missing = installed(map_peers.REDUCTION, camera.intrinsics, camera.sensor, _RESOLUTION, reach)
         self._reduce.start({OURS: ours, **{name: peer.reduce for name, peer in peers.items()}})
-        scores, also_missing = installed(map_peers.SCORE, _RESOLUTION, _WEIGHTS)
+        scores, also_missing = installed(map_peers.SCORE, _RESOLUTION, _WEIGHTS, _RULES)
         self._missing = missing + also_missing
         model = FusionModel.of_sensor(camera.sensor, camera.intrinsics.fx)
         self._grids: dict[int, dict[str, Any]] = {}
@@ -115,8 +118,9 @@ class _Races:
             grids = {OURS: ElevationGrid(n, _RESOLUTION, model), "NumPy": map_peers.NumpyGrid(n, _RESOLUTION, model)}
             self._grids[n] = grids
             self._fuse[n].start({name: _fused_into(grid) for name, grid in grids.items()})
-            ours_scored = _scored_by(WalkabilityScorer((n, n), _RESOLUTION, _WEIGHTS))
-            self._score[n].start({OURS: ours_scored, **{name: peer.score for name, peer in scores.items()}})
+            whole, changed = (FootholdLayers((n, n), _RESOLUTION, _MARGIN, _WEIGHTS, _RULES) for _ in range(2))
+            ours_scored = {OURS: _Anew(whole, n).layers, CHANGED: _Anew(changed, 0).layers}
+            self._score[n].start({**ours_scored, **{name: _without_place(peer) for name, peer in scores.items()}})
         self._services = _Services(profile)
         self._whole.start({OURS: self._services.run})
 
@@ -128,15 +132,15 @@ class _Races:
             self._fuse[n].run(scan, T[:3, 3])
             grids = self._grids[n]
             elevation = grids[OURS].snapshot().elevation
-            scores = self._score[n].run(fill_small_holes(elevation))
+            layers = self._score[n].run(fill_small_holes(elevation), grids[OURS].low)
             if compare:
                 self._agree(self._fuse[n], {OURS: elevation, "NumPy": grids["NumPy"].elevation}, 1e-3 * _SAME_MM)
-                self._agree(self._score[n], scores, _SAME_SCORE)
+                self._agree(self._score[n], {name: _same_where(layers[OURS], both) for name, both in layers.items()}, 0.5)
         if compare:
             maps = {name: _rastered(_points(found), scan.origin) for name, found in points.items()}
             self._agree(self._reduce, maps, 1e-3 * _SAME_MM)
-        layers = self._whole.run(codec.encode(odometry), codec.encode(image), image.stamp_ns)
-        self._made.append(bool(layers[OURS]))
+        made = self._whole.run(codec.encode(odometry), codec.encode(image), image.stamp_ns)
+        self._made.append(bool(made[OURS]))
 
     def end(self) -> None:
         """The ride is over."""
@@ -148,7 +152,7 @@ class _Races:
         for race in (self._reduce, *self._fuse.values(), *self._score.values(), self._whole):
             agreement = self._agreement.get((race.stage, race.case), {})
             figures = {name: {"agreement": float(np.mean(shares))} for name, shares in agreement.items()}
-            small = {"map update": self._fuse, "score": self._score}.get(race.stage, {}).get(SIZES[0], race)
+            small = {"map update": self._fuse, "score chain": self._score}.get(race.stage, {}).get(SIZES[0], race)
             if race is not small:
                 figures[OURS] = {"growth": float(np.median(race.ms(OURS) / small.ms(OURS)))}
             if race is self._whole:
@@ -157,7 +161,7 @@ class _Races:
         # From the frame into the map: what each of two stages took, together.
         n = SIZES[0]
         both = {name: self._reduce.ms(name) + self._fuse[n].ms(name) for name in (OURS, "NumPy")}
-        at = next(k for k, t in enumerate(out) if t.stage == "score")
+        at = next(k for k, t in enumerate(out) if t.stage == "score chain")
         out[at:at] = held_against_first("frame into map", f"{n}x{n}", both, {})
         names = dict.fromkeys(name for parts in self._parts for name in parts)
         parts = {name: float(np.median([p[name] for p in self._parts if name in p])) for name in names}
@@ -186,8 +190,28 @@ def _fused_into(grid: Any) -> Callable[[ReducedScan, Array], None]:
     return fuse
 
 
-def _scored_by(scorer: WalkabilityScorer) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
-    return lambda elevation: scorer.score(elevation).score
+class _Anew:
+    """Our two layers of a map, brought up to date where it changed, or made anew every time."""
+
+    def __init__(self, layers: FootholdLayers, away: int):
+        """Layers, and by how many cells the map is said to have moved each time: none of what was known is then left in it."""
+        self._layers, self._away, self._moved = layers, away, 0
+
+    def layers(self, elevation: Layer, low: NDArray[np.int64]) -> tuple[Layer, NDArray[np.int8]]:
+        """Score and evaluation function."""
+        self._moved += self._away
+        made = self._layers.update(elevation, np.zeros_like(elevation), low + self._moved)
+        return made.score, made.evaluation
+
+
+def _without_place(peer: Scores) -> Callable[[Layer, NDArray[np.int64]], tuple[Layer, NDArray[np.int8]]]:
+    return lambda elevation, _: peer.layers(elevation)
+
+
+def _same_where(ours: tuple[Layer, NDArray[np.int8]], other: tuple[Layer, NDArray[np.int8]]) -> Array:
+    """1 where both layers are ours, 0 where one is not, NaN where nothing was ever seen."""
+    score = np.isclose(other[0], ours[0], atol=_SAME_SCORE, equal_nan=True)
+    return np.where(ours[1] == UNKNOWN, np.nan, score & (other[1] == ours[1]))
 
 
 def _points(found: ReducedScan | Array) -> Array:

@@ -188,11 +188,12 @@ def test_the_stages_command_leaves_timings_and_a_picture(
     table = json.loads(capsys.readouterr().out)
     assert table == json.loads((tmp_path / "stages.json").read_text(encoding="utf-8"))
     rows = {(row["stage"], row["case"], row["method"]): row for row in table["timings"]}
-    assert {stage for stage, _, _ in rows} == {"reduction", "map update", "frame into map", "score", "frame to layers"}
+    assert {stage for stage, _, _ in rows} == {"reduction", "map update", "frame into map", "score chain", "frame to layers"}
     assert rows["reduction", "640x480", "NumPy"]["agreement"] > 0.95
     for size in ("256x256", "512x512"):
         assert rows["map update", size, "NumPy"]["agreement"] > 0.99
-        assert rows["score", size, "OpenCV + NumPy"]["agreement"] > 0.99
+        assert rows["score chain", size, "OpenCV + NumPy"]["agreement"] > 0.99
+        assert rows["score chain", size, "Sextant, changes only"]["agreement"] > 0.99
     assert rows["map update", "512x512", "Sextant"]["growth"] > 0.0
     assert rows["frame to layers", "256x256", "Sextant"]["made"] == 1.0
     assert {"registration", "reduction", "fuse", "score"} <= table["parts_ms"].keys()

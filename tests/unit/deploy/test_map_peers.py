@@ -6,8 +6,10 @@ import pytest
 from deploy.bench import map_peers
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED
-from services.mapper.elevation import ElevationGrid, FusionModel
-from services.mapper.score import ScoreWeights, WalkabilityScorer
+from services.mapper.elevation import ElevationGrid, FusionModel, fill_small_holes
+from services.mapper.foothold_map import FootholdRules
+from services.mapper.layers import FootholdLayers, Margin
+from services.mapper.score import ScoreWeights
 from services.perception.reduction import reduce_scan
 
 WEIGHTS = ScoreWeights(unknown_clearance=0.02)
@@ -64,15 +66,18 @@ def test_numpy_fuses_scans_into_the_same_map() -> None:
 
 
 @pytest.mark.parametrize("name", map_peers.SCORE)
-def test_other_libraries_come_to_the_same_score(name: str) -> None:
+def test_other_libraries_come_to_the_same_layers(name: str) -> None:
     pytest.importorskip({"SciPy": "scipy", "scikit-image": "skimage"}.get(name, "cv2"), reason="of the bench extra")
     rng = np.random.default_rng(1)
     x, y = np.mgrid[0:80, 0:60] * 0.01
     elevation = (0.2 * x + 0.05 * (y > 0.3) + 0.001 * rng.standard_normal(x.shape)).astype(np.float32)
     elevation[20:30, 15:40] = np.nan
     elevation[rng.random(x.shape) < 0.005] = np.nan
-    ours = WalkabilityScorer(elevation.shape, 0.01, WEIGHTS).score(elevation).score
-    theirs = map_peers.SCORE[name](0.01, WEIGHTS).score(elevation)
-    assert np.isfinite(ours).mean() > 0.5
-    np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
-    np.testing.assert_allclose(theirs, ours, atol=1e-3, rtol=1e-3)
+    made = FootholdLayers(elevation.shape, 0.01, Margin(sigmas=0.0), WEIGHTS, FootholdRules()).update(
+        fill_small_holes(elevation), np.zeros_like(elevation), np.zeros(2, dtype=np.int64)
+    )
+    score, evaluation = map_peers.SCORE[name](0.01, WEIGHTS, FootholdRules()).layers(fill_small_holes(elevation))
+    assert np.isfinite(made.score).mean() > 0.5
+    np.testing.assert_array_equal(np.isfinite(made.score), np.isfinite(score))
+    np.testing.assert_allclose(score, made.score, atol=1e-3, rtol=1e-3)
+    assert np.mean(evaluation == made.evaluation) > 0.999
