@@ -110,7 +110,7 @@ class EvaluationFunction:
         if level is not None:
             firm = ground.copy()
             for k in range(1, int(level.max()) + 1):
-                np.copyto(firm, _eroded(ground, disc(k, least=0)), where=level == k)
+                np.copyto(firm, _eroded(ground, DISCS[k]), where=level == k)
             ground = firm
         F = signed_manhattan(ground, self.bound, self.reach)
         np.copyto(F, UNKNOWN, where=known == 0)
@@ -154,6 +154,9 @@ def disc(radius: float, least: int = 1) -> NDArray[np.uint8]:
     i, j = np.mgrid[-half : half + 1, -half : half + 1]
     near = (i**2 + j**2 <= (radius + 1e-6) ** 2) | (np.maximum(abs(i), abs(j)) <= least)
     return np.asarray(near, dtype=np.uint8)
+
+
+DISCS = tuple(disc(k, least=0) for k in range(5))  # by the cells of margin that are kept
 
 
 def _eroded(layer: NDArray[np.uint8], room: NDArray[np.uint8]) -> NDArray[np.uint8]:

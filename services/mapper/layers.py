@@ -21,11 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.mapper.elevation import fill_small_holes
-from services.mapper.foothold_map import EvaluationFunction, FootholdRules, disc
+from services.mapper.foothold_map import DISCS, UNKNOWN, EvaluationFunction, FootholdRules
 from services.mapper.score import Scalar, ScoreWeights, WalkabilityScorer, reference_height
 from shared.compiled import compiled
 
-_MOST_ADDED = 4  # [cells] that a margin may ask for beyond the score's own: more than that and nothing would be left
+_MOST_ADDED = (
+    len(DISCS) - 1
+)  # [cells] that a margin may ask for beyond the score's own: more than that and nothing would be left
 _WHOLE = 0.8  # share of the map from which all of it is made anew
 _BAND = 65536  # cells scored at a time
 
@@ -202,17 +204,22 @@ class FootholdLayers:
         margin, weights, r = self._margin, self._scorer.weights, self._resolution
         room = weights.flat_radius - margin.foot_radius + r / 2  # [m] of sigmas until a first cell is added
         steps = [room + k * r for k in range(_MOST_ADDED)]
-        if steps[-1] < 0 or margin.sigmas == 0:
-            fixed = sum(step < 0 for step in steps)
+        fixed = sum(step < 0 for step in steps)  # that the foot asks for by itself
+        if fixed == _MOST_ADDED or margin.sigmas == 0:
             return np.full(self.shape, fixed, dtype=np.uint8) if fixed else None
-        limits = np.array(
-            [-1.0 if step < 0 else (step / margin.sigmas) ** 2 - position_sigma**2 for step in steps], dtype=np.float32
-        )
-        highest = np.float32(weights.limit)
-        if limits[0] >= 0 and not _any_beyond(variance, limits[0], self._score, highest):
-            return None  # as a rule
-        level = np.empty(self.shape, dtype=np.uint8)
-        _count_beyond(variance.ravel(), limits, self._score.ravel(), highest, level.ravel())
+        limits = [np.float32((step / margin.sigmas) ** 2 - position_sigma**2) for step in steps[fixed:]]
+        foothold = self._score <= np.float32(weights.limit)
+        if limits[0] < 0 or fixed:
+            level = np.where(foothold, np.uint8(fixed), np.uint8(0))
+            v = np.where(np.isnan(variance), np.float32(0.0), variance)
+            for limit in limits:
+                level += foothold & (v > limit)
+            return level
+        doubtful = np.flatnonzero(foothold & (variance > limits[0]))  # few as a rule, and most often none
+        if not len(doubtful):
+            return None
+        level = np.zeros(self.shape, dtype=np.uint8)
+        level.ravel()[doubtful] = np.searchsorted(np.array(limits), variance.ravel()[doubtful])
         return level
 
     def _evaluate(self, elevation: NDArray[np.float32], lowest: np.float32, level: NDArray[np.uint8] | None) -> None:
@@ -221,16 +228,34 @@ class FootholdLayers:
         _tell_ground(elevation.ravel(), self._even.ravel(), lowest, ground.ravel())
         if level is not None:
             ground |= level << 4
-        part = self._all if self._moved else _changed(ground, self._ground)
+        changed = self._all if self._moved else _changed(ground, self._ground)
         self._ground, self._moved = ground, False
-        if part[1] <= part[0]:
+        if changed[1] <= changed[0]:
             return
         halo = self._evaluator.halo + _MOST_ADDED
-        i0, i1, j0, j1 = part = self._wider(part, halo)
-        a0, a1, b0, b1 = self._wider(part, halo)
-        accessible, refused, known = (np.asarray(ground[a0:a1, b0:b1] >> bit & 1, dtype=np.uint8) for bit in range(3))
-        F = self._evaluator.evaluate(accessible, refused, known, None if level is None else level[a0:a1, b0:b1])
+        i0, i1, j0, j1 = part = self._wider(changed, halo)
+        self._evaluation[i0:i1, j0:j1] = UNKNOWN
+        # Beyond what is known nothing is, and nothing is to be said.
+        known = _rectangle_of(ground)
+        i0, i1, j0, j1 = _common(part, known)
+        a0, a1, b0, b1 = _common(self._wider(part, halo), known)
+        if i1 <= i0 or j1 <= j0:
+            return
+        accessible, refused, seen = (np.asarray(ground[a0:a1, b0:b1] >> bit & 1, dtype=np.uint8) for bit in range(3))
+        F = self._evaluator.evaluate(accessible, refused, seen, None if level is None else level[a0:a1, b0:b1])
         self._evaluation[i0:i1, j0:j1] = F[i0 - a0 : i1 - a0, j0 - b0 : j1 - b0]
+
+
+def _rectangle_of(layer: NDArray[np.uint8]) -> Rectangle:
+    """The rectangle of the cells that are not 0; empty, (0, 0, 0, 0), where all are."""
+    rows, columns = np.flatnonzero(layer.any(axis=1)), np.flatnonzero(layer.any(axis=0))
+    if not len(rows):
+        return 0, 0, 0, 0
+    return int(rows[0]), int(rows[-1]) + 1, int(columns[0]), int(columns[-1]) + 1
+
+
+def _common(a: Rectangle, b: Rectangle) -> Rectangle:
+    return max(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), min(a[3], b[3])
 
 
 def _bands(part: Rectangle) -> Iterator[Rectangle]:
@@ -244,22 +269,34 @@ def _bands(part: Rectangle) -> Iterator[Rectangle]:
 def _worst_within(score: NDArray[np.float32], level: NDArray[np.uint8]) -> NDArray[np.float32]:
     """The highest score within so many cells of each, NaN where one of them has none or lies beyond the border."""
     worst = score.copy()
-    known = np.where(np.isnan(score), np.float32(np.inf), score)
-    for k in range(1, int(level.max()) + 1):
-        around = cv2.dilate(known, disc(k, least=0), borderType=cv2.BORDER_CONSTANT, borderValue=[float(np.inf)])
-        np.copyto(worst, around, where=level == k)
+    i0, i1, j0, j1 = _rectangle_of(level)
+    if i1 == 0:
+        return worst
+    level = level[i0:i1, j0:j1]
+    most = int(level.max())
+    nan = float(np.nan)
+    block = score[max(i0 - most, 0) : i1 + most, max(j0 - most, 0) : j1 + most]
+    beyond = (max(most - i0, 0), max(i1 + most - score.shape[0], 0), max(most - j0, 0), max(j1 + most - score.shape[1], 0))
+    known = np.asarray(cv2.copyMakeBorder(block, *beyond, cv2.BORDER_CONSTANT, value=[nan]), dtype=np.float32)
+    known[np.isnan(known)] = np.inf
+    inner = slice(most, most + i1 - i0), slice(most, most + j1 - j0)
+    for k in range(1, most + 1):
+        around = cv2.dilate(known, DISCS[k])[inner]
+        np.copyto(worst[i0:i1, j0:j1], around, where=level == k)
     worst[np.isinf(worst)] = np.nan
     return worst
 
 
 def _shifted(layer: NDArray[Scalar], shift: NDArray[np.int64], fill: Scalar) -> NDArray[Scalar]:
     """A layer seen from a window that moved by (2,) cells."""
-    out = np.full_like(layer, fill)
+    out = np.empty_like(layer)
     to, source = [], []
     for n, by in zip(layer.shape, shift.tolist(), strict=True):
         to.append(slice(max(-by, 0), n - max(by, 0)))
         source.append(slice(max(by, 0), n - max(-by, 0)))
     out[tuple(to)] = layer[tuple(source)]
+    rows, columns = to
+    out[: rows.start], out[rows.stop :], out[:, : columns.start], out[:, columns.stop :] = fill, fill, fill, fill
     return out
 
 
@@ -313,34 +350,3 @@ def _tell_ground(
     for k in range(len(ground)):
         deep = np.uint8(elevation[k] < lowest)
         ground[k] = np.uint8(ground[k] << np.uint8(2)) | (np.uint8(2) if deep else even[k])
-
-
-@compiled
-def _any_beyond(variance: NDArray[np.float32], limit: np.float32, score: NDArray[np.float32], highest: np.float32) -> bool:
-    """Whether a cell's variance is beyond a limit where it would else be a foothold."""
-    for i in range(len(variance)):
-        v, s = variance[i], score[i]
-        found = 0
-        for j in range(len(v)):
-            found |= (v[j] > limit) & (s[j] <= highest)
-        if found:
-            return True
-    return False
-
-
-@compiled
-def _count_beyond(
-    variance: NDArray[np.float32],
-    limits: NDArray[np.float32],
-    score: NDArray[np.float32],
-    highest: np.float32,
-    level: NDArray[np.uint8],
-) -> None:
-    """How many of the limits a cell's variance is beyond, where it would else be a foothold. All arrays flat."""
-    zero = np.float32(0.0)
-    for k in range(len(level)):
-        v = variance[k] if variance[k] == variance[k] else zero
-        n = 0
-        for limit in limits:
-            n += v > limit
-        level[k] = n if score[k] <= highest else 0
