@@ -4,7 +4,9 @@ score = slope * |gradient| + proximity * |mean height difference| + roughness * 
 
 The first two terms are the thesis's, with two constants fixed. Its Sobel kernels (6.1)-(6.2) are divided by
 8 * resolution, so that the slope is the true gradient, 0.27 for 15 degrees. Its Gaussian kernel (6.4) sums to one over
-the known cells and the further division by n^2 is dropped, so that the proximity is in metres.
+the known cells and the further division by n^2 is dropped, so that the proximity is in metres. (6.4) also sums what the
+Frobenius product has summed already, and its floors give an odd kernel one cell too many on one side. `published_score` is
+the thesis's form. Its constraints of reach and stability (6.2.3) are tests of the planner, not terms of the sum.
 
 The third term is added. The signed differences of (6.4) are meant to cancel on a slope, but they also cancel halfway
 between a step up and a step down (a narrow tread) and on a saddle, where Sobel sees nothing either. The root mean
