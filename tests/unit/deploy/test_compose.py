@@ -54,5 +54,5 @@ def test_all_meet_at_the_router_it_starts(composed: dict[str, Any]) -> None:
 def test_a_scenario_that_containers_cannot_see_is_refused() -> None:
     with pytest.raises(ConfigError, match="containers do not see"):
         compose_yaml("/tmp/mine.toml", 3)
-    with pytest.raises(ConfigError, match="known: flat"):
+    with pytest.raises(ConfigError, match=r"known: .*flat"):
         compose_yaml("nope", 3)
