@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, TextIO
 
 from shared import topics
-from shared.messages import ActuatorState, BodyPose, Health, Message, Mode, PlannerStatus, Tick
+from shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 _SPEED_OVER_NS = 2_000_000_000  # speed is the mean over the newest two seconds
@@ -35,7 +35,13 @@ class Monitor:
 
     name = "monitor"
     paced_by = Every.hz(4.0)
-    reads: tuple[AnyTopic, ...] = (topics.HEALTH, topics.ACTUATOR_STATE, topics.BODY_POSE, topics.PLANNER_STATUS)
+    reads: tuple[AnyTopic, ...] = (
+        topics.HEALTH,
+        topics.ACTUATOR_STATE,
+        topics.BODY_POSE,
+        topics.PLANNER_STATUS,
+        topics.CAMERA_STATE,
+    )
     writes: tuple[AnyTopic, ...] = ()
 
     def __init__(self, goal_distance: float):
@@ -64,7 +70,10 @@ class Monitor:
             to_goal=max(0.0, self._goal_distance - (self._track[-1][1] if self._track else 0.0)),
             up=self._began_ns is not None,
             doing={name: health.doing for name, (health, _) in sorted(self._health.items())},
-            warnings=tuple(self._warnings(state, pose, inbox.latest(topics.PLANNER_STATUS), tick.stamp_ns)),
+            warnings=(
+                *_of_camera(inbox.fresh(topics.CAMERA_STATE)),
+                *self._warnings(state, pose, inbox.latest(topics.PLANNER_STATUS), tick.stamp_ns),
+            ),
         )
         return ()
 
@@ -114,6 +123,11 @@ class Monitor:
                 yield f"{name}: silent for {(now_ns - heard_ns) * 1e-9:.0f} s"
             if health.refused:
                 yield f"{name}: refused {health.refused} messages, the last because {health.last_refusal}"
+
+
+def _of_camera(state: CameraState | None) -> Iterable[str]:
+    if state is not None and not state.ok:
+        yield f"camera: {state.reason}"
 
 
 class Progress(Protocol):

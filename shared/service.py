@@ -213,6 +213,7 @@ class Worker:
         self._clock = clock
         self._writes = set(service.writes)
         self._steps = 0
+        self._stepped_ns = clock()
         self._health_due_ns = 0
 
     def tick(self) -> None:
@@ -236,6 +237,7 @@ class Worker:
                     raise ValueError(f"{self.service.name} made a {type(made).__name__}, which its `writes` does not name")
                 self._send(topic, codec.encode(made, codec.Timing(began_ns, self._clock())), began_ns)
         self._steps += 1
+        self._stepped_ns = began_ns
         self.report_health(began_ns)
 
     def report_health(self, now_ns: int) -> None:
@@ -247,7 +249,7 @@ class Worker:
         health = Health(
             stamp_ns=now_ns,
             service=self.service.name,
-            doing=self.service.doing()[:500],
+            doing=(self._starved(now_ns) + self.service.doing())[:500],
             steps=self._steps,
             refused=self.inbox.refused,
             dropped=self.inbox.dropped,
@@ -257,6 +259,13 @@ class Worker:
             stage_p99_ms=np.array([p99 for _, p99 in timings.values()], dtype=np.float64),
         )
         self._send(topics.HEALTH, codec.encode(health, codec.Timing(now_ns, self._clock())), now_ns)
+
+    def _starved(self, now_ns: int) -> str:
+        """That what makes the service step has not come for a while, or nothing."""
+        pace, waited_ns = self.service.paced_by, now_ns - self._stepped_ns
+        if isinstance(pace, Every) or waited_ns <= max(pace.fresh_for_ns, HEALTH_PERIOD_NS):
+            return ""
+        return f"nothing has come on {pace.key} for {waited_ns * 1e-9:.0f} s; the last: "
 
 
 class Link(Protocol):

@@ -5,7 +5,7 @@ import numpy as np
 
 from deploy.progress import Lines, Monitor, Terminal, View, block, progress_for
 from shared import codec, topics
-from shared.messages import ActuatorState, BodyPose, Health, Message, Mode, PlannerStatus
+from shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus
 from shared.service import Worker
 
 S = 1_000_000_000
@@ -90,6 +90,12 @@ def test_a_service_that_falls_silent_is_named() -> None:
     bench.hear(4 * S, health(4 * S, "planner"))
     assert bench.hear(5 * S).warnings == ("mapper: silent for 4 s",)
     assert bench.hear(6 * S, health(6 * S, "mapper")).warnings == ()
+
+
+def test_a_camera_that_sends_nothing_is_named_until_it_does() -> None:
+    bench = Bench()
+    assert bench.hear(S, CameraState(S, "openni2", False, "no device found")).warnings == ("camera: no device found",)
+    assert bench.hear(S + S // 4, CameraState(S, "openni2", True, "")).warnings == ()
 
 
 def test_stage_times_are_named_by_service_and_the_slowest_reader_of_a_topic_counts() -> None:

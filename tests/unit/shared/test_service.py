@@ -242,6 +242,22 @@ def test_health_tells_of_refusals() -> None:
     assert health.steps == 0
 
 
+def test_health_tells_that_nothing_comes_to_step_for() -> None:
+    now, sent = [0], []  # type: ignore[var-annotated]
+    worker = worker_of(Scripted("planner", VELOCITY), sent, lambda: now[0])
+    doing = []
+    for second in range(6):
+        now[0] = second * 1_000 * MS
+        if second in (0, 5):
+            worker.inbox.receive(VELOCITY, codec.encode(velocity(now[0])), now[0])
+            worker.arrived()
+        worker.report_health(now[0])
+        doing.append([codec.decode(frame, Health)[0].doing for topic, frame in sent if topic is HEALTH][-1])
+    assert doing[0] == doing[1] == "what it is told"
+    assert doing[4] == "nothing has come on operator/velocity for 4 s; the last: what it is told"
+    assert doing[5] == "what it is told"
+
+
 def test_a_service_steps_once_for_each_pacing_message() -> None:
     service = Scripted("actuator", MODE, reads=(VELOCITY, MODE))
     worker = worker_of(service, [])
