@@ -17,6 +17,8 @@ from shared.geometry import Array
 FAR = 1e6  # [m] coordinates beyond this are refused
 _FEWEST = 5  # neighbours, itself included, that make a plane
 _FLAT = 1e-3  # [1] of the largest spread: what is narrower in its second direction is a line
+_EVEN = 0.2  # of `edge`: where points lie off their plane by less than this, all are of one surface
+_ROOT, _ROOT_STEPS = 1e-15, 40  # how exactly the least spread is found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,8 +36,8 @@ def smooth(points: ArrayLike, weight: ArrayLike, radius: float = 0.025, *, edge:
     1. Neighbours are the points within `radius`; a neighbour at distance d has the weight exp(-(2 d / radius)^2), times
        its own.
     2. The plane goes through their weighted mean, normal to the direction in which they spread least.
-    3. Once more with neighbours that lie off that plane by e weighted less, by 1 / (1 + (e / edge)^2)^2 (Geman and
-       McClure): where two surfaces meet, the one that the point belongs to prevails.
+    3. Unless they are even, once more with neighbours that lie off that plane by e weighted less, by
+       1 / (1 + (e / edge)^2)^2 (Geman and McClure): where two surfaces meet, the one that the point belongs to prevails.
 
     Args:
         points: (n, 3) [m].
@@ -100,56 +102,65 @@ def _fit(
     """Planes around points that are sorted by column; column c holds points first[c] to first[c + 1]."""
     near, share = np.empty(len(p), dtype=np.int64), np.empty(len(p))
     gauss = 4.0 / (radius * radius)
-    A, V = np.empty((3, 3)), np.empty((3, 3))
     for column in range(len(first) - 1):
         for q in range(first[column], first[column + 1]):
-            # 1. The neighbours and their weights by distance.
+            out[q, 0], out[q, 1], out[q, 2] = p[q, 0], p[q, 1], p[q, 2]
+            normals[q, 0] = normals[q, 1] = normals[q, 2] = roughness[q] = np.nan
+            # 1. The neighbours and their weights by distance; mean and spread, from the point so that nothing cancels.
             m = 0
+            total = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
             for run in range(3):
                 for k in range(runs[column, run, 0], runs[column, run, 1]):
                     dx, dy, dz = p[k, 0] - p[q, 0], p[k, 1] - p[q, 1], p[k, 2] - p[q, 2]
                     d2 = dx * dx + dy * dy + dz * dz
-                    if d2 <= radius * radius:
-                        near[m], share[m] = k, w[k] * math.exp(-gauss * d2)
-                        m += 1
-            out[q, 0], out[q, 1], out[q, 2] = p[q, 0], p[q, 1], p[q, 2]
-            normals[q, 0] = normals[q, 1] = normals[q, 2] = roughness[q] = np.nan
-            if m < _FEWEST:
-                continue
-            nx = ny = nz = cx = cy = cz = 0.0
-            fits = False
-            for turn in range(passes):
-                # 2. Mean and spread, from the point so that nothing cancels; 3. robust from the second turn on.
-                total = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
-                for a in range(m):
-                    k = near[a]
-                    dx, dy, dz = p[k, 0] - p[q, 0], p[k, 1] - p[q, 1], p[k, 2] - p[q, 2]
-                    s = share[a]
-                    if turn > 0:
-                        e = (nx * (dx - cx) + ny * (dy - cy) + nz * (dz - cz)) / edge
-                        e = 1.0 + e * e
-                        s /= e * e
+                    if d2 > radius * radius:
+                        continue
+                    s = w[k] * math.exp(-gauss * d2)
+                    near[m], share[m] = k, s
+                    m += 1
                     total += s
                     sx, sy, sz = sx + s * dx, sy + s * dy, sz + s * dz
                     xx, xy, xz = xx + s * dx * dx, xy + s * dx * dy, xz + s * dx * dz
                     yy, yz, zz = yy + s * dy * dy, yz + s * dy * dz, zz + s * dz * dz
-                mx, my, mz = sx / total, sy / total, sz / total
-                A[0, 0], A[1, 1], A[2, 2] = xx / total - mx * mx, yy / total - my * my, zz / total - mz * mz
-                A[0, 1], A[0, 2], A[1, 2] = xy / total - mx * my, xz / total - mx * mz, yz / total - my * mz
-                A[1, 0], A[2, 0], A[2, 1] = A[0, 1], A[0, 2], A[1, 2]
-                _diagonalise(A, V)
-                least = 0
-                for a in range(1, 3):
-                    if A[a, a] < A[least, least]:
-                        least = a
-                one, other = A[(least + 1) % 3, (least + 1) % 3], A[(least + 2) % 3, (least + 2) % 3]
-                if not min(one, other) > _FLAT * max(one, other):
-                    break  # a line, or a single place
-                fits = True
-                cx, cy, cz = mx, my, mz
-                nx, ny, nz = V[0, least], V[1, least], V[2, least]
-            if not fits:
+            if m < _FEWEST:
                 continue
+            # 2. The plane.
+            cx, cy, cz = sx / total, sy / total, sz / total
+            nx, ny, nz, off2 = _least_spread(
+                xx / total - cx * cx, xy / total - cx * cy, xz / total - cx * cz,
+                yy / total - cy * cy, yz / total - cy * cz, zz / total - cz * cz,
+            )  # fmt: skip
+            if math.isnan(nx):
+                continue
+            # 3. Once more, where points lie off it.
+            if off2 > _EVEN * _EVEN * edge * edge:
+                for _ in range(1, passes):
+                    total = sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
+                    for a in range(m):
+                        k = near[a]
+                        dx, dy, dz = p[k, 0] - p[q, 0], p[k, 1] - p[q, 1], p[k, 2] - p[q, 2]
+                        e = (nx * (dx - cx) + ny * (dy - cy) + nz * (dz - cz)) / edge
+                        e = 1.0 + e * e
+                        s = share[a] / (e * e)
+                        total += s
+                        sx, sy, sz = sx + s * dx, sy + s * dy, sz + s * dz
+                        xx, xy, xz = xx + s * dx * dx, xy + s * dx * dy, xz + s * dx * dz
+                        yy, yz, zz = yy + s * dy * dy, yz + s * dy * dz, zz + s * dz * dz
+                    mx, my, mz = sx / total, sy / total, sz / total
+                    ux, uy, uz, _ = _least_spread(
+                        xx / total - mx * mx, xy / total - mx * my, xz / total - mx * mz,
+                        yy / total - my * my, yz / total - my * mz, zz / total - mz * mz,
+                    )  # fmt: skip
+                    if math.isnan(ux):
+                        break
+                    cx, cy, cz, nx, ny, nz = mx, my, mz, ux, uy, uz
+                total = off2 = 0.0
+                for a in range(m):
+                    k = near[a]
+                    e = nx * (p[k, 0] - p[q, 0] - cx) + ny * (p[k, 1] - p[q, 1] - cy) + nz * (p[k, 2] - p[q, 2] - cz)
+                    total += share[a]
+                    off2 += share[a] * e * e
+                off2 /= total
             up = 1.0 if nz >= 0.0 else -1.0
             nx, ny, nz = up * nx, up * ny, up * nz
             off = nx * cx + ny * cy + nz * cz
@@ -157,41 +168,36 @@ def _fit(
             out[q, 1] += off * ny
             out[q, 2] += off * nz
             normals[q, 0], normals[q, 1], normals[q, 2] = nx, ny, nz
-            total = square = 0.0
-            for a in range(m):
-                k = near[a]
-                e = nx * (p[k, 0] - p[q, 0] - cx) + ny * (p[k, 1] - p[q, 1] - cy) + nz * (p[k, 2] - p[q, 2] - cz)
-                total += share[a]
-                square += share[a] * e * e
-            roughness[q] = math.sqrt(square / total)
+            roughness[q] = math.sqrt(off2)
 
 
 @compiled
-def _diagonalise(A: Array, V: Array) -> None:
-    """Eigenvalues of a symmetric (3, 3) matrix onto its diagonal, eigenvectors into the columns of V (Jacobi's method)."""
-    for i in range(3):
-        for j in range(3):
-            V[i, j] = 1.0 if i == j else 0.0
-    for _ in range(12):
-        off = A[0, 1] * A[0, 1] + A[0, 2] * A[0, 2] + A[1, 2] * A[1, 2]
-        if off <= 1e-28 * (A[0, 0] * A[0, 0] + A[1, 1] * A[1, 1] + A[2, 2] * A[2, 2]):
+def _least_spread(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float) -> tuple[float, float, float, float]:
+    """Unit eigenvector of a covariance's least eigenvalue, and that; NaN where its points make a line, or a single place."""
+    trace = xx + yy + zz
+    minors = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
+    determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    if not minors > _FLAT * trace * trace:
+        return np.nan, np.nan, np.nan, np.nan
+    # Newton's method from below the least root of the characteristic polynomial, which is convex there: no overshoot.
+    least = 0.0
+    for _ in range(_ROOT_STEPS):
+        value = determinant - least * (minors - least * (trace - least))
+        slope = minors - least * (2.0 * trace - 3.0 * least)
+        if not (value > _ROOT * trace * minors and slope > 0.0):
             break
-        for p in range(2):
-            for q in range(p + 1, 3):
-                if A[p, q] == 0.0:
-                    continue
-                theta = (A[q, q] - A[p, p]) / (2.0 * A[p, q])
-                t = 1.0 / (abs(theta) + math.sqrt(theta * theta + 1.0))
-                if theta < 0.0:
-                    t = -t
-                c = 1.0 / math.sqrt(t * t + 1.0)
-                s = t * c
-                for k in range(3):
-                    a, b = A[k, p], A[k, q]
-                    A[k, p], A[k, q] = c * a - s * b, s * a + c * b
-                for k in range(3):
-                    a, b = A[p, k], A[q, k]
-                    A[p, k], A[q, k] = c * a - s * b, s * a + c * b
-                for k in range(3):
-                    a, b = V[k, p], V[k, q]
-                    V[k, p], V[k, q] = c * a - s * b, s * a + c * b
+        least += value / slope
+    # What is left of the matrix has the plane's directions as its rows: their cross products are normal to it.
+    a, d, f = xx - least, yy - least, zz - least
+    px, py, pz = xy * yz - xz * d, xz * xy - a * yz, a * d - xy * xy
+    qx, qy, qz = xy * f - xz * yz, xz * xz - a * f, a * yz - xy * xz
+    rx, ry, rz = d * f - yz * yz, yz * xz - xy * f, xy * yz - d * xz
+    p, q, r = px * px + py * py + pz * pz, qx * qx + qy * qy + qz * qz, rx * rx + ry * ry + rz * rz
+    if q > p and q >= r:
+        px, py, pz, p = qx, qy, qz, q
+    elif r > p:
+        px, py, pz, p = rx, ry, rz, r
+    if not p > 0.0:
+        return np.nan, np.nan, np.nan, np.nan
+    length = math.sqrt(p)
+    return px / length, py / length, pz / length, max(least, 0.0)
