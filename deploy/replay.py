@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy import layers_picture
 from deploy.listener import Listener
 from deploy.progress import Progress
 from deploy.recording import Recording
@@ -149,7 +150,8 @@ def replay_folder(
 ) -> dict[str, Any]:
     """Run perception and mapper on a depth sequence; there is no odometry, so perception expects constant velocity.
 
-    Writes the estimated camera trajectory (trajectory.txt, the layout of groundtruth.txt) and the last map (map.png) to `out`.
+    Writes to `out` the estimated camera trajectory (trajectory.txt, the layout of groundtruth.txt) and the last map with its
+    foothold layers (map.png, layers.png).
 
     Returns:
         Plain table: frames, pose_error_m after alignment, map_error_m (nothing to compare with), stages_ms.
@@ -170,6 +172,7 @@ def replay_folder(
     tum.write_trajectory(out / "trajectory.txt", tum.Trajectory(stamps_ns, T_estimate))
     if terrain is not None:
         _draw(out / "map.png", terrain, T_estimate)
+        layers_picture.draw(out / "layers.png", terrain, T_estimate)
     return {
         "source": folder.name,
         "frames": len(sequence),
@@ -183,6 +186,8 @@ def replay_folder(
 
 def replay_recording(path: Path, out: Path, progress: Progress) -> dict[str, Any]:
     """Run the mapper on what it heard in a recorded run, and compare its maps with the recorded ones.
+
+    Draws the last map with its foothold layers (layers.png) to `out`.
 
     Returns:
         Plain table: topics with their counts, maps compared, map_error_m of the new maps against the recorded ones, stages_ms.
@@ -216,6 +221,8 @@ def replay_recording(path: Path, out: Path, progress: Progress) -> dict[str, Any
         raise ReplayError(f"{path}: no messages in it: the run ended before anybody spoke, or the file was cut off")
     if not recording.complete:
         progress.say(f"{path} was cut off; replayed as far as it goes")
+    if made:
+        layers_picture.draw(out / "layers.png", made[max(made)])
     pairs = [(terrain, made[terrain.stamp_ns]) for terrain in recorded if terrain.stamp_ns in made]
     stages = _stages(mapper.service) if mapper else {}
     return {

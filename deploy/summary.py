@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.layers_picture import UNSEEN, ground_colors
 from deploy.map_metrics import Mosaic
 from deploy.relief import shaded
 from deploy.report import Report
@@ -20,7 +21,7 @@ _FONT = 13  # [pt]
 _LEG_COLORS = ("#d55e00", "#0072b2", "#56b4e9", "#332288", "#cc79a7", "#e69f00")
 _GOOD, _BAD = "#1a7f37", "#b3261e"
 _TRUE, _ESTIMATE, _REFERENCE = "#111111", "#d01c8b", "#7f7f7f"
-_NO_FOOTHOLD, _UNSEEN, _HATCH = (0.70, 0.10, 0.08, 0.5), "#e4e4e4", "#00000045"
+_NO_FOOTHOLD, _HATCH = (0.70, 0.10, 0.08, 0.5), "#00000045"
 _SIDE = 0.62  # [m] least of the map shown to both sides of the line
 _BEFORE, _AFTER = 0.45, 0.45  # [m] of the map shown before the start and after the goal
 
@@ -73,7 +74,7 @@ def _title(figure: Any, report: Report) -> None:
 
 def _draw_map(figure: Any, axes: Any, report: Report, trace: Trace) -> None:
     low, high = _extent(trace)
-    axes.set_facecolor(_UNSEEN)  # never seen
+    axes.set_facecolor(UNSEEN)  # never seen
     axes.set_aspect("equal", anchor="W")
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
@@ -121,7 +122,7 @@ def _draw_ground(figure: Any, axes: Any, mosaic: Mosaic, low: NDArray[np.float64
         100 * mosaic.elevation.T,
         origin="lower",
         extent=extent,
-        cmap=_ground_colors(),
+        cmap=ground_colors(),
         vmin=100 * (middle - half),
         vmax=100 * (middle + half),
         interpolation="nearest",
@@ -154,12 +155,6 @@ def _cells(mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) 
     first = np.maximum(np.floor((low - mosaic.origin) / mosaic.resolution), 0).astype(int)
     last = np.maximum(np.ceil((high - mosaic.origin) / mosaic.resolution), 0).astype(int)
     return slice(first[0], last[0]), slice(first[1], last[1])
-
-
-def _ground_colors() -> Any:
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list("ground", ["#8fb3a6", "#c3d9c3", "#f6f3dc", "#ecd09a", "#c9965a"])
 
 
 def _draw_blocks(axes: Any, trace: Trace) -> None:
@@ -214,7 +209,7 @@ def _legend(report: Report) -> list[Any]:
         Patch(facecolor="none", edgecolor="#222222", label="true blocks"),
         Patch(facecolor=_NO_FOOTHOLD, label="no foothold by the map"),
         Patch(facecolor="#c3d9c3", hatch="///", lw=0, label="assumed, not seen"),
-        Patch(facecolor=_UNSEEN, label="never seen"),
+        Patch(facecolor=UNSEEN, label="never seen"),
     ]
     paths = [
         Line2D([], [], color=_TRUE, lw=2, label="true path"),

@@ -69,4 +69,4 @@ def test_the_command_replays_a_folder_and_prints_json(
     table = json.loads(capsys.readouterr().out)
     assert table["pose_error_m"]["rms"] <= 0.015
     assert set(table) >= {"pose_error_m", "map_error_m", "stages_ms"}
-    assert {path.name for path in tmp_path.iterdir()} == {"map.png", "replay.json", "trajectory.txt"}
+    assert {path.name for path in tmp_path.iterdir()} == {"layers.png", "map.png", "replay.json", "trajectory.txt"}

@@ -218,6 +218,7 @@ def test_a_simulated_sequence_replays_onto_its_truth(tmp_path: Path) -> None:
     assert table["poses_not_ok"] == 0
     assert table["pose_error_m"]["rms"] < 0.005
     assert (tmp_path / "map.png").stat().st_size > 1000
+    assert (tmp_path / "layers.png").stat().st_size > 1000
     written = tum.read_trajectory(tmp_path / "trajectory.txt")
     assert len(written.stamps_ns) == 12
     assert set(table["stages_ms"]) >= {"perception", "perception.registration", "mapper"}
