@@ -20,7 +20,7 @@ from shared.geometry import orthonormal
 _GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the farthest plane a point is matched with
 _SLIP = 0.01  # [m] and [rad] first step expected beyond the prior's spread
 _MAX_ITERATIONS = 10
-_MATCHED = 4800  # points of a whole image that are matched with one keyframe
+_MATCHED = 3200  # points of a whole image that are matched with one keyframe
 _CONVERGED = 1e-4  # [m] and [rad] step that ends the iteration
 _INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors: ten count as one
 _SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise alone: below nothing is believed, above all
