@@ -4,6 +4,11 @@ The window follows the robot, its memory never shifts: a cell's place is its wor
 eq. 4.11). Each cell holds the height it believes in and one rival. A measurement that fails the gate never drags the
 height; it votes for the rival, and a rival that persists takes the cell over, upward and downward alike. So an object
 that moved away is cleared in time, and symmetric noise leaves no bias, however badly its size was guessed.
+
+Where the ground behind such an object is not measured, lines of sight clear it: a cell through which the camera looks at
+something behind, well below its height and scan after scan, becomes unseen again. And where the pose's height drifts from
+that of ground that is well known, the drift is taken out of what is fused, so that what was seen early and what is seen late
+fit together; what the map tells fits the newest pose, by which its reader's feet go.
 """
 
 import math
@@ -19,6 +24,22 @@ from shared.compiled import compiled
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 FAR = 1e6  # [m] coordinates beyond this are refused: a cell index must stay exact
+
+_FOLLOWED = 8  # every how many points of a scan have their line of sight followed, other ones each time
+_SHORT = 3  # cells before its end at which a line of sight stops: what it meets is thick, and not quite where it is mapped
+_WELL_BELOW = 0.02  # [m] beyond three sigma of a cell, by which a line of sight must pass below its height
+_SIGHTS_NEEDED = 8  # scans that look through a cell until it is cleared, without one that measures it
+_FELL_AROUND = 3  # neighbours that have fallen, from which on a cell at the rim of what stood there may fall, too
+_REFRESHED = 16  # scans after which the highest cell is looked for anew
+
+_ESTABLISHED = 3  # scans behind a height, after which it counts as where the ground was first seen
+_KNOWN_WELL = 0.004  # [m] one sigma of a cell that tells of drift; beside an edge it is more
+_SAME_GROUND = 0.03  # [m] further off it is not the same ground
+_FEWEST = 100  # cells that can tell of drift
+_ALIKE = 12  # neighbouring cells share their errors: so many count as one
+_DRIFTED, _LEVEL_AGAIN = 0.002, 0.0005  # [m] offset from which on, and down to which, drift is compensated
+_PERSISTS = 3  # scans in a row that must show it
+_RATE = 0.002  # [m] by which the compensation changes in a scan, at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +135,7 @@ class FusionCount:
     disputed: int  # cells whose measurement failed the gate and went to the rival
     replaced: int  # cells taken over by their rival
     outside: int  # points beyond the window
+    cleared: int = 0  # cells that lines of sight have made unseen again
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,12 +188,25 @@ class ElevationGrid:
         self._rival_variance = np.full(shape, np.nan, dtype=np.float32)
         self._votes = np.full(shape, 0, dtype=np.uint8)  # scans for the rival less scans against it
         self._slot = np.full(shape[0] * shape[1], -1, dtype=np.int32)  # the scan's entry for a cell, -1 outside fuse()
+        self._first = np.full(shape, np.nan, dtype=np.float32)  # [m] the height as it was established, NaN before
+        self._through = np.full(shape, 0, dtype=np.uint8)  # scans that looked through the cell since it was last measured
+        self._fell = np.full(shape, 0, dtype=np.uint8)  # 1 where something stood that is gone
+        self._highest, self._scans = -math.inf, 0
+        self._drift, self._drifted = 0.0, 0  # [m], and for how many scans in a row it has been off
         self._touched: NDArray[np.int64] = _nothing()
 
     @property
     def low(self) -> NDArray[np.int64]:
         """(2,) world index of the window's lowest cell, that is of cell (0, 0) of a snapshot."""
         return self._low.copy()
+
+    @property
+    def height_drift(self) -> float:
+        """[m] by which the poses of scans are believed to lie higher by now than those that the map was begun with.
+
+        Heights are kept as they were first seen and told with this added, as the newest scans see them.
+        """
+        return self._drift
 
     @property
     def origin(self) -> NDArray[np.float64]:
@@ -207,6 +242,8 @@ class ElevationGrid:
         p_world_camera: ArrayLike,
         *,
         pose_covariance: NDArray[np.float64] | None = None,
+        sights: NDArray[np.floating] | None = None,
+        nearest: float = 0.0,
     ) -> FusionCount:
         """Take one reduced scan into the map; a cell counts at most once per scan.
 
@@ -215,6 +252,8 @@ class ElevationGrid:
         2. Points of one cell are merged; across an edge the upper one stands (Masri 2016, section 4.4).
         3. Each cell: an unseen or assumed cell takes the measurement outright; one within the gate is filtered in,
            its variance never below the floor; one outside votes for the rival (see the module).
+        4. Cells that stand in a line of sight become unseen again after a while.
+        Before 2, where well-known ground shows that the pose's height has drifted, that is taken out (`height_drift`).
 
         Args:
             points: (n, 3) [m] {world} one point per cell seen, of the upper surface where a cell holds two.
@@ -222,27 +261,88 @@ class ElevationGrid:
             spread: (n,) [m] standard deviation of the merged heights, at least 0.
             p_world_camera: (3,) [m] {world} optical centre.
             pose_covariance: (6, 6) [m^2, m rad, rad^2] of the camera's position, then rotation, in world axes.
+            sights: (m, 3) [m] {world} points up to which there is nothing in the camera's sight, beside those of the scan.
+            nearest: [m] from the camera up to which sights say nothing, since it measures nothing there.
 
         Raises:
             ValueError: A shape is wrong, or a value is not finite or out of its range; the map is then unchanged.
         """
         p, n, s, c = _checked_scan(points, count, spread, p_world_camera)
         covariance = _checked_covariance(pose_covariance)
-        cell, inside = self._cells(p[:, :2])
-        slope = _slopes(cell, self._height, self.resolution, int(self._low[0]), int(self._low[1]))
+        ends = np.empty((0, 3)) if sights is None else np.ascontiguousarray(sights, dtype=np.float64)
+        if ends.ndim != 2 or ends.shape[1] != 3 or not (np.abs(ends) < FAR).all():
+            raise ValueError(f"sights (m, 3), finite and within {FAR:g} m, expected, found shape {ends.shape}")
+        if not 0 <= nearest < math.inf:
+            raise ValueError(f"a nearest distance of at least 0 m expected, found {nearest}")
+        low_i, low_j = int(self._low[0]), int(self._low[1])
+        cell, wrong, inside, bounds, middle = _survey(p, n, s, self.resolution, low_i, low_j, *self.shape)
+        if wrong:
+            raise ValueError(_WRONG[wrong])
+        slope = _slopes(cell, self._height, self.resolution, low_i, low_j)
         random, systematic = self.model.height_variance(p, n, s, c, covariance, slope)
         touched, z, random, systematic = _merge_scan(
             cell, p[:, 2], random, systematic, self._slot, self.model.gate, self.model.edge_step
         )
-        if len(touched):
-            self._touch(*_bounds(p, cell, self.resolution))
+        if inside:
+            self._follow_drift(touched, z, _height_sigma(middle - c, covariance))
+            z -= self._drift
+            self._highest = max(self._highest, float(z.max()))
+            self._touch(bounds[0], bounds[1])
         updated, disputed, replaced = _update_cells(
             touched, z, random, systematic,
             self._height.ravel(), self._variance.ravel(), self._support.ravel(), self._assumed.ravel(),
             self._rival.ravel(), self._rival_variance.ravel(), self._votes.ravel(),
+            self._first.ravel(), self._through.ravel(), self._fell.ravel(),
             self.model.gate, self.model.patience,
         )  # fmt: skip
-        return FusionCount(updated, disputed, replaced, len(p) - int(np.count_nonzero(inside)))
+        cleared = self._look_through(p, c, 0.0, _FOLLOWED) + self._look_through(ends, c, nearest, 1)
+        self._scans += 1
+        return FusionCount(updated, disputed, replaced, len(p) - inside, cleared)
+
+    def _follow_drift(self, cells: NDArray[np.int64], z: NDArray[np.float64], sigma: float) -> None:
+        """Amend the drift by the heights (m,) [m] that a scan gives to cells (m,), its pose known to sigma [m] in height.
+
+        Ground as it was first seen tells, where it is well known and not disputed: by the median over all such cells, and
+        only if that is off by more than the sensor's own errors at different distances come to, and than the scan's noise,
+        for a few scans in a row. Then it is led back, no faster than a pose drifts. A pose that leaps has been corrected, or
+        is wrong; either way it is no drift: it disputes the cells, and disputed cells tell nothing.
+
+        Source: the drift compensation of elevation_mapping_cupy (Miki et al. 2022, section III-B), there of the mean error
+        and without a dead band, which a map that does not move with its robot needs against its own noise.
+        """
+        off = _offsets(
+            cells, z, self._height.ravel(), self._variance.ravel(), self._first.ravel(), self._votes.ravel(),
+            self._drift, _KNOWN_WELL**2, _SAME_GROUND,
+        )  # fmt: skip
+        if len(off) < _FEWEST:
+            return
+        gap = float(np.median(off))
+        noise = math.hypot(sigma, 1.25 * 1.48 * float(np.median(np.abs(off - gap))) / math.sqrt(len(off) / _ALIKE))
+        compensating = abs(self._drifted) >= _PERSISTS
+        if abs(gap) <= (max(_LEVEL_AGAIN, noise) if compensating else max(_DRIFTED, 3.0 * noise)):
+            self._drifted = 0
+            return
+        sign = 1 if gap > 0 else -1
+        self._drifted = self._drifted + sign if self._drifted * sign >= 0 else sign
+        if abs(self._drifted) >= _PERSISTS:
+            self._drift += max(-_RATE, min(_RATE, gap))
+
+    def _look_through(self, ends: NDArray[np.float64], camera: NDArray[np.float64], nearest: float, every: int) -> int:
+        """Let every few lines of sight from a camera (3,) to points (n, 3) clear what stands in their way; cells cleared."""
+        if self._scans % _REFRESHED == 0:
+            self._highest = float(np.fmax.reduce(self._height, axis=None))
+        if not len(ends) or not self._highest - _WELL_BELOW > float(ends[:, 2].min()) - self._drift:
+            return 0  # nothing stands above what is seen, as on level ground
+        cleared, first_i, first_j, last_i, last_j = _clear_along_sights(
+            ends, self._scans % every, every, camera, self._drift, nearest,
+            int(self._low[0]), int(self._low[1]), self.resolution, self._highest,
+            self._height, self._variance, self._support, self._assumed, self._votes, self._first, self._through, self._fell,
+            self._slot,
+        )  # fmt: skip
+        if cleared:
+            first, last = np.array([[first_i, first_j], [last_i, last_j]], dtype=np.int64)
+            self._touch(self._low + first, self._low + last)
+        return int(cleared)
 
     def seed_plane(self, polygon: ArrayLike, plane: ArrayLike, sigma: float = 0.02) -> int:
         """Fill the unseen cells of a region with a plane, marked as assumed; the first measurement replaces each.
@@ -278,7 +378,7 @@ class ElevationGrid:
         fill = _inside_polygon(x, y, corners) & np.isnan(self._height[box])
         rows, columns = np.nonzero(fill)
         cells = i[rows] % self.shape[0], j[columns] % self.shape[1]
-        self._height[cells] = (coefficients[0] + coefficients[1] * x + coefficients[2] * y)[rows, columns]
+        self._height[cells] = (coefficients[0] - self._drift + coefficients[1] * x + coefficients[2] * y)[rows, columns]
         self._variance[cells] = sigma**2
         self._assumed[cells] = 1
         self._touch(low, high)
@@ -309,15 +409,18 @@ class ElevationGrid:
             raise ValueError(f"points (..., 2) expected, found shape {p.shape}")
         near = np.where(np.abs(p) < FAR, p, 2 * FAR).reshape(-1, 2)  # NaN too lies outside
         cell, inside = self._cells(near)
-        height = np.where(inside, self._height.ravel()[cell], np.nan)  # cell -1 is masked by inside
+        height = np.where(inside, self._height.ravel()[cell] + self._drift, np.nan)  # cell -1 is masked by inside
         return np.asarray(height.reshape(p.shape[:-1]), dtype=np.float64)
 
     def snapshot(self) -> ElevationSnapshot:
         """Copy the map in world order."""
+        elevation = self._unrolled(self._height)
+        if self._drift != 0.0:
+            elevation += np.float32(self._drift)
         return ElevationSnapshot(
             resolution=self.resolution,
             origin=self.origin,
-            elevation=self._unrolled(self._height),
+            elevation=elevation,
             variance=self._unrolled(self._variance),
             assumed=self._unrolled(self._assumed),
         )
@@ -333,9 +436,9 @@ class ElevationGrid:
 
     def _forget(self, lines: tuple[slice | NDArray[np.int64], ...]) -> None:
         """Make whole rows or columns of the buffer unseen."""
-        for layer in (self._height, self._variance, self._rival, self._rival_variance):
+        for layer in (self._height, self._variance, self._rival, self._rival_variance, self._first):
             layer[lines] = np.nan
-        for counter in (self._support, self._assumed, self._votes):
+        for counter in (self._support, self._assumed, self._votes, self._through, self._fell):
             counter[lines] = 0
 
     def _unrolled(self, layer: NDArray[Scalar]) -> NDArray[Scalar]:
@@ -383,7 +486,7 @@ def _checked_scan(
     spread: NDArray[np.floating],
     p_world_camera: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """The scan as contiguous float64 arrays; ValueError where a shape or value is wrong."""
+    """The scan as contiguous float64 arrays; ValueError where a shape or the camera is wrong."""
     p = np.ascontiguousarray(points, dtype=np.float64)
     n = np.ascontiguousarray(count, dtype=np.float64)
     s = np.ascontiguousarray(spread, dtype=np.float64)
@@ -394,12 +497,6 @@ def _checked_scan(
         raise ValueError(f"count and spread of shape {(len(p),)} expected, found {n.shape} and {s.shape}")
     if c.shape != (3,) or not (np.abs(c) < FAR).all():
         raise ValueError(f"camera position of 3 coordinates within {FAR:g} m expected, found {p_world_camera!r}")
-    if not (np.abs(p) < FAR).all():
-        raise ValueError(f"points finite and within {FAR:g} m expected: drop invalid pixels before fusing")
-    if not ((n >= 1) & (n < math.inf)).all():
-        raise ValueError("counts of at least 1 expected: drop empty cells before fusing")
-    if not ((s >= 0) & (s < FAR)).all():
-        raise ValueError("finite spreads of at least 0 m expected")
     return p, n, s, c
 
 
@@ -414,6 +511,12 @@ def _checked_covariance(covariance: NDArray[np.float64] | None) -> NDArray[np.fl
     if np.abs(out - out.T).max() > 1e-6 * size or np.linalg.eigvalsh(out)[0] < -1e-6 * size:
         raise ValueError("a pose covariance that is symmetric and has no negative eigenvalue expected")
     return out
+
+
+def _height_sigma(ray: NDArray[np.float64], S: NDArray[np.float64]) -> float:
+    """One sigma [m] by which a pose covariance (6, 6) lifts points around a ray (3,) [m] from the camera."""
+    lift = np.array([0.0, 0.0, 1.0, ray[1], -ray[0], 0.0])
+    return math.sqrt(max(float(lift @ S @ lift), 0.0))
 
 
 def _inside_polygon(x: NDArray[np.float64], y: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -445,17 +548,62 @@ def _cell_indices(
     return cell
 
 
+_WRONG = (
+    "",
+    f"points finite and within {FAR:g} m expected: drop invalid pixels before fusing",
+    "counts of at least 1 expected: drop empty cells before fusing",
+    "finite spreads of at least 0 m expected",
+)
+
+
 @compiled
-def _bounds(points: NDArray[np.float64], cell: NDArray[np.int64], resolution: float) -> NDArray[np.int64]:
-    """First and last world index (2, 2) of the points' cells, of those whose cell is in the window; at least one is."""
-    out = np.empty((2, 2), dtype=np.int64)
-    for axis in range(2):
-        low, high = np.inf, -np.inf
-        for k in range(len(points)):
-            if cell[k] >= 0:
-                low, high = min(low, points[k, axis]), max(high, points[k, axis])
-        out[0, axis], out[1, axis] = math.floor(low / resolution), math.floor(high / resolution)
-    return out
+def _survey(
+    p: NDArray[np.float64],
+    count: NDArray[np.float64],
+    spread: NDArray[np.float64],
+    resolution: float,
+    low_i: int,
+    low_j: int,
+    rows: int,
+    columns: int,
+) -> tuple[NDArray[np.int64], int, int, NDArray[np.int64], NDArray[np.float64]]:
+    """What there is to know of a scan before it is taken.
+
+    Returns:
+        cell: (n,) flat buffer index of each point, -1 outside the window of rows x columns that starts at (low_i, low_j).
+        wrong: Which of `_WRONG` holds for a point.
+        inside: How many points lie in the window.
+        bounds: (2, 2) world indices of the first and the last of their rows and columns.
+        middle: (3,) [m] their mean.
+    """
+    cell = np.empty(len(p), dtype=np.int64)
+    bounds = np.zeros((2, 2), dtype=np.int64)
+    middle = np.zeros(3)
+    wrap_i, wrap_j = low_i % rows, low_j % columns
+    first_i, first_j, last_i, last_j = rows, columns, 0, 0
+    wrong = inside = 0
+    for k in range(len(p)):
+        cell[k] = -1
+        x, y, z = p[k, 0], p[k, 1], p[k, 2]
+        if not (abs(x) < FAR and abs(y) < FAR and abs(z) < FAR):
+            wrong = 1
+        elif not 1.0 <= count[k] < np.inf:
+            wrong = 2
+        elif not 0.0 <= spread[k] < FAR:
+            wrong = 3
+        if wrong != 0:
+            break
+        i, j = math.floor(x / resolution) - low_i, math.floor(y / resolution) - low_j
+        if 0 <= i < rows and 0 <= j < columns:
+            first_i, first_j, last_i, last_j = min(first_i, i), min(first_j, j), max(last_i, i), max(last_j, j)
+            middle[0] += x
+            middle[1] += y
+            middle[2] += z
+            inside += 1
+            i, j = i + wrap_i, j + wrap_j  # the remainder by the size, without dividing
+            cell[k] = (i if i < rows else i - rows) * columns + (j if j < columns else j - columns)
+    bounds[0, 0], bounds[0, 1], bounds[1, 0], bounds[1, 1] = low_i + first_i, low_j + first_j, low_i + last_i, low_j + last_j
+    return cell, wrong, inside, bounds, middle / max(inside, 1)
 
 
 @compiled
@@ -469,29 +617,35 @@ def _slopes(
     """
     rows, columns = height.shape
     first_i, first_j = low_i % rows, low_j % columns  # buffer index of the window's lowest cell
+    per_cell = 1.0 / resolution
     out = np.empty((len(cell), 2))
+    i, begin = 0, 0  # the row of the last cell, and its first cell: scans go row by row
     for k in range(len(cell)):
         out[k, 0] = out[k, 1] = np.nan
-        if cell[k] < 0:
+        c = cell[k]
+        if c < 0:
             continue
-        i, j = cell[k] // columns, cell[k] % columns
+        if not begin <= c < begin + columns:
+            i = c // columns
+            begin = i * columns
+        j = c - begin
         here = height[i, j]
-        for axis in range(2):
-            if axis == 0:
-                at, n, first = i, rows, first_i
-            else:
-                at, n, first = j, columns, first_j
-            after = at + 1 if at + 1 < n else 0
-            before = at - 1 if at > 0 else n - 1
-            if at == first or after == first:
-                continue  # at the window's border the buffer goes on with its other side
-            up = (height[after, j] if axis == 0 else height[i, after]) - here
-            down = here - (height[before, j] if axis == 0 else height[i, before])
-            if up * down > 0.0:
-                out[k, axis] = (up if abs(up) < abs(down) else down) / resolution
-            elif up * down <= 0.0:  # not NaN
-                out[k, axis] = 0.0
+        # At the window's border the buffer goes on with its other side.
+        after = i + 1 if i + 1 < rows else 0
+        if i != first_i and after != first_i:
+            out[k, 0] = _smaller(height[after, j] - here, here - height[i - 1 if i > 0 else rows - 1, j]) * per_cell
+        after = j + 1 if j + 1 < columns else 0
+        if j != first_j and after != first_j:
+            out[k, 1] = _smaller(height[i, after] - here, here - height[i, j - 1 if j > 0 else columns - 1]) * per_cell
     return out
+
+
+@compiled
+def _smaller(a: float, b: float) -> float:
+    """Of two numbers of one sign the smaller in size, 0 if their signs differ, NaN if one is."""
+    if a * b > 0.0:
+        return a if abs(a) < abs(b) else b
+    return a * b * 0.0
 
 
 @compiled
@@ -601,6 +755,9 @@ def _update_cells(
     rival: NDArray[np.float32],
     rival_variance: NDArray[np.float32],
     votes: NDArray[np.uint8],
+    first: NDArray[np.float32],
+    through: NDArray[np.uint8],
+    fell: NDArray[np.uint8],
     gate: float,
     patience: int,
 ) -> tuple[int, int, int]:
@@ -610,7 +767,7 @@ def _update_cells(
         c = cells[k]
         noise = random[k] + systematic[k]
         if assumed[c] or np.isnan(height[c]):
-            height[c], variance[c], support[c], assumed[c], votes[c] = z[k], noise, 1, 0, 0
+            height[c], variance[c], support[c], assumed[c], votes[c], through[c] = z[k], noise, 1, 0, 0, 0
             updated += 1
             continue
         believed = float(variance[c])
@@ -620,6 +777,9 @@ def _update_cells(
             variance[c] = max(believed * noise / (believed + noise), min(believed, systematic[k]))
             support[c] = min(support[c] + 1, 255)
             votes[c] = max(votes[c] - 1, 0)
+            through[c] = 0
+            if support[c] == _ESTABLISHED:
+                first[c] = height[c]
             updated += 1
             continue
         disputed += 1
@@ -635,9 +795,131 @@ def _update_cells(
             rival[c], rival_variance[c], votes[c] = z[k], noise, 1
         # A height seen once is no better than a rival seen twice; an established one waits for `patience` scans.
         if votes[c] >= min(patience, support[c] + 1):
-            height[c], variance[c], support[c], votes[c] = rival[c], rival_variance[c], votes[c], 0
+            fell[c] = np.uint8(rival[c] < height[c] - _WELL_BELOW)
+            height[c], variance[c], support[c], votes[c], through[c] = rival[c], rival_variance[c], votes[c], 0, 0
+            first[c] = height[c] if support[c] >= _ESTABLISHED else np.nan
             replaced += 1
     return updated, disputed, replaced
+
+
+@compiled
+def _offsets(
+    cells: NDArray[np.int64],
+    z: NDArray[np.float64],
+    height: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    first: NDArray[np.float32],
+    votes: NDArray[np.uint8],
+    drift: float,
+    most_variance: float,
+    same: float,
+) -> NDArray[np.float64]:
+    """How far heights less the drift lie over where the ground was first seen, of every fourth cell that can tell (n,) [m]."""
+    out = np.empty(len(cells) // 4 + 1)
+    n = 0
+    for k in range(0, len(cells), 4):
+        c = cells[k]
+        off = z[k] - drift - first[c]
+        # Ground that has sunk or risen since, by itself or by one wrong look, tells nothing.
+        if abs(off) < same and votes[c] == 0 and variance[c] < most_variance and abs(height[c] - first[c]) < same:
+            out[n] = off
+            n += 1
+    return out[:n]
+
+
+@compiled
+def _clear_along_sights(
+    ends: NDArray[np.float64],
+    begin: int,
+    every: int,
+    camera: NDArray[np.float64],
+    drift: float,
+    nearest: float,
+    low_i: int,
+    low_j: int,
+    resolution: float,
+    highest: float,
+    height: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    support: NDArray[np.uint8],
+    assumed: NDArray[np.uint8],
+    votes: NDArray[np.uint8],
+    first: NDArray[np.float32],
+    through: NDArray[np.uint8],
+    fell: NDArray[np.uint8],
+    slot: NDArray[np.int32],
+) -> tuple[int, int, int, int, int]:
+    """Count, once a scan, the cells that stand well above a line of sight, and clear those that have been so often.
+
+    A cell counts only within a body: none of its eight neighbours is known to lie lower than the line but such as have
+    fallen already, and at most two are unknown; so what is narrower than three cells, a rim that fills its cells in part,
+    and a wall seen along its face are left to measurement. A body is eaten from within: a rim falls after what it was the
+    rim of.
+
+    Returns the cells cleared, and the first and the last row and column of the window among them.
+    """
+    rows, columns = height.shape
+    marked = np.empty(rows * columns, dtype=np.int64)
+    m = 0
+    wrap_i, wrap_j = low_i % rows, low_j % columns
+    for k in range(begin, len(ends), every):
+        u, v, z = ends[k, 0] / resolution - low_i, ends[k, 1] / resolution - low_j, ends[k, 2] - drift
+        du, dv, dz = camera[0] / resolution - low_i - u, camera[1] / resolution - low_j - v, camera[2] - drift - z
+        way = max(abs(du), abs(dv))
+        length = resolution * math.sqrt(du * du + dv * dv)
+        if way <= _SHORT or length <= nearest or dz <= 0.0:
+            continue
+        rise = 0.75 * dz / way  # from the middle of a cell to where the line is highest in it
+        last = int(way * (1.0 - nearest / length))
+        for step in range(_SHORT, last):
+            s = step / way
+            over = z + s * dz + rise + _WELL_BELOW
+            if over > highest:
+                break
+            i, j = math.floor(u + s * du), math.floor(v + s * dv)
+            if i < 1 or j < 1 or i >= rows - 1 or j >= columns - 1:
+                continue
+            a, b = i + wrap_i, j + wrap_j
+            a, b = (a if a < rows else a - rows), (b if b < columns else b - columns)
+            if not height[a, b] > over + 3.0 * math.sqrt(variance[a, b]):
+                continue
+            c = a * columns + b
+            if slot[c] >= 0:
+                continue
+            standing = fallen = low = 0
+            for p in range(-1, 2):
+                for q in range(-1, 2):
+                    if p == 0 and q == 0:
+                        continue
+                    e, f = a + p, b + q
+                    e = e - rows if e >= rows else (e + rows if e < 0 else e)
+                    f = f - columns if f >= columns else (f + columns if f < 0 else f)
+                    if fell[e, f] != 0:
+                        fallen += 1
+                    elif height[e, f] > over:
+                        standing += 1
+                    elif height[e, f] == height[e, f]:
+                        low += 1
+            if (low == 0 and standing + fallen >= 6) or fallen >= _FELL_AROUND:
+                slot[c] = 0
+                marked[m] = c
+                m += 1
+    cleared = 0
+    first_i, first_j, last_i, last_j = rows, columns, -1, -1
+    for k in range(m):
+        c = marked[k]
+        slot[c] = -1
+        a, b = c // columns, c % columns
+        through[a, b] += 1
+        if through[a, b] < _SIGHTS_NEEDED:
+            continue
+        height[a, b] = variance[a, b] = first[a, b] = np.nan
+        support[a, b] = assumed[a, b] = votes[a, b] = through[a, b] = 0
+        fell[a, b] = 1
+        cleared += 1
+        i, j = (a - wrap_i) % rows, (b - wrap_j) % columns
+        first_i, first_j, last_i, last_j = min(first_i, i), min(first_j, j), max(last_i, i), max(last_j, j)
+    return cleared, first_i, first_j, last_i, last_j
 
 
 @compiled

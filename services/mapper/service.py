@@ -66,8 +66,10 @@ class Mapper:
         """How much is known."""
         if self._refused:
             return f"the newest scan is not mapped: {self._refused}"
+        drift = self._grid.height_drift
+        risen = f", the pose's height has drifted by {1e3 * drift:+.1f} mm, which the map makes up for" if drift else ""
         surveying = ", surveying a passage" if self._survey is not None else ""
-        return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{surveying}"
+        return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{risen}{surveying}"
 
     def step(self, scan: Scan, inbox: Inbox) -> Iterator[Message]:
         """Fuse one scan; every few of them score and publish the map."""

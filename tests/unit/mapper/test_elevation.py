@@ -603,3 +603,170 @@ def test_low_blocks_come_out_crisp_with_true_poses() -> None:
         assert np.median(snapshot.elevation[on_top]) == pytest.approx(top, abs=0.001)
     claimed = np.sqrt(snapshot.variance[inside])
     assert (np.abs(error[inside]) < 3 * claimed).mean() > 0.97
+
+
+# ---- what moved away, and what stays: a camera before blocks, its scans made ray by ray
+
+RAYS_U, RAYS_V = np.meshgrid(np.linspace(-0.45, 0.45, 181), np.linspace(-0.38, 0.38, 181), indexing="ij")
+
+
+def look(
+    blocks: NDArray[np.float64],
+    p_camera: NDArray[np.float64],
+    pitch: float = math.radians(30.0),
+    rng: np.random.Generator | None = None,
+    ground: float = 0.0,
+) -> NDArray[np.float64]:
+    """Points (n, 3), one per centimetre cell, the highest, of blocks (k, 5) x0 y0 x1 y1 top on a floor (-inf for none)."""
+    forward = np.array([math.cos(pitch), 0.0, -math.sin(pitch)])
+    down = np.array([-math.sin(pitch), 0.0, -math.cos(pitch)])
+    ray = forward + RAYS_U[..., None] * np.array([0.0, -1.0, 0.0]) + RAYS_V[..., None] * down
+    ray = ray.reshape(-1, 3)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(ray[:, 2] < 0, (ground - p_camera[2]) / ray[:, 2], np.inf)
+        for x0, y0, x1, y1, top in blocks:
+            t0, t1 = (np.array([x0, y0, -2.0]) - p_camera) / ray, (np.array([x1, y1, top]) - p_camera) / ray
+            enter, leave = np.minimum(t0, t1).max(axis=1), np.maximum(t0, t1).min(axis=1)
+            depth = np.where((enter <= leave) & (enter > 0), np.minimum(depth, enter), depth)
+    seen = (depth > 0.4) & (depth < 2.0)
+    depth, ray = depth[seen], ray[seen]
+    if rng is not None:
+        depth = depth + 1.3e-3 * depth**2 * rng.normal(size=len(depth))
+    points = p_camera + depth[:, None] * ray
+    order = np.argsort(-points[:, 2])
+    _, first = np.unique(np.floor(points[order, :2] / 0.01).astype(int) @ [100_000, 1], return_index=True)
+    return np.asarray(points[order][first])
+
+
+def take(grid: ElevationGrid, points: NDArray[np.float64], p_camera: NDArray[np.float64], **kwargs: Any) -> FusionCount:
+    return grid.fuse(points, np.full(len(points), 4), np.zeros(len(points)), p_camera, **kwargs)
+
+
+BOX = np.array([[0.9, -0.15, 1.1, 0.15, 0.10]])
+WHERE_THE_BOX_WAS = np.stack(np.meshgrid(np.arange(0.905, 1.1, 0.01), np.arange(-0.145, 0.15, 0.01), indexing="ij"), axis=-1)
+
+
+@pytest.mark.parametrize("measured", [1.0, 0.3, 0.0])
+def test_a_box_that_is_taken_away_is_cleared_though_its_place_is_hardly_measured(measured: float) -> None:
+    """While the camera stands: of the ground where it was, as on dark or grazed floor, only a share of cells returns."""
+    rng = np.random.default_rng(6)
+    grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
+    for _ in range(20):
+        take(grid, look(BOX, camera, rng=rng), camera)
+    assert np.nanmin(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]) > 0.09
+    dark = rng.random((400, 400)) >= measured
+    cleared = 0
+    for _ in range(60):
+        points = look(np.zeros((0, 5)), camera, rng=rng)
+        on_spot = (points[:, 0] > 0.88) & (points[:, 0] < 1.12) & (np.abs(points[:, 1]) < 0.17)
+        i, j = np.floor(points[:, :2] / 0.01).astype(int).T
+        cleared += take(grid, points[~(on_spot & dark[i % 400, j % 400])], camera).cleared
+    # Where nothing returns from the spot, no line of sight to what lies behind passes well below the box's front.
+    after = grid.heights(WHERE_THE_BOX_WAS)[4 if measured == 0.0 else 0 :]
+    assert not (after > 0.02).any()
+    known = np.isfinite(after)
+    assert known.mean() <= measured + 0.05
+    assert cleared > 0 or measured == 1.0
+    assert np.abs(after[known]).max(initial=0.0) < 0.01
+
+
+def test_a_box_over_an_abyss_is_cleared_by_sights_alone_and_nothing_nearer_than_the_camera_measures() -> None:
+    grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
+    near = np.array([[0.42, -0.05, 0.52, 0.05, 0.10]])
+    for k in range(20):
+        above = camera + np.array([0.0, 0.0, 0.003 * k])  # so that every cell is met
+        take(grid, look(np.concatenate([BOX, near]), above, ground=-9.0), above)
+    assert np.nanmin(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]) > 0.09
+    beyond = look(np.zeros((0, 5)), camera, ground=-0.3)[::3]  # where the pictures show nothing, somewhere below
+    for _ in range(60):
+        take(grid, np.empty((0, 3)), camera, sights=beyond, nearest=0.6)
+    assert not (grid.heights(WHERE_THE_BOX_WAS) > 0.02).any()
+    assert (grid.heights([[0.46, 0.0], [0.48, 0.02]]) > 0.09).all()
+
+
+STILL = np.array(  # pillars of 5 and 2 cm, a wall of one cell, boxes seen along their faces, a stair
+    [
+        [0.8, 0.20, 0.85, 0.25, 0.15], [0.9, 0.08, 0.92, 0.10, 0.20], [0.7, -0.35, 1.2, -0.34, 0.12],
+        [0.95, -0.2, 1.1, -0.05, 0.05], [1.3, -0.6, 2.2, 0.6, 0.06], [1.5, -0.6, 2.2, 0.6, 0.12],
+    ]
+)  # fmt: skip
+
+
+def test_a_still_scene_loses_nothing_to_lines_of_sight_on_a_noisy_walk() -> None:
+    """Grazing rays over edges, along faces and past pillars, with a pose that errs by millimetres and tenths of a degree."""
+    rng = np.random.default_rng(8)
+    grid = ElevationGrid(size=400)
+    highest = np.full((400, 400), -np.inf)
+    for k in range(50):
+        camera = np.array([0.018 * k, 0.05 * math.sin(0.2 * k), 0.30 + 0.01 * math.sin(0.9 * k)])
+        points = look(STILL, camera, math.radians(25.0 + 1.5 * math.sin(0.9 * k)), rng)
+        w, v = rng.normal(0.0, 2e-3, 3), rng.normal(0.0, 1.5e-3, 3)
+        report = take(
+            grid, points + v + np.cross(w, points - camera), camera + v, pose_covariance=np.diag([2e-6] * 3 + [4e-6] * 3)
+        )
+        assert report.cleared == 0
+        seen = np.isfinite(grid.snapshot().elevation)
+        assert seen[np.isfinite(highest)].all()
+        highest[seen] = 0.0
+    assert grid.height_drift == 0.0
+
+
+# ---- drift of the pose's height
+
+
+def drifting_walk(
+    rate: float, scans: int = 150, step: float = 0.004, jump_at: int = -1
+) -> tuple[ElevationGrid, NDArray[np.float64]]:
+    """A walk over waves with a pose that rises by a rate [m] each scan, or once by 12 mm; the grid, and its errors."""
+    rng = np.random.default_rng(9)
+    grid, drift = ElevationGrid(size=300), 0.0
+
+    def ground(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(0.02 * np.sin(7.0 * xy[:, 0]) * np.cos(5.0 * xy[:, 1]))
+
+    i, j = np.mgrid[0:80, 0:60]
+    for k in range(scans):
+        drift += rate + (0.012 if k == jump_at else 0.0)
+        camera = np.array([step * k, 0.0, 0.3 + drift])
+        first = np.floor((camera[0] + 0.5) / 0.01) * 0.01 + 0.005
+        xy = np.column_stack([first + 0.01 * i.ravel(), 0.01 * j.ravel() - 0.295])
+        grid.move_to(camera[:2])
+        points = np.column_stack([xy, ground(xy) + drift + rng.normal(0.0, 1e-3, len(xy))])
+        take(grid, points, camera, pose_covariance=np.diag([1e-7] * 3 + [1e-8] * 3))
+    snapshot = grid.snapshot()
+    xy = centres(grid)
+    error = snapshot.elevation.ravel() - grid.height_drift - ground(xy)
+    np.testing.assert_allclose(grid.heights(xy), snapshot.elevation.ravel(), atol=1e-6)
+    return grid, error[np.isfinite(error)]
+
+
+@pytest.mark.parametrize("rate", [1e-3, -1e-3, 3e-4])
+def test_a_drift_in_height_is_taken_out_and_the_map_stays(rate: float) -> None:
+    grid, error = drifting_walk(rate)
+    assert abs(150 * rate) > 0.04
+    assert grid.height_drift == pytest.approx(150 * rate, abs=0.006)
+    assert np.abs(error).max() < 0.012
+    assert abs(np.median(error)) < 0.006
+
+
+def test_without_drift_nothing_is_compensated() -> None:
+    grid, error = drifting_walk(0.0)
+    assert grid.height_drift == 0.0
+    assert abs(error.mean()) < 2e-4
+
+
+def test_a_leap_of_the_pose_is_no_drift() -> None:
+    grid, error = drifting_walk(0.0, scans=80, jump_at=50)
+    assert grid.height_drift == 0.0
+    assert np.median(error[error > 0.006]) == pytest.approx(0.012, abs=1e-3)  # what is in view is where the pose now has it
+
+
+def test_a_box_that_comes_is_no_drift() -> None:
+    grid = ElevationGrid(size=300)
+    i, j = np.mgrid[0:80, 0:60]
+    xy = np.column_stack([0.505 + 0.01 * i.ravel(), 0.01 * j.ravel() - 0.295])
+    on_box = (np.abs(xy[:, 0] - 0.9) < 0.12) & (np.abs(xy[:, 1]) < 0.25)
+    for k in range(40):
+        take(grid, np.column_stack([xy, 0.01 * on_box * (k > 20)]), np.array([0.0, 0.0, 0.3]))
+    assert grid.height_drift == 0.0
+    np.testing.assert_allclose(grid.heights(xy), 0.01 * on_box, atol=2e-3)
