@@ -49,6 +49,7 @@ PerLeg: TypeAlias = Annotated[NDArray[np.float64], Dims(6)]
 PerJoint: TypeAlias = Annotated[NDArray[np.float64], Dims(6, 3)]
 LegFlags: TypeAlias = Annotated[NDArray[np.bool_], Dims(6)]
 _POINTS_WITHOUT_COLOR, _CELLS_WITHOUT_COLOR = np.zeros((0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8)
+_NO_SIGHTS = np.zeros((0, 3), dtype=np.int16)
 _NO_CELLS = np.zeros((0, 0), np.uint8)
 
 
@@ -175,6 +176,9 @@ class Scan(Message):
     color: Annotated[NDArray[np.uint8], Dims("n", 3, packed=True, optional=True)] = dataclasses.field(
         default_factory=lambda: _POINTS_WITHOUT_COLOR
     )  # codes of `shared.color`, a row per point, or none at all
+    sights_mm: Annotated[NDArray[np.int16], Dims("m", 3, packed=True)] = dataclasses.field(
+        default_factory=lambda: _NO_SIGHTS
+    )  # [mm] from the origin: points up to which the camera saw nothing, beside those of the scan
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a scan that was overtaken may be late
 _FROM_BODY = 1.0  # [m] from the body to the camera, beyond which pose and scan have nothing to do with each other
 _FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
+_NEAR = 1.2  # of the camera's least range, up to which a line of sight without a return says nothing
 _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
 
 
@@ -88,6 +89,8 @@ class Mapper:
                     scan.spread_mm * 1e-3,
                     scan.p_world_camera,
                     pose_covariance=scan.pose_covariance,
+                    sights=scan.origin + scan.sights_mm * 1e-3,
+                    nearest=_NEAR * self._profile.camera.sensor.min_range,
                 )
             except ValueError as error:
                 self._refused = str(error)

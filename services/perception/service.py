@@ -14,6 +14,7 @@ from services.perception.config import Settings
 from services.perception.motion import Motion, OdometryHistory
 from services.perception.reduction import reduce_scan
 from services.perception.registration import AXES, Registered, Registration, refused
+from services.perception.sights import free_sights
 from shared import topics
 from shared.geometry import Array, inverse, rotation_from_rpy, rpy_from_rotation, transform, yaw_of
 from shared.messages import BodyPose, ColorImage, DepthImage, Message, Scan
@@ -22,6 +23,7 @@ from shared.service import AnyTopic, Inbox, Stages
 
 _SAMPLED = 8  # every how many rows and columns are looked at to tell a frozen or an empty picture
 _EMPTY = 0.02  # share of the picture that is measured, below which it shows nothing
+_EMPTY_EVERY = 3  # scans after which pixels without a return count as lines of sight: they are less to be relied upon
 _BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothing is in range
 _MOVED = 0.01  # [m] or [rad] beyond which no two pictures are the same
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a frame that was overtaken may be late
@@ -58,6 +60,7 @@ class Perception:
         self._tilt: Array = np.zeros(2)  # [rad] roll and pitch of {odom} in {world}, steadied
         self._stamp_ns = -1
         self._frames = 0
+        self._looks = 0  # scans whose lines of sight have been told
         self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest frame
         self._every = max(1, round(profile.camera.sensor.rate_hz / settings.scan_rate_hz))  # frames per one that is used
         self._picture: tuple[NDArray[np.uint16], int, Motion | None] | None = None  # a sample, since when, and where
@@ -228,7 +231,22 @@ class Perception:
             spread_mm=reduced.spread,
             p_world_camera=np.array(found.T_world_camera[:3, 3]),
             pose_covariance=np.asarray(found.covariance, dtype=np.float64),
+            sights_mm=self._sights(image, found.T_world_camera, reduced.origin),
         )
+
+    def _sights(self, image: DepthImage, T_world_camera: Array, origin: Array) -> NDArray[np.int16]:
+        """Where a picture shows that nothing stands, beyond the scan, [mm] from its origin."""
+        self._looks += 1
+        points = free_sights(
+            image.depth,
+            self._camera.intrinsics,
+            self._camera.sensor,
+            T_world_camera,
+            max_range=self._settings.scan_range,
+            turn=self._looks,
+            believe_empty=self._looks % _EMPTY_EVERY == 0,
+        )
+        return np.clip(np.rint(1e3 * (points - origin)), -32767, 32767).astype(np.int16)
 
 
 def _is_noise(image: DepthImage) -> str:
