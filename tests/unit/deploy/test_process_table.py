@@ -66,7 +66,7 @@ def test_a_scenario_reaches_the_processes() -> None:
         "wild",
         (Plane(),),
         Goal(1.0),
-        walk=Walk(blind=True),
+        walk=Walk(blind=True, footholds="evaluation"),
         variation=Variation(registration="kiss-icp"),
     )
     made = {
@@ -76,7 +76,7 @@ def test_a_scenario_reaches_the_processes() -> None:
     assert "--set scenario=/a/wild.toml --set seed=7 --set bus_port=7450" in made["simulator"]
     assert "--set port=socket://127.0.0.1:7450" in made["actuator"]
     assert "--set method=kiss-icp" in made["perception"]
-    assert "--set blind=true" in made["planner"]
+    assert "--set blind=true --set footholds=evaluation" in made["planner"]
     assert all("--connect tcp/127.0.0.1:7447 --namespace test" in line for line in made.values())
 
 

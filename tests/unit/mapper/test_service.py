@@ -293,3 +293,47 @@ def test_a_strip_that_cannot_be_is_refused_in_words(
     assert words in told[0].reason
     assert told[0].unseen == 1.0
     assert len(surveyed(rig, STRIP)) == 1
+
+
+# ---- the foothold layers
+
+
+def step_ahead(rig: Rig, covariance: NDArray[np.float64], height: float = HEIGHT) -> TerrainMap:
+    """The map of level ground that ends at x = 0.75 m at a step of 3 cm, by a body whose pose has a covariance (6, 6)."""
+    T = from_xyz_rpy((0.0, 0.0, height), (0.0, 0.0, 0.0))
+    rig.hear(BodyPose(rig.now_ns, T, np.eye(4), covariance, 1.0, True, "", np.zeros((0, 6))))
+    rig.hear(legs())
+    rig.scan(0.0, x=(0.5, 0.75))
+    (map_,) = rig.scan(0.03, x=(0.75, 1.0))
+    return map_
+
+
+def nearest_to_the_step(map_: TerrainMap, good: Flags) -> float:
+    """How far [m] from the step the nearest foothold on its lower side is."""
+    j = round((0.0 - map_.origin[1]) / map_.resolution)
+    x = map_.origin[0] + map_.resolution * np.arange(map_.elevation.shape[0])
+    return float(0.75 - x[good[:, j] & (x < 0.75)].max())
+
+
+def test_both_layers_are_published_and_agree_about_a_step() -> None:
+    map_ = step_ahead(Rig(), np.eye(6) * 1e-6)
+    for good in (map_.score <= 1, map_.evaluation < 0):
+        assert 0.015 <= nearest_to_the_step(map_, good) <= 0.035
+    assert (map_.evaluation[np.isnan(map_.elevation)] == 127).all()
+
+
+def test_a_doubtful_pose_widens_the_margin_of_both_layers() -> None:
+    doubtful = np.eye(6) * 1e-6
+    doubtful[:2, :2] = [[0.015**2, 0.0], [0.0, 0.001**2]]  # along x alone: a foot may be off to any side of the step
+    sure, unsure = step_ahead(Rig(), np.eye(6) * 1e-6), step_ahead(Rig(), doubtful)
+    for layer in (lambda m: m.score <= 1, lambda m: m.evaluation < 0):
+        assert nearest_to_the_step(unsure, layer(unsure)) >= nearest_to_the_step(sure, layer(sure)) + 0.015
+
+
+def test_ground_far_below_the_body_is_not_accessible() -> None:
+    """The depth limit of 0.25 m counts from the body: raised high enough, the robot finds its own ground too deep."""
+    low, high = step_ahead(Rig(), np.eye(6) * 1e-6), step_ahead(Rig(), np.eye(6) * 1e-6, height=0.30)
+    assert (low.evaluation < 0).any()
+    measured = np.isfinite(high.elevation) & ~high.assumed
+    deep = high.elevation < 0.05 - 1e-3
+    assert (high.evaluation[measured & deep] > 0).all()

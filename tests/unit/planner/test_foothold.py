@@ -145,3 +145,64 @@ def test_what_the_ground_is_made_of_is_named(number: int, words: str) -> None:
     assert isinstance(found, NoFoothold)
     assert f" {words}" in found.reason
     assert "too steep" in found.reason
+
+
+# ---- on Masri's evaluation function
+
+
+def block(half: int, bound: int = 5) -> Callable[[Array, Array], Array]:
+    """The evaluation function of a square of (2 * half + 1) cells around the origin."""
+
+    def F(x: Array, y: Array) -> Array:
+        i, j = np.abs(np.rint(x / RESOLUTION)), np.abs(np.rint(y / RESOLUTION))
+        outside = np.maximum(i - half, 0) + np.maximum(j - half, 0)
+        return np.asarray(np.where(outside > 0, outside, -np.minimum(np.minimum(half + 1 - i, half + 1 - j), bound)))
+
+    return F
+
+
+def on(ground: Terrain, nominal: Array, reachable: Callable[[Array], Flags] = everywhere) -> Foothold | NoFoothold:
+    return nearest_foothold(replace(ground, layer="evaluation"), nominal, OFFSETS, NOBODY, 0.06, reachable)
+
+
+def test_a_strongly_negative_place_stays_and_one_near_the_border_moves_inwards(make_terrain: Maker) -> None:
+    ground = make_terrain(evaluation=block(10), score=lambda x, y: np.full_like(x, 9.0))  # the score has no say
+    inside = on(ground, np.array([0.03, -0.07]))
+    assert isinstance(inside, Foothold)
+    assert inside.moved == 0.0
+    border = on(ground, np.array([0.10, 0.0]))
+    assert isinstance(border, Foothold)
+    assert border.p_world[0] == pytest.approx(0.08)  # 3 cm from the border
+
+
+@pytest.mark.parametrize("half", [1, 2, 3])
+def test_on_small_ground_the_local_minimum_is_taken(make_terrain: Maker, half: int) -> None:
+    ground = make_terrain(evaluation=block(half))
+    for nominal in ((0.01 * half, 0.0), (0.01 * (half + 1), 0.01)):
+        found = on(ground, np.array(nominal))
+        assert isinstance(found, Foothold)
+        assert ground.map.evaluation[tuple(ground.cells(found.p_world[None, :2])[0][0])] == -min(half + 1, 3)
+
+
+def test_a_poor_place_is_better_than_none(make_terrain: Maker) -> None:
+    ground = make_terrain(evaluation=block(10))
+    found = on(ground, np.array([0.10, 0.0]), lambda points: points[:, 0] > 0.095)
+    assert isinstance(found, Foothold)
+    assert found.p_world[0] == pytest.approx(0.10)
+
+
+def test_the_refusal_has_the_same_words(make_terrain: Maker) -> None:
+    none = on(make_terrain(evaluation=lambda x, y: np.full_like(x, 4.0)), np.zeros(2))
+    assert isinstance(none, NoFoothold)
+    assert f"{len(OFFSETS)} too steep or too near an edge" in none.reason
+    unseen = on(make_terrain(evaluation=lambda x, y: np.full_like(x, 127.0)), np.zeros(2))
+    assert isinstance(unseen, NoFoothold)
+    assert f"{len(OFFSETS)} not seen" in unseen.reason
+
+
+def test_level_ground_without_a_map_is_good_on_either_layer() -> None:
+    flat = flat_terrain(0, np.zeros(2), 0.0)
+    for ground in (flat, replace(flat, layer="evaluation")):
+        found = nearest_foothold(ground, np.array([0.123, -0.2]), OFFSETS, NOBODY, 0.06, everywhere)
+        assert isinstance(found, Foothold)
+        assert found.moved == 0.0
