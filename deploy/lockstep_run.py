@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from deploy.attendance import Attendance, about
+from deploy.pose_error import MODELS, Erring
 from deploy.progress import Progress, Silent
 from deploy.recording import Recorder
 from deploy.report import Report
@@ -49,7 +50,7 @@ class LockstepRun:
         makers: dict[str, Callable[[], Service]] = {
             "simulator": lambda: simulator,
             "actuator": lambda: _actuator(profile, simulator, self.now_ns),
-            "perception": lambda: Perception(profile, PerceptionSettings(method=scenario.variation.registration)),
+            "perception": lambda: _perception(profile, scenario, seed),
             "mapper": lambda: Mapper(profile, MapperSettings()),
             "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind, footholds=scenario.walk.footholds)),
         }
@@ -140,6 +141,11 @@ def _run_to_the_end(run: LockstepRun, progress: Progress) -> str:
         run.run(run.now_ns() + _LOOK_NS)
         progress.update(run.attendance.monitor.view)
     return ""
+
+
+def _perception(profile: RobotProfile, scenario: Scenario, seed: int) -> Service:
+    perception = Perception(profile, PerceptionSettings(method=scenario.variation.registration))
+    return perception if scenario.pose_error == "none" else Erring(perception, MODELS[scenario.pose_error], seed)
 
 
 def _actuator(profile: RobotProfile, simulator: Simulator, clock: Callable[[], int]) -> Actuator:

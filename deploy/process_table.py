@@ -34,6 +34,7 @@ class Choices:
     blind: bool = False
     footholds: str = "score"  # the map's layer that the planner walks on
     registration: str = "projective"
+    pose_error: str = "none"  # of the scenario's; in simulation alone
     camera: str = ""  # device in place of the one of the robot's profile: "openni2", "realsense", or a recorded folder
 
 
@@ -61,7 +62,8 @@ def _camera(choices: Choices) -> dict[str, Value]:
 
 
 def _perception(choices: Choices) -> dict[str, Value]:
-    return {"method": choices.registration}
+    erring: dict[str, Value] = {} if choices.pose_error == "none" else {"pose_error": choices.pose_error, "seed": choices.seed}
+    return {"method": choices.registration, **erring}
 
 
 def _planner(choices: Choices) -> dict[str, Value]:
@@ -105,6 +107,7 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
         blind=scenario.walk.blind,
         footholds=scenario.walk.footholds,
         registration=scenario.variation.registration,
+        pose_error=scenario.pose_error,
     )
 
 
@@ -133,7 +136,7 @@ def commands(
         Command(
             name=p.name,
             arguments=(
-                *("-m", p.module, "--robot", chosen.robot, *_meeting(endpoints), *_giving_way(p.nice)),
+                *("-m", _module(p, chosen), "--robot", chosen.robot, *_meeting(endpoints), *_giving_way(p.nice)),
                 *_set([assignment(key, value) for key, value in p.settings(chosen).items()]),
                 *_set((extra or {}).get(p.name, ())),
             ),
@@ -144,6 +147,11 @@ def commands(
         )
         for p in processes
     )
+
+
+def _module(process: Process, chosen: Choices) -> str:
+    """What is run: perception with a pose error is another process, so that the robot's own knows nothing of it."""
+    return "deploy.erring_perception" if process.name == "perception" and chosen.pose_error != "none" else process.module
 
 
 def _giving_way(nice: int) -> tuple[str, ...]:

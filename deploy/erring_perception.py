@@ -1,0 +1,28 @@
+"""Perception with the errors of a recorded localiser on top, for simulated live runs: `python -m deploy.erring_perception`."""
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+from deploy.pose_error import MODELS, Erring
+from services.perception.config import Settings as PerceptionSettings
+from services.perception.service import Perception
+from shared import process
+from shared.robot import RobotProfile
+
+
+@dataclass(frozen=True, slots=True)
+class Settings(PerceptionSettings):
+    """Perception's own, and how its poses are off."""
+
+    pose_error: Literal["rgbdslam", "orb_slam"] = "orb_slam"
+    seed: int = 0
+
+
+def make(profile: RobotProfile, settings: Settings) -> Erring:
+    """Perception as it is, wrapped."""
+    own = {f.name: getattr(settings, f.name) for f in fields(PerceptionSettings)}
+    return Erring(Perception(profile, PerceptionSettings(**own)), MODELS[settings.pose_error], settings.seed)
+
+
+if __name__ == "__main__":
+    process.main("perception", Settings, make)
