@@ -1,0 +1,46 @@
+"""Ground that depth alone calls flat: with colour the robot keeps off it, without it treads in, and before a pool it stops."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from deploy.lockstep_run import assemble
+from shared import codec, topics
+from shared.messages import PlannerStatus, TerrainMap
+from shared.robot import load_profile
+from shared.scenario import Goal, Plane, Puddle, load_scenario
+from tests.support.walks import S, walk
+
+SHORT = replace(load_scenario("puddle"), goal=Goal(0.85))
+POOL = replace(SHORT, terrain=(Plane(), Puddle((1.1, 0.0), (0.6, 3.0))))
+
+
+def test_with_colour_no_foot_goes_where_without_it_feet_go() -> None:
+    seeing, blind_to_it = (walk(replace(SHORT, robot=robot), 1001).report for robot in ("phantomx_mk2_rgbd", "phantomx_mk2"))
+    assert seeing.success, seeing.reason
+    assert seeing.missteps == 0
+    assert blind_to_it.missteps > 0
+
+
+def test_before_a_pool_the_robot_stops_and_says_why() -> None:
+    heard: list[PlannerStatus] = []
+    maps: list[TerrainMap] = []
+
+    def tap(topic: object, frame: bytes, _at_ns: int) -> None:
+        if topic is topics.PLANNER_STATUS:
+            heard.append(codec.decode(frame, PlannerStatus)[0])
+        elif topic is topics.TERRAIN:
+            maps[:] = [codec.decode(frame, TerrainMap)[0]]
+
+    run = assemble(POOL, 1000, load_profile(POOL.robot), tap)
+    while run.now_ns() < 30 * S and not (heard and heard[-1].state == "blocked"):
+        run.run(run.now_ns() + S // 10)
+    assert heard[-1].state == "blocked"
+    assert " water" in heard[-1].reason
+    newest = maps[0]
+    wet = newest.hazard == 1
+    assert wet.sum() > 1000
+    assert (newest.evaluation[wet] >= 1).all(), "by Masri's layer it is no foothold, either"
+    scores = newest.score[wet]
+    assert (scores[np.isfinite(scores)] > 1.0).all()
+    assert newest.color.any(axis=-1)[wet].mean() > 0.9
