@@ -149,8 +149,10 @@ def moved_by(error: Array, T_world_body: Array) -> Array:
 
 def moved_scan(scan: Scan, T: Array, covariance: Array) -> Scan:
     """A scan placed by a pose that is off: all moves by T (4, 4); points that leave the millimetres' range are left out."""
-    points = np.rint((apply(T, scan.origin + scan.points_mm * 1e-3) - scan.origin) * 1e3)
-    kept = (np.abs(points) < 32767).all(axis=1)
+    points, sights = (
+        np.rint((apply(T, scan.origin + mm * 1e-3) - scan.origin) * 1e3) for mm in (scan.points_mm, scan.sights_mm)
+    )
+    kept, kept_sights = ((np.abs(mm) < 32767).all(axis=1) for mm in (points, sights))
     return replace(
         scan,
         points_mm=points[kept].astype(np.int16),
@@ -159,6 +161,7 @@ def moved_scan(scan: Scan, T: Array, covariance: Array) -> Scan:
         p_world_camera=apply(T, scan.p_world_camera),
         pose_covariance=scan.pose_covariance + covariance,
         color=scan.color[kept] if len(scan.color) else scan.color,
+        sights_mm=sights[kept_sights].astype(np.int16),
     )
 
 

@@ -103,6 +103,7 @@ def scan(n: int = 50, color: bool = True) -> Scan:
         p_world_camera=np.array([0.8, -0.1, 0.25]),
         pose_covariance=np.eye(6) * 1e-6,
         color=rng.integers(0, 63, (n if color else 0, 3)).astype(np.uint8),
+        sights_mm=rng.integers(-900, 900, (7, 3)).astype(np.int16),
     )
 
 
@@ -115,7 +116,7 @@ def test_pose_and_scan_move_together() -> None:
         assert isinstance(pose, BodyPose)
         assert isinstance(moved, Scan)
         assert np.abs(pose.T_world_body - T).max() > 1e-4
-        points, shifted = (s.origin + s.points_mm * 1e-3 for s in (before, moved))
+        points, shifted = (s.origin + np.vstack([s.points_mm, s.sights_mm]) * 1e-3 for s in (before, moved))
         np.testing.assert_allclose(apply(inverse(pose.T_world_body), shifted), apply(inverse(T), points), atol=1.2e-3)
         camera = apply(inverse(pose.T_world_body), moved.p_world_camera)
         np.testing.assert_allclose(camera, apply(inverse(T), before.p_world_camera), atol=1e-12)
