@@ -60,17 +60,17 @@ def _draw_ratios(axes: Any, jobs: Mapping[tuple[str, str], list[Timing]]) -> Non
             -0.02, y + 0.62, f"{stage}, {case}", transform=axes.get_yaxis_transform(), weight="bold", ha="right", va="center"
         )
         y += _GAP / _BAR
-        for k, t in enumerate(rows):
+        for t in rows:
             r = t.ratio
-            axes.barh(y, r.median, height=0.8, color=_PEER if k else _OURS)
+            axes.barh(y, r.median, height=0.8, color=_OURS if t.method.startswith(rows[0].method) else _PEER)
             axes.plot([r.p10, r.p90], [y, y], color="#222222", linewidth=1.2, marker="|", markersize=7)
-            axes.text(1.08 * max(r.p90, r.median), y, f"{r.median:.3g} x   {t.ms.median:.3g} ms", va="center", size=10)
+            axes.text(1.08 * max(r.p90, 1.0), y, f"{r.median:.3g} x   {t.ms.median:.3g} ms", va="center", size=10)
             ticks.append(y)
             names.append(t.method)
             y += 1.0
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_xlim(min(0.5, *(t.ratio.p10 for rows in jobs.values() for t in rows)), 4.5 * reach)
+    axes.set_xlim(0.8 * min(t.ratio.p10 for rows in jobs.values() for t in rows), 4.5 * reach)
     axes.set_ylim(y - 0.4, 0.0)
     axes.set_yticks(ticks, names)
     axes.tick_params(axis="y", length=0)
@@ -86,4 +86,4 @@ def _draw_parts(axes: Any, parts: Mapping[str, float]) -> None:
     axes.set_yticks([0], [f"frame to layers\n{at:.2f} ms"])
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("ms")
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=5, frameon=False, fontsize=9, columnspacing=1.2)
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.25, 1.0), ncols=6, frameon=False, fontsize=9, columnspacing=1.2)
