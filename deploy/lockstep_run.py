@@ -51,7 +51,7 @@ class LockstepRun:
             "simulator": lambda: simulator,
             "actuator": lambda: _actuator(profile, simulator, self.now_ns),
             "perception": lambda: _perception(profile, scenario, seed),
-            "mapper": lambda: Mapper(profile, MapperSettings()),
+            "mapper": lambda: Mapper(profile, _map_settings(scenario)),
             "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind, footholds=scenario.walk.footholds)),
         }
         for name, service in [*self.attendance.services().items(), *((guest.name, guest) for guest in guests)]:
@@ -144,8 +144,13 @@ def _run_to_the_end(run: LockstepRun, progress: Progress) -> str:
 
 
 def _perception(profile: RobotProfile, scenario: Scenario, seed: int) -> Service:
-    perception = Perception(profile, PerceptionSettings(method=scenario.variation.registration))
+    settings = PerceptionSettings(method=scenario.variation.registration, scan_resolution=scenario.map.scan_resolution)
+    perception = Perception(profile, settings)
     return perception if scenario.pose_error == "none" else Erring(perception, MODELS[scenario.pose_error], seed)
+
+
+def _map_settings(scenario: Scenario) -> MapperSettings:
+    return MapperSettings(scenario.map.cells, scenario.map.cells_y, scenario.map.resolution)
 
 
 def _actuator(profile: RobotProfile, simulator: Simulator, clock: Callable[[], int]) -> Actuator:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from shared.scenario import Scenario
+from shared.scenario import MapOptions, Scenario
 from shared.transport import Endpoints
 
 Value = str | int | bool
@@ -35,6 +35,7 @@ class Choices:
     footholds: str = "score"  # the map's layer that the planner walks on
     registration: str = "projective"
     pose_error: str = "none"  # of the scenario's; in simulation alone
+    map: MapOptions = field(default_factory=MapOptions)
     camera: str = ""  # device in place of the one of the robot's profile: "openni2", "realsense", or a recorded folder
 
 
@@ -62,8 +63,16 @@ def _camera(choices: Choices) -> dict[str, Value]:
 
 
 def _perception(choices: Choices) -> dict[str, Value]:
+    fine: dict[str, Value] = {"scan_resolution": str(choices.map.scan_resolution)} if choices.map != MapOptions() else {}
     erring: dict[str, Value] = {} if choices.pose_error == "none" else {"pose_error": choices.pose_error, "seed": choices.seed}
-    return {"method": choices.registration, **erring}
+    return {"method": choices.registration, **fine, **erring}
+
+
+def _mapper(choices: Choices) -> dict[str, Value]:
+    chosen = choices.map
+    if chosen == MapOptions():
+        return {}
+    return {"cells": chosen.cells, "cells_y": chosen.cells_y, "resolution": str(chosen.resolution)}
 
 
 def _planner(choices: Choices) -> dict[str, Value]:
@@ -80,7 +89,7 @@ TABLE: tuple[Process, ...] = (
     Process("actuator", "services.actuator", "robot", 3, _actuator, after=("simulator",)),
     Process("camera", "services.perception.cameras", "device", 3, _camera),
     Process("perception", "services.perception", "robot", 3, _perception, nice=2),
-    Process("mapper", "services.mapper", "either", 3, lambda _: {}, nice=5),
+    Process("mapper", "services.mapper", "either", 3, _mapper, nice=5),
     Process("planner", "services.planner", "either", 3, _planner, nice=2),
 )
 
@@ -108,6 +117,7 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
         footholds=scenario.walk.footholds,
         registration=scenario.variation.registration,
         pose_error=scenario.pose_error,
+        map=scenario.map,
     )
 
 

@@ -201,6 +201,24 @@ class Variation:
 
 
 @dataclass(frozen=True, slots=True)
+class MapOptions:
+    """How large and how fine the terrain map is; scans are reduced to cells as fine, down to 5 mm."""
+
+    cells: int = 256  # along x
+    cells_y: int = 0  # along y, 0 for as many
+    resolution: float = 0.01  # [m]
+
+    def __post_init__(self) -> None:
+        _expect(self.cells >= 8 and (self.cells_y == 0 or self.cells_y >= 8), "at least 8 cells", (self.cells, self.cells_y))
+        _expect(0.001 <= self.resolution <= 1.0, "a resolution of 0.001 to 1 m", self.resolution)
+
+    @property
+    def scan_resolution(self) -> float:
+        """[m] of the cells that scans are reduced to."""
+        return max(self.resolution, 0.005)
+
+
+@dataclass(frozen=True, slots=True)
 class Fault:
     """Something that goes wrong at a time."""
 
@@ -235,6 +253,7 @@ class Scenario:
     camera: CameraOptions = field(default_factory=CameraOptions)
     variation: Variation = field(default_factory=Variation)
     pose_error: Literal["none", "rgbdslam", "orb_slam"] = "none"  # perception is off as a recorded visual SLAM was
+    map: MapOptions = field(default_factory=MapOptions)
     faults: tuple[Fault, ...] = ()
     time_limit_s: float = 90.0  # [s] simulated
     folder: str = "."  # where files named in the scenario are looked for; set on loading

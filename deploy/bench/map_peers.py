@@ -196,14 +196,15 @@ class NumpyGrid:
                 now, left = left[first], left[~first]
                 e = self._entry[cell[now]]
                 step = z[now] - out_z[e]
-                apart = (np.abs(step) > model.edge_step) & (
+                apart = (np.abs(step) > model.step_in(self._resolution)) & (
                     step * step > model.gate**2 * (random[now] + out_random[e] + systematic[now])
                 )
                 gain = (out_random[e] + 1e-12) / (out_random[e] + random[now] + 2e-12)
                 upper = apart & (step > 0)
                 out_z[e] = np.where(upper, z[now], np.where(apart, out_z[e], out_z[e] + gain * step))
                 out_random[e] = np.where(upper, random[now], np.where(apart, out_random[e], out_random[e] * (1.0 - gain)))
-                most = np.maximum(out_systematic[e], systematic[now])
+                own = np.maximum(gain * (1.0 - gain) * step * step - random[now], 0.0)
+                most = np.maximum(out_systematic[e], systematic[now]) + own
                 out_systematic[e] = np.where(upper, systematic[now], np.where(apart, out_systematic[e], most))
         self._update(cells, out_z, out_random + out_systematic, out_systematic)
 

@@ -72,6 +72,10 @@ class FusionModel:
         if not 1 <= self.patience <= 200:
             raise ValueError(f"patience of 1 to 200 scans expected, found {self.patience}")
 
+    def step_in(self, resolution: float) -> float:
+        """[m] between points of one scan in a cell of that edge [m], beyond which they are an edge and not a slope."""
+        return max(self.edge_step, 2.0 * self.terrain_slope * resolution)
+
     @classmethod
     def of_sensor(cls, sensor: DepthSensor, fx: float) -> Self:
         """The model of a triangulating camera with focal length fx [px]; the other fields keep their defaults."""
@@ -249,7 +253,8 @@ class ElevationGrid:
 
         1. Each point gets a variance from the sensor model and the pose's covariance through the map's own slope; the
            part that does not average away is its floor.
-        2. Points of one cell are merged; across an edge the upper one stands (Masri 2016, section 4.4).
+        2. Points of one cell, several where the scan's cells are smaller, are merged; what they differ by beyond their noise
+           is the ground's own, as a point's spread is. Across an edge the upper one stands (Masri 2016, section 4.4).
         3. Each cell: an unseen or assumed cell takes the measurement outright; one within the gate is filtered in,
            its variance never below the floor; one outside votes for the rival (see the module).
         4. Cells that stand in a line of sight become unseen again after a while.
@@ -281,7 +286,7 @@ class ElevationGrid:
         slope = _slopes(cell, self._height, self.resolution, low_i, low_j)
         random, systematic = self.model.height_variance(p, n, s, c, covariance, slope)
         touched, z, random, systematic = _merge_scan(
-            cell, p[:, 2], random, systematic, self._slot, self.model.gate, self.model.edge_step
+            cell, p[:, 2], random, systematic, self._slot, self.model.gate, self.model.step_in(self.resolution)
         )
         if inside:
             self._follow_drift(touched, z, _height_sigma(middle - c, covariance))
@@ -736,7 +741,9 @@ def _merge_scan(
         gain = (out_random[e] + 1e-12) / (out_random[e] + random[k] + 2e-12)
         out_z[e] += gain * step
         out_random[e] *= 1.0 - gain
-        out_systematic[e] = max(out_systematic[e], systematic[k])
+        # Of their variance about the mean, what noise does not explain lasts.
+        own = max(gain * (1.0 - gain) * step * step - random[k], 0.0)
+        out_systematic[e] = max(out_systematic[e], systematic[k]) + own
     for e in range(m):
         slot[cells[e]] = -1
     return cells[:m], out_z[:m], out_random[:m], out_systematic[:m]

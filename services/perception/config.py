@@ -11,6 +11,7 @@ class Settings:
     method: Literal["projective", "kiss-icp"] = "projective"  # kiss-icp suits wide-field scanners
     blocks_across: int = 160  # to which a row of the picture is reduced for registration; clutter wants more
     scan_rate_hz: float = 15.0  # of the frames that are registered and passed on as scans, at most
+    scan_resolution: float = 0.01  # [m] of the cells that a scan has a point of: the map's
     scan_range: float = 1.5  # [m] horizontally from the camera
     scan_points: int = 14_000  # at most: 60 kB of the roughest ground
     # How far leg odometry is believed, as one sigma of the motion between two frames. Wide figures cost nothing where the
@@ -27,3 +28,5 @@ class Settings:
     def __post_init__(self) -> None:
         if self.scan_rate_hz <= 0:
             raise ValueError(f"a positive scan_rate_hz expected, found {self.scan_rate_hz}")
+        if not 0.005 <= self.scan_resolution <= 1.0:
+            raise ValueError(f"a scan_resolution of 0.005 to 1 m expected, found {self.scan_resolution}")

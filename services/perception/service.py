@@ -220,6 +220,7 @@ class Perception:
             self._camera.intrinsics,
             self._camera.sensor,
             found.T_world_camera,
+            resolution=settings.scan_resolution,
             max_range=settings.scan_range,
             max_points=settings.scan_points,
         )

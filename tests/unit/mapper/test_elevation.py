@@ -770,3 +770,39 @@ def test_a_box_that_comes_is_no_drift() -> None:
         take(grid, np.column_stack([xy, 0.01 * on_box * (k > 20)]), np.array([0.0, 0.0, 0.3]))
     assert grid.height_drift == 0.0
     np.testing.assert_allclose(grid.heights(xy), 0.01 * on_box, atol=2e-3)
+
+
+# ---- scans and maps of different resolutions
+
+
+@given(st.sampled_from([0.02, 0.03, 0.05]), st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=20)
+def test_a_coarser_map_holds_the_mean_of_its_ground_and_knows_how_far_it_strays(resolution: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid = ElevationGrid((20, 30), resolution)
+    low, high = grid.origin - resolution / 2, grid.origin + (np.array(grid.shape) - 0.5) * resolution
+    x, y = (np.arange(low[k] + 0.005, high[k], 0.01) for k in (0, 1))
+    xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    slope = rng.uniform(-0.19, 0.19, 2)  # 15 deg at most
+    report = grid.fuse(np.column_stack([xy, xy @ slope]), np.full(len(xy), 4), np.zeros(len(xy)), np.array([-0.5, 0.0, 0.5]))
+    assert report.updated == 600
+    snapshot = grid.snapshot()
+    error = snapshot.elevation.ravel() - centres(grid) @ slope
+    assert np.abs(error).max() < 0.25 * resolution * np.abs(slope).sum() + 1e-4  # points of one cell weigh nearly alike
+    strays = np.linalg.norm(slope) * resolution / math.sqrt(12.0)
+    claimed = np.sqrt(np.median(snapshot.variance))
+    assert 0.4 * strays < claimed < math.hypot(strays, 4e-3)
+
+
+@pytest.mark.parametrize("step", [0.05, 0.10])
+def test_a_coarser_map_keeps_the_upper_side_of_an_edge(step: float) -> None:
+    grid = ElevationGrid(20, 0.03)
+    grid.fuse(np.array([[0.005, 0.0, 0.0], [0.015, 0.0, step], [0.025, 0.0, step]]), np.full(3, 8), np.zeros(3), CAMERA)
+    assert grid.heights([0.015, 0.005]) == pytest.approx(step, abs=1e-6)
+
+
+def test_a_finer_map_than_the_scan_has_holes_and_no_guesses() -> None:
+    grid = ElevationGrid((64, 64), 0.005)
+    xy = np.stack(np.mgrid[-10:10, -10:10], axis=-1).reshape(-1, 2) * 0.01 + 0.0051
+    scan(grid, xy, 0.03)
+    assert np.isfinite(grid.snapshot().elevation).sum() == len(xy)

@@ -337,3 +337,17 @@ def test_ground_far_below_the_body_is_not_accessible() -> None:
     measured = np.isfinite(high.elevation) & ~high.assumed
     deep = high.elevation < 0.05 - 1e-3
     assert (high.evaluation[measured & deep] > 0).all()
+
+
+@pytest.mark.parametrize(("cells", "cells_y", "resolution"), [(100, 300, 0.02), (512, 0, 0.01), (300, 200, 0.005)])
+def test_a_map_of_any_size_and_resolution_is_made_and_scored(cells: int, cells_y: int, resolution: float) -> None:
+    rig = Rig(Settings(cells, cells_y, resolution, publish_every=1))
+    rig.stand(at())
+    maps = [m for _ in range(4) for m in rig.scan(0.01)]
+    assert maps[-1].elevation.shape == (cells, cells_y or cells)
+    assert maps[-1].resolution == resolution
+    place = np.array([[0.72, 0.1]])  # beyond what is assumed
+    i, j = np.rint((place[0] - maps[-1].origin) / resolution).astype(int)
+    assert np.nanmedian(maps[-1].elevation[i - 2 : i + 3, j - 2 : j + 3]) == pytest.approx(0.01, abs=1e-3)
+    if resolution >= 0.01:
+        assert maps[-1].score[i, j] <= 1.0
