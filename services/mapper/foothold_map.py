@@ -63,15 +63,15 @@ class EvaluationFunction:
         """Take the cells' edge [m] and the rules.
 
         Raises:
-            ValueError: The resolution is not positive, or a bound is more than 126 cells.
+            ValueError: The resolution is not positive, or the bound is more than 126 cells; the reach ends there.
         """
         if not 0 < resolution < math.inf:
             raise ValueError(f"positive resolution expected, found {resolution}")
         self.rules = rules or FootholdRules()
         self.bound = max(1, round(self.rules.bound / resolution))  # [cells]
-        self.reach = max(1, round(self.rules.reach / resolution))  # [cells]
-        if max(self.bound, self.reach) >= UNKNOWN:
-            raise ValueError(f"bounds of at most {UNKNOWN - 1} cells expected, found {max(self.bound, self.reach)}")
+        self.reach = min(max(1, round(self.rules.reach / resolution)), UNKNOWN - 1)  # [cells]
+        if self.bound >= UNKNOWN:
+            raise ValueError(f"a bound of at most {UNKNOWN - 1} cells expected, found {self.bound}")
         self._half = max(0, round((self.rules.closing / resolution - 1) / 2))
         self._square = np.ones((2 * self._half + 1, 2 * self._half + 1), dtype=np.uint8)
         self._vacant_disc = disc(self.rules.unknown_clearance / resolution, least=0)  # one cell for no clearance

@@ -80,7 +80,7 @@ class WalkabilityScorer:
         """Take the map's shape (nx, ny), its resolution [m] and the weights.
 
         Raises:
-            ValueError: The map is smaller than 3x3, or flat_radius is below one cell or beyond 15 cells.
+            ValueError: The map is smaller than 3x3, or flat_radius is beyond 25 cells; below one it counts as one.
         """
         self.weights = weights or ScoreWeights()
         if len(shape) != 2 or min(shape) < 3:
@@ -89,10 +89,10 @@ class WalkabilityScorer:
             raise ValueError(f"positive resolution expected, found {resolution}")
         self.shape = shape
         self.resolution = resolution
-        self._half = round(self.weights.flat_radius / resolution)
-        if not 1 <= self._half <= 15:
+        self._half = max(1, round(self.weights.flat_radius / resolution))
+        if self._half > 25:
             raise ValueError(
-                f"flat_radius of 1 to 15 cells expected, found {self.weights.flat_radius} m at {resolution} m per cell"
+                f"flat_radius of at most 25 cells expected, found {self.weights.flat_radius} m at {resolution} m per cell"
             )
         self._near_unknown = disc(self.weights.unknown_clearance / resolution)
         self._neighbours = disc(0.0)

@@ -211,4 +211,4 @@ def test_bad_rules_are_refused() -> None:
     with pytest.raises(ValueError, match="resolution"):
         EvaluationFunction(0.0)
     with pytest.raises(ValueError, match="126 cells"):
-        EvaluationFunction(0.001)
+        EvaluationFunction(0.0002)

@@ -57,6 +57,22 @@ def test_a_map_that_grows_and_moves_has_the_layers_of_one_made_anew(seed: int, r
         np.testing.assert_array_equal(a.evaluation, b.evaluation)
 
 
+@pytest.mark.parametrize("resolution", [0.001, 0.004, 0.01, 0.02, 0.05, 1.0])
+@pytest.mark.parametrize("shape", [(40, 90), (90, 40)])
+def test_any_size_and_resolution(shape: tuple[int, int], resolution: float) -> None:
+    """A wall is refused and level ground is not, in cells of a millimetre as of a metre."""
+    z = np.zeros(shape, dtype=np.float32)
+    z[:, shape[1] // 2 :] = 0.5
+    made = FootholdLayers(shape, resolution, None, WEIGHTS).update(z, np.zeros_like(z), ORIGIN)
+    wall = slice(shape[1] // 2 - 1, shape[1] // 2 + 1)
+    for good in (made.score <= 1, made.evaluation < 0):
+        assert not good[:, wall].any()
+    far = 0.02 / resolution + 4
+    if far < shape[1] / 4:
+        level = made.evaluation[:, shape[1] // 4][round(far) : -round(far)]
+        assert level.size == 0 or (level < 0).all()
+
+
 def test_what_did_not_change_is_not_made_again() -> None:
     rng = np.random.default_rng(0)
     z = rng.normal(0.0, 0.001, (N, N)).astype(np.float32)

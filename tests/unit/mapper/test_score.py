@@ -289,7 +289,7 @@ def test_bad_calls_are_refused() -> None:
     with pytest.raises(ValueError, match="resolution"):
         WalkabilityScorer((40, 40), 0.0)
     with pytest.raises(ValueError, match="flat_radius"):
-        WalkabilityScorer((40, 40), 0.05)
+        WalkabilityScorer((40, 40), 0.0005)
     with pytest.raises(ValueError, match="shape"):
         WalkabilityScorer((40, 40), RESOLUTION).score(np.zeros((40, 41), dtype=np.float32))
     with pytest.raises(ValueError, match="infinite"):
