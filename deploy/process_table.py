@@ -8,7 +8,7 @@ from typing import Literal
 from shared.scenario import MapOptions, Scenario
 from shared.transport import Endpoints
 
-Value = str | int | bool
+Value = str | int | float | bool
 Role = Literal["all", "onboard", "offboard", "sim"]
 
 BUS_PORT = 7450  # where compose's simulator offers its servo bus
@@ -63,7 +63,7 @@ def _camera(choices: Choices) -> dict[str, Value]:
 
 
 def _perception(choices: Choices) -> dict[str, Value]:
-    fine: dict[str, Value] = {"scan_resolution": str(choices.map.scan_resolution)} if choices.map != MapOptions() else {}
+    fine: dict[str, Value] = {"scan_resolution": choices.map.scan_resolution} if choices.map != MapOptions() else {}
     erring: dict[str, Value] = {} if choices.pose_error == "none" else {"pose_error": choices.pose_error, "seed": choices.seed}
     return {"method": choices.registration, **fine, **erring}
 
@@ -72,7 +72,7 @@ def _mapper(choices: Choices) -> dict[str, Value]:
     chosen = choices.map
     if chosen == MapOptions():
         return {}
-    return {"cells": chosen.cells, "cells_y": chosen.cells_y, "resolution": str(chosen.resolution)}
+    return {"cells": chosen.cells, "cells_y": chosen.cells_y, "resolution": chosen.resolution}
 
 
 def _planner(choices: Choices) -> dict[str, Value]:
@@ -172,7 +172,7 @@ def assignment(key: str, value: Value) -> str:
     """`key=value` as `--set` reads it: a bare word where TOML would not take it for something else."""
     if isinstance(value, bool):
         return f"{key}={str(value).lower()}"
-    if isinstance(value, int):
+    if isinstance(value, int | float):
         return f"{key}={value}"
     try:
         tomllib.loads(f"{key}={value}")

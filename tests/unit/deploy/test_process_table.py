@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from deploy import process_table
 from deploy.process_table import Choices, assignment, choices, commands, rows
 from shared import process
-from shared.scenario import Goal, Plane, Scenario, Variation, Walk
+from shared.scenario import Goal, MapOptions, Plane, Scenario, Variation, Walk
 from shared.transport import Endpoints
 
 ENDPOINTS = Endpoints(("tcp/127.0.0.1:7447",), namespace="test")
@@ -32,6 +32,16 @@ def test_every_setting_is_one_that_the_service_has(row: process_table.Process) -
     settings = row.settings(Choices(scenario="steps", camera="realsense"))
     made = process.load_settings(schema, None, [assignment(k, v) for k, v in settings.items()])
     assert {key: getattr(made, key) for key in settings} == settings
+
+
+def test_a_scenario_s_map_reaches_mapper_and_perception() -> None:
+    chosen = choices(Scenario("fine", (Plane(),), Goal(1.0), map=MapOptions(100, 300, 0.02)), "fine", 0)
+    made = {}
+    for row in process_table.TABLE:
+        schema = importlib.import_module(f"{row.module}.config").Settings
+        made[row.name] = process.load_settings(schema, None, [assignment(k, v) for k, v in row.settings(chosen).items()])
+    assert (made["mapper"].shape, made["mapper"].resolution) == ((100, 300), 0.02)
+    assert made["perception"].scan_resolution == 0.02
 
 
 def test_the_roles_share_the_services_out() -> None:

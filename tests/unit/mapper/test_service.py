@@ -351,3 +351,17 @@ def test_a_map_of_any_size_and_resolution_is_made_and_scored(cells: int, cells_y
     assert np.nanmedian(maps[-1].elevation[i - 2 : i + 3, j - 2 : j + 3]) == pytest.approx(0.01, abs=1e-3)
     if resolution >= 0.01:
         assert maps[-1].score[i, j] <= 1.0
+
+
+def test_ground_seen_before_and_after_a_drift_fits_together_at_the_height_of_the_newest_pose() -> None:
+    """The pose rises by 0.8 mm a scan while the camera goes on over level ground."""
+    rig = Rig(replace(SETTINGS, publish_every=1))
+    rig.stand(at())
+    maps: list[TerrainMap] = []
+    for k in range(60):
+        maps += rig.scan(0.0008 * k, x=(0.5 + 0.0025 * k, 0.8 + 0.0025 * k))
+    ground = Terrain(maps[-1])
+    early, late = ground.heights(np.array([[0.55, 0.0], [0.9, 0.0]]))
+    assert late == pytest.approx(0.0008 * 59, abs=0.003)
+    assert early == pytest.approx(late, abs=0.005)
+    assert "drifted by +" in rig.mapper.doing()
