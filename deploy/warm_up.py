@@ -18,6 +18,7 @@ from shared.robot import RobotProfile, load_profile
 from shared.scenario import load_scenario
 
 _WALK_NS = 4_000_000_000  # [ns] simulated: standing up, and the first steps on a map
+_LOOK_NS = 1_600_000_000  # [ns] simulated: standing up, and the first map in colour
 
 
 def main() -> int:
@@ -31,6 +32,8 @@ def main() -> int:
     profile = load_profile(scenario.robot)
     assemble(scenario, 0, profile).run(_WALK_NS)
     _survey(profile)
+    colored = load_scenario("puddle")
+    assemble(colored, 0, load_profile(colored.robot)).run(_LOOK_NS)
     return 0
 
 

@@ -54,3 +54,12 @@ def test_unseen_ground_looks_unseen_and_no_reason_is_too_long(tmp_path, story, g
     top = (slice(120, 590), slice(90, 600))
     assert _share(nothing, _UNKNOWN, top) > 0.85 > 0.3 > _share(good(story), _UNKNOWN, top)
     assert np.all(nothing[:, -8:] == 255)
+
+
+def test_a_map_in_colour_is_shown_in_its_colours(tmp_path, story, good):
+    scorer = story().judged()
+    seen = np.isfinite(scorer.trace.mosaic.elevation)
+    color = np.where(seen[..., None], np.array([40, 90, 200], dtype=np.uint8), np.uint8(0))
+    summary.draw(tmp_path / "c.png", scorer.result(), replace(scorer.trace, mosaic=replace(scorer.trace.mosaic, color=color)))
+    ground = (slice(120, 590), slice(90, 1400))
+    assert _share(_pixels(tmp_path / "c.png"), (40, 90, 200), ground) > 0.1 > _share(good(story), (40, 90, 200), ground)
