@@ -33,7 +33,7 @@ class Keeper:
         self._retry_s = FIRST_RETRY_S
         self._retry_ns = clock()  # when it is opened next
         self._opened_ns = 0
-        self._heard_ns = 0  # when the last picture came
+        self._heard_ns = 0  # when the last new picture came
         self._patience_s = _FIRST_PICTURE_S
         self._good_since_ns = -1
         self._stamp_ns = -1
@@ -51,14 +51,12 @@ class Keeper:
             self._lose(str(error))
             return None
         now_ns = self._clock()
-        if frame is None:
+        if frame is None or frame.stamp_ns <= self._stamp_ns:  # nothing, or one that was overtaken
             if now_ns - self._heard_ns > self._patience_s * 1e9:
                 silent_s = (now_ns - self._heard_ns) * 1e-9
-                self._lose(f"{self.about} has sent no picture for {silent_s:.1f} s; see that it is still plugged in")
+                self._lose(f"{self.about} has sent no new picture for {silent_s:.1f} s; see that it is still plugged in")
             return None
         self._heard_ns, self._patience_s = now_ns, _SILENT_S
-        if frame.stamp_ns <= self._stamp_ns:
-            return None  # one that was overtaken
         self._stamp_ns = frame.stamp_ns
         return self._judged(frame, now_ns)
 

@@ -170,7 +170,7 @@ def _library() -> tuple[Any, tuple[type[Exception], ...]]:
             f"{_NAME}: libOpenNI2.so not found in {', '.join(folders)}",
             "install OpenNI2 (Debian, Ubuntu: `sudo apt install libopenni2-dev`), or name its folder in OPENNI2_REDIST",
         ) from error
-    return openni2, (OpenNIError, ClosedHandleError, OSError)
+    return openni2, (OpenNIError, ClosedHandleError, OSError, AssertionError)  # the binding asserts that handles are there
 
 
 def _words(error: Exception) -> str:

@@ -91,7 +91,8 @@ class Hand:
 
 def test_faults_happen_once_when_their_time_has_come() -> None:
     hand = Hand()
-    faults = Faults((Fault(5.0, "planner", "hang", for_s=2.0), Fault(6.0, "mapper")))
+    camera = Fault(1.0, "camera", "blind")  # the simulator's own
+    faults = Faults((Fault(5.0, "planner", "hang", for_s=2.0), Fault(6.0, "mapper"), camera))
     told = []
     for tenth in range(100):
         told += faults.act(tenth / 10, hand)  # type: ignore[arg-type]

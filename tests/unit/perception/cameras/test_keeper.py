@@ -105,7 +105,7 @@ def test_one_that_falls_silent_is_named_and_opened_anew(kit) -> None:  # type: i
     assert rig.run(2.0) == 60
     rig.run(1.5)
     assert not rig.keeper.ok
-    assert "no picture for 1.0 s" in rig.keeper.trouble
+    assert "no new picture for 1.0 s" in rig.keeper.trouble
     assert rig.run(6.0) > 60
     assert rig.keeper.ok
     assert len(rig.opened) == 2
@@ -153,6 +153,14 @@ def test_a_recording_that_is_over_stays_over(kit) -> None:  # type: ignore[no-un
     assert rig.run(60.0) == 5
     assert len(rig.opened) == 1
     assert "over" in rig.keeper.trouble
+
+
+def test_a_device_whose_stamps_stand_still_is_named(kit) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(kit)
+    stuck = (Frame(5, kit.ground(k), None) for k in range(1000))
+    rig.acts = stuck
+    assert rig.run(3.0) == 1
+    assert "no new picture" in rig.keeper.trouble
 
 
 def test_a_picture_that_was_overtaken_is_dropped(kit) -> None:  # type: ignore[no-untyped-def]
