@@ -70,7 +70,7 @@ def _draw_ratios(axes: Any, jobs: Mapping[tuple[str, str], list[Timing]]) -> Non
             y += 1.0
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_xlim(0.8 * min(t.ratio.p10 for rows in jobs.values() for t in rows), 4.5 * reach)
+    axes.set_xlim(min(0.5, *(0.8 * t.ratio.p10 for rows in jobs.values() for t in rows)), 4.5 * reach)
     axes.set_ylim(y - 0.4, 0.0)
     axes.set_yticks(ticks, names)
     axes.tick_params(axis="y", length=0)
