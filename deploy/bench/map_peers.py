@@ -1,8 +1,8 @@
 """Other ways to do what the map stages do, with common libraries, to be timed and compared with ours.
 
 Each comes to the same result but for rounding and ties. Two do less for it than ours: Open3D's cloud, which knows neither edges
-nor surfaces, and NumPy's map, which clears nothing along lines of sight. They are written as one would write them for speed: whole arrays, single precision where ours is,
-no loops over pixels or cells.
+nor surfaces, and NumPy's map, which clears nothing along lines of sight. They are written as one would write them for speed:
+whole arrays, single precision where ours is, no loops over pixels or cells.
 """
 
 import math
