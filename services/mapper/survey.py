@@ -14,6 +14,8 @@ from services.mapper.view import View, best_view, candidates, expected_heights, 
 from shared.geometry import Array, apply
 from shared.robot import RobotProfile
 
+_NEIGHBOURS = 0.025  # [m] radius of moving least squares, and at least
+_NEIGHBOURS_CELLS = 2.5  # so many cells
 _SAME_PLACE, _SAME_WAY = 0.01, 0.02  # [m] [rad] within which two looks are one
 _LOOKS = 8  # that are remembered
 _TAKEN_OVER = 8.0  # [pixels] behind a height that the elevation map had before the survey began
@@ -52,7 +54,8 @@ class Survey:
         """
         self._centres = cell_centres(strip, known.resolution)
         self._profile, self._reach, self._weights = profile, reach, weights
-        self._cloud = VoxelCloud(strip, known.resolution)
+        self._radius = max(_NEIGHBOURS, _NEIGHBOURS_CELLS * known.resolution)  # [m]
+        self._cloud = VoxelCloud(strip, known.resolution, margin=2.0 * self._radius)
         self._layers = self._fresh_layers(known.resolution)
         self._looked_from: list[Array] = []  # (4, 4) optical poses, the newest last
         self._take_over(known)
@@ -82,7 +85,7 @@ class Survey:
 
         Source: Masri 2016, sections 4.4 and 4.7.
         """
-        measured = passage_grid(self._cloud.snapshot(), self.strip, known.resolution)
+        measured = passage_grid(self._cloud.snapshot(), self.strip, known.resolution, self._radius)
         shape = np.array(known.elevation.shape)
         cell = np.rint((self._centres - known.origin) / known.resolution).astype(np.int64)
         inside: NDArray[np.bool_] = np.all((cell >= 0) & (cell < shape), axis=-1)

@@ -245,6 +245,19 @@ def test_measured_assumed_and_unseen_cells_are_told_apart() -> None:
     assert (told.evaluation[beyond] == 127).all()
 
 
+def test_a_survey_has_the_cells_of_the_map() -> None:
+    rig = Rig(Settings(cells=128, resolution=0.02, publish_every=1))
+    rig.stand(at())
+    rig.scan(0.02)
+    (told,) = surveyed(rig, STRIP, height=0.02)
+    assert told.resolution == 0.02
+    assert told.elevation.shape == (135, 50)
+    x, y = told.origin[0] + 0.02 * np.arange(135), told.origin[1] + 0.02 * np.arange(50)
+    measured = (x[:, None] > 0.53) & (x[:, None] < 0.97) & (np.abs(y) < 0.27)
+    np.testing.assert_allclose(told.elevation[measured], 0.02, atol=1e-3)
+    assert (told.normals[measured][:, 2] > 32000).all()
+
+
 def test_no_look_is_proposed_while_feet_are_in_the_air() -> None:
     rig = Rig()
     swing = np.array([True, False, False, False, False, False])
