@@ -122,7 +122,10 @@ class FootholdLayers:
             raise ValueError(f"a position_sigma of at least 0 m expected, found {position_sigma}")
         reference = reference_height(h)
         parts = self._move(np.asarray(first, dtype=np.int64), reference, h)
-        rescored = sum(self._rescore(h, band) for part in parts for band in _bands(part))
+        known = _rectangle_of(np.isfinite(h)) if parts else self._all
+        for part in parts:
+            self._clear(part)
+        rescored = sum(self._rescore(h, band) for part in parts for band in _bands(_common(part, known)))
         self._elevation = h.copy()
         level = self._level(np.asarray(variance, dtype=np.float32), position_sigma)
         score = self._score.copy() if level is None else _worst_within(self._score, level)
@@ -175,6 +178,13 @@ class FootholdLayers:
     def _wider(self, part: Rectangle, by: int) -> Rectangle:
         i0, i1, j0, j1 = part
         return max(i0 - by, 0), min(i1 + by, self.shape[0]), max(j0 - by, 0), min(j1 + by, self.shape[1])
+
+    def _clear(self, part: Rectangle) -> None:
+        """Begin a part as if nothing were known of it, which is so beyond the known cells' rectangle."""
+        here = slice(*part[:2]), slice(*part[2:])
+        self._even[here] = 0
+        for layer in (self._score, *self._terms):
+            layer[here] = np.nan
 
     def _rescore(self, elevation: NDArray[np.float32], part: Rectangle) -> int:
         """Score a part of the map; the number of its cells."""
@@ -246,7 +256,7 @@ class FootholdLayers:
         self._evaluation[i0:i1, j0:j1] = F[i0 - a0 : i1 - a0, j0 - b0 : j1 - b0]
 
 
-def _rectangle_of(layer: NDArray[np.uint8]) -> Rectangle:
+def _rectangle_of(layer: NDArray[np.uint8] | NDArray[np.bool_]) -> Rectangle:
     """The rectangle of the cells that are not 0; empty, (0, 0, 0, 0), where all are."""
     rows, columns = np.flatnonzero(layer.any(axis=1)), np.flatnonzero(layer.any(axis=0))
     if not len(rows):
@@ -261,6 +271,8 @@ def _common(a: Rectangle, b: Rectangle) -> Rectangle:
 def _bands(part: Rectangle) -> Iterator[Rectangle]:
     """A part in bands of rows whose scratch layers stay in the processor's cache."""
     i0, i1, j0, j1 = part
+    if i1 <= i0 or j1 <= j0:
+        return
     number = max(1, round((i1 - i0) * (j1 - j0) / _BAND))
     for k in range(number):
         yield i0 + k * (i1 - i0) // number, i0 + (k + 1) * (i1 - i0) // number, j0, j1
