@@ -20,6 +20,7 @@ _MAP_RADIUS = 1.0  # [m] around the body, where maps are compared
 _STRIP = ((0.6, 1.2), (-0.3, 0.3))  # [m] ahead and to the side: where the next steps but one go
 _GROUND_RESOLUTION = 0.02  # [m]
 _SEEN_RANGE = 1.5  # [m] horizontally from the camera, within which what is in view should be mapped
+_STEP = 0.02  # [m] jump in height that is an edge of a course: blocks and stairs that a small robot climbs are low
 _SAMPLED = 2  # every how many rows and columns of a picture are looked at
 
 
@@ -201,7 +202,7 @@ def judge_course(mosaic: Mosaic, height_at: HeightAt, seen: NDArray[np.bool_] | 
         seen: (nx, ny) cells that were in view; without them nothing is said about coverage.
     """
     shape = mosaic.elevation.shape
-    truth = TrueGround.under(height_at, mosaic.origin, (shape[0], shape[1]), mosaic.resolution)
+    truth = TrueGround.under(height_at, mosaic.origin, (shape[0], shape[1]), mosaic.resolution, _STEP)
     measured = mosaic.measured
     error = np.where(np.isfinite(truth.heights), measured - truth.heights, np.nan)
     known = np.isfinite(error)

@@ -75,7 +75,7 @@ class CourseMap:
     rmse: float = _NAN
     off_edges: float = _NAN  # rmse of cells further than 2 cm from an edge
     bias: float = _NAN
-    edge: float = _NAN  # median distance from a true edge of more than 3 cm to the mapped one
+    edge: float = _NAN  # median distance from a true edge of more than 2 cm to the mapped one
     coverage: float = _NAN  # [1] known share of the cells that the camera had in view
 
 

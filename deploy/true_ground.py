@@ -22,17 +22,19 @@ _LOST = 0.05  # [m] an edge that is further off was not found
 class TrueGround:
     """The ground under the cells of a map, sampled at every half cell."""
 
-    def __init__(self, fine: Array, resolution: float):
+    def __init__(self, fine: Array, resolution: float, edge: float = EDGE):
         """Find the edges.
 
         Args:
             fine: (2 nx - 1, 2 ny - 1) [m] heights at the cells' centres and midway between them; not finite: no ground.
             resolution: [m] of the map's cells.
+            edge: [m] jump in height that is an edge to be found.
         """
         fine = np.where(np.isfinite(fine), fine, np.nan)
         self.resolution = resolution
         self.heights: Array = fine[::2, ::2]  # (nx, ny) [m]
-        self.edges = edge_points(fine, EDGE)  # (k, 2) in half cells
+        self._edge = edge
+        self.edges = edge_points(fine, edge)  # (k, 2) in half cells
         steep = np.zeros(fine.shape, dtype=np.uint8)
         points = edge_points(fine, _STEEP * max(1.0, resolution / 2 / _HALF_CELL))
         for rounded in (np.floor(points), np.ceil(points)):
@@ -45,12 +47,17 @@ class TrueGround:
 
     @classmethod
     def under(
-        cls, height_at: Callable[[Array], Array], origin: Array, shape: tuple[int, int], resolution: float
+        cls,
+        height_at: Callable[[Array], Array],
+        origin: Array,
+        shape: tuple[int, int],
+        resolution: float,
+        edge: float = EDGE,
     ) -> "TrueGround":
         """The ground under nx x ny cells, the first centred at an origin (2,) [m]; height_at takes (n, 2) to (n,) [m]."""
         x, y = (origin[k] + resolution / 2 * np.arange(2 * shape[k] - 1) for k in (0, 1))
         points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        return cls(height_at(points).reshape(len(x), len(y)), resolution)
+        return cls(height_at(points).reshape(len(x), len(y)), resolution, edge)
 
     def edge_error(self, elevation: NDArray[np.floating]) -> float:
         """Median distance [m] from true edges, where both sides are mapped, to the nearest mapped one; NaN without edges.
@@ -58,7 +65,7 @@ class TrueGround:
         Args:
             elevation: (nx, ny) [m] the map, NaN where unknown.
         """
-        mapped = 2.0 * edge_points(np.asarray(elevation, dtype=np.float64), EDGE)
+        mapped = 2.0 * edge_points(np.asarray(elevation, dtype=np.float64), self._edge)
         if not len(self.edges):
             return float("nan")
         known = np.isfinite(elevation).astype(np.uint8)
