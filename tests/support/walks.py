@@ -11,7 +11,7 @@ from deploy.lockstep_run import LockstepRun, assemble
 from deploy.report import Report
 from shared import codec, topics
 from shared.geometry import Array
-from shared.messages import ActuatorState, Message, PlannerStatus
+from shared.messages import ActuatorState, Message, PlannerStatus, TerrainMap
 from shared.robot import load_profile
 from shared.scenario import Goal, Plane, Scenario, load_scenario
 from shared.service import AnyTopic, Service
@@ -92,3 +92,16 @@ def walk(
         run.run(run.now_ns() + LOOK_NS)
         look(run)
     return Walk(run.attendance.judge(1.0), heard, run)
+
+
+def blocked(scenario: Scenario, seed: int, within_s: float = 30.0) -> tuple[str, TerrainMap]:
+    """Walk until the planner does not go on: its reason, and the map that it has then."""
+    heard = Heard((topics.PLANNER_STATUS, topics.TERRAIN))
+    run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap)
+    while run.now_ns() < within_s * S:
+        run.run(run.now_ns() + LOOK_NS)
+        now_s = run.now_ns() * 1e-9
+        for status in heard.of(topics.PLANNER_STATUS, now_s - LOOK_NS * 1e-9):
+            if status.state == "blocked":
+                return status.reason, heard.of(topics.TERRAIN, now_s - 1.0)[-1]
+    raise AssertionError(f"a planner that is blocked within {within_s:g} s expected")

@@ -4,12 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from deploy.lockstep_run import assemble
-from shared import codec, topics
-from shared.messages import PlannerStatus, TerrainMap
-from shared.robot import load_profile
 from shared.scenario import Goal, Plane, Puddle, load_scenario
-from tests.support.walks import S, walk
+from tests.support.walks import blocked, walk
 
 SHORT = replace(load_scenario("puddle"), goal=Goal(0.85))
 POOL = replace(SHORT, terrain=(Plane(), Puddle((1.1, 0.0), (0.6, 3.0))))
@@ -23,21 +19,8 @@ def test_with_colour_no_foot_goes_where_without_it_feet_go() -> None:
 
 
 def test_before_a_pool_the_robot_stops_and_says_why() -> None:
-    heard: list[PlannerStatus] = []
-    maps: list[TerrainMap] = []
-
-    def tap(topic: object, frame: bytes, _at_ns: int) -> None:
-        if topic is topics.PLANNER_STATUS:
-            heard.append(codec.decode(frame, PlannerStatus)[0])
-        elif topic is topics.TERRAIN:
-            maps[:] = [codec.decode(frame, TerrainMap)[0]]
-
-    run = assemble(POOL, 1000, load_profile(POOL.robot), tap)
-    while run.now_ns() < 30 * S and not (heard and heard[-1].state == "blocked"):
-        run.run(run.now_ns() + S // 10)
-    assert heard[-1].state == "blocked"
-    assert " water" in heard[-1].reason
-    newest = maps[0]
+    reason, newest = blocked(POOL, 1000)
+    assert " water" in reason
     wet = newest.hazard == 1
     assert wet.sum() > 1000
     assert (newest.evaluation[wet] >= 1).all(), "by Masri's layer it is no foothold, either"

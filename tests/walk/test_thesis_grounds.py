@@ -31,6 +31,7 @@ from shared.messages import TerrainMap
 from shared.scenario import load_scenario
 from shared.service import AnyTopic, Lockstep
 from tests.support import thesis_grounds as things
+from tests.support.walks import blocked
 
 SEARCH = 0.06  # [m] the planner's
 R = 0.01  # [m]
@@ -313,3 +314,11 @@ def test_the_single_pillar() -> None:
         assert (np.diff(rise) >= 0).all()
         assert set(np.diff(rise[end - 5 :]).tolist()) <= {0, 1}
     assert way.T_world_body[-1, 2, 3] == pytest.approx(0.15, abs=0.03)
+
+
+def test_before_the_gap_of_the_pillar_the_robot_stops_and_says_why() -> None:
+    reason, map_ = blocked(load_scenario("masri_pillar"), 1000)
+    assert "no foothold within 6 cm of its place" in reason
+    assert "not seen" in reason, "how deep it goes there shows only from nearer than the leg that would have to know"
+    heights = true_heights("masri_pillar", map_)
+    assert (heights[(map_.evaluation < 0) & np.isfinite(heights)] == 0).all()
