@@ -44,6 +44,7 @@ class Type(IntEnum):
 
 
 _TYPES = len(Type)
+_FIRMLY = np.array([1.0, 0.0, 0.0])
 _SETTLED = 16  # colour pictures over which a cell's colour is averaged
 _DARKEST = 4.0  # [1/255] luma below which chroma means nothing
 _SMALLEST = 1e-12
@@ -79,6 +80,7 @@ class TypeModel:
     water_sink: float = 0.05  # [m] mean depth of puddles; assumed
     deepest: float = 0.10  # [m] further down no foot reaches
     nothing_found: tuple[float, float, float] = (0.02, 0.30, 0.10)  # P(the foot carries nothing where it should | type)
+    sank_ratio: float = 3.0  # [1] of likelihoods from which on a foot tells against firm ground of that colour: 12 mm deep
     touch_radius: float = 0.015  # [m] within which a touch tells about the ground: the foot and the error of its place
     # What follows from it.
     free_below: float = 0.20  # [1] probability of not being firm that costs nothing
@@ -175,7 +177,7 @@ class TerrainType:
         known = self._color[cells & (self._pictures > 0)]
         if len(known) < 100:
             return False
-        self._teach(np.median(features(known), axis=0), np.array([1.0, 0.0, 0.0]), self.model.first_feet)
+        self._teach(np.median(features(known), axis=0), _FIRMLY, self.model.first_feet)
         return True
 
     def touch(self, p_world_xy: Array, sink: float | None) -> None:
@@ -200,7 +202,10 @@ class TerrainType:
         under = self._color[here][(off2 <= self.model.touch_radius**2) & (self._pictures[here] > 0)]
         if len(under):
             color = features(under).mean(axis=0)
-            likely = np.exp(said - said.max()) * self._density(color) * self._prior()
+            # A foot that did not clearly sink has found firm ground. Were every doubt counted as a share of loose ground, a colour
+            # on which nothing but firm ground has been found would still get a bad name, since it is new.
+            sank = said[1:].max() > said[Type.FIRM] + math.log(self.model.sank_ratio)
+            likely = np.exp(said - said.max()) * self._density(color) * self._prior() if sank else _FIRMLY
             self._teach(color, likely / likely.sum(), 1.0)
 
     def sink_log_likelihood(self, sink: float | None) -> Array:

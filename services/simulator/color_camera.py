@@ -108,12 +108,14 @@ def _develop(
                 height = T[2, 0] * a + T[2, 1] * b + T[2, 2] * z + T[2, 3]
                 light = 1.0 + _SHADE * _noise(x / 0.5, y / 0.5, key ^ np.uint32(1))
                 wet = -1
-                if len(hollows) > 0 and abs(height - plane) < 2e-3:
-                    ux = x + _RIM * _noise(x / 0.03, y / 0.03, key ^ np.uint32(2))
-                    uy = y + _RIM * _noise(x / 0.03, y / 0.03, key ^ np.uint32(3))
+                if abs(height - plane) < 2e-3:  # false where there is no plane
                     for n in range(len(hollows)):
-                        if hollows[n, 0] < ux < hollows[n, 2] and hollows[n, 1] < uy < hollows[n, 3]:
-                            wet = n
+                        low_x, low_y, high_x, high_y = hollows[n]
+                        if low_x - _RIM < x < high_x + _RIM and low_y - _RIM < y < high_y + _RIM:
+                            ux = x + _RIM * _noise(x / 0.03, y / 0.03, key ^ np.uint32(2))
+                            uy = y + _RIM * _noise(x / 0.03, y / 0.03, key ^ np.uint32(3))
+                            if low_x < ux < high_x and low_y < uy < high_y:
+                                wet = n
                 if wet >= 0:
                     # The flatter it is looked at, the more of the sky it mirrors (Schlick 1994, water).
                     down = (T[2, 3] - height) / np.sqrt(a * a + b * b + z * z)
