@@ -321,10 +321,13 @@ class ElevationGrid:
         )  # fmt: skip
         if len(off) < _FEWEST:
             return
-        gap = float(np.median(off))
-        noise = math.hypot(sigma, 1.25 * 1.48 * float(np.median(np.abs(off - gap))) / math.sqrt(len(off) / _ALIKE))
+        gap = _median(off)
         compensating = abs(self._drifted) >= _PERSISTS
-        if abs(gap) <= (max(_LEVEL_AGAIN, noise) if compensating else max(_DRIFTED, 3.0 * noise)):
+        if abs(gap) <= (_LEVEL_AGAIN if compensating else _DRIFTED):
+            self._drifted = 0
+            return
+        noise = math.hypot(sigma, 1.25 * 1.48 * _median(np.abs(off - gap)) / math.sqrt(len(off) / _ALIKE))
+        if abs(gap) <= (noise if compensating else 3.0 * noise):
             self._drifted = 0
             return
         sign = 1 if gap > 0 else -1
@@ -516,6 +519,12 @@ def _checked_covariance(covariance: NDArray[np.float64] | None) -> NDArray[np.fl
     if np.abs(out - out.T).max() > 1e-6 * size or np.linalg.eigvalsh(out)[0] < -1e-6 * size:
         raise ValueError("a pose covariance that is symmetric and has no negative eigenvalue expected")
     return out
+
+
+def _median(values: NDArray[np.float64]) -> float:
+    """The upper median of at least one number; np.median takes four times as long."""
+    half = len(values) // 2
+    return float(np.partition(values, half)[half])
 
 
 def _height_sigma(ray: NDArray[np.float64], S: NDArray[np.float64]) -> float:
