@@ -202,8 +202,8 @@ class TerrainType:
         under = self._color[here][(off2 <= self.model.touch_radius**2) & (self._pictures[here] > 0)]
         if len(under):
             color = features(under).mean(axis=0)
-            # A foot that did not clearly sink has found firm ground. Were every doubt counted as a share of loose ground, a colour
-            # on which nothing but firm ground has been found would still get a bad name, since it is new.
+            # A foot that did not clearly sink has found firm ground. Were every doubt counted as a share of loose ground, a
+            # colour on which nothing but firm ground has been found would still get a bad name, since it is new.
             sank = said[1:].max() > said[Type.FIRM] + math.log(self.model.sank_ratio)
             likely = np.exp(said - said.max()) * self._density(color) * self._prior() if sank else _FIRMLY
             self._teach(color, likely / likely.sum(), 1.0)
