@@ -47,15 +47,16 @@ class Attendance:
             return math.nan
         return float((len(t) - 1) / (topics.TRUTH.rate_hz * (t[-1] - t[0]))) if len(t) > 1 else math.nan
 
-    def judge(self, real_time_factor: float, ended_by: str = "") -> Report:
+    def judge(self, real_time_factor: float, ended_by: str = "", in_a_hurry: bool = False) -> Report:
         """The verdict.
 
         Args:
             real_time_factor: Simulated over elapsed time.
             ended_by: What ended the run from outside, in words: it has failed then, for that reason.
+            in_a_hurry: Leave out what takes long to judge.
         """
         stages = {name: StageTime(p50, p99) for name, (p50, p99) in self.monitor.stages_ms().items()}
-        report = self.scorer.result(self.operator.reason, real_time_factor, stages)
+        report = self.scorer.result(self.operator.reason, real_time_factor, stages, in_a_hurry)
         return replace(report, success=False, reason=ended_by) if ended_by else report
 
     def leave_behind(self, report: Report, out: Path, picture: bool = True) -> None:

@@ -84,7 +84,7 @@ def run_live_scenario(
     # 5. Judge it and write what it leaves behind.
     for problem in filter(None, (recording.problem, _loss(recording.dropped))):
         progress.say(f"warning: {problem}")
-    report = attendance.judge(attendance.kept_up(), ended_by)
+    report = attendance.judge(attendance.kept_up(), ended_by, interrupts.asked())
     attendance.leave_behind(report, out, picture=not interrupts.asked())
     progress.finish()
     return Outcome(report, interrupts.asked())

@@ -285,7 +285,11 @@ class Scorer:
         return self._trace
 
     def result(
-        self, reason: str = "", real_time_factor: float = float("nan"), stages_ms: Mapping[str, StageTime] | None = None
+        self,
+        reason: str = "",
+        real_time_factor: float = float("nan"),
+        stages_ms: Mapping[str, StageTime] | None = None,
+        in_a_hurry: bool = False,
     ) -> Report:
         """Judge the run as far as it has come.
 
@@ -293,6 +297,7 @@ class Scorer:
             reason: Why the run was ended, where the scorer did not end it (what the operator or the launcher says).
             real_time_factor: Simulated over elapsed time.
             stages_ms: How long the services' stages took.
+            in_a_hurry: Leave out the map of the whole course, whose judge takes a second or two to get going.
         """
         scenario, profile = self._scenario, self._profile
         shutdowns = int(self._truth[-1].shutdown.sum()) if self._truth else 0
@@ -316,7 +321,7 @@ class Scorer:
         )
         if len(self._truth) < 2:
             return report
-        return self._measured(report)
+        return self._measured(report, in_a_hurry)
 
     def _failure(self, shutdowns: int, reason: str) -> str:
         if not self._truth:
@@ -328,7 +333,7 @@ class Scorer:
         stopped = f"stopped {self._x:.2f} of {self._scenario.goal.distance:.2f} m along"
         return self._end or (f"{reason} ({stopped})" if reason else stopped)
 
-    def _measured(self, report: Report) -> Report:
+    def _measured(self, report: Report, in_a_hurry: bool) -> Report:
         trace = self.trace
         walking = trace.walking
         speed, duration = self._speed()
@@ -340,7 +345,7 @@ class Scorer:
             speed_mps=speed,
             pose_error_m=self._pose_error(trace),
             map_error_m=self._maps.error() if self._maps is not None else MapError(),
-            course_map_m=self._course_map(trace.mosaic),
+            course_map_m=CourseMap() if in_a_hurry else self._course_map(trace.mosaic),
         )
         if not walking.any():
             return report
