@@ -12,6 +12,7 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from deploy.process_table import Choices, Process
     from deploy.progress import Progress
     from deploy.report import Report
+    from shared.scenario import Scenario
     from shared.transport import Endpoints
 
 SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -60,7 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def demo(arguments: argparse.Namespace) -> int:
     """`sextant demo`: the course of low steps over Zenoh, from a cold start."""
-    arguments.scenario, arguments.lockstep, arguments.connect, arguments.json = "steps", False, None, False
+    arguments.scenario, arguments.robot = "steps", ""
+    arguments.lockstep, arguments.connect, arguments.json = False, None, False
     _say("A six-legged robot sees a field of low blocks and two stairs through its depth camera, maps it, chooses where each")
     _say("foot goes, and walks across. Five processes talk over Zenoh; the simulator is only a camera and a servo bus to them.")
     status = _run_live(arguments)
@@ -71,9 +74,7 @@ def demo(arguments: argparse.Namespace) -> int:
 
 def trials(arguments: argparse.Namespace) -> int:
     """`sextant trials`: the success rate over many seeds, in lockstep."""
-    from shared.scenario import load_scenario
-
-    scenario = load_scenario(arguments.scenario)
+    scenario = _scenario(arguments)
     out = _out(arguments, f"trials-{scenario.name}")
     from deploy import trials as batches
 
@@ -227,10 +228,21 @@ def compose(arguments: argparse.Namespace) -> int:
 # ------------------------------------------------------------------------------------------------------------- running
 
 
-def _run_lockstep(arguments: argparse.Namespace) -> int:
+def _scenario(arguments: argparse.Namespace) -> "Scenario":
+    """The scenario that is asked for, walked by the robot that is asked for."""
+    from shared.robot import load_profile
     from shared.scenario import load_scenario
 
     scenario = load_scenario(arguments.scenario)
+    if not arguments.robot:
+        return scenario
+    robot = str(Path(arguments.robot).resolve()) if arguments.robot.endswith(".toml") else arguments.robot
+    load_profile(robot)  # what is wrong with it is told before anything starts
+    return replace(scenario, robot=robot)
+
+
+def _run_lockstep(arguments: argparse.Namespace) -> int:
+    scenario = _scenario(arguments)
     out = _out(arguments, f"{scenario.name}-{arguments.seed}")
     import contextlib
 
@@ -251,9 +263,7 @@ def _run_lockstep(arguments: argparse.Namespace) -> int:
 
 
 def _run_live(arguments: argparse.Namespace) -> int:
-    from shared.scenario import load_scenario
-
-    scenario = load_scenario(arguments.scenario)
+    scenario = _scenario(arguments)
     if arguments.connect and not all(fault.of_camera for fault in scenario.faults):
         raise InputError(f"{scenario.name} breaks services, which only who started them can; leave --connect out")
     progress = _progress(arguments.json)
@@ -434,7 +444,9 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def add(name: str, command: Any, words: str, to: Any = commands) -> argparse.ArgumentParser:
-        made: argparse.ArgumentParser = to.add_parser(name, help=words, description=words[0].upper() + words[1:] + ".")
+        made: argparse.ArgumentParser = to.add_parser(
+            name, help=words, description=words[0].upper() + words[1:].replace("%%", "%") + "."
+        )
         made.set_defaults(command=command, name=name)
         return made
 
@@ -443,6 +455,7 @@ def _parser() -> argparse.ArgumentParser:
 
     one = add("run", run, "run a scenario and write a folder with report.json, summary.png and recording.mcap")
     one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
+    _add_robot(one)
     one.add_argument("--lockstep", action="store_true", help="in one process on simulated time, as fast as the machine allows")
     one.add_argument("--json", action="store_true", help="print report.json; progress goes to stderr")
     one.add_argument("--record-depth", metavar="DIR", help="also write the depth frames for `sextant replay` (with --lockstep)")
@@ -453,6 +466,7 @@ def _parser() -> argparse.ArgumentParser:
 
     one = add("trials", trials, "run a scenario in lockstep with many seeds: success rate with its 95 %% interval")
     one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
+    _add_robot(one)
     one.add_argument("--seeds", type=_seeds, required=True, metavar="A:B", help="from A up to, not including, B")
     one.add_argument("--blind", action="store_true", help="also run the baseline, without a map, and compare")
     one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
@@ -515,6 +529,10 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=_seeds, default=range(1000, 1003), metavar="A:B", help="rides (default 1000:1003)")
     parser.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
+
+
+def _add_robot(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--robot", default="", help="profile by name, or path of a TOML file, in place of the scenario's")
 
 
 def _add_seed_and_out(parser: argparse.ArgumentParser) -> None:

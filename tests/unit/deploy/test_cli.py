@@ -224,6 +224,26 @@ def test_trials_tell_the_rate_and_the_baseline_beside_it(
     assert "without a map" in printed.err
 
 
+def test_another_robot_walks_in_place_of_the_scenarios(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deploy import lockstep_run
+
+    walked: list[str] = []
+
+    def run(scenario: Scenario, seed: int) -> Report:
+        walked.append(scenario.robot)
+        return report(True, seed)
+
+    monkeypatch.setattr(lockstep_run, "run_lockstep", run)
+    words = ["trials", "puddle", "--seeds", "0:1"]
+    assert cli.main([*words, "--out", str(tmp_path / "its-own")]) == 0
+    assert cli.main([*words, "--robot", "phantomx_mk2", "--out", str(tmp_path / "another")]) == 0
+    assert walked == ["phantomx_mk2_rgbd", "phantomx_mk2"]
+    assert cli.main([*words, "--robot", "nobody", "--out", str(tmp_path / "nobody")]) == 2
+    assert "no profile 'nobody'" in capsys.readouterr().err
+
+
 def test_a_reader_that_has_had_enough_is_no_traceback() -> None:
     code = "import sys; sys.argv = ['sextant', 'topics', 'list']; from deploy.cli import main; sys.exit(main())"
     read, write = os.pipe()
