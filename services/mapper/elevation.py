@@ -886,8 +886,18 @@ def _clear_along_sights(
         if way <= _SHORT or length <= nearest or dz <= 0.0:
             continue
         rise = 0.75 * dz / way  # from the middle of a cell to where the line is highest in it
-        last = int(way * (1.0 - nearest / length))
-        for step in range(_SHORT, last):
+        # Only the steps within the window: a line may be far longer than that.
+        enters, leaves = _SHORT / way, 1.0 - nearest / length
+        for at, along, end in ((u, du, rows - 1.0), (v, dv, columns - 1.0)):
+            if along != 0.0:
+                near, far = (1.0 - at) / along, (end - at) / along
+                enters, leaves = max(enters, min(near, far)), min(leaves, max(near, far))
+            elif not 1.0 <= at < end:
+                leaves = -1.0
+        if enters >= leaves:
+            continue
+        last = min(int(way * leaves) + 2, int(way * (1.0 - nearest / length)))  # rounding may take a step on either side
+        for step in range(max(_SHORT, int(way * enters) - 1), last):
             s = step / way
             over = z + s * dz + rise + _WELL_BELOW
             if over > highest:

@@ -28,6 +28,7 @@ _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a scan that was overtaken may be late
 _FROM_BODY = 1.0  # [m] from the body to the camera, beyond which pose and scan have nothing to do with each other
+_FROM_CAMERA = 1.0  # [m] from the camera to the origin of its scan, which is a corner of the cell that the camera is in
 _FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
 _NEAR = 1.2  # of the camera's least range, up to which a line of sight without a return says nothing
 _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
@@ -188,6 +189,9 @@ class Mapper:
         away = float(np.abs(scan.p_world_camera - centre).max())
         if away > _FROM_BODY:
             return f"it was taken {away:.3g} m from where the body is"
+        off = float(np.abs(scan.origin - scan.p_world_camera).max())
+        if off > _FROM_CAMERA:
+            return f"its points count from {off:.3g} m beside its camera"
         return ""
 
     def _learn(self, scan: Scan, pose: BodyPose | None, legs: ActuatorState | None) -> None:

@@ -684,6 +684,25 @@ def test_a_box_over_an_abyss_is_cleared_by_sights_alone_and_nothing_nearer_than_
     assert (grid.heights([[0.46, 0.0], [0.48, 0.02]]) > 0.09).all()
 
 
+def test_lines_of_sight_clear_the_same_from_however_far_and_in_finite_time() -> None:
+    """Of 90 million cells on the way from the further camera the window has 400: to follow all would not end."""
+    y = np.arange(-0.245, 0.25, 0.001)
+    level = np.column_stack([np.full(len(y), 1.9), y, np.full(len(y), 0.03)])
+    left = []
+    for away in (2.0, 9e5):
+        grid = ElevationGrid(size=400)
+        for k in range(20):
+            above = np.array([0.0, 0.0, 0.4 + 0.003 * k])  # so that every cell is met
+            take(grid, look(BOX, above), above)
+        for _ in range(60):
+            take(grid, np.empty((0, 3)), np.array([-away, 0.0, 0.05]), sights=level)
+        left.append(grid.snapshot().elevation)
+        assert np.isnan(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]).all()
+        beside = np.array([0.0, 1e5, 0.0])
+        assert take(grid, np.empty((0, 3)), np.array([-away, 1e5, 0.05]), sights=level + beside).cleared == 0
+    np.testing.assert_array_equal(*left)
+
+
 STILL = np.array(  # pillars of 5 and 2 cm, a wall of one cell, boxes seen along their faces, a stair
     [
         [0.8, 0.20, 0.85, 0.25, 0.15], [0.9, 0.08, 0.92, 0.10, 0.20], [0.7, -0.35, 1.2, -0.34, 0.12],

@@ -65,7 +65,8 @@ class Rig:
 GARBAGE = {
     "no pixels behind its points": (scan(ground(), count=np.zeros(len(ground()), np.uint8)), "counts of at least 1"),
     "a negative variance": (scan(ground(), pose_covariance=-np.eye(6)), "covariance"),
-    "a place beyond all maps": (scan(ground(), origin=np.full(3, 1e12)), "finite and within"),
+    "a place beyond all maps": (scan(ground(), origin=np.full(3, 1e12)), "1e+12 m beside its camera"),
+    "points far from their camera": (scan(ground(), origin=np.array([1e5, 0.0, 0.0])), "1e+05 m beside its camera"),
     "a camera that is elsewhere": (scan(ground(), p_world_camera=np.array([40.0, 0.0, 0.25])), "40 m from where the body is"),
     "a camera at the end of the world": (scan(ground(), p_world_camera=np.full(3, 1e300)), "from where the body is"),
 }
