@@ -45,6 +45,7 @@ class Trials:
     runs_with_shutdown: int
     mean_speed_mps: float  # of the successful runs
     block_touchdowns: Figure  # of a run, on raised blocks; the worst is the fewest
+    missteps: Figure  # of a run, touchdowns on what is truly no foothold
     tilt_p95_deg: Figure
     height_error_m: Figure  # mean of a run, its size
     height_oscillation_m: Figure
@@ -123,6 +124,7 @@ def summarise(name: str, blind: bool, tables: list[dict[str, Any]]) -> Trials:
         runs_with_shutdown=sum(t["shutdowns"] > 0 for t in tables),
         mean_speed_mps=_over(np.mean, [t["speed_mps"] for t in good]),
         block_touchdowns=_figure([t["raised_block_touchdowns"] for t in tables], min),
+        missteps=_figure([t["missteps"] for t in tables]),
         tilt_p95_deg=_figure([t["tilt_deg"]["p95"] for t in tables]),
         height_error_m=_figure([_size(t["body_height_error_m"]["mean"]) for t in tables]),
         height_oscillation_m=_figure([t["body_height_oscillation_m"] for t in tables]),
@@ -155,6 +157,7 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
     )
     figures = (
         ("touchdowns on blocks", trials.block_touchdowns, 1.0, ".0f", ""),
+        ("missteps", trials.missteps, 1.0, ".0f", ""),
         ("tilt p95", trials.tilt_p95_deg, 1.0, ".2f", " deg"),
         ("height error", trials.height_error_m, 1e3, ".1f", " mm"),
         ("height oscillation", trials.height_oscillation_m, 1e3, ".1f", " mm"),

@@ -35,6 +35,7 @@ def _report(scenario, seed):
         40,
         tilt_deg=Spread(float(seed), 10.0),
         raised_block_touchdowns=12 + seed,
+        missteps=seed // 5,
         body_height_error_m=HeightError(-0.001 * seed, 0.01),
         body_height_oscillation_m=0.001,
         pose_error_m=PoseError(0.01, float("nan") if seed == 1 else 0.02),
@@ -66,6 +67,7 @@ def test_a_batch_is_counted(tmp_path):
     assert result.failures == {"fell # m along": 5, "servo shut down: left rear femur": 1}
     assert result.mean_speed_mps == pytest.approx(0.1 + 0.001 * (0 + 2 + 4 + 8) / 4)
     assert result.block_touchdowns == trials.Figure(16.5, 12.0)
+    assert result.missteps == trials.Figure(0.5, 1.0)
     assert result.tilt_p95_deg == trials.Figure(4.5, 9.0)
     assert (result.height_error_m.median, result.height_error_m.worst) == pytest.approx((0.0045, 0.009))
     assert (result.final_pose_error.median, result.final_pose_error.worst) == pytest.approx((0.02 / 2.5,) * 2)
