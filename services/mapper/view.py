@@ -286,12 +286,15 @@ def _sights(
 
 @compiled
 def _beyond(known: NDArray[np.float32], towards: Array) -> Array:
-    """First known heights along `towards` (nx, ny, 2) from each cell, NaN where there are none."""
+    """First known heights along unit vectors `towards` (nx, ny, 2) from each cell, NaN where there are none.
+
+    A cell in the middle of which one stands has no beyond; its vector is shorter.
+    """
     rows, columns = known.shape
     out = np.full((rows, columns), np.nan)
     for i in range(rows):
         for j in range(columns):
-            if not np.isnan(known[i, j]):
+            if not np.isnan(known[i, j]) or abs(towards[i, j, 0]) + abs(towards[i, j, 1]) < 0.9:
                 continue
             x, y = i + 0.5, j + 0.5
             while True:

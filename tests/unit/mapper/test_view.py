@@ -212,6 +212,15 @@ def test_behind_a_block_lies_the_floor_that_shows_past_it() -> None:
     assert (found == HIDDEN).all()
 
 
+def test_an_unseen_cell_under_the_camera_is_as_the_ground_around() -> None:
+    grid = known(Strip((0.0, 0.0), 0.0), (0.0, 0.2, 0.05))
+    T = camera_at(HEIGHT)
+    T[:2, 3] = cell_centres(grid.strip, 0.01)[55, 50]
+    grid.elevation[53:58, 48:53] = np.nan
+    around = expected_heights(grid, T[None], CAMERA, REACH, level=1.0)[53:58, 48:53]
+    np.testing.assert_allclose(around, 0.05, atol=1e-6)
+
+
 def test_before_a_pillar_in_a_gap_lies_the_floor_of_the_gap() -> None:
     robot = Look(*GAP)
     local = local_centres(robot.strip, 0.01) - [0.45, 0.0]
