@@ -58,6 +58,12 @@ class Strip:
         x, y = self.length + margin, self.width / 2 + margin
         return self.world([[-margin, -y], [x, -y], [x, y], [-margin, y]])
 
+    def box(self, resolution: float, margin: float = 0.0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """World index (2,) of the lowest cell, of an edge [m], of the box around the strip along the world's axes; its size."""
+        corners = self.corners(margin) / resolution
+        low = np.floor(corners.min(axis=0)).astype(np.int64)
+        return low, np.floor(corners.max(axis=0)).astype(np.int64) - low + 1
+
 
 @dataclass(frozen=True, slots=True)
 class MergeCount:
@@ -188,10 +194,8 @@ class VoxelCloud:
 
     def _lay(self, strip: Strip) -> None:
         """Empty columns over a strip."""
-        corners = strip.corners(self.margin) / self.resolution
         self._strip = strip
-        self._low = np.floor(corners.min(axis=0)).astype(np.int64)
-        shape = np.floor(corners.max(axis=0)).astype(np.int64) - self._low + 1
+        self._low, shape = strip.box(self.resolution, self.margin)
         self._head = np.full(shape, _NONE, dtype=np.int32)
         self._used = np.array([0, _NONE, 0], dtype=np.int64)  # slots ever used, first free one among them, voxels
 

@@ -29,6 +29,7 @@ _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a scan that was overtaken may be late
 _FROM_BODY = 1.0  # [m] from the body to the camera, beyond which pose and scan have nothing to do with each other
 _FROM_CAMERA = 1.0  # [m] from the camera to the origin of its scan, which is a corner of the cell that the camera is in
+_BOX = 10  # cells of the box around a passage that lies askew, to those it may have
 _FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
 _NEAR = 1.2  # of the camera's least range, up to which a line of sight without a return says nothing
 _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
@@ -180,6 +181,13 @@ class Mapper:
         nx, ny = cells_of(strip, settings.resolution)
         if nx * ny > settings.passage_cells:
             raise ValueError(f"at most {settings.passage_cells} cells expected, found {nx} x {ny}")
+        columns = int(strip.box(settings.resolution)[1].prod())
+        if columns > _BOX * settings.passage_cells:
+            most = _BOX * settings.passage_cells
+            raise ValueError(
+                f"at most {most} cells in the box around it expected, found {columns}: "
+                "choose a heading along x or y, or a shorter strip"
+            )
         return strip
 
     def _objection(self, scan: Scan, centre: Array) -> str:

@@ -288,20 +288,21 @@ def test_a_strip_that_moves_on_keeps_what_lies_on_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("origin", "length", "width", "words"),
+    ("origin", "heading", "length", "width", "words"),
     [
-        ((0.0, 0.0), -1.0, 1.0, "length and width"),
-        ((0.0, 0.0), 2.705, 1.0, "whole cells"),
-        ((0.0, 0.0), 50.0, 50.0, "at most 40000 cells"),
-        ((1e9, 0.0), 2.7, 1.0, "within"),
+        ((0.0, 0.0), 0.0, -1.0, 1.0, "length and width"),
+        ((0.0, 0.0), 0.0, 2.705, 1.0, "whole cells"),
+        ((0.0, 0.0), 0.0, 50.0, 50.0, "at most 40000 cells"),
+        ((0.0, 0.0), 0.785, 100.0, 0.04, "in the box around it"),
+        ((1e9, 0.0), 0.0, 2.7, 1.0, "within"),
     ],
 )
 def test_a_strip_that_cannot_be_is_refused_in_words(
-    origin: tuple[float, float], length: float, width: float, words: str
+    origin: tuple[float, float], heading: float, length: float, width: float, words: str
 ) -> None:
     rig = Rig()
     rig.stand(at())
-    told = surveyed(rig, PassageRequest(0, np.array(origin), 0.0, length, width))
+    told = surveyed(rig, PassageRequest(0, np.array(origin), heading, length, width))
     assert [m.elevation.size for m in told] == [0]
     assert words in told[0].reason
     assert told[0].unseen == 1.0
