@@ -416,11 +416,12 @@ def _posterior(
             if slope[i, j] >= 0.0 and roughness[i, j] >= 0.0:  # and not NaN
                 steep = min(by_slope * slope[i, j] ** 2 + by_roughness * roughness[i, j], 30.0)
                 water /= flat_share + volume * math.exp(steep)
-            if touched:
+            if touched:  # by the likeliest of them: touches add up, and their likelihoods would leave the range of numbers
+                likeliest = max(touch[i, j, 0], touch[i, j, 1], touch[i, j, 2])
                 firm, water, loose = (
-                    firm * math.exp(touch[i, j, 0]),
-                    water * math.exp(touch[i, j, 1]),
-                    loose * math.exp(touch[i, j, 2]),
+                    firm * math.exp(touch[i, j, 0] - likeliest),
+                    water * math.exp(touch[i, j, 1] - likeliest),
+                    loose * math.exp(touch[i, j, 2] - likeliest),
                 )
             total = firm + water + loose
             out[i, j, 0], out[i, j, 1], out[i, j, 2] = firm / total, water / total, loose / total

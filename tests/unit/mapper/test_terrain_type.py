@@ -213,3 +213,16 @@ def test_nonsense_is_refused() -> None:
         TypeModel(free_below=0.6)
     with pytest.raises(ValueError, match="a colour for each"):
         TerrainType((N, N), R, np.zeros(2, dtype=np.int64)).see(np.zeros((2, 2)), np.zeros((3, 3), dtype=np.float32))
+
+
+@pytest.mark.parametrize("sink", [0.0, 0.03])
+def test_feet_that_come_back_to_one_place_leave_the_rest_of_the_map_as_it_is(sink: float) -> None:
+    known = painted(GREY, (POOL, BLUE))
+    known.stand_on(~POOL)
+    assert judged(known).hazard[POOL].all()
+    for _ in range(300):
+        known.touch(np.array([-0.2, -0.2]), sink)
+    found = judged(known)
+    assert np.isfinite(found.probability).all()
+    np.testing.assert_allclose(found.probability.sum(axis=-1), 1.0, atol=1e-5)
+    assert (found.hazard[POOL] > 0).all()
