@@ -58,11 +58,12 @@ class Strip:
         x, y = self.length + margin, self.width / 2 + margin
         return self.world([[-margin, -y], [x, -y], [x, y], [-margin, y]])
 
-    def box(self, resolution: float, margin: float = 0.0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def box(self, resolution: float, margin: float = 0.0) -> tuple[NDArray[np.int64], tuple[int, int]]:
         """World index (2,) of the lowest cell, of an edge [m], of the box around the strip along the world's axes; its size."""
         corners = self.corners(margin) / resolution
-        low = np.floor(corners.min(axis=0)).astype(np.int64)
-        return low, np.floor(corners.max(axis=0)).astype(np.int64) - low + 1
+        low: NDArray[np.int64] = np.floor(corners.min(axis=0)).astype(np.int64)
+        nx, ny = (np.floor(corners.max(axis=0)).astype(np.int64) - low + 1).tolist()
+        return low, (nx, ny)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +189,7 @@ class VoxelCloud:
             points=self._centroid[slots],
             weight=self._weight[slots],
             column=column,
-            origin=(self._low + 0.5) * self.resolution,
+            origin=np.asarray((self._low + 0.5) * self.resolution),
             shape=(self._head.shape[0], self._head.shape[1]),
         )
 

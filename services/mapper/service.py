@@ -181,7 +181,7 @@ class Mapper:
         nx, ny = cells_of(strip, settings.resolution)
         if nx * ny > settings.passage_cells:
             raise ValueError(f"at most {settings.passage_cells} cells expected, found {nx} x {ny}")
-        columns = int(strip.box(settings.resolution)[1].prod())
+        columns = math.prod(strip.box(settings.resolution)[1])
         if columns > _BOX * settings.passage_cells:
             most = _BOX * settings.passage_cells
             raise ValueError(
