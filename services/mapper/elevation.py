@@ -30,6 +30,7 @@ _SHORT = 3  # cells before its end at which a line of sight stops: what it meets
 _WELL_BELOW = 0.02  # [m] beyond three sigma of a cell, by which a line of sight must pass below its height
 _SIGHTS_NEEDED = 8  # scans that look through a cell until it is cleared, without one that measures it
 _FELL_AROUND = 3  # neighbours that have fallen, from which on a cell at the rim of what stood there may fall, too
+_SETTLED = 2 * _FOLLOWED * _SIGHTS_NEEDED  # scans that measure a fallen cell, until what stands beside it is no remnant
 _REFRESHED = 16  # scans after which the highest cell is looked for anew
 
 _ESTABLISHED = 3  # scans behind a height, after which it counts as where the ground was first seen
@@ -792,6 +793,8 @@ def _update_cells(
             height[c] += believed / (believed + noise) * off
             variance[c] = max(believed * noise / (believed + noise), min(believed, systematic[k]))
             support[c] = min(support[c] + 1, 255)
+            if support[c] >= _SETTLED:
+                fell[c] = 0
             votes[c] = max(votes[c] - 1, 0)
             through[c] = 0
             if support[c] == _ESTABLISHED:
@@ -920,10 +923,10 @@ def _clear_along_sights(
                     e, f = a + p, b + q
                     e = e - rows if e >= rows else (e + rows if e < 0 else e)
                     f = f - columns if f >= columns else (f + columns if f < 0 else f)
-                    if fell[e, f] != 0:
-                        fallen += 1
-                    elif height[e, f] > over:
+                    if height[e, f] > over:
                         standing += 1
+                    elif fell[e, f] != 0:
+                        fallen += 1
                     elif height[e, f] == height[e, f]:
                         low += 1
             if (low == 0 and standing + fallen >= 6) or fallen >= _FELL_AROUND:

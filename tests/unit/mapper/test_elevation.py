@@ -703,6 +703,28 @@ def test_lines_of_sight_clear_the_same_from_however_far_and_in_finite_time() -> 
     np.testing.assert_array_equal(*left)
 
 
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_thin_post_where_a_box_was_stays_though_it_is_grazed(dark: bool) -> None:
+    """Whether the box went by measurement of the floor or, that being dark at first, by lines of sight."""
+    rng = np.random.default_rng(6)
+    grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.4])
+    for _ in range(20):
+        take(grid, look(BOX, camera, rng=rng), camera)
+    x, y = np.meshgrid(np.arange(0.605, 1.7, 0.01), np.arange(-0.295, 0.3, 0.01), indexing="ij")
+    floor = np.column_stack([x.ravel(), y.ravel(), rng.normal(0.0, 1e-3, x.size)])
+    on_spot = (np.abs(floor[:, 0] - 1.0) < 0.12) & (np.abs(floor[:, 1]) < 0.17)
+    for k in range(200):
+        take(grid, floor[~on_spot] if dark and k < 40 else floor, camera)
+    assert not (grid.heights(WHERE_THE_BOX_WAS) > 0.02).any()
+    post, foot = np.array([[0.995, 0.005, 0.15]]), np.array([1.0, 0.0])
+    for _ in range(20):
+        take(grid, post, camera)
+    np.testing.assert_allclose(grid.heights(post[0, :2]), 0.15, atol=1e-3)
+    for _ in range(100):
+        take(grid, floor[np.abs(floor[:, :2] - foot).max(axis=1) > 0.05], camera)
+    np.testing.assert_allclose(grid.heights(post[0, :2]), 0.15, atol=1e-3)
+
+
 STILL = np.array(  # pillars of 5 and 2 cm, a wall of one cell, boxes seen along their faces, a stair
     [
         [0.8, 0.20, 0.85, 0.25, 0.15], [0.9, 0.08, 0.92, 0.10, 0.20], [0.7, -0.35, 1.2, -0.34, 0.12],
