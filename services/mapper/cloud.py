@@ -129,6 +129,8 @@ class VoxelCloud:
         self._centroid = np.full((max_voxels, 3), 0.0)
         self._weight = np.full(max_voxels, 0.0)
         self._missed = np.full(max_voxels, 0, dtype=np.uint8)
+        self._judged = np.full(max_voxels, 0, dtype=np.int64)  # the newest scan that met a voxel or looked through it
+        self._scans = 0
         self._lay(strip)
 
     def __len__(self) -> int:
@@ -170,9 +172,10 @@ class VoxelCloud:
         frame = np.array(
             [*strip.origin, math.cos(strip.heading), math.sin(strip.heading), strip.length, strip.width / 2, self.margin]
         )
+        self._scans += 1
         merged, added, removed, outside, refused = _merge(
             p, w, frame, self.resolution, self._low, self._head, self._next, self._level, self._centroid, self._weight,
-            self._missed, self._used, self._see_through, self._patience,
+            self._missed, self._judged, self._scans, self._used, self._see_through, self._patience,
         )  # fmt: skip
         return MergeCount(merged, added, removed, outside, refused)
 
@@ -214,6 +217,8 @@ def _merge(
     centroid: Array,
     weight: Array,
     missed: NDArray[np.uint8],
+    judged: NDArray[np.int64],
+    scan: int,
     used: NDArray[np.int64],
     see_through: float,
     patience: int,
@@ -235,7 +240,8 @@ def _merge(
             after = next_[slot]
             if level[slot] == at:
                 found = slot
-            elif centroid[slot, 2] > z + see_through:
+            elif centroid[slot, 2] > z + see_through and judged[slot] != scan:  # a scan counts once
+                judged[slot] = scan
                 missed[slot] += 1
                 if missed[slot] >= patience:
                     if before < 0:
@@ -254,7 +260,7 @@ def _merge(
             centroid[found, 0] += gain * (x - centroid[found, 0])
             centroid[found, 1] += gain * (y - centroid[found, 1])
             centroid[found, 2] += gain * (z - centroid[found, 2])
-            weight[found], missed[found] = total, 0
+            weight[found], missed[found], judged[found] = total, 0, scan
             merged += 1
             continue
         if used[1] >= 0:
@@ -267,7 +273,7 @@ def _merge(
             refused += 1
             continue
         centroid[slot, 0], centroid[slot, 1], centroid[slot, 2] = x, y, z
-        weight[slot], level[slot], missed[slot] = count[k], at, 0
+        weight[slot], level[slot], missed[slot], judged[slot] = count[k], at, 0, scan
         next_[slot], head[i, j] = head[i, j], slot
         used[2] += 1
         added += 1

@@ -122,6 +122,13 @@ def test_an_edge_that_is_seen_now_and_then_stays() -> None:
     assert len(cloud) == 2
 
 
+def test_a_scan_looks_through_a_voxel_once_with_however_many_points() -> None:
+    cloud = VoxelCloud(STRIP, patience=3)
+    top, floor = np.array([[0.505, 0.005, 0.05]]), np.tile([[0.505, 0.005, -0.3]], (10, 1))
+    cloud.insert(top, np.ones(1))
+    assert [cloud.insert(floor, np.ones(10)).removed for _ in range(3)] == [0, 0, 1]
+
+
 def test_what_is_no_scan_is_refused_and_changes_nothing() -> None:
     cloud, points = VoxelCloud(STRIP), ground()
     for bad, count in (
