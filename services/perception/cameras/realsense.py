@@ -31,12 +31,15 @@ class RealSense:
         rs = _library()
         self._rs, self._clock = rs, clock
         self._stamps = DeviceClock(delay_ns=round(delay_s * 1e9))
-        self._align = rs.align(rs.stream.depth)
-        self._pipeline = rs.pipeline()
+        try:
+            self._align = rs.align(rs.stream.depth)
+            self._pipeline = rs.pipeline()
+        except RuntimeError as error:
+            raise CameraError(f"{_NAME}: {error}", _PLUG) from error
         self._color = False
         self._number = -1
-        profile = self._start(expected)
         try:
+            profile = self._start(expected)
             self.about = _about(rs, profile.get_device()) + (", with colour" if self._color else "")
             self._check(profile, expected)
         except RuntimeError as error:

@@ -225,3 +225,15 @@ def test_a_device_that_goes_is_named(kit, lib: Library, monkeypatch: pytest.Monk
     monkeypatch.setattr(Pipeline, "poll_for_frames", gone)
     with pytest.raises(CameraError, match=r"D435I.*Device disconnected"):
         camera.read(False)
+
+
+@pytest.mark.parametrize(("owner", "call"), [(Library, "align"), (Library, "pipeline"), (Config, "can_resolve")])
+def test_a_device_that_goes_while_it_is_opened_is_named(  # type: ignore[no-untyped-def]
+    kit, lib: Library, monkeypatch: pytest.MonkeyPatch, owner: type, call: str
+) -> None:
+    def gone(*_: object) -> None:
+        raise RuntimeError("Device disconnected")
+
+    monkeypatch.setattr(owner, call, gone)
+    with pytest.raises(CameraError, match="Device disconnected"):
+        RealSense(colored(kit), kit.clock)
