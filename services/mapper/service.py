@@ -32,6 +32,7 @@ _FROM_CAMERA = 1.0  # [m] from the camera to the origin of its scan, which is a 
 _BOX = 10  # cells of the box around a passage that lies askew, to those it may have
 _FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
 _NEAR = 1.2  # of the camera's least range, up to which a line of sight without a return says nothing
+_REACH = 0.30  # [m] between a foot and the map under it, beyond which pose and map have nothing to do with each other
 _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
 
 
@@ -215,9 +216,9 @@ class Mapper:
         if not self._stands:
             self._stands = known.stand_on(self._first_seen(pose.T_world_body))
         for touch in self._touches.update(legs, pose):
-            mapped = float(self._grid.heights(touch.p_world[:2]))
-            if np.isfinite(mapped):
-                known.touch(touch.p_world[:2], mapped - float(touch.p_world[2]) if touch.carries else None)
+            sink = float(self._grid.heights(touch.p_world[:2])) - float(touch.p_world[2])
+            if abs(sink) <= _REACH:  # and not NaN
+                known.touch(touch.p_world[:2], sink if touch.carries else None)
 
     def _first_seen(self, T_world_body: Array) -> NDArray[np.bool_]:
         """Cells (nx, ny) of the nearest ground ahead that the camera sees, as level as the feet stand."""

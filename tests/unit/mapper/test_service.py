@@ -10,6 +10,7 @@ from services.mapper.config import Settings
 from services.mapper.service import Mapper
 from services.planner.terrain import Terrain
 from shared import codec, topics
+from shared.color import codes
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, TerrainMap
 from shared.robot import load_profile
@@ -379,3 +380,22 @@ def test_ground_seen_before_and_after_a_drift_fits_together_at_the_height_of_the
     assert late == pytest.approx(0.0008 * 59, abs=0.003)
     assert early == pytest.approx(late, abs=0.005)
     assert "drifted by +" in rig.mapper.doing()
+
+
+@pytest.mark.parametrize("lifted", [-50.0, 50.0])
+def test_feet_far_from_the_map_tell_nothing_of_the_ground(lifted: float) -> None:
+    """One nonsensical pose moves the feet by metres; what they find there is not taken for ground."""
+    rig, right = Rig(), np.array([True, False] * 3)
+    rig.mapper = Mapper(replace(PROFILE, camera=replace(PROFILE.camera, color=True)), SETTINGS)
+    confidence = []
+    for step, phase, swing, height in ((1, 0.5, right, 0.0), (2, 0.5, ~right, lifted), (2, 1.0, ~right, lifted)):
+        rig.now_ns += 66 * MS
+        T_world_odom = from_xyz_rpy((0.0, 0.0, HEIGHT + height), (0.0, 0.0, 0.0))
+        rig.hear(BodyPose(rig.now_ns, at(), T_world_odom, np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6))))
+        rig.hear(replace(legs(swing), stamp_ns=rig.now_ns, step=step, phase=phase))
+        seen = ground_scan(rig.now_ns, 0.0, x=(-0.4, 0.4))
+        colored = replace(seen, color=codes(np.full((len(seen.points_mm), 3), 120, dtype=np.uint8)))
+        (made,) = rig.mapper.step(colored, rig.inbox)
+        assert isinstance(made, TerrainMap)
+        confidence.append(made.confidence)
+    np.testing.assert_array_equal(confidence[2], confidence[1])
