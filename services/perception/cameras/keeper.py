@@ -81,11 +81,12 @@ class Keeper:
         return True
 
     def _judged(self, frame: Frame, now_ns: int) -> Frame | None:
-        """The picture, if nothing speaks against it; a device that sends nothing else is opened anew."""
+        """The picture, if nothing speaks against it; a device is opened anew if it is broken, not if it sees nothing."""
         wrong = self._watch.look(frame.depth, frame.stamp_ns)
         if wrong:
-            trouble = f"{self.about}: {wrong}; see that nothing covers it, and plug it in again"
-            if now_ns - self._opened_ns > _SETTLE_S * 1e9:
+            remedy = "see that nothing covers it or stands right before it" if self._watch.sound else "plug it in again"
+            trouble = f"{self.about}: {wrong}; {remedy}"
+            if not self._watch.sound and now_ns - self._opened_ns > _SETTLE_S * 1e9:
                 self._lose(trouble)
             else:
                 self.ok, self.trouble, self._good_since_ns = False, trouble, -1

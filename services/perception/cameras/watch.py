@@ -45,9 +45,14 @@ class Watch:
         self._sample: NDArray[np.uint16] | None = None
         self._since_ns = 0  # since when the sample has been the same
         self._poor_since_ns = -1  # since when next to nothing is seen, -1 while all is well
+        self.sound = True  # whether the device works by its newest picture: one that sees next to nothing may work
 
     def look(self, depth: NDArray[np.uint16], stamp_ns: int) -> str:
-        """What is wrong with the camera, in words, by its newest raw picture (h, w); nothing while all is well."""
+        """What is wrong with the camera, in words, by its newest raw picture (h, w); nothing while all is well.
+
+        A wall nearer than it measures and the open sky are no fault of the device: `sound` tells the two apart.
+        """
+        self.sound = False
         if depth.shape != self._size or depth.dtype != np.uint16:
             expected = f"{self._size[0]}x{self._size[1]} uint16"
             return f"pictures of {expected} expected by the profile, found {'x'.join(map(str, depth.shape))} {depth.dtype}"
@@ -59,12 +64,13 @@ class Watch:
                 return "its pictures are noise: neighbouring pixels have nothing to do with each other"
         elif self._poor_since_ns < 0:
             self._poor_since_ns = stamp_ns
+        if share >= EMPTY and frozen_s >= _FROZEN_S:
+            return f"it has sent the same picture for {frozen_s:.1f} s: frozen"
+        self.sound = True
         poor_s = (stamp_ns - self._poor_since_ns) * 1e-9 if self._poor_since_ns >= 0 else 0.0
         if poor_s >= _PATIENCE_S:
             what = "nothing" if share < EMPTY else f"only {share:.0%} of its picture"
             return f"it has measured {what} within its range for {poor_s:.1f} s"
-        if share >= EMPTY and frozen_s >= _FROZEN_S:
-            return f"it has sent the same picture for {frozen_s:.1f} s: frozen"
         return ""
 
     def _unchanged_s(self, depth: NDArray[np.uint16], stamp_ns: int) -> float:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+import pytest
 
 from services.perception.cameras.camera import CameraError, Frame, RecordingOverError
 from services.perception.cameras.keeper import LAST_RETRY_S, Keeper
@@ -121,9 +122,8 @@ def test_one_that_breaks_off_is_named_and_opened_anew(kit) -> None:  # type: ign
 
 
 def test_what_is_of_no_use_is_held_back_until_good_pictures_come(kit) -> None:  # type: ignore[no-untyped-def]
-    dark = np.zeros((48, 64), np.uint16)
     frozen = kit.ground(1000)
-    for bad, words in ((dark, "measured nothing"), (frozen, "frozen"), (np.zeros((24, 32), np.uint16), "48x64")):
+    for bad, words in ((frozen, "frozen"), (np.zeros((24, 32), np.uint16), "48x64")):
         rig = Rig(kit)
         began_ns = kit.clock()
 
@@ -138,6 +138,29 @@ def test_what_is_of_no_use_is_held_back_until_good_pictures_come(kit) -> None:  
         assert 1 < len(rig.opened) < 4
         assert rig.run(20.0) > 100, "it came back"
         assert rig.keeper.ok
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_one_that_sees_next_to_nothing_is_held_back_and_stays_open(kit, share: float) -> None:  # type: ignore[no-untyped-def]
+    """As before a wall that is nearer than it measures."""
+    rig = Rig(kit)
+
+    def picture(k):  # type: ignore[no-untyped-def]
+        made = kit.ground(k)
+        if 30 <= k < 300:
+            made[: round(48 * (1.0 - share))] = 0
+        return made
+
+    rig.acts = rig.pictures(picture)
+    assert rig.run(1.0) == 30
+    assert rig.run(2.2) <= 65, "within the patience of the watch"
+    assert rig.run(6.5) == 0
+    assert not rig.keeper.ok
+    assert "within its range" in rig.keeper.trouble
+    assert "nothing covers it" in rig.keeper.trouble
+    assert rig.run(1.0) > 20, "it came back at once"
+    assert rig.keeper.ok
+    assert len(rig.opened) == 1
 
 
 def test_a_flapping_device_is_not_opened_ever_again_at_once(kit) -> None:  # type: ignore[no-untyped-def]
