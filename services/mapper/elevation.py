@@ -198,7 +198,6 @@ class ElevationGrid:
         self._fell = np.full(shape, 0, dtype=np.uint8)  # 1 where something stood that is gone
         self._highest, self._scans = -math.inf, 0
         self._drift, self._drifted = 0.0, 0  # [m], and for how many scans in a row it has been off
-        self._touched: NDArray[np.int64] = _nothing()
 
     @property
     def low(self) -> NDArray[np.int64]:
@@ -281,7 +280,7 @@ class ElevationGrid:
         if not 0 <= nearest < math.inf:
             raise ValueError(f"a nearest distance of at least 0 m expected, found {nearest}")
         low_i, low_j = int(self._low[0]), int(self._low[1])
-        cell, wrong, inside, bounds, middle = _survey(p, n, s, self.resolution, low_i, low_j, *self.shape)
+        cell, wrong, inside, middle = _survey(p, n, s, self.resolution, low_i, low_j, *self.shape)
         if wrong:
             raise ValueError(_WRONG[wrong])
         slope = _slopes(cell, self._height, self.resolution, low_i, low_j)
@@ -293,7 +292,6 @@ class ElevationGrid:
             self._follow_drift(touched, z, _height_sigma(middle - c, covariance))
             z -= self._drift
             self._highest = max(self._highest, float(z.max()))
-            self._touch(bounds[0], bounds[1])
         updated, disputed, replaced = _update_cells(
             touched, z, random, systematic,
             self._height.ravel(), self._variance.ravel(), self._support.ravel(), self._assumed.ravel(),
@@ -342,15 +340,12 @@ class ElevationGrid:
             self._highest = float(np.fmax.reduce(self._height, axis=None))
         if not len(ends) or not self._highest - _WELL_BELOW > float(ends[:, 2].min()) - self._drift:
             return 0  # nothing stands above what is seen, as on level ground
-        cleared, first_i, first_j, last_i, last_j = _clear_along_sights(
+        cleared = _clear_along_sights(
             ends, self._scans % every, every, camera, self._drift, nearest,
             int(self._low[0]), int(self._low[1]), self.resolution, self._highest,
             self._height, self._variance, self._support, self._assumed, self._votes, self._first, self._through, self._fell,
             self._slot,
         )  # fmt: skip
-        if cleared:
-            first, last = np.array([[first_i, first_j], [last_i, last_j]], dtype=np.int64)
-            self._touch(self._low + first, self._low + last)
         return int(cleared)
 
     def seed_plane(self, polygon: ArrayLike, plane: ArrayLike, sigma: float = 0.02) -> int:
@@ -390,22 +385,7 @@ class ElevationGrid:
         self._height[cells] = (coefficients[0] - self._drift + coefficients[1] * x + coefficients[2] * y)[rows, columns]
         self._variance[cells] = sigma**2
         self._assumed[cells] = 1
-        self._touch(low, high)
         return len(rows)
-
-    def take_changed(self) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-        """The rectangle around all cells that have been written since the last call, and begin a new one.
-
-        The cells that a move lets in are unseen and those that it drops are gone: neither counts as written, since `low`
-        tells of the move. A score that reads neighbours has to look that much further than the rectangle.
-
-        Returns:
-            first, end: (2,) world indices of its first cell and of the one behind its last, within the window as it is now;
-            cell (i, j) of a snapshot has the world index `low` + (i, j). None where nothing was written.
-        """
-        touched, self._touched = self._touched, _nothing()
-        first, end = np.maximum(touched[0], self._low), np.minimum(touched[1] + 1, self._low + self._size)
-        return (first, end) if (first < end).all() else None
 
     def heights(self, p_world_xy: ArrayLike) -> NDArray[np.float64]:
         """Heights (...) [m] {world} of the cells at p_world_xy (..., 2) [m]; NaN where unseen or outside the window.
@@ -438,10 +418,6 @@ class ElevationGrid:
         """Flat buffer index (n,), -1 outside the window, and whether inside (n,) (Lotriet 2024, eq. 4.11)."""
         cell = _cell_indices(p_world_xy, self.resolution, int(self._low[0]), int(self._low[1]), *self.shape)
         return cell, cell >= 0
-
-    def _touch(self, first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
-        """Note that cells of a rectangle of world indices have been written."""
-        self._touched = np.array([np.minimum(self._touched[0], first), np.maximum(self._touched[1], last)])
 
     def _forget(self, lines: tuple[slice | NDArray[np.int64], ...]) -> None:
         """Make whole rows or columns of the buffer unseen."""
@@ -482,11 +458,6 @@ def fill_small_holes(elevation: NDArray[np.float32], max_relief: float = 0.015) 
     filled = np.array(elevation, dtype=np.float32, order="C")
     _bridge_holes(np.ascontiguousarray(elevation, dtype=np.float32), max_relief, filled)
     return filled
-
-
-def _nothing() -> NDArray[np.int64]:
-    """The empty rectangle (first, last) (2, 2) of cells."""
-    return np.array([[np.iinfo(np.int64).max // 2] * 2, [np.iinfo(np.int64).min // 2] * 2])
 
 
 def _checked_scan(
@@ -581,21 +552,18 @@ def _survey(
     low_j: int,
     rows: int,
     columns: int,
-) -> tuple[NDArray[np.int64], int, int, NDArray[np.int64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.int64], int, int, NDArray[np.float64]]:
     """What there is to know of a scan before it is taken.
 
     Returns:
         cell: (n,) flat buffer index of each point, -1 outside the window of rows x columns that starts at (low_i, low_j).
         wrong: Which of `_WRONG` holds for a point.
         inside: How many points lie in the window.
-        bounds: (2, 2) world indices of the first and the last of their rows and columns.
         middle: (3,) [m] their mean.
     """
     cell = np.empty(len(p), dtype=np.int64)
-    bounds = np.zeros((2, 2), dtype=np.int64)
     middle = np.zeros(3)
     wrap_i, wrap_j = low_i % rows, low_j % columns
-    first_i, first_j, last_i, last_j = rows, columns, 0, 0
     wrong = inside = 0
     for k in range(len(p)):
         cell[k] = -1
@@ -610,15 +578,13 @@ def _survey(
             break
         i, j = math.floor(x / resolution) - low_i, math.floor(y / resolution) - low_j
         if 0 <= i < rows and 0 <= j < columns:
-            first_i, first_j, last_i, last_j = min(first_i, i), min(first_j, j), max(last_i, i), max(last_j, j)
             middle[0] += x
             middle[1] += y
             middle[2] += z
             inside += 1
             i, j = i + wrap_i, j + wrap_j  # the remainder by the size, without dividing
             cell[k] = (i if i < rows else i - rows) * columns + (j if j < columns else j - columns)
-    bounds[0, 0], bounds[0, 1], bounds[1, 0], bounds[1, 1] = low_i + first_i, low_j + first_j, low_i + last_i, low_j + last_j
-    return cell, wrong, inside, bounds, middle / max(inside, 1)
+    return cell, wrong, inside, middle / max(inside, 1)
 
 
 @compiled
@@ -867,7 +833,7 @@ def _clear_along_sights(
     through: NDArray[np.uint8],
     fell: NDArray[np.uint8],
     slot: NDArray[np.int32],
-) -> tuple[int, int, int, int, int]:
+) -> int:
     """Count, once a scan, the cells that stand well above a line of sight, and clear those that have been so often.
 
     A cell counts only within a body: none of its eight neighbours is known to lie lower than the line but such as have
@@ -875,7 +841,7 @@ def _clear_along_sights(
     and a wall seen along its face are left to measurement. A body is eaten from within: a rim falls after what it was the
     rim of.
 
-    Returns the cells cleared, and the first and the last row and column of the window among them.
+    Returns the number of cells cleared.
     """
     rows, columns = height.shape
     marked = np.empty(rows * columns, dtype=np.int64)
@@ -934,7 +900,6 @@ def _clear_along_sights(
                 marked[m] = c
                 m += 1
     cleared = 0
-    first_i, first_j, last_i, last_j = rows, columns, -1, -1
     for k in range(m):
         c = marked[k]
         slot[c] = -1
@@ -946,9 +911,7 @@ def _clear_along_sights(
         support[a, b] = assumed[a, b] = votes[a, b] = through[a, b] = 0
         fell[a, b] = 1
         cleared += 1
-        i, j = (a - wrap_i) % rows, (b - wrap_j) % columns
-        first_i, first_j, last_i, last_j = min(first_i, i), min(first_j, j), max(last_i, i), max(last_j, j)
-    return cleared, first_i, first_j, last_i, last_j
+    return cleared
 
 
 @compiled

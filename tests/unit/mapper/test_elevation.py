@@ -377,44 +377,6 @@ def test_a_map_of_any_shape_and_resolution_has_its_cells_where_it_says(
     np.testing.assert_allclose(grid.origin, (grid.low + 0.5) * resolution)
 
 
-@given(waypoints, st.integers(0, 2**32 - 1))
-@settings(deadline=None)
-def test_what_changed_lies_in_the_rectangle_that_is_told_once(path: list[tuple[float, float]], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    grid = ElevationGrid((12, 20), resolution=0.05)
-    assert grid.take_changed() is None
-    known = {}
-    for target in path:
-        grid.move_to(target)
-        assert grid.take_changed() is None
-        scan(grid, np.array(target) + rng.uniform(-0.2, 0.2, (3, 2)), rng.normal(size=3))
-        changed = grid.take_changed()
-        assert grid.take_changed() is None
-        assert changed is not None
-        first, end = changed
-        low, snapshot = grid.low, grid.snapshot()
-        assert (first >= low).all()
-        assert (end <= low + grid.shape).all()
-        for i, j in np.argwhere(np.isfinite(snapshot.elevation)):
-            cell = (int(low[0] + i), int(low[1] + j))
-            state = (snapshot.elevation[i, j], snapshot.variance[i, j])
-            if known.get(cell) != state:
-                assert (first <= cell).all()
-                assert (cell < end).all()
-            known[cell] = state
-
-
-def test_seeded_ground_counts_as_changed() -> None:
-    grid = ElevationGrid(size=40)
-    grid.seed_plane([[0.0, 0.0], [0.1, 0.0], [0.1, 0.05], [0.0, 0.05]], (0, 0, 0))
-    changed = grid.take_changed()
-    assert changed is not None
-    first, end = changed
-    assert (first <= [0, 0]).all()
-    assert (end >= [10, 5]).all()
-    assert (end - first <= 12).all()
-
-
 @given(st.tuples(coordinate, coordinate), st.lists(st.floats(0.0, 1.0), max_size=6))
 @settings(deadline=None)
 def test_any_number_of_stops_on_the_way_is_moving_directly(target: tuple[float, float], fractions: list[float]) -> None:
