@@ -154,6 +154,44 @@ class ElevationSnapshot:
     assumed: NDArray[np.uint8]  # (nx, ny) 1 where the height is a seeded plane and nothing was measured yet
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckedScan:
+    """A reduced scan that can be fused, as `of` makes it; see `ElevationGrid.fuse`."""
+
+    points: NDArray[np.float64]  # (n, 3) [m] {world}
+    count: NDArray[np.float64]  # (n,)
+    spread: NDArray[np.float64]  # (n,) [m]
+    p_world_camera: NDArray[np.float64]  # (3,) [m]
+    pose_covariance: NDArray[np.float64]  # (6, 6)
+    sights: NDArray[np.float64]  # (m, 3) [m] {world}
+    nearest: float  # [m]
+
+    @classmethod
+    def of(
+        cls,
+        points: NDArray[np.floating],
+        count: NDArray[np.integer | np.floating],
+        spread: NDArray[np.floating],
+        p_world_camera: ArrayLike,
+        pose_covariance: NDArray[np.float64] | None = None,
+        sights: NDArray[np.floating] | None = None,
+        nearest: float = 0.0,
+    ) -> Self:
+        """Check a scan; the arguments are those of `ElevationGrid.fuse`.
+
+        Raises:
+            ValueError: A shape is wrong, or a value is not finite or out of its range.
+        """
+        p, n, s, c = _checked_scan(points, count, spread, p_world_camera)
+        covariance = _checked_covariance(pose_covariance)
+        ends = np.empty((0, 3)) if sights is None else np.ascontiguousarray(sights, dtype=np.float64)
+        if ends.ndim != 2 or ends.shape[1] != 3 or not (np.abs(ends) < FAR).all():
+            raise ValueError(f"sights (m, 3), finite and within {FAR:g} m, expected, found shape {ends.shape}")
+        if not 0 <= nearest < math.inf:
+            raise ValueError(f"a nearest distance of at least 0 m expected, found {nearest}")
+        return cls(p, n, s, c, covariance, ends, nearest)
+
+
 class ElevationGrid:
     """Height, variance and rival of nx x ny cells around the robot, aligned with the world axes.
 
@@ -272,17 +310,14 @@ class ElevationGrid:
         Raises:
             ValueError: A shape is wrong, or a value is not finite or out of its range; the map is then unchanged.
         """
-        p, n, s, c = _checked_scan(points, count, spread, p_world_camera)
-        covariance = _checked_covariance(pose_covariance)
-        ends = np.empty((0, 3)) if sights is None else np.ascontiguousarray(sights, dtype=np.float64)
-        if ends.ndim != 2 or ends.shape[1] != 3 or not (np.abs(ends) < FAR).all():
-            raise ValueError(f"sights (m, 3), finite and within {FAR:g} m, expected, found shape {ends.shape}")
-        if not 0 <= nearest < math.inf:
-            raise ValueError(f"a nearest distance of at least 0 m expected, found {nearest}")
+        checked = CheckedScan.of(points, count, spread, p_world_camera, pose_covariance, sights, nearest)
+        return self.fuse_checked(checked)
+
+    def fuse_checked(self, scan: "CheckedScan") -> FusionCount:
+        """Take a scan that is known to be one into the map, as `fuse` does."""
+        p, n, s, c, covariance = scan.points, scan.count, scan.spread, scan.p_world_camera, scan.pose_covariance
         low_i, low_j = int(self._low[0]), int(self._low[1])
-        cell, wrong, inside, middle = _survey(p, n, s, self.resolution, low_i, low_j, *self.shape)
-        if wrong:
-            raise ValueError(_WRONG[wrong])
+        cell, inside, middle = _survey(p, self.resolution, low_i, low_j, *self.shape)
         slope = _slopes(cell, self._height, self.resolution, low_i, low_j)
         random, systematic = self.model.height_variance(p, n, s, c, covariance, slope)
         touched, z, random, systematic = _merge_scan(
@@ -299,7 +334,7 @@ class ElevationGrid:
             self._first.ravel(), self._through.ravel(), self._fell.ravel(),
             self.model.gate, self.model.patience,
         )  # fmt: skip
-        cleared = self._look_through(p, c, 0.0, _FOLLOWED) + self._look_through(ends, c, nearest, 1)
+        cleared = self._look_through(p, c, 0.0, _FOLLOWED) + self._look_through(scan.sights, c, scan.nearest, 1)
         self._scans += 1
         return FusionCount(updated, disputed, replaced, len(p) - inside, cleared)
 
@@ -477,6 +512,12 @@ def _checked_scan(
         raise ValueError(f"count and spread of shape {(len(p),)} expected, found {n.shape} and {s.shape}")
     if c.shape != (3,) or not (np.abs(c) < FAR).all():
         raise ValueError(f"camera position of 3 coordinates within {FAR:g} m expected, found {p_world_camera!r}")
+    if not (np.abs(p) < FAR).all():
+        raise ValueError(f"points finite and within {FAR:g} m expected: drop invalid pixels before fusing")
+    if not ((n >= 1.0) & (n < np.inf)).all():
+        raise ValueError("counts of at least 1 expected: drop empty cells before fusing")
+    if not ((s >= 0.0) & (s < FAR)).all():
+        raise ValueError("finite spreads of at least 0 m expected")
     return p, n, s, c
 
 
@@ -534,48 +575,29 @@ def _cell_indices(
     return cell
 
 
-_WRONG = (
-    "",
-    f"points finite and within {FAR:g} m expected: drop invalid pixels before fusing",
-    "counts of at least 1 expected: drop empty cells before fusing",
-    "finite spreads of at least 0 m expected",
-)
-
-
 @compiled
 def _survey(
     p: NDArray[np.float64],
-    count: NDArray[np.float64],
-    spread: NDArray[np.float64],
     resolution: float,
     low_i: int,
     low_j: int,
     rows: int,
     columns: int,
-) -> tuple[NDArray[np.int64], int, int, NDArray[np.float64]]:
+) -> tuple[NDArray[np.int64], int, NDArray[np.float64]]:
     """What there is to know of a scan before it is taken.
 
     Returns:
         cell: (n,) flat buffer index of each point, -1 outside the window of rows x columns that starts at (low_i, low_j).
-        wrong: Which of `_WRONG` holds for a point.
         inside: How many points lie in the window.
         middle: (3,) [m] their mean.
     """
     cell = np.empty(len(p), dtype=np.int64)
     middle = np.zeros(3)
     wrap_i, wrap_j = low_i % rows, low_j % columns
-    wrong = inside = 0
+    inside = 0
     for k in range(len(p)):
         cell[k] = -1
         x, y, z = p[k, 0], p[k, 1], p[k, 2]
-        if not (abs(x) < FAR and abs(y) < FAR and abs(z) < FAR):
-            wrong = 1
-        elif not 1.0 <= count[k] < np.inf:
-            wrong = 2
-        elif not 0.0 <= spread[k] < FAR:
-            wrong = 3
-        if wrong != 0:
-            break
         i, j = math.floor(x / resolution) - low_i, math.floor(y / resolution) - low_j
         if 0 <= i < rows and 0 <= j < columns:
             middle[0] += x
@@ -584,7 +606,7 @@ def _survey(
             inside += 1
             i, j = i + wrap_i, j + wrap_j  # the remainder by the size, without dividing
             cell[k] = (i if i < rows else i - rows) * columns + (j if j < columns else j - columns)
-    return cell, wrong, inside, middle / max(inside, 1)
+    return cell, inside, middle / max(inside, 1)
 
 
 @compiled

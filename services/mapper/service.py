@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from services.mapper.cloud import Strip
 from services.mapper.config import Settings
-from services.mapper.elevation import ElevationGrid, ElevationSnapshot, FusionModel
+from services.mapper.elevation import FAR, CheckedScan, ElevationGrid, ElevationSnapshot, FusionModel
 from services.mapper.layers import FootholdLayers, Margin
 from services.mapper.passage import cell_centres, cells_of, feet_plane
 from services.mapper.score import ScoreWeights
@@ -85,8 +85,7 @@ class Mapper:
             return  # no map goes out, so that nobody takes the old one for a new one
         with self.stages("fuse"):
             try:
-                self._grid.move_to(centre[:2])
-                self._grid.fuse(
+                checked = CheckedScan.of(
                     points,
                     scan.count,
                     scan.spread_mm * 1e-3,
@@ -98,6 +97,8 @@ class Mapper:
             except ValueError as error:
                 self._refused = str(error)
                 return
+            self._grid.move_to(centre[:2])
+            self._grid.fuse_checked(checked)
         self._newest_ns = scan.stamp_ns
         if not self._seeded and pose is not None and legs is not None and np.count_nonzero(~legs.swing) >= 3:
             self._assume_ground(pose, legs)
@@ -195,6 +196,8 @@ class Mapper:
         """Why a scan is none of here and now, by the body's place (3,) [m] {world}; nothing if it is."""
         if 0 <= self._newest_ns - scan.stamp_ns < _OUT_OF_ORDER_NS:  # further back it is another clock
             return "it is no newer than the one before"
+        if not (np.abs(centre) < FAR).all():
+            return f"a body within {FAR:g} m of the world's origin expected"
         away = float(np.abs(scan.p_world_camera - centre).max())
         if away > _FROM_BODY:
             return f"it was taken {away:.3g} m from where the body is"

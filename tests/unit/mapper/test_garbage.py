@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from services.mapper.config import Settings
+from services.mapper.elevation import ElevationGrid
 from services.mapper.service import Mapper
 from shared import codec, topics
 from shared.geometry import Array, from_xyz_rpy
@@ -85,6 +86,30 @@ def test_what_makes_no_sense_is_said_and_leaves_the_map_as_it_was(name: str) -> 
     np.testing.assert_array_equal(np.isfinite(after.elevation), np.isfinite(before.elevation))
     np.testing.assert_allclose(after.elevation, before.elevation, atol=1e-4)
     assert rig.mapper.doing().startswith("mapping")
+
+
+def test_a_scan_that_is_refused_does_not_move_the_map() -> None:
+    rig = Rig()
+    before = rig.map(scan(ground()))
+    away, camera = np.array([30.0, 0.0, 0.0]), np.array(CAMERA)
+    rig.stand((30.0, 0.0, 0.1))
+    no_pixels = np.zeros(len(ground()), np.uint8)
+    assert rig.map(scan(ground(), origin=away, p_world_camera=camera + away, count=no_pixels)) is None
+    rig.stand((0.0, 0.0, 0.1))
+    after = rig.map(scan(EMPTY))
+    assert before is not None
+    assert after is not None
+    np.testing.assert_array_equal(after.elevation, before.elevation)
+
+
+def test_a_mistake_of_our_own_is_no_bad_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    def mistaken(*_: object) -> None:
+        raise ValueError("operands could not be broadcast together")
+
+    rig = Rig()
+    monkeypatch.setattr(ElevationGrid, "fuse_checked", mistaken)
+    with pytest.raises(ValueError, match="broadcast"):
+        rig.map(scan(ground()))
 
 
 def test_nothing_seen_adds_nothing() -> None:
