@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.perception.cameras.watch import is_noise
+from services.perception.cameras.watch import EMPTY, is_noise, measured_share
 from services.perception.coloring import Coloring
 from services.perception.config import Settings
 from services.perception.motion import Motion, OdometryHistory
@@ -21,8 +21,7 @@ from shared.messages import BodyPose, ColorImage, DepthImage, Message, Scan
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
 
-_SAMPLED = 8  # every how many rows and columns are looked at to tell a frozen or an empty picture
-_EMPTY = 0.02  # share of the picture that is measured, below which it shows nothing
+_SAMPLED = 8  # every how many rows and columns are looked at to tell a frozen picture
 _EMPTY_EVERY = 3  # scans after which pixels without a return count as lines of sight: they are less to be relied upon
 _BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothing is in range
 _MOVED = 0.01  # [m] or [rad] beyond which no two pictures are the same
@@ -140,7 +139,7 @@ class Perception:
 
     def _sees_nothing_yet(self, image: DepthImage, motion: Motion) -> bool:
         """Whether nothing is in the camera's range, as before a wall or an abyss, and legs can still be relied upon."""
-        empty = np.count_nonzero(image.depth[::_SAMPLED, ::_SAMPLED]) * _SAMPLED**2 < _EMPTY * image.depth.size
+        empty = measured_share(image.depth, self._camera.sensor) < EMPTY
         return bool(empty and self._last is not None and motion.travelled - self._last.travelled < _BLIND_WAY)
 
     def _has_wrong_size(self, image: DepthImage) -> str:

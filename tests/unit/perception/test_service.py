@@ -235,13 +235,14 @@ def test_a_scan_lies_on_the_ground_and_carries_its_frames_health(world) -> None:
     np.testing.assert_allclose(scan.p_world_camera, (pose.T_world_body @ PROFILE.camera.T_body_camera)[:3, 3], atol=1e-9)
 
 
-def test_a_camera_that_sees_nothing_is_believed_for_a_while_only(world) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize("raw", [0, 100])  # no return, and nearer than the sensor measures
+def test_a_camera_that_sees_nothing_is_believed_for_a_while_only(world, raw: int) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     rig.frame(body_at(0.0))
     scans = []
     for k in range(1, 20):
         rig.travelled += 0.05
-        messages = rig.frame(body_at(0.05 * k), depth=np.zeros((240, 320), dtype=np.uint16))
+        messages = rig.frame(body_at(0.05 * k), depth=np.full((240, 320), raw + k % 2 * (raw > 0), dtype=np.uint16))
         assert not pose_of(messages).ok
         scans.append(any(isinstance(m, Scan) for m in messages))
     assert scans == sorted(scans, reverse=True)
