@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 from deploy import report as reports
@@ -74,5 +74,6 @@ class Attendance:
 
 
 def about(scenario: Scenario, seed: int, way: str) -> dict[str, str]:
-    """What a recording says about its run."""
-    return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way}
+    """What a recording says about its run, the size of its map included: replays make one of the same cells."""
+    size = {f"map.{field.name}": str(getattr(scenario.map, field.name)) for field in fields(scenario.map)}
+    return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way, **size}

@@ -207,7 +207,8 @@ def replay_recording(path: Path, out: Path, progress: Progress) -> dict[str, Any
     for topic, frame, arrival_ns in _arrivals(recording):
         counts[topic.key] = counts.get(topic.key, 0) + 1
         if mapper is None:  # now it is known whose run this was
-            mapper = Worker(Mapper(load_profile(recording.about.get("robot", "phantomx_mk2")), MapperSettings()), send, clock)
+            profile = load_profile(recording.about.get("robot", "phantomx_mk2"))
+            mapper = Worker(Mapper(profile, _map_settings(recording)), send, clock)
         clock.now_ns = arrival_ns
         if topic in mapper.reads:
             mapper.inbox.receive(topic, frame, arrival_ns)
@@ -224,6 +225,11 @@ def replay_recording(path: Path, out: Path, progress: Progress) -> dict[str, Any
     if made:
         layers_picture.draw(out / "layers.png", made[max(made)])
     pairs = [(terrain, made[terrain.stamp_ns]) for terrain in recorded if terrain.stamp_ns in made]
+    if pairs and not any(_same_cells(before, after) for before, after in pairs):
+        raise ReplayError(
+            f"{path}: none of its maps has the cells of those made now: {_cells(pairs[0][0])} recorded, "
+            f"{_cells(pairs[0][1])} made; replay it with the version that wrote it"
+        )
     stages = _stages(mapper.service) if mapper else {}
     return {
         "source": path.name,
@@ -258,7 +264,7 @@ def map_difference(pairs: Iterable[tuple[TerrainMap, TerrainMap]]) -> dict[str, 
     first's cells that the second knows."""
     differences, known, shared_cells = [], 0, 0
     for before, after in pairs:
-        if before.elevation.shape != after.elevation.shape or not np.allclose(before.origin, after.origin):
+        if not _same_cells(before, after):
             continue
         both = np.isfinite(before.elevation) & np.isfinite(after.elevation)
         known += int(np.isfinite(before.elevation).sum())
@@ -273,6 +279,30 @@ def map_difference(pairs: Iterable[tuple[TerrainMap, TerrainMap]]) -> dict[str, 
         "p95": _rounded(float(np.percentile(np.abs(d), 95))),
         "coverage": _rounded(shared_cells / known),
     }
+
+
+def _same_cells(a: TerrainMap, b: TerrainMap) -> bool:
+    same = a.elevation.shape == b.elevation.shape and math.isclose(a.resolution, b.resolution)
+    return same and np.allclose(a.origin, b.origin)
+
+
+def _cells(terrain: TerrainMap) -> str:
+    nx, ny = terrain.elevation.shape
+    x, y = terrain.origin
+    return f"{nx}x{ny} cells of {terrain.resolution:g} m from ({x:.3f}, {y:.3f}) m on"
+
+
+def _map_settings(recording: Recording) -> MapperSettings:
+    """The mapper's settings of a recorded run; older recordings say nothing of them."""
+    about, usual = recording.about, MapperSettings()
+    try:
+        return MapperSettings(
+            cells=int(about.get("map.cells", usual.cells)),
+            cells_y=int(about.get("map.cells_y", usual.cells_y)),
+            resolution=float(about.get("map.resolution", usual.resolution)),
+        )
+    except ValueError as error:
+        raise ReplayError(f"{recording.path}: its map options make no sense: {error}") from None
 
 
 def profile_for(sequence: tum.Recording) -> RobotProfile:

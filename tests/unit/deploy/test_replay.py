@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from deploy import replay
+from deploy.attendance import about
 from deploy.progress import Silent
 from deploy.recording import Recorder
 from deploy.replay import HandHeld, Player, ReplayError
@@ -17,6 +18,7 @@ from shared.camera import Intrinsics
 from shared.geometry import exp_se3, from_xyz_rpy, transform
 from shared.messages import BodyPose, ColorImage, DepthImage, Odometry, Scan, TerrainMap, Tick
 from shared.robot import load_profile
+from shared.scenario import MapOptions, load_scenario
 from shared.service import AnyTopic, Inbox, Stages, Worker
 
 S = 1_000_000_000
@@ -140,9 +142,13 @@ def scan(stamp_ns: int, rng: np.random.Generator) -> Scan:
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
     """A run of thirty scans through the mapper, recorded as a run records it."""
+    return record(tmp_path, {}, Settings())
+
+
+def record(tmp_path: Path, about: dict[str, str], settings: Settings) -> Path:
     path, rng, now_ns = tmp_path / "recording.mcap", np.random.default_rng(1), [0]
-    with Recorder(path, {"scenario": "made up", "robot": "phantomx_mk2"}) as recorder:
-        mapper = Worker(Mapper(load_profile("phantomx_mk2"), Settings()), recorder.write, lambda: now_ns[0])
+    with Recorder(path, {"scenario": "made up", "robot": "phantomx_mk2", **about}) as recorder:
+        mapper = Worker(Mapper(load_profile("phantomx_mk2"), settings), recorder.write, lambda: now_ns[0])
         for i in range(30):
             now_ns[0] = i * S // 5
             pose = BodyPose(now_ns[0], np.eye(4), np.eye(4), np.zeros((6, 6)), 1.0, True, "", np.zeros((0, 6)))
@@ -163,6 +169,22 @@ def test_a_recorded_run_replays_into_the_same_maps(recorded: Path, tmp_path: Pat
     assert table["map_error_m"]["rmse"] == 0.0
     assert table["map_error_m"]["coverage"] == 1.0
     assert "differ by 0.00 mm" in replay.in_words(table)
+
+
+def test_a_run_with_a_map_of_its_own_replays_into_the_same_cells(tmp_path: Path) -> None:
+    scenario = replace(load_scenario("flat"), map=MapOptions(cells=120, cells_y=100, resolution=0.02))
+    path = record(tmp_path, about(scenario, 0, "live"), Settings(120, 100, 0.02))
+    table = replay.replay_recording(path, tmp_path, Silent())
+    assert table["maps"]["compared"] >= 2
+    assert table["map_error_m"]["rmse"] == 0.0
+
+
+def test_maps_of_other_cells_are_not_compared_in_silence(tmp_path: Path) -> None:
+    path = record(tmp_path, {}, Settings(120, 100, 0.02))
+    with pytest.raises(ReplayError, match=r"120x100 cells of 0\.02 m.* recorded.*256x256 cells of 0\.01 m.* made"):
+        replay.replay_recording(path, tmp_path, Silent())
+    with pytest.raises(ReplayError, match="make no sense"):
+        replay.replay_recording(record(tmp_path, {"map.cells": "many"}, Settings()), tmp_path, Silent())
 
 
 def test_a_run_that_was_cut_off_replays_as_far_as_it_goes(recorded: Path, tmp_path: Path) -> None:
