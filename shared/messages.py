@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 MAX_TEXT = 2000  # characters of a text field
 MAX_ITEMS = 256  # entries of a tuple field
 _MAX_INT = 1 << 63
+HAZARDS = ("", "water", "loose ground")  # by the numbers of TerrainMap.hazard
 MAX_LENGTH = 4_000_000  # elements along an array
 
 
@@ -35,12 +36,16 @@ class Dims:
     finite: bool
     packed: bool
     optional: bool
+    most: int | None = dataclasses.field(repr=False)  # its largest value; no part of what the wire looks like
 
-    def __init__(self, *shape: int | str, finite: bool = True, packed: bool = False, optional: bool = False):
+    def __init__(
+        self, *shape: int | str, finite: bool = True, packed: bool = False, optional: bool = False, most: int | None = None
+    ):
         object.__setattr__(self, "shape", shape)
         object.__setattr__(self, "finite", finite)
         object.__setattr__(self, "packed", packed)
         object.__setattr__(self, "optional", optional)
+        object.__setattr__(self, "most", most)
 
 
 Pose: TypeAlias = Annotated[NDArray[np.float64], Dims(4, 4)]
@@ -173,7 +178,7 @@ class Scan(Message):
     pose_covariance: Annotated[
         NDArray[np.float64], Dims(6, 6)
     ]  # [m^2, m rad, rad^2] of the camera's position, then rotation, {world}, by which the points were placed
-    color: Annotated[NDArray[np.uint8], Dims("n", 3, packed=True, optional=True)] = dataclasses.field(
+    color: Annotated[NDArray[np.uint8], Dims("n", 3, packed=True, optional=True, most=63)] = dataclasses.field(
         default_factory=lambda: _POINTS_WITHOUT_COLOR
     )  # codes of `shared.color`, a row per point, or none at all
     sights_mm: Annotated[NDArray[np.int16], Dims("m", 3, packed=True)] = dataclasses.field(
@@ -198,10 +203,10 @@ class TerrainMap(Message):
     color: Annotated[NDArray[np.uint8], Dims("nx", "ny", 3, optional=True)] = dataclasses.field(
         default_factory=lambda: _CELLS_WITHOUT_COLOR
     )  # R, G, B
-    hazard: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True)] = dataclasses.field(
+    hazard: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True, most=len(HAZARDS) - 1)] = dataclasses.field(
         default_factory=lambda: _NO_CELLS
     )  # 1 water, 2 loose ground under a foot here, which is then no foothold; 0 neither
-    confidence: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True)] = dataclasses.field(
+    confidence: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True, most=100)] = dataclasses.field(
         default_factory=lambda: _NO_CELLS
     )  # [%] of the type of ground that is the most probable, 0 where nothing is known
 
@@ -428,6 +433,8 @@ def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
         # A finite sum of squares proves it at a third of the cost; one that overflows proves nothing.
         if finite and not math.isfinite(np.vdot(value, value)) and not np.isfinite(value).all():
             return "finite numbers expected, found NaN or infinity"
+        if dims.most is not None and value.size and value.max() > dims.most:
+            return f"values of at most {dims.most} expected, found {value.max()}"
         return ""
 
     return check

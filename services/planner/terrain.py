@@ -17,7 +17,6 @@ Layer = Literal["score", "evaluation"]
 
 _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _DEEP = -100  # [cells] of level ground without an end
-HAZARDS = ("", "water", "loose ground")  # by the numbers of TerrainMap.hazard
 
 _RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest cells that make sense under a foot
 _FAR = 1e6  # [m] beyond it a cell's index is no longer exact

@@ -28,7 +28,7 @@ def field_values(base: Any, detail: Any, lengths: dict[str, int]) -> st.SearchSt
     if base is np.ndarray:
         dtype, dims = detail
         shape = tuple(n if isinstance(n, int) else lengths[n] for n in dims.shape)
-        elements = None
+        elements = None if dims.most is None else st.integers(0, dims.most)
         if dtype.kind == "f":
             elements = st.floats(width=8 * dtype.itemsize, allow_nan=not dims.finite, allow_infinity=not dims.finite)
         return hnp.arrays(dtype, shape, elements=elements, fill=None if elements is None else st.just(dtype.type(0)))

@@ -138,3 +138,18 @@ def test_what_is_optional_is_there_for_all_or_for_none() -> None:
     for bad in (np.zeros((1, 3), np.uint8), np.zeros((0, 4), np.uint8), np.zeros(0, np.uint8)):
         with pytest.raises(ValueError, match="color"):
             dataclasses.replace(scan, color=bad)  # type: ignore[call-arg]
+
+
+_MOST = [(m.TerrainMap, "hazard", 2), (m.TerrainMap, "confidence", 100), (m.Scan, "color", 63)]
+
+
+@pytest.mark.parametrize(("kind", "name", "most"), _MOST)
+    ("kind", "name", "most"), [(m.TerrainMap, "hazard", 2), (m.TerrainMap, "confidence", 100), (m.Scan, "color", 63)]
+)
+def test_numbers_without_a_meaning_are_refused(kind: type[Message], name: str, most: int) -> None:
+    message = example(kind)
+    values = getattr(message, name).copy()
+    values.flat[-1] = most
+    dataclasses.replace(message, **{name: values})  # type: ignore[arg-type]
+    values.flat[-1] = most + 1
+    assert f"at most {most} expected, found {most + 1}" in refused(message, name, values)
