@@ -144,8 +144,6 @@ _MOST = [(m.TerrainMap, "hazard", 2), (m.TerrainMap, "confidence", 100), (m.Scan
 
 
 @pytest.mark.parametrize(("kind", "name", "most"), _MOST)
-    ("kind", "name", "most"), [(m.TerrainMap, "hazard", 2), (m.TerrainMap, "confidence", 100), (m.Scan, "color", 63)]
-)
 def test_numbers_without_a_meaning_are_refused(kind: type[Message], name: str, most: int) -> None:
     message = example(kind)
     values = getattr(message, name).copy()
