@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 MAX_TEXT = 2000  # characters of a text field
 MAX_ITEMS = 256  # entries of a tuple field
 _MAX_INT = 1 << 63
+UNKNOWN = 127  # of the evaluation function: never seen
 HAZARDS = ("", "water", "loose ground")  # by the numbers of TerrainMap.hazard
 MAX_LENGTH = 4_000_000  # elements along an array
 

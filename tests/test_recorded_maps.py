@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.mapper.foothold_map import UNKNOWN
 from services.mapper.layers import FootholdLayers, Layers
 from services.mapper.score import ScoreWeights
+from shared.messages import UNKNOWN
 from tests.support.recordings import recording
 
 pytestmark = pytest.mark.data

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.mapper.elevation import FusionModel
-from services.mapper.foothold_map import UNKNOWN, FootholdRules, disc
+from services.mapper.foothold_map import FootholdRules, disc
 from services.mapper.score import ScoreWeights
 from services.perception.reduction import CARRYING, JUMP, NOISE, SURFACE
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import Array
+from shared.messages import UNKNOWN
 
 Layer = NDArray[np.float32]
 Cells = NDArray[np.bool_]

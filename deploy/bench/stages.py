@@ -19,7 +19,7 @@ from deploy.bench.scenes import MAPPED
 from deploy.bench.timing import Race, Timing, held_against_first, installed, one_core
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.elevation import ElevationGrid, FusionModel, fill_small_holes
-from services.mapper.foothold_map import UNKNOWN, FootholdRules
+from services.mapper.foothold_map import FootholdRules
 from services.mapper.layers import FootholdLayers, Margin
 from services.mapper.score import ScoreWeights
 from services.mapper.service import Mapper
@@ -29,7 +29,7 @@ from services.perception.service import Perception
 from shared import codec, topics
 from shared.geometry import Array
 from shared.host import keep_memory
-from shared.messages import DepthImage, Odometry, Tick
+from shared.messages import UNKNOWN, DepthImage, Odometry, Tick
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages, Worker
 

@@ -29,8 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.compiled import compiled
-
-UNKNOWN = 127  # of the evaluation function: never seen
+from shared.messages import UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)

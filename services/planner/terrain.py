@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.geometry import Array
-from shared.messages import TerrainMap
+from shared.messages import UNKNOWN, TerrainMap
 
 ACCEPTABLE = 1.0  # highest score that carries a foot
-UNKNOWN = 127  # of the evaluation function
 FIRM = 0.03  # [m] from the end of accessible ground, beyond which Masri's evaluation function is strongly negative
 NONE, POOR, GOOD = 0.0, 1.0, 2.0  # a place as a foothold
 Layer = Literal["score", "evaluation"]

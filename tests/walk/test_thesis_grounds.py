@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
 from services.mapper.config import Settings as MapperSettings
-from services.mapper.foothold_map import UNKNOWN
 from services.mapper.layers import FootholdLayers
 from services.mapper.score import ScoreWeights, WalkabilityScorer, published_score
 from services.mapper.service import Mapper
@@ -27,7 +26,7 @@ from services.simulator import terrain as ground
 from services.simulator.terrain import build_terrain
 from shared import codec, topics
 from shared.geometry import Array
-from shared.messages import TerrainMap
+from shared.messages import UNKNOWN, TerrainMap
 from shared.scenario import load_scenario
 from shared.service import AnyTopic, Lockstep
 from tests.support import thesis_grounds as things

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from services.mapper.foothold_map import (
-    UNKNOWN,
     EvaluationFunction,
     FootholdRules,
     closed,
@@ -16,6 +15,7 @@ from services.mapper.foothold_map import (
     published_evaluation,
     signed_manhattan,
 )
+from shared.messages import UNKNOWN
 
 Mask = NDArray[np.uint8]
 
