@@ -103,7 +103,7 @@ class Mapper:
         if not self._seeded and pose is not None and legs is not None and np.count_nonzero(~legs.swing) >= 3:
             self._assume_ground(pose, legs)
             self._seeded = True
-        if len(scan.color) or self._type is not None:
+        if self._profile.camera.color and (len(scan.color) or self._type is not None):
             with self.stages("terrain type"):
                 self._learn(scan, pose, legs)
         self._scans += 1

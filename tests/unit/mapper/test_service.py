@@ -399,3 +399,14 @@ def test_feet_far_from_the_map_tell_nothing_of_the_ground(lifted: float) -> None
         assert isinstance(made, TerrainMap)
         confidence.append(made.confidence)
     np.testing.assert_array_equal(confidence[2], confidence[1])
+
+
+def test_a_scan_in_colour_is_mapped_without_it_for_a_robot_that_has_none() -> None:
+    rig = Rig()
+    rig.hear(legs(np.zeros(6, dtype=np.bool_)))
+    seen = ground_scan(rig.now_ns, 0.0, x=(-0.4, 0.4))
+    colored = replace(seen, color=codes(np.full((len(seen.points_mm), 3), 120, dtype=np.uint8)))
+    (made,) = rig.mapper.step(colored, rig.inbox)
+    assert isinstance(made, TerrainMap)
+    assert np.isfinite(made.elevation).any()
+    assert made.color.size == 0
