@@ -149,9 +149,7 @@ def moved_by(error: Array, T_world_body: Array) -> Array:
 
 def moved_scan(scan: Scan, T: Array, covariance: Array) -> Scan:
     """A scan placed by a pose that is off: all moves by T (4, 4); points that leave the millimetres' range are left out."""
-    points, sights = (
-        np.rint((apply(T, scan.origin + mm * 1e-3) - scan.origin) * 1e3) for mm in (scan.points_mm, scan.sights_mm)
-    )
+    points, sights = (np.rint((apply(T, points) - scan.origin) * 1e3) for points in (scan.points, scan.sights))
     kept, kept_sights = ((np.abs(mm) < 32767).all(axis=1) for mm in (points, sights))
     return replace(
         scan,

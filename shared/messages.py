@@ -17,6 +17,8 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin, get
 import numpy as np
 from numpy.typing import NDArray
 
+from shared.geometry import from_millimetres
+
 MAX_TEXT = 2000  # characters of a text field
 MAX_ITEMS = 256  # entries of a tuple field
 _MAX_INT = 1 << 63
@@ -185,6 +187,16 @@ class Scan(Message):
     sights_mm: Annotated[NDArray[np.int16], Dims("m", 3, packed=True)] = dataclasses.field(
         default_factory=lambda: _NO_SIGHTS
     )  # [mm] from the origin: points up to which the camera saw nothing, beside those of the scan
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """(n, 3) [m] {world}"""
+        return from_millimetres(self.points_mm, self.origin)
+
+    @property
+    def sights(self) -> NDArray[np.float64]:
+        """(m, 3) [m] {world}"""
+        return from_millimetres(self.sights_mm, self.origin)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from deploy import cli
-from services.mapper.elevation import ElevationGrid, FusionModel
+from services.mapper.elevation import ElevationGrid
+from services.mapper.fusion import FusionModel
 from services.perception import tum
 from services.perception.reduction import reduce_scan
 from services.perception.registration import Registered, Registration

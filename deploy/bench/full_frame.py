@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.elevation import ElevationGrid, FusionModel
+from services.mapper.elevation import ElevationGrid
+from services.mapper.fusion import FusionModel
 from services.perception.reduction import JUMP, NOISE
 from shared import topics
 from shared.geometry import Array, apply

@@ -1,8 +1,7 @@
 """Other ways to do what the map stages do, with common libraries, to be timed and compared with ours.
 
-Each comes to the same result but for rounding and ties. Two do less for it than ours: Open3D's cloud, which knows neither edges
-nor surfaces, and NumPy's map, which clears nothing along lines of sight. They are written as one would write them for speed:
-whole arrays, single precision where ours is, no loops over pixels or cells.
+Each comes to the same result but for rounding and ties, except for Open3D's cloud, which knows neither edges nor surfaces. They
+are written as one would write them for speed: whole arrays, single precision where ours is, no loops over pixels or cells.
 """
 
 import math
@@ -13,9 +12,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.elevation import FusionModel
+from services.mapper.cells import ESTABLISHED
 from services.mapper.foothold_map import FootholdRules, disc
+from services.mapper.fusion import FusionModel
+from services.mapper.height_drift import (
+    ALIKE,
+    DRIFTED,
+    FEWEST,
+    KNOWN_WELL,
+    LEVEL_AGAIN,
+    PERSISTS,
+    RATE,
+    SAME_GROUND,
+    TELLS,
+    height_sigma,
+)
 from services.mapper.score import ScoreWeights
+from services.mapper.sight_lines import FELL_AROUND, FOLLOWED, SETTLED, SHORT, SIGHTS_NEEDED, WELL_BELOW
 from services.perception.reduction import CARRYING, JUMP, NOISE, SURFACE
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import Array
@@ -50,7 +63,8 @@ class NumpyReduction:
         self._resolution, self._range2 = resolution, np.float32(max_range**2)
         self._half = math.ceil(max_range / resolution) + 2
         rows, columns = np.indices((intrinsics.height, intrinsics.width), sparse=True)
-        self._every_second = (rows + columns) % 2 == 0
+        self._odd_row, self._every_second = rows % 2 == 1, (rows + columns) % 2 == 0
+        self._every_fourth = ~self._odd_row & ((rows // 2 + columns) % 2 == 0)
 
     def reduce(self, depth: NDArray[np.uint16], T_world_camera: Array) -> Array:
         """The mean of the upper surface of each cell, rounded to millimetres."""
@@ -61,9 +75,15 @@ class NumpyReduction:
         dx, dy, dz = (((R[k, 0] * self._x + (R[k, 1] * self._y + R[k, 2])) * z) for k in range(3))
         read = (depth >= self._bounds[0]) & (depth <= self._bounds[1]) & (dx * dx + dy * dy <= self._range2)
         read &= (z >= self._dense) | self._every_second
+        # Rows that are crowded with pixels on level ground are read one in two, whose pixels count twice.
+        farthest = np.where((depth >= self._bounds[0]) & (depth <= self._bounds[1]), z, 0.0).max(axis=1, keepdims=True)
+        drop = -np.max(R[2, 0] * self._x[[0, -1]] + (R[2, 1] * self._y + R[2, 2]), axis=1, keepdims=True)
+        crowded = (farthest < self._dense) & (farthest < self._dense * drop)
+        read &= ~crowded | self._every_fourth
+        weight = np.broadcast_to(1.0 + crowded, read.shape)
         # 2. Without those between two surfaces.
         read &= ~self._flying(depth)
-        dx, dy, dz, z = dx[read], dy[read], dz[read], z[read]
+        dx, dy, dz, z, weight = dx[read], dy[read], dz[read], z[read], weight[read]
         # 3. Their cells, and the highest and the lowest of each.
         side = 2 * self._half
         per_cell = np.float32(1.0 / self._resolution)
@@ -76,13 +96,13 @@ class NumpyReduction:
         np.minimum.at(bottom, key, dz)
         # 4. The mean of the upper surface, or of the lower one where the upper is but an edge.
         upper, lower = dz >= top[key] - band, dz <= bottom[key] + band
-        count = np.bincount(key, minlength=side * side)
-        edge = np.bincount(key[upper], minlength=side * side) < CARRYING * count
+        count = np.bincount(key, weight, minlength=side * side)
+        edge = np.bincount(key[upper], weight[upper], minlength=side * side) < CARRYING * count
         chosen = np.where(edge[key], lower, upper)
-        key = key[chosen]
+        key, weight = key[chosen], weight[chosen]
         cells = np.flatnonzero(count)
-        sums = np.stack([np.bincount(key, d[chosen], minlength=side * side)[cells] for d in (dx, dy, dz)], axis=1)
-        mean = sums / np.bincount(key, minlength=side * side)[cells, None] + t
+        sums = np.stack([np.bincount(key, weight * d[chosen], minlength=side * side)[cells] for d in (dx, dy, dz)], axis=1)
+        mean = sums / np.bincount(key, weight, minlength=side * side)[cells, None] + t
         # 5. Rounded, and 1 mm inside the cell.
         mm, edge_mm = np.rint(1000.0 * mean), 1000.0 * self._resolution
         corner = edge_mm * (np.stack([cells // side, cells % side], axis=1) - self._half)
@@ -149,10 +169,7 @@ REDUCTION: Mapping[str, Callable[[Intrinsics, DepthSensor, float, float], Reduce
 
 
 class NumpyGrid:
-    """`services.mapper.elevation.ElevationGrid` in NumPy: a circular buffer, a Kalman filter and a rival in each cell.
-
-    It follows neither lines of sight nor drift, which ours does in its time as well: the peer is the faster for it.
-    """
+    """`services.mapper.elevation.ElevationGrid` in NumPy: a circular buffer, a Kalman filter and a rival in each cell."""
 
     def __init__(self, size: int, resolution: float, model: FusionModel):
         self._size, self._resolution, self._model = size, resolution, model
@@ -160,7 +177,9 @@ class NumpyGrid:
         self._height, self._variance, self._rival, self._rival_variance = (
             np.full(size * size, np.nan, dtype=np.float32) for _ in range(4)
         )
-        self._support, self._votes = (np.full(size * size, 0, dtype=np.uint8) for _ in range(2))
+        self._first = np.full(size * size, np.nan, dtype=np.float32)
+        self._support, self._votes, self._through, self._fell = (np.full(size * size, 0, dtype=np.uint8) for _ in range(4))
+        self._drift, self._lasts, self._scans = 0.0, 0, 0
         self._slot, self._entry = (np.full(size * size, -1, dtype=np.int64) for _ in range(2))
 
     def move_to(self, p_world_xy: Array) -> None:
@@ -173,9 +192,9 @@ class NumpyGrid:
             first = self._low[axis] if shift > 0 else self._low[axis] + n - leaving
             lines = np.arange(first, first + leaving) % n
             where: Any = lines if axis == 0 else (slice(None), lines)
-            for layer in (self._height, self._variance, self._rival, self._rival_variance):
+            for layer in (self._height, self._variance, self._rival, self._rival_variance, self._first):
                 layer.reshape(n, n)[where] = np.nan
-            for counter in (self._support, self._votes):
+            for counter in (self._support, self._votes, self._through, self._fell):
                 counter.reshape(n, n)[where] = 0
         self._low = low
 
@@ -210,7 +229,82 @@ class NumpyGrid:
                 own = np.maximum(gain * (1.0 - gain) * step * step - random[now], 0.0)
                 most = np.maximum(out_systematic[e], systematic[now]) + own
                 out_systematic[e] = np.where(upper, systematic[now], np.where(apart, out_systematic[e], most))
-        self._update(cells, out_z, out_random + out_systematic, out_systematic)
+        # 3. Without the drift of the pose's height, into the filters; and what stands in a line of sight.
+        self._follow_drift(cells, out_z, (points[inside] - p_world_camera).mean(axis=0), pose_covariance)
+        self._update(cells, out_z - self._drift, out_random + out_systematic, out_systematic)
+        self._look_through(points[self._scans % FOLLOWED :: FOLLOWED], p_world_camera)
+        self._scans += 1
+
+    def _follow_drift(self, cells: NDArray[np.int64], z: Array, ray: Array, S: Array) -> None:
+        """`services.mapper.height_drift.HeightDrift.follow`."""
+        c = cells[::TELLS]
+        off, first = z[::TELLS] - self._drift - self._first[c], self._first[c]
+        tells = (np.abs(off) < SAME_GROUND) & (self._votes[c] == 0) & (self._variance[c] < KNOWN_WELL**2)
+        off = off[tells & (np.abs(self._height[c] - first) < SAME_GROUND)]
+        if len(off) < FEWEST:
+            return
+        gap = float(np.partition(off, len(off) // 2)[len(off) // 2])
+        compensating = abs(self._lasts) >= PERSISTS
+        if abs(gap) <= (LEVEL_AGAIN if compensating else DRIFTED):
+            self._lasts = 0
+            return
+        spread = (
+            1.25 * 1.48 * float(np.partition(np.abs(off - gap), len(off) // 2)[len(off) // 2]) / math.sqrt(len(off) / ALIKE)
+        )
+        noise = math.hypot(height_sigma(ray, S), spread)
+        sign = 1 if gap > 0 else -1
+        if abs(gap) <= (noise if compensating else 3.0 * noise):
+            self._lasts = 0
+            return
+        self._lasts = self._lasts + sign if self._lasts * sign >= 0 else sign
+        if abs(self._lasts) >= PERSISTS:
+            self._drift += max(-RATE, min(RATE, gap))
+
+    def _look_through(self, ends: Array, camera: Array) -> None:
+        """`services.mapper.sight_lines.SightLines.look`: each line is a row, each of its steps a column."""
+        n, heights = self._size, self._height
+        highest = float(np.fmax.reduce(heights)) if len(ends) else -math.inf
+        if not len(ends) or not highest - WELL_BELOW > float(ends[:, 2].min()) - self._drift:
+            return
+        # 1. The steps of the lines in the window, up to where they are above everything.
+        u, v = (ends[:, k] / self._resolution - self._low[k] for k in (0, 1))
+        du, dv = (camera[k] / self._resolution - self._low[k] - at for k, at in ((0, u), (1, v)))
+        z = ends[:, 2] - self._drift
+        dz, way = camera[2] - self._drift - z, np.maximum(np.abs(du), np.abs(dv))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            over0 = z + 0.75 * dz / way + WELL_BELOW
+            last = np.minimum(way, (highest - over0) / dz * way)
+        kept = (way > SHORT) & (dz > 0.0) & (last >= SHORT)
+        if not kept.any():
+            return
+        u, v, du, dv, dz, way, over0, last = (a[kept, None] for a in (u, v, du, dv, dz, way, over0, last))
+        steps = np.arange(SHORT, int(last.max()) + 1)
+        s = steps / way
+        i, j = np.floor(u + s * du), np.floor(v + s * dv)
+        over = over0 + s * dz
+        inside = (steps < np.floor(way)) & (i >= 1) & (j >= 1) & (i < n - 1) & (j < n - 1) & (over <= highest)
+        i, j, over = i[inside].astype(np.int64), j[inside].astype(np.int64), over[inside]
+        # 2. The cells that stand well above them, within a body.
+        c = ((i + self._low[0]) % n) * n + (j + self._low[1]) % n
+        stands = heights[c] > over + 3.0 * np.sqrt(self._variance[c])
+        i, j, c, over = i[stands], j[stands], c[stands], over[stands]
+        standing, fallen, low = (np.zeros(len(c), dtype=np.int64) for _ in range(3))
+        for p in (-1, 0, 1):
+            for q in (-1, 0, 1):
+                if p or q:
+                    beside = ((i + p + self._low[0]) % n) * n + (j + q + self._low[1]) % n
+                    height, above = heights[beside], heights[beside] > over
+                    fell = ~above & (self._fell[beside] != 0)
+                    standing, fallen, low = standing + above, fallen + fell, low + (~above & ~fell & (height == height))
+        seen = np.unique(c[((low == 0) & (standing + fallen >= 6)) | (fallen >= FELL_AROUND)])
+        # 3. Looked through so often, they are gone.
+        self._through[seen] += 1
+        gone = seen[self._through[seen] >= SIGHTS_NEEDED]
+        for layer in (self._height, self._variance, self._first):
+            layer[gone] = np.nan
+        for counter in (self._support, self._votes, self._through):
+            counter[gone] = 0
+        self._fell[gone] = 1
 
     def _slopes(self, ij: NDArray[np.int64], inside: Cells) -> Array:
         """Gradient (k, 2) of the map at cells (k, 2): of both sides' differences the smaller, 0 where their signs differ."""
@@ -269,12 +363,17 @@ class NumpyGrid:
         # 1. Unseen cells take the measurement.
         c = cells[new]
         self._height[c], self._variance[c], self._support[c], self._votes[c] = z[new], noise[new], 1, 0
+        self._through[c] = 0
         # 2. Within the gate it is filtered in.
         c, b, m = cells[good], believed[good], noise[good]
         self._height[c] = height[good] + b / (b + m) * off[good]
         self._variance[c] = np.maximum(b * m / (b + m), np.minimum(b, systematic[good]))
         self._support[c] += self._support[c] < 255
         self._votes[c] -= self._votes[c] > 0
+        self._through[c] = 0
+        self._fell[c[self._support[c] >= SETTLED]] = 0
+        c = c[self._support[c] == ESTABLISHED]
+        self._first[c] = self._height[c]
         # 3. Outside of it, it votes.
         bad = ~(new | good)
         c, z, m, systematic = cells[bad], z[bad], noise[bad], systematic[bad]
@@ -289,14 +388,17 @@ class NumpyGrid:
         votes = np.where(agrees, np.minimum(votes + 1, 255), np.where(begins, 1, votes - 1))
         over = votes >= np.minimum(self._model.patience, self._support[c].astype(np.int64) + 1)
         self._votes[c] = np.where(over, 0, votes)
-        c = c[over]
-        self._height[c], self._variance[c], self._support[c] = self._rival[c], self._rival_variance[c], votes[over]
+        c, support = c[over], votes[over]
+        self._fell[c] = self._rival[c] < self._height[c] - WELL_BELOW
+        self._height[c], self._variance[c], self._support[c] = self._rival[c], self._rival_variance[c], support
+        self._first[c], self._through[c] = np.where(support >= ESTABLISHED, self._height[c], np.nan), 0
 
     @property
     def elevation(self) -> Layer:
         """(n, n) [m] {world} in world order, NaN where never seen."""
         i, j = (self._low % self._size).tolist()
-        return np.roll(self._height.reshape(self._size, self._size), (-i, -j), axis=(0, 1))
+        height = self._height + np.float32(self._drift)
+        return np.roll(height.reshape(self._size, self._size), (-i, -j), axis=(0, 1))
 
 
 # ------------------------------------------------------------------------------------------------------------------ the score

@@ -18,8 +18,10 @@ from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED
 from deploy.bench.timing import Race, Timing, held_against_first, installed, one_core
 from services.mapper.config import Settings as MapperSettings
-from services.mapper.elevation import ElevationGrid, FusionModel, fill_small_holes
+from services.mapper.elevation import ElevationGrid
 from services.mapper.foothold_map import FootholdRules
+from services.mapper.fusion import FusionModel
+from services.mapper.holes import fill_small_holes
 from services.mapper.layers import FootholdLayers, Margin
 from services.mapper.score import ScoreWeights
 from services.mapper.service import Mapper
@@ -27,7 +29,7 @@ from services.perception.config import Settings as PerceptionSettings
 from services.perception.reduction import ReducedScan, reduce_scan
 from services.perception.service import Perception
 from shared import codec, topics
-from shared.geometry import Array
+from shared.geometry import Array, from_millimetres
 from shared.host import keep_memory
 from shared.messages import UNKNOWN, DepthImage, Odometry, Tick
 from shared.robot import RobotProfile
@@ -184,7 +186,11 @@ def _fused_into(grid: Any) -> Callable[[ReducedScan, Array], None]:
     def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
         grid.move_to(p_world_camera[:2])
         grid.fuse(
-            scan.origin + scan.points * 1e-3, scan.count, scan.spread * 1e-3, p_world_camera, pose_covariance=_POSE_COVARIANCE
+            from_millimetres(scan.points, scan.origin),
+            scan.count,
+            scan.spread * 1e-3,
+            p_world_camera,
+            pose_covariance=_POSE_COVARIANCE,
         )
 
     return fuse
@@ -215,7 +221,7 @@ def _same_where(ours: tuple[Layer, NDArray[np.int8]], other: tuple[Layer, NDArra
 
 
 def _points(found: ReducedScan | Array) -> Array:
-    return np.asarray(found.origin + 1e-3 * found.points) if isinstance(found, ReducedScan) else found
+    return from_millimetres(found.points, found.origin) if isinstance(found, ReducedScan) else found
 
 
 def _rastered(points: Array, centre: Array) -> Array:

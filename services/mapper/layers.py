@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.elevation import fill_small_holes
 from services.mapper.foothold_map import DISCS, EvaluationFunction, FootholdRules
+from services.mapper.holes import fill_small_holes
 from services.mapper.score import Scalar, ScoreWeights, WalkabilityScorer, reference_height
 from shared.compiled import compiled
 from shared.messages import UNKNOWN

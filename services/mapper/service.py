@@ -7,9 +7,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from services.mapper.checked_scan import FAR, CheckedScan
 from services.mapper.cloud import Strip
 from services.mapper.config import Settings
-from services.mapper.elevation import FAR, CheckedScan, ElevationGrid, ElevationSnapshot, FusionModel
+from services.mapper.elevation import ElevationGrid, ElevationSnapshot
+from services.mapper.fusion import FusionModel
 from services.mapper.layers import FootholdLayers, Margin
 from services.mapper.passage import cell_centres, cells_of, feet_plane
 from services.mapper.score import ScoreWeights
@@ -79,7 +81,7 @@ class Mapper:
         """Fuse one scan; every few of them score and publish the map."""
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.latest(topics.ACTUATOR_STATE)
         centre = scan.p_world_camera if pose is None else pose.T_world_body[:3, 3]
-        points = scan.origin + scan.points_mm * 1e-3
+        points = scan.points
         self._refused = self._objection(scan, centre)
         if self._refused:
             return  # no map goes out, so that nobody takes the old one for a new one
@@ -91,7 +93,7 @@ class Mapper:
                     scan.spread_mm * 1e-3,
                     scan.p_world_camera,
                     pose_covariance=scan.pose_covariance,
-                    sights=scan.origin + scan.sights_mm * 1e-3,
+                    sights=scan.sights,
                     nearest=_NEAR * self._profile.camera.sensor.min_range,
                 )
             except ValueError as error:
@@ -213,7 +215,7 @@ class Mapper:
         known = self._type
         known.move_to(self._grid.low)
         if len(scan.color):
-            known.see(scan.origin[:2] + scan.points_mm[:, :2] * 1e-3, from_codes(scan.color))
+            known.see(scan.points[:, :2], from_codes(scan.color))
         if pose is None or legs is None:
             return
         if not self._stands:

@@ -24,6 +24,7 @@ _CORRELATION = 4.0  # neighbouring pixels share their disparity error: so many o
 _MIN_FILLED = 0.5  # share of a block's pixels that must be measured
 _OVERLAP_WANTED = 0.5  # share of points below which keyframes come sooner
 _NEAR = 0.05  # [m] from a plane within which a point counts as seen by a keyframe
+_AT_A_TIME = 256  # points whose sums are taken at a time, so that what is noted of each stays in the fastest memory
 _CAUCHY = 2.5  # [sigma] where the weight of a match has fallen to a half
 
 
@@ -236,7 +237,8 @@ def _reduce_blocks(
 ) -> int:
     """Inverse depth at the centre of each block from the plane through its pixels, 0 where there is none, and points.
 
-    Sums are taken down the columns of a row of blocks first, in loops without branches, which run in vectors.
+    Sums are taken down the columns of a row of blocks first, in loops without branches and over few arrays each, which are
+    those that run in vectors.
     """
     rows, columns = out.shape
     width = columns * block
@@ -244,9 +246,11 @@ def _reduce_blocks(
     whole = block * block
     needed = max(1, math.ceil(min_filled * whole))
     first, last, scale32 = np.int32(bounds[0]), np.int32(bounds[1]), np.float32(scale)
+    there, w = np.empty(width, np.float32), np.empty(width, np.float32)
     # By column: pixels, the sums of v and v^2, and of w, w^2 and w v.
     pixels, of_v, of_vv = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
     of_w, of_ww, of_wv = np.empty(width), np.empty(width), np.empty(width)
+    sums, means = np.empty((10, columns)), np.empty(columns)
     valid = 0
     for i in range(rows):
         inside = np.int32(0)
@@ -258,60 +262,65 @@ def _reduce_blocks(
         out[i, :] = 0.0
         if inside == 0:
             continue
+        pixels[:], of_v[:], of_vv[:], of_w[:], of_ww[:], of_wv[:] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for a in range(block):
             line = raw[i * block + a]
             v, v32, vv32 = a - middle, np.float32(a - middle), np.float32((a - middle) * (a - middle))
-            if a == 0:
-                pixels[:], of_v[:], of_vv[:], of_w[:], of_ww[:], of_wv[:] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for c in range(width):
                 r = np.int32(line[c])
-                there = np.float32((r >= first) & (r <= last))
-                w = np.float64(there * (scale32 / np.float32(max(r, np.int32(1)))))
-                pixels[c] += there
-                of_v[c] += there * v32
-                of_vv[c] += there * vv32
-                of_w[c] += w
-                of_ww[c] += w * w
-                of_wv[c] += w * v
+                known = (r >= first) & (r <= last)
+                there[c] = np.float32(known)
+                w[c] = scale32 / np.float32(r) if known else np.float32(0.0)
+            for c in range(width):
+                pixels[c] += there[c]
+                of_v[c] += there[c] * v32
+                of_vv[c] += there[c] * vv32
+            for c in range(width):
+                x64 = np.float64(w[c])
+                of_w[c] += x64
+                of_ww[c] += x64 * x64
+                of_wv[c] += x64 * v
+        # By block: its pixels, and the sums of u, v, u^2, v^2, uv, w, w^2, w u and w v over them.
         for j in range(columns):
-            n = s = ss = swu = swv = 0.0
+            n = su = suu = sv = svv = suv = s = ss = swu = swv = 0.0
             for b in range(block):
-                c = j * block + b
-                n += pixels[c]
-                s += of_w[c]
-                ss += of_ww[c]
-                swu += of_w[c] * (b - middle)
-                swv += of_wv[c]
-            if n < needed:
-                continue
-            su = sv = suv = 0.0
-            suu = svv = whole * (whole - 1.0) / 12.0
-            if n < whole:
-                suu = svv = 0.0
-                for b in range(block):
-                    c, u = j * block + b, b - middle
-                    su += u * pixels[c]
-                    sv += of_v[c]
-                    suu += u * u * pixels[c]
-                    svv += of_vv[c]
-                    suv += u * of_v[c]
-            mean = s / n
-            if n >= 4.0:  # enough for a plane and its residual
-                cuu, cvv, cuv = suu - su * su / n, svv - sv * sv / n, suv - su * sv / n
-                cwu, cwv = swu - s * su / n, swv - s * sv / n
-                det = cuu * cvv - cuv * cuv
-                if det < 1e-9:
-                    continue
-                gu, gv = (cwu * cvv - cwv * cuv) / det, (cwv * cuu - cwu * cuv) / det
-                if ss - s * mean - gu * cwu - gv * cwv > max_variance * (n - 3.0):
-                    continue
-                mean -= (gu * su + gv * sv) / n
-            out[i, j] = mean
-            z = 1.0 / mean
-            points[valid, 0] = x[j] * z
-            points[valid, 1] = y[i] * z
-            points[valid, 2] = z
-            valid += 1
+                at, u = np.uint64(j * block + b), b - middle
+                n += pixels[at]
+                su += u * pixels[at]
+                suu += u * u * pixels[at]
+                sv += of_v[at]
+                suv += u * of_v[at]
+                svv += of_vv[at]
+                s += of_w[at]
+                swu += u * of_w[at]
+                ss += of_ww[at]
+                swv += of_wv[at]
+            sums[0, j], sums[1, j], sums[2, j], sums[3, j], sums[4, j] = n, su, sv, suu, svv
+            sums[5, j], sums[6, j], sums[7, j], sums[8, j], sums[9, j] = suv, s, ss, swu, swv
+        # The plane through them, and whether it leaves no more than noise: so many pixels are missing from here and there
+        # that no branch could be guessed.
+        for j in range(columns):
+            n, su, sv, suu, svv = sums[0, j], sums[1, j], sums[2, j], sums[3, j], sums[4, j]
+            suv, s, ss, swu, swv = sums[5, j], sums[6, j], sums[7, j], sums[8, j], sums[9, j]
+            per_n = 1.0 / max(n, 1.0)
+            mean = s * per_n
+            cuu, cvv, cuv = suu - su * su * per_n, svv - sv * sv * per_n, suv - su * sv * per_n
+            cwu, cwv = swu - mean * su, swv - mean * sv
+            det = cuu * cvv - cuv * cuv
+            per_det = 1.0 / max(det, 1e-9)
+            gu, gv = (cwu * cvv - cwv * cuv) * per_det, (cwv * cuu - cwu * cuv) * per_det
+            left = ss - s * mean - gu * cwu - gv * cwv
+            few = n < 4.0  # for a plane and its residual
+            flat = few | ((det >= 1e-9) & (left <= max_variance * (n - 3.0)))
+            centre = mean if few else mean - (gu * su + gv * sv) * per_n
+            means[j] = centre if (n >= needed) & flat else 0.0
+        for j in range(columns):
+            mean = means[j]
+            if mean > 0.0:
+                z = 1.0 / mean
+                out[i, j] = mean
+                points[valid, 0], points[valid, 1], points[valid, 2] = x[j] * z, y[i] * z, z
+                valid += 1
     return valid
 
 
@@ -449,80 +458,98 @@ def _accumulate(
     gate2, sigma2, model2 = gate * gate, sigma * sigma, _MODEL_SIGMA * _MODEL_SIGMA
     N = np.zeros((6, 6))
     jacobian = np.empty(6)
-    for n in range(start, len(points), stride):
-        tried += 1
-        qx, qy, qz = points[n, 0], points[n, 1], points[n, 2]
-        pz = T20 * qx + T21 * qy + T22 * qz + T23
-        if pz < 0.05:
-            continue
-        px = T00 * qx + T01 * qy + T02 * qz + T03
-        py = T10 * qx + T11 * qy + T12 * qz + T13
-        along = 1.0 / pz
-        u = px * along * to_column + column0
-        v = py * along * to_row + row0
-        if not (u >= 0.0 and v >= 0.0 and u < columns and v < rows):
-            continue
-        column, row = int(u), int(v)
-        A = np.float64(planes[row, column, 0])
-        B = np.float64(planes[row, column, 1])
-        C = np.float64(planes[row, column, 2])
-        length2 = A * A + B * B + C * C
-        if length2 == 0.0:
-            if planes[row, column, 3] < 0.0:
-                rough += 1
-            continue
-        facing += 1
-        f = A * px + B * py + C * pz - 1.0
-        f2 = f * f
-        if f2 > gate2 * length2:
-            continue
-        matched += 1
-        squares += f2 / length2
-        weight = 1.0 / (sigma2 * pz * pz + model2 * length2 + f2 * scale)  # Cauchy's
-        j3 = py * C - pz * B
-        j4 = pz * A - px * C
-        j5 = px * B - py * A
-        a0, a1, a2, a3, a4, a5 = weight * A, weight * B, weight * C, weight * j3, weight * j4, weight * j5
-        h00 += a0 * A
-        h01 += a0 * B
-        h02 += a0 * C
-        h03 += a0 * j3
-        h04 += a0 * j4
-        h05 += a0 * j5
-        h11 += a1 * B
-        h12 += a1 * C
-        h13 += a1 * j3
-        h14 += a1 * j4
-        h15 += a1 * j5
-        h22 += a2 * C
-        h23 += a2 * j3
-        h24 += a2 * j4
-        h25 += a2 * j5
-        h33 += a3 * j3
-        h34 += a3 * j4
-        h35 += a3 * j5
-        h44 += a4 * j4
-        h45 += a4 * j5
-        h55 += a5 * j5
-        g0 += a0 * f
-        g1 += a1 * f
-        g2 += a2 * f
-        g3 += a3 * f
-        g4 += a4 * f
-        g5 += a5 * f
-        if matched % 16 == 0:
-            # Gradient noise turns pi by e = (1, 0, -x) and (0, 1, -y): what it adds to H, from every 16th match.
-            noise = 16.0 * weight * planes[row, column, 3]
-            for axis in range(2):
-                if axis == 0:
-                    ex, ey, ez = 1.0, 0.0, -x[column]
-                else:
-                    ex, ey, ez = 0.0, 1.0, -y[row]
-                jacobian[0], jacobian[1], jacobian[2] = ex, ey, ez
-                jacobian[3], jacobian[4], jacobian[5] = py * ez - pz * ey, pz * ex - px * ez, px * ey - py * ex
-                for a in range(6):
-                    for b in range(6):
-                        N[a, b] += noise * jacobian[a] * jacobian[b]
+    blocks = planes.reshape((rows * columns, 4))
+    px, py, pz = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
+    A, B, C, spread = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
+    at = np.empty(_AT_A_TIME, np.int32)
+    weights, offs = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
+    for begin in range(start, len(points), stride * _AT_A_TIME):
+        # 1. The block that each point projects to, -1 for none.
+        some = min(_AT_A_TIME, (len(points) - begin + stride - 1) // stride)
+        tried += some
+        for k in range(some):
+            n = np.uint64(begin + stride * k)
+            A[k], B[k], C[k] = points[n, 0], points[n, 1], points[n, 2]
+        for k in range(some):
+            px[k] = T00 * A[k] + T01 * B[k] + T02 * C[k] + T03
+            py[k] = T10 * A[k] + T11 * B[k] + T12 * C[k] + T13
+            pz[k] = T20 * A[k] + T21 * B[k] + T22 * C[k] + T23
+        for k in range(some):
+            along = 1.0 / pz[k]
+            u = px[k] * along * to_column + column0
+            v = py[k] * along * to_row + row0
+            inside = (pz[k] >= 0.05) & (u >= 0.0) & (v >= 0.0) & (u < columns) & (v < rows)
+            u, v = u if inside else 0.0, v if inside else 0.0
+            at[k] = np.int32(v) * np.int32(columns) + np.int32(u) if inside else np.int32(-1)
+        # 2. The plane there: nothing, and a spread of -1 where it is rough.
+        for k in range(some):
+            plane = blocks[np.uint64(max(at[k], 0))]
+            there = np.float64(at[k] >= 0)
+            A[k], B[k], C[k], spread[k] = there * plane[0], there * plane[1], there * plane[2], there * plane[3]
+        # 3. How far from it the point is, and what that weighs.
+        for k in range(some):
+            length2 = A[k] * A[k] + B[k] * B[k] + C[k] * C[k]
+            f = A[k] * px[k] + B[k] * py[k] + C[k] * pz[k] - 1.0
+            f2 = f * f
+            near = (length2 > 0.0) & (f2 <= gate2 * length2)
+            weight = 1.0 / (sigma2 * pz[k] * pz[k] + model2 * length2 + f2 * scale)  # Cauchy's
+            weights[k], offs[k] = weight if near else 0.0, f
+        # 4. The sums.
+        for k in range(some):
+            a, b, c, f, weight = A[k], B[k], C[k], offs[k], weights[k]
+            length2 = a * a + b * b + c * c
+            facing += int(length2 > 0.0)
+            rough += int(spread[k] < 0.0)
+            if weight == 0.0:
+                continue
+            matched += 1
+            squares += f * f / length2
+            j3 = py[k] * c - pz[k] * b
+            j4 = pz[k] * a - px[k] * c
+            j5 = px[k] * b - py[k] * a
+            a0, a1, a2, a3, a4, a5 = weight * a, weight * b, weight * c, weight * j3, weight * j4, weight * j5
+            h00 += a0 * a
+            h01 += a0 * b
+            h02 += a0 * c
+            h03 += a0 * j3
+            h04 += a0 * j4
+            h05 += a0 * j5
+            h11 += a1 * b
+            h12 += a1 * c
+            h13 += a1 * j3
+            h14 += a1 * j4
+            h15 += a1 * j5
+            h22 += a2 * c
+            h23 += a2 * j3
+            h24 += a2 * j4
+            h25 += a2 * j5
+            h33 += a3 * j3
+            h34 += a3 * j4
+            h35 += a3 * j5
+            h44 += a4 * j4
+            h45 += a4 * j5
+            h55 += a5 * j5
+            g0 += a0 * f
+            g1 += a1 * f
+            g2 += a2 * f
+            g3 += a3 * f
+            g4 += a4 * f
+            g5 += a5 * f
+            if matched % 16 == 0:
+                # Gradient noise turns pi by e = (1, 0, -x) and (0, 1, -y): what it adds to H, from every 16th match.
+                noise = 16.0 * weight * spread[k]
+                row, column = at[k] // columns, at[k] % columns
+                for axis in range(2):
+                    if axis == 0:
+                        ex, ey, ez = 1.0, 0.0, -x[column]
+                    else:
+                        ex, ey, ez = 0.0, 1.0, -y[row]
+                    jacobian[0], jacobian[1], jacobian[2] = ex, ey, ez
+                    jacobian[3], jacobian[4] = py[k] * ez - pz[k] * ey, pz[k] * ex - px[k] * ez
+                    jacobian[5] = px[k] * ey - py[k] * ex
+                    for p in range(6):
+                        for q in range(6):
+                            N[p, q] += noise * jacobian[p] * jacobian[q]
     upper = (
         (h00, h01, h02, h03, h04, h05),
         (h01, h11, h12, h13, h14, h15),

@@ -138,7 +138,8 @@ def _bin(
 
     cells (n, 16): pixels and sums of x, y, z of the upper surface and of the lower one, highest, lowest, pixels of any
     surface, and the cell; lengths from the camera. A surface is what lies within noise of the highest, or the lowest,
-    pixel. Nearer than `dense` four pixels or more fall side by side into a cell, and every second is read.
+    pixel. Nearer than `dense`, four pixels or more fall side by side into a cell, and every second is read; where on level
+    ground as many rows do, too, so is every second row, whose pixels count twice.
 
     What a pixel says by itself is worked out in loops over a row without branches, which run in vectors.
     """
@@ -148,63 +149,87 @@ def _bin(
     offset_x, offset_y = np.float32(T[0, 3] / resolution + half), np.float32(T[1, 3] / resolution + half)
     range2, ceiling32, dense32 = np.float32(max_range * max_range), np.float32(ceiling), np.float32(dense)
     first, last = np.int32(bounds[0]), np.int32(bounds[1])
+    lowest, highest = np.float32(first), np.float32(last)
     jump, jump2 = np.float32(JUMP / unit), np.float32(noise * unit)  # [raw units] of a depth in those
     surface, noise32 = np.float32(SURFACE), np.float32(noise)
-    gx, gy, gz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
-    for j in range(columns):
-        gx[j], gy[j], gz[j] = T[0, 0] * x[j], T[1, 0] * x[j], T[2, 0] * x[j]
+    Txx, Tyx, Tzx = np.float32(T[0, 0]), np.float32(T[1, 0]), np.float32(T[2, 0])
     px, py, pz = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
+    # Depths as numbers of 32 bits that stay so: the difference of two int32 is an int64.
+    line, above, below = np.empty(columns, np.float32), np.empty(columns, np.float32), np.empty(columns, np.float32)
     band, key = np.empty(columns, np.float32), np.empty(columns, np.int32)
-    limits = np.empty(columns, np.int32)
+    limits = np.empty(columns, np.float32)
     read, steady = np.empty(columns, np.int32), np.empty(columns, np.int32)
     taken = np.empty(columns + 1, np.uint32)
     zero, one = np.float32(0.0), np.float32(1.0)
     n = 0
     for i in range(rows):
-        line = raw[i]
-        # 1. Half of a walking robot's picture is ground below the range: rows without a return.
-        inside = np.int32(0)
+        # 1. How much of the row is read, by its farthest pixel. Half of a walking robot's picture is ground below the range:
+        # rows without a return.
+        farthest = np.int32(0)
+        here = raw[i]
         for j in range(columns):
-            r = np.int32(line[j])
-            inside |= np.int32((r >= first) & (r <= last))
-        if inside == 0:
+            r = np.int32(here[j])
+            there = r if (r >= first) & (r <= last) else np.int32(0)
+            farthest = there if there > farthest else farthest
+        if farthest == 0:
             continue
-        # 2. Which pixels are read, where they lie, and in which cell.
         ax = np.float32(T[0, 1] * y[i] + T[0, 2])
         ay = np.float32(T[1, 1] * y[i] + T[1, 2])
         az = np.float32(T[2, 1] * y[i] + T[2, 2])
-        odd = np.int32(i & 1)
-        for j in range(columns):
-            r = np.int32(line[j])
-            z = np.float32(r) * scale
-            dx, dy, dz = (gx[j] + ax) * z, (gy[j] + ay) * z, (gz[j] + az) * z
+        hop, begin, weight = 1, 0, one
+        if farthest * unit < dense:
+            hop, begin = 2, i & 1
+            drop = -max(az + Tzx * x[0], az + Tzx * x[-1])  # of the row's shallowest ray, over its depth
+            if farthest * unit < dense * drop:
+                if i & 1:
+                    continue
+                begin, weight = (i >> 1) & 1, np.float32(2.0)
+        width = (columns - begin + hop - 1) // hop
+        over, under = raw[i - 2 if i >= 2 else i], raw[i + 2 if i + 2 < rows else i]
+        if hop == 1:
+            for j in range(width):
+                line[j], above[j], below[j] = np.float32(here[j]), np.float32(over[j]), np.float32(under[j])
+        else:
+            for j in range(width):
+                c = np.uint64(begin + 2 * j)
+                line[j], above[j], below[j] = np.float32(here[c]), np.float32(over[c]), np.float32(under[c])
+        left, along = np.float32(x[begin]), np.float32(hop * (x[1] - x[0]))
+        # 2. Which pixels are read, where they lie, and in which cell.
+        odd, whole = np.int32(i & 1), np.int32(hop == 1)
+        for j in range(width):
+            r = line[j]
+            z = r * scale
+            u = left + np.float32(j) * along
+            dx, dy, dz = (Txx * u + ax) * z, (Tyx * u + ay) * z, (Tzx * u + az) * z
             px[j], py[j], pz[j] = dx, dy, dz
-            limits[j] = np.int32(jump + jump2 * (np.float32(r) * np.float32(r)))
+            limits[j] = jump + jump2 * (r * r)
             band[j] = surface + noise32 * z * abs(dz)
             near = (dx * dx + dy * dy <= range2) & (dz <= ceiling32)
-            every = (z >= dense32) | (((np.int32(j) ^ odd) & np.int32(1)) == np.int32(0))
-            read[j] = np.int32((r >= first) & (r <= last) & near & every)
-        for j in range(columns):
+            every = (z >= dense32) | (((np.int32(j) ^ odd) & whole) == np.int32(0))
+            read[j] = np.int32((r >= lowest) & (r <= highest) & near & every)
+        for j in range(width):
             # Positive, so that int() rounds down; of pixels that are read, inside.
             a, b = np.int32(px[j] * per_cell + offset_x), np.int32(py[j] * per_cell + offset_y)
             key[j] = (a * np.int32(side) + b) * read[j]
         # 3. Which of them go on, within noise, to one side along the column and along the row; beyond the image's
         # border nothing speaks against them.
-        above, below = raw[i - 2 if i >= 2 else i], raw[i + 2 if i + 2 < rows else i]
-        for j in range(columns):
-            r, a, b = np.int32(line[j]), np.int32(above[j]), np.int32(below[j])
+        for j in range(width):
+            r, a, b = line[j], above[j], below[j]
             limit = limits[j]
-            steady[j] = np.int32(((abs(r - a) <= limit) & (a != 0)) | ((abs(b - r) <= limit) & (b != 0)))
-        for j in range(2, columns - 2):
-            r, a, b = np.int32(line[j]), np.int32(line[j - 2]), np.int32(line[j + 2])
-            limit = limits[j]
-            steady[j] &= np.int32(((abs(r - a) <= limit) & (a != 0)) | ((abs(b - r) <= limit) & (b != 0)))
-        for j in range(columns):
+            steady[j] = np.int32(((abs(r - a) <= limit) & (a != zero)) | ((abs(b - r) <= limit) & (b != zero)))
+        beside = 2 // hop
+        before, middle, after = line[: width - 2 * beside], line[beside : width - beside], line[2 * beside : width]
+        limits_there, steady_there = limits[beside : width - beside], steady[beside : width - beside]
+        for j in range(len(middle)):
+            r, a, b = middle[j], before[j], after[j]
+            limit = limits_there[j]
+            steady_there[j] &= np.int32(((abs(r - a) <= limit) & (a != zero)) | ((abs(b - r) <= limit) & (b != zero)))
+        for j in range(width):
             if read[j] > steady[j]:
-                steady[j] = np.int32(not _is_flying(raw, i, j, jump, jump2))
+                steady[j] = np.int32(not _is_flying(raw, i, begin + hop * j, jump, jump2))
         # 4. Into the cells. Sums are kept, begun anew or left alone by factors: branches would be guessed wrong.
         m = 0
-        for j in range(columns):
+        for j in range(width):
             taken[m] = np.uint32(j)
             m += read[j] & steady[j]
         for t in range(m):
@@ -223,16 +248,16 @@ def _bin(
             cell = cells[np.uint32(k)]
             u, v = px[j], py[j]
             top, bottom = cell[8], cell[9]
-            kept, added = one - np.float32(height > top + reach), np.float32(height >= top - reach)
+            kept, added = one - np.float32(height > top + reach), weight * np.float32(height >= top - reach)
             count, x_sum, y_sum, z_sum = cell[0], cell[1], cell[2], cell[3]
             cell[0], cell[1] = count * kept + added, x_sum * kept + u * added
             cell[2], cell[3] = y_sum * kept + v * added, z_sum * kept + height * added
-            kept, added = one - np.float32(height < bottom - reach), np.float32(height <= bottom + reach)
+            kept, added = one - np.float32(height < bottom - reach), weight * np.float32(height <= bottom + reach)
             count, x_sum, y_sum, z_sum = cell[4], cell[5], cell[6], cell[7]
             cell[4], cell[5] = count * kept + added, x_sum * kept + u * added
             cell[6], cell[7] = y_sum * kept + v * added, z_sum * kept + height * added
             cell[8], cell[9] = max(top, height), min(bottom, height)
-            cell[10] += one
+            cell[10] += weight
     for k in range(n):
         cell = cells[k]
         if cell[0] < np.float32(CARRYING) * cell[10]:
@@ -245,7 +270,7 @@ def _is_flying(raw: Array, i: int, j: int, jump: np.float32, jump2: np.float32) 
     """Whether a pixel hangs between two surfaces, along its row or its column."""
     rows, columns = raw.shape
     r = np.int32(raw[i, j])
-    limit = np.int32(jump + jump2 * np.float32(r) * np.float32(r))
+    limit = jump + jump2 * (np.float32(r) * np.float32(r))
     for along in range(2):
         di, dj = (0, 2) if along == 0 else (2, 0)
         # Beyond the image's border nothing speaks against the pixel.
@@ -275,13 +300,12 @@ def _is_flying(raw: Array, i: int, j: int, jump: np.float32, jump2: np.float32) 
 @compiled
 def _row_by_row(cell_of: Array, n: int) -> Array:
     """The cells (n,) in the order of the grid: neighbours, which are alike, follow each other on the wire."""
-    out = np.empty(n, dtype=np.int32)
+    out = np.empty(n + 1, dtype=np.int32)
     m = 0
     for key in range(len(cell_of)):
-        if cell_of[key] >= 0:
-            out[m] = cell_of[key]
-            m += 1
-    return out[:m]
+        out[m] = cell_of[key]
+        m += int(cell_of[key] >= 0)
+    return out[:n]
 
 
 @compiled
@@ -300,14 +324,17 @@ def _write(
 ) -> None:
     """The chosen cells as they cross the wire; p (3,) [m] is the camera."""
     edge = 1000.0 * resolution
+    x0, y0, z0 = 1000.0 * p[0], 1000.0 * p[1], 1000.0 * p[2]
     for m in range(len(chosen)):
-        cell = cells[chosen[m]]
+        cell = cells[np.uint32(chosen[m])]
+        mm = 1000.0 / cell[0]
         # Rounding must not carry a point across, or onto, the border of its cell.
-        for axis in range(2):
-            corner = edge * (cell[11 + axis] - half)
-            value = np.rint(1000.0 * (cell[1 + axis] / cell[0] + p[axis]))
-            value = min(max(value, np.floor(corner + 1.0)), np.ceil(corner + edge - 1.0))
-            points[m, axis] = np.int16(min(max(value, -32767.0), 32767.0))
-        points[m, 2] = np.int16(min(max(np.rint(1000.0 * (cell[3] / cell[0] + p[2])), -32767.0), 32767.0))
+        corner_x, corner_y = edge * (cell[11] - half), edge * (cell[12] - half)
+        x = min(max(np.rint(mm * cell[1] + x0), np.floor(corner_x + 1.0)), np.ceil(corner_x + edge - 1.0))
+        y = min(max(np.rint(mm * cell[2] + y0), np.floor(corner_y + 1.0)), np.ceil(corner_y + edge - 1.0))
+        z = np.rint(mm * cell[3] + z0)
+        points[m, 0] = np.int16(min(max(x, -32767.0), 32767.0))
+        points[m, 1] = np.int16(min(max(y, -32767.0), 32767.0))
+        points[m, 2] = np.int16(min(max(z, -32767.0), 32767.0))
         count[m] = np.uint8(min(cell[0], 255.0))
         spread[m] = np.uint8(min(np.rint(1000.0 * (cell[8] - cell[9])), 255.0))

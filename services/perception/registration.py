@@ -15,7 +15,7 @@ from services.perception.anchor import AnchorMap, surface_points
 from services.perception.keyframes import BlockFrame, Keyframes, Match
 from shared.camera import DepthSensor, Intrinsics
 from shared.compiled import compiled
-from shared.geometry import orthonormal
+from shared.geometry import exp_so3, log_so3, orthonormal
 
 _GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the farthest plane a point is matched with
 _SLIP = 0.01  # [m] and [rad] first step expected beyond the prior's spread
@@ -329,25 +329,15 @@ def _fade(H: NDArray[np.float64], N: NDArray[np.float64]) -> tuple[NDArray[np.fl
 
 def moved(T: NDArray[np.float64], twist: NDArray[np.floating]) -> NDArray[np.float64]:
     """A pose moved by an error twist (6,) in world axes at its origin."""
-    x, y, z = twist[3:].tolist()
-    angle = math.sqrt(x * x + y * y + z * z)
-    # Rodrigues, with the half angle so that small ones keep their digits.
-    a = math.sin(angle) / angle if angle > 0.0 else 1.0
-    b = 2.0 * (math.sin(angle / 2.0) / angle) ** 2 if angle > 0.0 else 0.5
-    W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     out = T.copy()
-    out[:3, :3] += (a * W + b * (W @ W)) @ T[:3, :3]
+    out[:3, :3] = exp_so3(twist[3:]) @ T[:3, :3]
     out[:3, 3] += twist[:3]
     return out
 
 
 def error_twist(T: NDArray[np.float64], T_from: NDArray[np.float64]) -> NDArray[np.float64]:
     """The error twist (6,) that moves one pose to another, so that moved(T_from, error_twist(T, T_from)) is T."""
-    R = T[:3, :3] @ T_from[:3, :3].T
-    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    length = math.sqrt(sine @ sine)
-    angle = math.atan2(length, (R[0, 0] + R[1, 1] + R[2, 2] - 1.0) / 2.0)
-    return np.concatenate([T[:3, 3] - T_from[:3, 3], (angle / length if length > 1e-9 else 1.0) * sine])
+    return np.concatenate([T[:3, 3] - T_from[:3, 3], log_so3(T[:3, :3] @ T_from[:3, :3].T)])
 
 
 def prior_information(T: NDArray[np.float64], covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from services.perception.reduction import reduce_scan
 from services.perception.registration import AXES, Registered, Registration, refused
 from services.perception.sights import free_sights
 from shared import topics
-from shared.geometry import Array, inverse, rotation_from_rpy, rpy_from_rotation, transform, yaw_of
+from shared.geometry import Array, inverse, rotation_from_rpy, rpy_from_rotation, to_millimetres, transform, yaw_of
 from shared.messages import BodyPose, ColorImage, DepthImage, Message, Scan
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
@@ -131,8 +131,7 @@ class Perception:
         if picture is None:
             return scan
         with self.stages("color"):
-            points = scan.origin + scan.points_mm * 1e-3
-            color = coloring.colors(points, picture.stamp_ns, picture.rgb)
+            color = coloring.colors(scan.points, picture.stamp_ns, picture.rgb)
         if coloring.problem:
             self._words += f"; {coloring.problem}"
         return replace(scan, color=color) if len(color) else scan
@@ -246,7 +245,7 @@ class Perception:
             turn=self._looks,
             believe_empty=self._looks % _EMPTY_EVERY == 0,
         )
-        return np.clip(np.rint(1e3 * (points - origin)), -32767, 32767).astype(np.int16)
+        return to_millimetres(points, origin)
 
 
 def _is_noise(image: DepthImage) -> str:

@@ -42,15 +42,15 @@ def free_sights(
     first = (_STRIDE * turn) % _APART
     rows = np.arange(first, depth_raw.shape[0], _APART)
     columns = np.arange((5 * first + turn) % _APART, depth_raw.shape[1], _APART)
-    z = depth_raw[np.ix_(rows, columns)] / sensor.depth_scale
+    z = depth_raw[first::_APART, columns[0] :: _APART] / sensor.depth_scale
     x, y = (columns - intrinsics.cx) / intrinsics.fx, (rows - intrinsics.cy) / intrinsics.fy
-    ray = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 1.0), axis=-1) @ T_world_camera[:3, :3].T
-    flat = np.maximum(np.hypot(ray[..., 0], ray[..., 1]), 1e-9)
+    ray = [R[0] * x + (R[1] * y + R[2])[:, None] for R in T_world_camera[:3, :3]]  # by its depth, {world}
+    flat = np.maximum(np.sqrt(ray[0] ** 2 + ray[1] ** 2), 1e-9)
     end = np.minimum(max_range / flat, sensor.max_range)  # depth
     free = (z >= sensor.min_range) & (z <= sensor.max_range) & (z > end)
     if believe_empty:
         free |= (z == 0) & _empty(depth_raw)[np.ix_(rows // _BLOCK, columns // _BLOCK)]
-    return np.asarray(T_world_camera[:3, 3] + end[free][:, None] * ray[free])
+    return np.column_stack([p + end[free] * along[free] for p, along in zip(T_world_camera[:3, 3], ray, strict=True)])
 
 
 def _empty(depth_raw: NDArray[np.uint16]) -> NDArray[np.bool_]:

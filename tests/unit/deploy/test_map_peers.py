@@ -6,8 +6,10 @@ import pytest
 from deploy.bench import map_peers
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED
-from services.mapper.elevation import ElevationGrid, FusionModel, fill_small_holes
+from services.mapper.elevation import ElevationGrid
 from services.mapper.foothold_map import FootholdRules
+from services.mapper.fusion import FusionModel
+from services.mapper.holes import fill_small_holes
 from services.mapper.layers import FootholdLayers, Margin
 from services.mapper.score import ScoreWeights
 from services.perception.reduction import reduce_scan
@@ -63,6 +65,29 @@ def test_numpy_fuses_scans_into_the_same_map() -> None:
     assert known.mean() > 0.5
     np.testing.assert_array_equal(known, np.isfinite(theirs.elevation))
     assert np.mean(np.abs(elevation - theirs.elevation)[known] < 1e-5) > 0.99
+
+
+def test_numpy_clears_what_is_gone_and_follows_drift_as_ours() -> None:
+    rng = np.random.default_rng(3)
+    ours, theirs = ElevationGrid(64, 0.01, MODEL), map_peers.NumpyGrid(64, 0.01, MODEL)
+    x, y = np.mgrid[-0.295:0.3:0.01, -0.295:0.3:0.01]
+    boxed = (np.abs(x - 0.1) < 0.05) & (np.abs(y) < 0.05)
+    heights = []
+    for k in range(120):
+        # A box that is taken away; the ground under it is never measured. Later, the pose sinks by 8 mm.
+        seen = ~boxed if k >= 10 else np.full(x.shape, True)
+        rise = -0.008 * (k > 60)
+        p = np.column_stack(
+            [x[seen], y[seen], np.where(boxed, 0.2, 0.0)[seen] + rise + 0.0005 * rng.standard_normal(seen.sum())]
+        )
+        for grid in (ours, theirs):
+            grid.fuse(p, np.full(len(p), 8), np.zeros(len(p)), np.array([-0.4, 0.0, 0.5]), pose_covariance=1e-9 * np.eye(6))
+        elevation = ours.snapshot().elevation
+        np.testing.assert_array_equal(np.isfinite(elevation), np.isfinite(theirs.elevation))
+        heights.append(float(np.nanmedian(elevation)))
+    assert np.isnan(elevation[38:46, 28:36]).mean() > 0.8  # most of the box is gone
+    assert heights[-1] < -0.006  # and the map told as the newest poses see it
+    np.testing.assert_allclose(elevation, theirs.elevation, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", map_peers.SCORE)

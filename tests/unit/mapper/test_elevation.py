@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.mapper.elevation import ElevationGrid, FusionCount, FusionModel, fill_small_holes
+from services.mapper.elevation import ElevationGrid, FusionCount
+from services.mapper.fusion import FusionModel
+from services.mapper.holes import fill_small_holes
 from shared.camera import DepthSensor
 
 CAMERA = np.array([0.0, 0.0, 0.25])
