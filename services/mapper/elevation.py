@@ -48,6 +48,7 @@ class ElevationSnapshot:
     elevation: NDArray[np.float32]  # (nx, ny) [m] {world} height, NaN where never seen
     variance: NDArray[np.float32]  # (nx, ny) [m^2] of elevation, NaN where never seen
     assumed: NDArray[np.uint8]  # (nx, ny) 1 where the height is a seeded plane and nothing was measured yet
+    height_drift: float = 0.0  # [m] by which the elevation lies higher than the ground was first seen
 
 
 class ElevationGrid:
@@ -255,6 +256,7 @@ class ElevationGrid:
             elevation=elevation,
             variance=self._unrolled(self._cells.variance),
             assumed=self._unrolled(self._cells.assumed),
+            height_drift=self._drift.value,
         )
 
     def _unrolled(self, layer: NDArray[Scalar]) -> NDArray[Scalar]:

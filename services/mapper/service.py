@@ -58,6 +58,7 @@ class Mapper:
             settings.shape, settings.resolution, Margin(profile.foot.radius), _WEIGHTS, keep_terms=profile.camera.color
         )
         self._type: TerrainType | None = None  # from the first scan in colour on
+        self._hazards: tuple[NDArray[np.uint8], Array] | None = None  # of the newest map, and the centre of its cell (0, 0)
         self._touches = TouchWatch(profile.foot.radius)
         self._stands = False  # whether it is known what the ground looks like that the robot came from
         self._seeded = False
@@ -133,7 +134,7 @@ class Mapper:
             elif self._survey.strip != strip:
                 self._survey.move_to(strip, self._grid.snapshot())
                 self._surveyed = 0
-            self._survey.add(points, scan.count)
+            self._survey.add(points, scan.count, self._grid.height_drift)
         self._surveyed += 1
         if self._surveyed % self._settings.passage_every == 0:
             yield self._passage(scan.stamp_ns, self._survey, inbox)
@@ -149,6 +150,8 @@ class Mapper:
                 math.inf if pose is None else float(T_world_body[2, 3]),
                 0.0 if pose is None else _position_sigma(pose),
             )
+        if self._hazards is not None:
+            evaluation = _without(evaluation, survey.of_map(*self._hazards, 0))
         unseen = grid.unseen
         if pose is None or legs is None or legs.swing.any():
             # Where the body could look from depends on feet that stand, and are known to.
@@ -282,7 +285,8 @@ class Mapper:
             with self.stages("terrain type"):
                 found = self._type.classify(*self._layers.terms())
                 score = score + found.cost
-                evaluation = np.where(found.hazard > 0, np.maximum(evaluation, np.int8(1)), evaluation)
+                evaluation = _without(evaluation, found.hazard)
+                self._hazards = found.hazard, snapshot.origin
                 made_of = {"color": self._type.rgb(), "hazard": found.hazard, "confidence": found.confidence}
         return TerrainMap(
             stamp_ns=stamp_ns,
@@ -315,6 +319,11 @@ def _no_passage(stamp_ns: int, request: PassageRequest, resolution: float, reaso
         T_world_look=np.eye(4),
         look_shows=nothing.astype(np.bool_),
     )
+
+
+def _without(evaluation: NDArray[np.int8], hazard: NDArray[np.uint8]) -> NDArray[np.int8]:
+    """An evaluation function by which no foot may stand where there is a hazard."""
+    return np.where(hazard > 0, np.maximum(evaluation, np.int8(1)), evaluation)
 
 
 def _measured_variance(snapshot: ElevationSnapshot) -> NDArray[np.float32]:

@@ -1,6 +1,6 @@
 """The survey of a passage that is asked for: what is kept of the scans while somebody asks, and what is told of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from services.mapper.cloud import Strip, VoxelCloud
 from services.mapper.elevation import ElevationSnapshot
 from services.mapper.layers import FootholdLayers, Margin
 from services.mapper.passage import PassageGrid, cell_centres, cells_of, feet_plane, passage_grid, with_assumed
-from services.mapper.score import ScoreWeights
+from services.mapper.score import Scalar, ScoreWeights
 from services.mapper.view import View, best_view, candidates, expected_heights, sights, unseen_in_words
 from shared.geometry import Array, apply
 from shared.robot import RobotProfile
@@ -30,7 +30,10 @@ class Outlook:
 
 
 class Survey:
-    """A merged cloud over one strip, begun with what the walk has measured there."""
+    """A merged cloud over one strip, begun with what the walk has measured there.
+
+    Like the elevation map it keeps heights as they were first seen, and tells them as the newest pose sees them.
+    """
 
     def __init__(
         self,
@@ -52,7 +55,7 @@ class Survey:
         Raises:
             ValueError: The strip is no whole number of cells long and wide.
         """
-        self._centres = cell_centres(strip, known.resolution)
+        self._centres, self._resolution = cell_centres(strip, known.resolution), known.resolution
         self._profile, self._reach, self._weights = profile, reach, weights
         self._radius = max(_NEIGHBOURS, _NEIGHBOURS_CELLS * known.resolution)  # [m]
         self._cloud = VoxelCloud(strip, known.resolution, margin=2.0 * self._radius)
@@ -76,22 +79,28 @@ class Survey:
         self._layers = self._fresh_layers(known.resolution)
         self._take_over(known)
 
-    def add(self, points: Array, count: NDArray[np.uint8]) -> None:
-        """Merge a scan: points (n, 3) [m] {world} and the pixels (n,) behind them."""
-        self._cloud.insert(points, count)
+    def add(self, points: Array, count: NDArray[np.uint8], height_drift: float = 0.0) -> None:
+        """Merge a scan: points (n, 3) [m] {world}, the pixels (n,) behind them, and by how much it lies too high [m]."""
+        self._cloud.insert(points - np.array([0.0, 0.0, height_drift]) if height_drift else points, count)
 
     def grid(self, known: ElevationSnapshot) -> PassageGrid:
         """The map of the strip; where nothing is measured and the elevation map assumes a plane, so does this one.
 
         Source: Masri 2016, sections 4.4 and 4.7.
         """
-        measured = passage_grid(self._cloud.snapshot(), self.strip, known.resolution, self._radius)
-        shape = np.array(known.elevation.shape)
-        cell = np.rint((self._centres - known.origin) / known.resolution).astype(np.int64)
-        inside: NDArray[np.bool_] = np.all((cell >= 0) & (cell < shape), axis=-1)
+        cloud = self._cloud.snapshot()
+        if known.height_drift:
+            cloud = replace(cloud, points=cloud.points + np.array([0.0, 0.0, known.height_drift]))
+        measured = passage_grid(cloud, self.strip, known.resolution, self._radius)
+        assumed = np.where(known.assumed != 0, known.elevation, np.float32(np.nan))
+        return with_assumed(measured, self.of_map(assumed, known.origin, np.nan))
+
+    def of_map(self, layer: NDArray[Scalar], origin: Array, beyond: float) -> NDArray[Scalar]:
+        """A layer of the elevation map, its cell (0, 0) centred at an origin (2,) [m], in the strip's cells."""
+        cell = np.rint((self._centres - origin) / self._resolution).astype(np.int64)
+        inside: NDArray[np.bool_] = np.all((cell >= 0) & (cell < layer.shape), axis=-1)
         i, j = np.moveaxis(np.where(inside[..., None], cell, 0), -1, 0)
-        assumed = inside & (known.assumed[i, j] != 0)
-        return with_assumed(measured, np.where(assumed, known.elevation[i, j], np.nan))
+        return np.where(inside, layer[i, j], layer.dtype.type(beyond))
 
     def evaluation(self, grid: PassageGrid, body_height: float, position_sigma: float) -> NDArray[np.int8]:
         """Masri's evaluation function (nx, ny) [cells] of the map of the strip, beside which all counts as vacant.
@@ -142,7 +151,7 @@ class Survey:
         i, j = np.nonzero(np.isfinite(known.elevation) & (known.assumed == 0))
         places = known.origin + known.resolution * np.column_stack([i, j])
         new = ~self._cloud.holds(places)
-        points = np.column_stack([places, known.elevation[i, j]])[new]
+        points = np.column_stack([places, known.elevation[i, j] - known.height_drift])[new]
         self._cloud.insert(points, np.full(len(points), _TAKEN_OVER))
 
 

@@ -10,7 +10,7 @@ from services.mapper.config import Settings
 from services.mapper.service import Mapper
 from services.planner.terrain import Terrain
 from shared import codec, topics
-from shared.color import codes
+from shared.color import codes, ycocg_from_rgb
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, TerrainMap
 from shared.robot import load_profile
@@ -410,3 +410,26 @@ def test_a_scan_in_colour_is_mapped_without_it_for_a_robot_that_has_none() -> No
     assert isinstance(made, TerrainMap)
     assert np.isfinite(made.elevation).any()
     assert made.color.size == 0
+
+
+def test_no_foothold_of_a_passage_is_in_a_puddle() -> None:
+    rig = Rig()
+    rig.mapper = Mapper(replace(PROFILE, camera=replace(PROFILE.camera, color=True)), SETTINGS)
+    rig.inbox = Inbox([rig.mapper.paced_by, *rig.mapper.reads], rig.mapper.stages)
+    rig.stand(at())
+    told = []
+    for _ in range(8):
+        rig.now_ns += 66 * MS
+        rig.inbox.now_ns = rig.now_ns
+        rig.hear(replace(STRIP, stamp_ns=rig.now_ns))
+        rig.hear(legs())
+        seen = ground_scan(rig.now_ns, 0.0)
+        puddle = (np.abs(seen.points[:, :2] - [0.85, 0.1]) < 0.08).all(axis=1)
+        rgb = np.where(puddle[:, None], [150, 175, 205], [120, 118, 115]).astype(np.uint8)
+        made = rig.mapper.step(replace(seen, color=codes(ycocg_from_rgb(rgb))), rig.inbox)
+        told += [m for m in made if isinstance(m, PassageMap)]
+    x, y = told[-1].origin[0] + 0.01 * np.arange(270)[:, None], told[-1].origin[1] + 0.01 * np.arange(100)
+    in_it = (np.abs(x - 0.85) < 0.07) & (np.abs(y - 0.1) < 0.07)
+    beside = (np.abs(x - 0.85) < 0.07) & (np.abs(y + 0.15) < 0.07)
+    assert (told[-1].evaluation[in_it] > 0).all()
+    assert (told[-1].evaluation[beside] < 0).all()

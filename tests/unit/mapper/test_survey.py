@@ -1,6 +1,7 @@
 """A survey of pillars in a gap, from simulated pictures: what may be stepped on is there, and a look shows more of it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -104,3 +105,29 @@ def test_a_strip_that_is_no_whole_number_of_cells_leaves_the_survey_as_it_was() 
     with pytest.raises(ValueError, match="whole cells"):
         robot.survey.move_to(Strip((0.0, 0.0), 0.0, 1.005, 1.0), robot.known)
     np.testing.assert_array_equal(robot.survey.grid(robot.known).elevation, before.elevation)
+
+
+def test_what_is_seen_from_a_pose_that_has_risen_fits_what_was_seen_before() -> None:
+    x, y = np.mgrid[0.505:0.6:0.01, -0.045:0.05:0.01]
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    count = np.full(len(points), 8, dtype=np.uint8)
+    known = ElevationGrid(64).snapshot()
+    survey = Survey(PROFILE, Strip((0.0, 0.0), 0.0), known, REACH)
+    survey.add(points[::2], count[::2])
+    survey.add(points[1::2] + np.array([0.0, 0.0, 0.012]), count[1::2], height_drift=0.012)
+    told = survey.grid(replace(known, height_drift=0.012))
+    np.testing.assert_allclose(told.elevation[np.isfinite(told.elevation)], 0.012, atol=1e-6)
+    assert np.isfinite(told.elevation).sum() >= len(points)
+
+
+def test_a_layer_of_the_map_is_told_in_the_cells_of_a_strip_askew() -> None:
+    known = ElevationGrid(64).snapshot()
+    strip = Strip((-0.1, 0.05), math.pi / 2, 0.4, 0.2)
+    survey = Survey(PROFILE, strip, known, REACH)
+    row, column = np.indices(known.elevation.shape)
+    centres = cell_centres(strip, known.resolution)
+    found = survey.of_map(row * 100 + column, known.origin, -1)
+    wanted = np.rint((centres - known.origin) / known.resolution).astype(int)
+    beyond = np.any((wanted < 0) | (wanted >= 64), axis=-1)
+    assert 0 < beyond.sum() < beyond.size
+    np.testing.assert_array_equal(found, np.where(beyond, -1, wanted[..., 0] * 100 + wanted[..., 1]))
