@@ -39,6 +39,7 @@ class Match:
     overlap: float  # 0..1 share of the frame's points that found a plane in the best keyframe, rough blocks aside
     agreement: float  # 0..1 share of the points facing a plane that lie on it, over all keyframes
     rmse: float  # [m] point-to-plane distance of the matches, NaN when there are none
+    misfit: float = 0.0  # mean over the points facing a plane of k^2 / (1 + scale k^2) where they are k sigma off it
 
 
 class BlockFrame:
@@ -164,7 +165,14 @@ class Keyframes:
         oldest = enough[np.argmin(self._age[enough])]
         return np.concatenate([[oldest], enough[enough != oldest][: self._active - 1]])
 
-    def match(self, T_world_camera: NDArray[np.float64], chosen: NDArray[np.int64], gate: float, stride: int = 1) -> Match:
+    def match(
+        self,
+        T_world_camera: NDArray[np.float64],
+        chosen: NDArray[np.int64],
+        gate: float,
+        stride: int = 1,
+        robust: bool = True,
+    ) -> Match:
         """Match the frame as last loaded, at a pose, with some keyframes.
 
         Args:
@@ -172,9 +180,10 @@ class Keyframes:
             chosen: (k,) keyframes, of `select`.
             gate: [m] farthest plane that a point is matched with.
             stride: Every how many points.
+            robust: Whether matches weigh the less the further they are off.
         """
         frame = self._frame
-        H, g, N, tally = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6)), np.zeros(4)
+        H, g, N, tally = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6)), np.zeros(5)
         _match(
             frame.points,
             stride,
@@ -186,14 +195,15 @@ class Keyframes:
             T_world_camera,
             frame.sigma,
             gate,
+            1.0 / _CAUCHY**2 if robust else 0.0,
             H,
             g,
             N,
             tally,
         )
-        matched, facing, squares, best = tally.tolist()
+        matched, facing, squares, best, off = tally.tolist()
         rmse = math.sqrt(squares / matched) if matched else math.nan
-        return Match(H, g, N, len(chosen), best, matched / max(facing, 1.0), rmse)
+        return Match(H, g, N, len(chosen), best, matched / max(facing, 1.0), rmse, off / max(facing, 1.0))
 
 
 def check_depth(depth_raw: NDArray[np.uint16], intrinsics: Intrinsics) -> None:
@@ -436,12 +446,15 @@ def _accumulate(
     T: Array,
     sigma: float,
     gate: float,
+    scale: float,
     sums: Array,
 ) -> None:
     """Match a frame with one keyframe by projection and sum, by the twist at the keyframe, the Jacobian [pi, p x pi].
 
+    A match that is off by k sigma weighs 1 / (1 + scale k^2), Cauchy's weight.
+
     sums: H (36), N (36), g (6), points matched, points facing a plane, squared distances, points that
-    might have matched: all but those that face a block without a plane, and at least a half.
+    might have matched: all but those that face a block without a plane, and at least a half; and how ill they fit.
     """
     rows, columns = planes.shape[0], planes.shape[1]
     to_column, to_row = 1.0 / (x[1] - x[0]), 1.0 / (y[1] - y[0])
@@ -453,8 +466,7 @@ def _accumulate(
     h22 = h23 = h24 = h25 = h33 = h34 = h35 = h44 = h45 = h55 = 0.0
     g0 = g1 = g2 = g3 = g4 = g5 = 0.0
     matched = facing = rough = tried = 0
-    squares = 0.0
-    scale = 1.0 / (_CAUCHY * _CAUCHY)
+    squares = misfit = 0.0
     gate2, sigma2, model2 = gate * gate, sigma * sigma, _MODEL_SIGMA * _MODEL_SIGMA
     N = np.zeros((6, 6))
     jacobian = np.empty(6)
@@ -462,7 +474,7 @@ def _accumulate(
     px, py, pz = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
     A, B, C, spread = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
     at = np.empty(_AT_A_TIME, np.int32)
-    weights, offs = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
+    weights, offs, misfits = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
     for begin in range(start, len(points), stride * _AT_A_TIME):
         # 1. The block that each point projects to, -1 for none.
         some = min(_AT_A_TIME, (len(points) - begin + stride - 1) // stride)
@@ -494,11 +506,13 @@ def _accumulate(
             near = (length2 > 0.0) & (f2 <= gate2 * length2)
             weight = 1.0 / (sigma2 * pz[k] * pz[k] + model2 * length2 + f2 * scale)  # Cauchy's
             weights[k], offs[k] = weight if near else 0.0, f
+            misfits[k] = f2 * weight if length2 > 0.0 else 0.0
         # 4. The sums.
         for k in range(some):
             a, b, c, f, weight = A[k], B[k], C[k], offs[k], weights[k]
             length2 = a * a + b * b + c * c
             facing += int(length2 > 0.0)
+            misfit += misfits[k]
             rough += int(spread[k] < 0.0)
             if weight == 0.0:
                 continue
@@ -564,7 +578,7 @@ def _accumulate(
             sums[36 + 6 * a + b] = N[a, b]
     sums[72], sums[73], sums[74], sums[75], sums[76], sums[77] = g0, g1, g2, g3, g4, g5
     sums[78], sums[79], sums[80] = matched, facing, squares
-    sums[81] = max(tried - rough, tried / 2)
+    sums[81], sums[82] = max(tried - rough, tried / 2), misfit
 
 
 @compiled
@@ -579,18 +593,19 @@ def _match(
     T_world_camera: Array,
     sigma: float,
     gate: float,
+    scale: float,
     H: Array,
     g: Array,
     N: Array,
     tally: Array,
 ) -> None:
-    """Add up the matches with some keyframes; tally: matched, facing, squares, best overlap, as in `Match`."""
-    T, sums, M, half = np.empty((4, 4)), np.empty(82), np.zeros((6, 6)), np.empty((6, 6))
+    """Add up the matches with some keyframes; tally: matched, facing, squares, best overlap, misfit, as in `Match`."""
+    T, sums, M, half = np.empty((4, 4)), np.empty(83), np.zeros((6, 6)), np.empty((6, 6))
     for phase in range(len(chosen)):
         pose = poses[chosen[phase]]
         _relative(pose, T_world_camera, T)
         # Each keyframe is matched with other points, so that together they use most of them.
-        _accumulate(points, phase % stride, stride, x, y, planes[chosen[phase]], T, sigma, gate, sums)
+        _accumulate(points, phase % stride, stride, x, y, planes[chosen[phase]], T, sigma, gate, scale, sums)
         # From the keyframe's axes and origin to world axes at the camera: M = [[R, 0], [-skew(t) R, R]].
         tx, ty = T_world_camera[0, 3] - pose[0, 3], T_world_camera[1, 3] - pose[1, 3]
         tz = T_world_camera[2, 3] - pose[2, 3]
@@ -618,3 +633,4 @@ def _match(
         tally[1] += sums[79]
         tally[2] += sums[80]
         tally[3] = max(tally[3], sums[78] / max(sums[81], 1.0))
+        tally[4] += sums[82]

@@ -26,6 +26,14 @@ _INFORMATION_SHARE = 0.1  # matches share calibration and keyframe errors: ten c
 _SNR_OPEN, _SNR_KNOWN = 2.0, 5.0  # information over that of plane noise alone: below nothing is believed, above all
 _SWEEPS = 12  # of Jacobi's method at most; six of them reach the last digit of a (6, 6) matrix
 _USUAL_SHARE = 0.05  # of each good frame in the usual distance of surfaces
+_RECENT_SHARE = 0.2  # of each good frame in how well frames fit of late
+# Legs may have slipped where a frame fits worse than of late, lies further from its planes, or has been drawn so far from
+# the prior.
+_SURPRISING, _FAR_APART, _DRAWN = 1.25, 1.6, 2.0  # times; times; [sigma]
+_EXPLAINED = 0.97  # of a misfit, below which another pose fits better
+_ALONG_FLOOR = [0, 1, 5]  # x, y and yaw
+_SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] by which legs may slip between two frames
+_TRUSTING = 2  # iterations in which matches far off are believed after a slip
 _LOST_SIGMA = 0.03  # [m] and [rad] by which a place that was searched for is known
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -105,6 +113,7 @@ class Registration:
         self._keyframes = Keyframes(self._frame, stored_keyframes, active_keyframes, keyframe_distance, keyframe_angle)
         self._anchor = AnchorMap(float(sensor.sigma(np.array(1.0), intrinsics.fx)))
         self._usual_rmse = self._acceptance.max_rmse  # [m]
+        self._recent_misfit = self._recent_rmse = math.inf  # none yet
         self._failures = 0  # in a row
         self._doubtful = 0  # frames in a row, failed ones included
         self._believed = 0  # frames for which doubt is put aside: the ground has changed, not the place
@@ -146,9 +155,15 @@ class Registration:
             self._remember(T_world_camera_prior)
             return first(stamp_ns, T_world_camera_prior, prior_covariance)
 
-        # 1. The nearest pose that fits.
+        # 1. The nearest pose that fits; if it fits ill, the pose that does once legs are taken to slip.
         T, covariance, degenerate, match = self._align(T_world_camera_prior, information)
-        reason = self._objection(match) or jump(T, T_world_camera_prior, prior_covariance, self._acceptance)
+        believable = prior_covariance
+        if self._may_have_slipped(T, match, T_world_camera_prior, prior_covariance):
+            wide = _slipping(prior_covariance)
+            slipped = self._align(T_world_camera_prior, prior_information(T_world_camera_prior, wide), _TRUSTING)
+            if slipped[3].misfit < _EXPLAINED * match.misfit and not objection(slipped[3], self._acceptance):
+                (T, covariance, degenerate, match), believable = slipped, wide
+        reason = self._objection(match) or jump(T, T_world_camera_prior, believable, self._acceptance)
         # 2. Where that is in doubt, the map says whether there is a better one.
         doubted = self._is_doubted(T) if not reason else True
         self._doubtful = self._doubtful + 1 if doubted else 0
@@ -168,9 +183,21 @@ class Registration:
         self._failures = 0
         if not doubted:
             self._usual_rmse += _USUAL_SHARE * (match.rmse - self._usual_rmse)
+            share = _RECENT_SHARE if math.isfinite(self._recent_misfit) else 1.0
+            self._recent_misfit = share * match.misfit + (1.0 - share) * min(self._recent_misfit, 1e3)
+            self._recent_rmse = share * match.rmse + (1.0 - share) * min(self._recent_rmse, 1e3)
             if self._keyframes.is_news(T, match.overlap):
                 self._remember(T)
         return Registered(stamp_ns, T, covariance, match.overlap, match.rmse, degenerate, True, "")
+
+    def _may_have_slipped(
+        self, T: NDArray[np.float64], match: Match, T_prior: NDArray[np.float64], prior_covariance: NDArray[np.float64]
+    ) -> bool:
+        """Whether a frame fits worse than frames use to, or has been drawn away from where the legs have it."""
+        if match.misfit > _SURPRISING * self._recent_misfit or match.rmse > _FAR_APART * self._recent_rmse:
+            return True
+        drawn = np.abs(error_twist(T, T_prior)) > _DRAWN * np.sqrt(np.diag(prior_covariance))
+        return bool(drawn[_ALONG_FLOOR].any())
 
     def _objection(self, match: Match) -> str:
         """Why a match is not to be trusted; surfaces must be as near to each other as they use to be."""
@@ -204,16 +231,20 @@ class Registration:
         self._anchor.add(surface_points(frame.inverse_depth, frame.x, frame.y), T)
 
     def _align(
-        self, T_prior: NDArray[np.float64], information: NDArray[np.float64]
+        self, T_prior: NDArray[np.float64], information: NDArray[np.float64], trusting: int = 0
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Match]:
-        """Gauss-Newton on matches and prior together: (H + P) step = -(g + P error)."""
+        """Gauss-Newton on matches and prior together: (H + P) step = -(g + P error).
+
+        In the first so many iterations all matches are trusted alike, however far off: a start that is far from the right
+        place has its few telling points there, which are taken for outliers else.
+        """
         chosen = self._keyframes.select(T_prior)
         T: NDArray[np.float64] = T_prior
         # The first step may have to bridge what the prior leaves open and what a slip adds.
         step: NDArray[np.floating] = 1.5 * np.sqrt(np.diag(np.linalg.inv(information))) + _SLIP
-        for _ in range(_MAX_ITERATIONS):
+        for iteration in range(_MAX_ITERATIONS):
             gate = min(max(_GATE_NEAR, 2.0 * float(np.abs(step[:3]).max())), _GATE_FAR)
-            match = self._keyframes.match(T, chosen, gate, self._stride)
+            match = self._keyframes.match(T, chosen, gate, self._stride, robust=iteration >= trusting)
             if T is T_prior or gate == _GATE_NEAR:
                 believed, degenerate = belief(match)
             H, g = believed @ match.H, believed @ match.g
@@ -237,7 +268,9 @@ class Registration:
             # The prior has drifted too far to find the way back: start a map of its own there.
             self._keyframes.clear()
             self._anchor.clear()
-            self._usual_rmse = self._acceptance.max_rmse  # the ground here may be rougher than it has been so far
+            # The ground here may be rougher than it has been so far.
+            self._usual_rmse = self._acceptance.max_rmse
+            self._recent_misfit = self._recent_rmse = math.inf
             self._remember(T_prior)
             reason = f"{reason}; {self._failures} frames in a row failed, the map starts anew at the prior"
             self._failures = 0
@@ -325,6 +358,11 @@ def _fade(H: NDArray[np.float64], N: NDArray[np.float64]) -> tuple[NDArray[np.fl
     for k in range(6):
         directions[k] /= np.sqrt(np.sum(directions[k] ** 2))
     return B, directions, share == 0.0
+
+
+def _slipping(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The covariance (6, 6) of a prior whose legs may have slipped."""
+    return covariance + np.diag(_SLIPPED**2)
 
 
 def moved(T: NDArray[np.float64], twist: NDArray[np.floating]) -> NDArray[np.float64]:
