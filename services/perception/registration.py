@@ -113,7 +113,7 @@ class Registration:
         self._keyframes = Keyframes(self._frame, stored_keyframes, active_keyframes, keyframe_distance, keyframe_angle)
         self._anchor = AnchorMap(float(sensor.sigma(np.array(1.0), intrinsics.fx)))
         self._usual_rmse = self._acceptance.max_rmse  # [m]
-        self._recent_misfit = self._recent_rmse = math.inf  # none yet
+        self._lately = _Fit()
         self._failures = 0  # in a row
         self._doubtful = 0  # frames in a row, failed ones included
         self._believed = 0  # frames for which doubt is put aside: the ground has changed, not the place
@@ -156,47 +156,42 @@ class Registration:
             return first(stamp_ns, T_world_camera_prior, prior_covariance)
 
         # 1. The nearest pose that fits; if it fits ill, the pose that does once legs are taken to slip.
-        T, covariance, degenerate, match = self._align(T_world_camera_prior, information)
-        believable = prior_covariance
-        if self._may_have_slipped(T, match, T_world_camera_prior, prior_covariance):
+        found, believable = self._align(T_world_camera_prior, information), prior_covariance
+        if self._may_have_slipped(found, T_world_camera_prior, prior_covariance):
             wide = _slipping(prior_covariance)
             slipped = self._align(T_world_camera_prior, prior_information(T_world_camera_prior, wide), _TRUSTING)
-            if slipped[3].misfit < _EXPLAINED * match.misfit and not objection(slipped[3], self._acceptance):
-                (T, covariance, degenerate, match), believable = slipped, wide
-        reason = self._objection(match) or jump(T, T_world_camera_prior, believable, self._acceptance)
+            if slipped.match.misfit < _EXPLAINED * found.match.misfit and not objection(slipped.match, self._acceptance):
+                found, believable = slipped, wide
+        reason = self._objection(found.match) or jump(found.T, T_world_camera_prior, believable, self._acceptance)
         # 2. Where that is in doubt, the map says whether there is a better one.
-        doubted = self._is_doubted(T) if not reason else True
+        doubted = self._is_doubted(found.T) if not reason else True
         self._doubtful = self._doubtful + 1 if doubted else 0
         if self._is_time_to_search():
-            found = self._search(T_world_camera_prior if reason else T)
-            if isinstance(found, str):
-                if reason:
-                    reason = f"{reason}; {found}"
-                else:
-                    self._believed = self._acceptance.search_every  # what is seen has changed, not the place
+            better = self._search(T_world_camera_prior if reason else found.T)
+            if isinstance(better, _Aligned):
+                found, reason, doubted, self._doubtful = better, "", False, 0
+            elif reason:
+                reason = f"{reason}; {better}"
             else:
-                T, covariance, degenerate, match = found
-                reason, doubted, self._doubtful = "", False, 0
+                self._believed = self._acceptance.search_every  # what is seen has changed, not the place
+        match = found.match
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
         # 3. Good frames that see something new extend the map.
         self._failures = 0
         if not doubted:
             self._usual_rmse += _USUAL_SHARE * (match.rmse - self._usual_rmse)
-            share = _RECENT_SHARE if math.isfinite(self._recent_misfit) else 1.0
-            self._recent_misfit = share * match.misfit + (1.0 - share) * min(self._recent_misfit, 1e3)
-            self._recent_rmse = share * match.rmse + (1.0 - share) * min(self._recent_rmse, 1e3)
-            if self._keyframes.is_news(T, match.overlap):
-                self._remember(T)
-        return Registered(stamp_ns, T, covariance, match.overlap, match.rmse, degenerate, True, "")
+            self._lately = _Fit(_recent(self._lately.misfit, match.misfit), _recent(self._lately.rmse, match.rmse))
+            if self._keyframes.is_news(found.T, match.overlap):
+                self._remember(found.T)
+        return Registered(stamp_ns, found.T, found.covariance, match.overlap, match.rmse, found.degenerate, True, "")
 
-    def _may_have_slipped(
-        self, T: NDArray[np.float64], match: Match, T_prior: NDArray[np.float64], prior_covariance: NDArray[np.float64]
-    ) -> bool:
-        """Whether a frame fits worse than frames use to, or has been drawn away from where the legs have it."""
-        if match.misfit > _SURPRISING * self._recent_misfit or match.rmse > _FAR_APART * self._recent_rmse:
+    def _may_have_slipped(self, found: "_Aligned", T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
+        """Whether a frame fits worse than frames of late, or has been drawn far from where the legs have it."""
+        match, lately = found.match, self._lately
+        if match.misfit > _SURPRISING * lately.misfit or match.rmse > _FAR_APART * lately.rmse:
             return True
-        drawn = np.abs(error_twist(T, T_prior)) > _DRAWN * np.sqrt(np.diag(prior_covariance))
+        drawn = np.abs(error_twist(found.T, T_prior)) > _DRAWN * np.sqrt(np.diag(covariance))
         return bool(drawn[_ALONG_FLOOR].any())
 
     def _objection(self, match: Match) -> str:
@@ -213,16 +208,13 @@ class Registration:
         since = self._doubtful - self._acceptance.doubt
         return since >= 0 and since % self._acceptance.search_every == 0
 
-    def _search(
-        self, T_expected: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Match] | str:
+    def _search(self, T_expected: NDArray[np.float64]) -> "_Aligned | str":
         """A better place in the map, registered there; or why there is none, in words."""
         found = self._anchor.find(self._frame.points, T_expected)
         if found.T_world_camera is None:
             return found.reason
-        T, covariance, degenerate, match = self._align(found.T_world_camera, np.eye(6) / _LOST_SIGMA**2)
-        reason = self._objection(match)
-        return reason or (T, covariance, degenerate, match)
+        better = self._align(found.T_world_camera, np.eye(6) / _LOST_SIGMA**2)
+        return self._objection(better.match) or better
 
     def _remember(self, T: NDArray[np.float64]) -> None:
         """Make the frame as last loaded a keyframe, and a part of the map."""
@@ -230,9 +222,7 @@ class Registration:
         frame = self._frame
         self._anchor.add(surface_points(frame.inverse_depth, frame.x, frame.y), T)
 
-    def _align(
-        self, T_prior: NDArray[np.float64], information: NDArray[np.float64], trusting: int = 0
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Match]:
+    def _align(self, T_prior: NDArray[np.float64], information: NDArray[np.float64], trusting: int = 0) -> "_Aligned":
         """Gauss-Newton on matches and prior together: (H + P) step = -(g + P error).
 
         In the first so many iterations all matches are trusted alike, however far off: a start that is far from the right
@@ -250,10 +240,10 @@ class Registration:
             H, g = believed @ match.H, believed @ match.g
             step = -np.linalg.solve(H + information, g + information @ error_twist(T, T_prior))
             T = moved(T, step)
-            if float(np.abs(step).max()) < _CONVERGED:
+            if iteration >= trusting and float(np.abs(step).max()) < _CONVERGED:
                 break
         covariance = np.linalg.inv(H + information)
-        return orthonormal(T), (covariance + covariance.T) / 2.0, degenerate, match
+        return _Aligned(orthonormal(T), (covariance + covariance.T) / 2.0, degenerate, match)
 
     def _refuse(
         self,
@@ -269,12 +259,34 @@ class Registration:
             self._keyframes.clear()
             self._anchor.clear()
             # The ground here may be rougher than it has been so far.
-            self._usual_rmse = self._acceptance.max_rmse
-            self._recent_misfit = self._recent_rmse = math.inf
+            self._usual_rmse, self._lately = self._acceptance.max_rmse, _Fit()
             self._remember(T_prior)
             reason = f"{reason}; {self._failures} frames in a row failed, the map starts anew at the prior"
             self._failures = 0
         return refused(stamp_ns, T_prior, prior_covariance, match, reason)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Aligned:
+    """A pose that a frame fits at."""
+
+    T: NDArray[np.float64]  # (4, 4) of the camera
+    covariance: NDArray[np.float64]  # (6, 6) [m, rad]
+    degenerate: NDArray[np.float64]  # (k, 6) unit twists that are left to the prior
+    match: Match
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """How well frames have fitted of late; infinite before the first."""
+
+    misfit: float = math.inf
+    rmse: float = math.inf  # [m]
+
+
+def _recent(mean: float, value: float) -> float:
+    """A running mean with one more value in it."""
+    return mean + _RECENT_SHARE * (value - mean) if math.isfinite(mean) else value
 
 
 def belief(match: Match) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
