@@ -2,7 +2,7 @@
 
 `parallel=True` is never used: two Python threads that enter a parallel region abort on a machine without a threading
 layer, and a service must not take the cores of its neighbours. Do not call a compiled function of another file from a
-compiled function: the cache does not notice when the callee changes.
+compiled function, nor use a constant of one: the cache does not notice when it changes.
 """
 
 from collections.abc import Callable

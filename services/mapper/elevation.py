@@ -18,11 +18,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.mapper.cells import Cells
+from services.mapper.cells import ESTABLISHED, Cells
 from services.mapper.checked_scan import FAR, CheckedScan
 from services.mapper.fusion import FusionModel, merge, update_cells
 from services.mapper.height_drift import HeightDrift
-from services.mapper.sight_lines import FOLLOWED, SightLines
+from services.mapper.sight_lines import FOLLOWED, SETTLED, WELL_BELOW, SightLines
 from shared.compiled import compiled
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -180,7 +180,7 @@ class ElevationGrid:
             cells.height.ravel(), cells.variance.ravel(), cells.support.ravel(), cells.assumed.ravel(),
             cells.rival.ravel(), cells.rival_variance.ravel(), cells.votes.ravel(),
             cells.first.ravel(), cells.through.ravel(), cells.fell.ravel(),
-            self.model.gate, self.model.patience,
+            self.model.gate, self.model.patience, ESTABLISHED, SETTLED, WELL_BELOW,
         )  # fmt: skip
         # 4. What stands in a line of sight.
         at = (cells, self._low, self.resolution, self._drift.value, scan.p_world_camera)

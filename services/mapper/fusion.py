@@ -7,9 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.cells import ESTABLISHED
 from services.mapper.checked_scan import CheckedScan
-from services.mapper.sight_lines import SETTLED, WELL_BELOW
 from shared.camera import DepthSensor
 from shared.compiled import compiled
 from shared.geometry import Array
@@ -310,6 +308,9 @@ def update_cells(
     fell: NDArray[np.uint8],
     gate: float,
     patience: int,
+    established: int,
+    settled: int,
+    well_below: float,
 ) -> tuple[int, int, int]:
     """Filter one measurement into each cell; counts of cells updated, disputed and replaced."""
     updated = disputed = replaced = 0
@@ -327,11 +328,11 @@ def update_cells(
             height[c] += gain * off
             variance[c] = max(gain * noise, min(believed, systematic[k]))
             support[c] = min(support[c] + 1, 255)
-            if support[c] >= SETTLED:
+            if support[c] >= settled:
                 fell[c] = 0
             votes[c] = max(votes[c] - 1, 0)
             through[c] = 0
-            if support[c] == ESTABLISHED:
+            if support[c] == established:
                 first[c] = height[c]
             updated += 1
             continue
@@ -348,8 +349,8 @@ def update_cells(
             rival[c], rival_variance[c], votes[c] = z[k], noise, 1
         # A height seen once is no better than a rival seen twice; an established one waits for `patience` scans.
         if votes[c] >= min(patience, support[c] + 1):
-            fell[c] = np.uint8(rival[c] < height[c] - WELL_BELOW)
+            fell[c] = np.uint8(rival[c] < height[c] - well_below)
             height[c], variance[c], support[c], votes[c], through[c] = rival[c], rival_variance[c], votes[c], 0, 0
-            first[c] = height[c] if support[c] >= ESTABLISHED else np.nan
+            first[c] = height[c] if support[c] >= established else np.nan
             replaced += 1
     return updated, disputed, replaced
