@@ -17,6 +17,7 @@ from deploy.bench.map_peers import Layer, Scores
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED
 from deploy.bench.timing import Race, Timing, held_against_first, installed, one_core
+from services.mapper.checked_scan import CheckedScan
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.elevation import ElevationGrid
 from services.mapper.foothold_map import FootholdRules
@@ -117,9 +118,9 @@ class _Races:
         model = FusionModel.of_sensor(camera.sensor, camera.intrinsics.fx)
         self._grids: dict[int, dict[str, Any]] = {}
         for n in SIZES:
-            grids = {OURS: ElevationGrid(n, _RESOLUTION, model), "NumPy": map_peers.NumpyGrid(n, _RESOLUTION, model)}
-            self._grids[n] = grids
-            self._fuse[n].start({name: _fused_into(grid) for name, grid in grids.items()})
+            ours_grid, peer = ElevationGrid(n, _RESOLUTION, model), map_peers.NumpyGrid(n, _RESOLUTION, model)
+            self._grids[n] = {OURS: ours_grid, "NumPy": peer}
+            self._fuse[n].start({OURS: _fused_into(ours_grid), "NumPy": _fused_by_numpy(peer)})
             whole, changed = (FootholdLayers((n, n), _RESOLUTION, _MARGIN, _WEIGHTS, _RULES) for _ in range(2))
             ours_scored = {OURS: _Anew(whole, n).layers, CHANGED: _Anew(changed, 0).layers}
             self._score[n].start({**ours_scored, **{name: _without_place(peer) for name, peer in scores.items()}})
@@ -180,18 +181,27 @@ class _Races:
                 self._agreement.setdefault((race.stage, race.case), {}).setdefault(name, []).append(share)
 
 
-def _fused_into(grid: Any) -> Callable[[ReducedScan, Array], None]:
-    """One scan into a grid, from the millimetres of the wire on."""
+def _fused_into(grid: ElevationGrid) -> Callable[[ReducedScan, Array], None]:
+    """One scan into our grid, from the millimetres of the wire on."""
 
     def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
         grid.move_to(p_world_camera[:2])
-        grid.fuse(
-            from_millimetres(scan.points, scan.origin),
-            scan.count,
-            scan.spread * 1e-3,
-            p_world_camera,
-            pose_covariance=_POSE_COVARIANCE,
+        grid.fuse_checked(
+            CheckedScan.of_millimetres(
+                scan.origin, scan.points, scan.count, scan.spread, p_world_camera, pose_covariance=_POSE_COVARIANCE
+            )
         )
+
+    return fuse
+
+
+def _fused_by_numpy(grid: map_peers.NumpyGrid) -> Callable[[ReducedScan, Array], None]:
+    """The same by the peer."""
+
+    def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
+        grid.move_to(p_world_camera[:2])
+        points = from_millimetres(scan.points, scan.origin)
+        grid.fuse(points, scan.count.astype(float), 1e-3 * scan.spread.astype(float), p_world_camera, _POSE_COVARIANCE)
 
     return fuse
 

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,15 +14,21 @@ FAR = 1e6  # [m] coordinates beyond this are refused: a cell index must stay exa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckedScan:
-    """A reduced scan that can be fused, as `of` makes it; see `ElevationGrid.fuse`."""
+    """A reduced scan that can be fused, as `of` and `of_millimetres` make it; see `ElevationGrid.fuse`.
 
-    points: NDArray[np.float64]  # (n, 3) [m] {world}
-    count: NDArray[np.float64]  # (n,)
-    spread: NDArray[np.float64]  # (n,) [m]
+    Lengths are kept as they come, in metres or in the millimetres of the wire: only where they are used is it worth while
+    to make numbers of eight bytes of them.
+    """
+
+    points: NDArray[Any]  # (n, 3) [unit] {world} from the origin
+    count: NDArray[Any]  # (n,)
+    spread: NDArray[Any]  # (n,) [unit]
     p_world_camera: NDArray[np.float64]  # (3,) [m]
     pose_covariance: NDArray[np.float64]  # (6, 6)
-    sights: NDArray[np.float64]  # (m, 3) [m] {world}
+    sights: NDArray[Any]  # (m, 3) [unit] {world} from the origin
     nearest: float  # [m]
+    origin: NDArray[np.float64]  # (3,) [m] {world}
+    unit: float  # [m]
 
     @classmethod
     def of(
@@ -45,9 +51,58 @@ class CheckedScan:
         ends = np.empty((0, 3)) if sights is None else np.ascontiguousarray(sights, dtype=np.float64)
         if ends.ndim != 2 or ends.shape[1] != 3 or not (np.abs(ends) < FAR).all():
             raise ValueError(f"sights (m, 3), finite and within {FAR:g} m, expected, found shape {ends.shape}")
-        if not 0 <= nearest < math.inf:
-            raise ValueError(f"a nearest distance of at least 0 m expected, found {nearest}")
-        return cls(p, n, s, c, covariance, ends, nearest)
+        return cls(p, n, s, c, covariance, ends, _checked_nearest(nearest), np.zeros(3), 1.0)
+
+    @classmethod
+    def of_millimetres(
+        cls,
+        origin: NDArray[np.float64],
+        points_mm: NDArray[np.int16],
+        count: NDArray[np.uint8],
+        spread_mm: NDArray[np.uint8],
+        p_world_camera: NDArray[np.float64],
+        pose_covariance: NDArray[np.float64] | None = None,
+        sights_mm: NDArray[np.int16] | None = None,
+        nearest: float = 0.0,
+    ) -> Self:
+        """Check a scan as it crosses the wire, points (n, 3) and sights (m, 3) from an origin (3,) [m] {world}.
+
+        Raises:
+            ValueError: A shape or type is wrong, or a value is not finite or out of its range.
+        """
+        ends = np.empty((0, 3), dtype=np.int16) if sights_mm is None else sights_mm
+        for name, array, dtype, columns in (
+            ("points", points_mm, np.int16, (3,)),
+            ("sights", ends, np.int16, (3,)),
+            ("count", count, np.uint8, ()),
+            ("spread", spread_mm, np.uint8, ()),
+        ):
+            if array.dtype != dtype or array.shape != (len(array), *columns):
+                raise ValueError(f"{name} of {np.dtype(dtype)} (n, {columns}) expected, found {array.dtype} {array.shape}")
+        if not len(points_mm) == len(count) == len(spread_mm):
+            raise ValueError(f"count and spread of {len(points_mm)} points expected, found {len(count)} and {len(spread_mm)}")
+        if len(count) and not count.min():
+            raise ValueError("counts of at least 1 expected: drop empty cells before fusing")
+        begin, camera = _checked_place("origin", origin), _checked_place("camera position", p_world_camera)
+        covariance = _checked_covariance(pose_covariance)
+        p, e = np.ascontiguousarray(points_mm), np.ascontiguousarray(ends)
+        n, s = np.ascontiguousarray(count), np.ascontiguousarray(spread_mm)
+        return cls(p, n, s, camera, covariance, e, _checked_nearest(nearest), begin, 1e-3)
+
+
+def _checked_place(name: str, p: ArrayLike) -> NDArray[np.float64]:
+    """Three coordinates [m]; ValueError where they are none."""
+    place = np.asarray(p, dtype=np.float64)
+    if place.shape != (3,) or not all(abs(v) < FAR for v in place.tolist()):
+        raise ValueError(f"{name} of 3 coordinates within {FAR:g} m expected, found {p!r}")
+    return place
+
+
+def _checked_nearest(nearest: float) -> float:
+    """A distance [m]; ValueError where it is none."""
+    if not 0 <= nearest < math.inf:
+        raise ValueError(f"a nearest distance of at least 0 m expected, found {nearest}")
+    return nearest
 
 
 def _checked_scan(
@@ -60,13 +115,11 @@ def _checked_scan(
     p = np.ascontiguousarray(points, dtype=np.float64)
     n = np.ascontiguousarray(count, dtype=np.float64)
     s = np.ascontiguousarray(spread, dtype=np.float64)
-    c = np.asarray(p_world_camera, dtype=np.float64)
     if p.ndim != 2 or p.shape[1] != 3:
         raise ValueError(f"points (n, 3) expected, found shape {p.shape}")
     if n.shape != (len(p),) or s.shape != (len(p),):
         raise ValueError(f"count and spread of shape {(len(p),)} expected, found {n.shape} and {s.shape}")
-    if c.shape != (3,) or not (np.abs(c) < FAR).all():
-        raise ValueError(f"camera position of 3 coordinates within {FAR:g} m expected, found {p_world_camera!r}")
+    c = _checked_place("camera position", p_world_camera)
     near, filled, spread_out = _all_in_range(p, n, s, FAR)
     if not near:
         raise ValueError(f"points finite and within {FAR:g} m expected: drop invalid pixels before fusing")

@@ -183,10 +183,9 @@ class ElevationGrid:
             self.model.gate, self.model.patience, ESTABLISHED, SETTLED, WELL_BELOW,
         )  # fmt: skip
         # 4. What stands in a line of sight.
-        at = (cells, self._low, self.resolution, self._drift.value, scan.p_world_camera)
-        cleared = self._sights.look(*at, scan.points, every=FOLLOWED) + self._sights.look(
-            *at, scan.sights, nearest=scan.nearest
-        )
+        at = (cells, self._low, self.resolution, self._drift.value, scan)
+        cleared = self._sights.look(*at, scan.points, every=FOLLOWED)
+        cleared += self._sights.look(*at, scan.sights, nearest=scan.nearest)
         self._sights.scanned()
         return FusionCount(updated, disputed, replaced, len(scan.points) - inside, cleared)
 

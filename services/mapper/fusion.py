@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,8 +120,8 @@ class FusionModel:
             ray: (3,) [m] from the camera to the middle of those points.
         """
         return _measure(
-            scan.points, scan.count, scan.spread, scan.p_world_camera, scan.pose_covariance, self._noise, height, resolution,
-            low_i, low_j,
+            scan.points, scan.origin, scan.unit, scan.count, scan.spread, scan.p_world_camera, scan.pose_covariance,
+            self._noise, height, resolution, low_i, low_j,
         )  # fmt: skip
 
     @property
@@ -185,9 +185,11 @@ def _variances(
 
 @compiled
 def _measure(
-    p: Array,
-    count: Array,
-    spread: Array,
+    points: NDArray[Any],
+    origin: Array,
+    unit: float,
+    count: NDArray[Any],
+    spread: NDArray[Any],
     camera: Array,
     S: Array,
     noise: tuple[float, float, float, float, float, float],
@@ -197,7 +199,7 @@ def _measure(
     low_j: int,
 ) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
     """See `FusionModel.measure`; some points at a time, so that what is noted of each stays in the fastest memory."""
-    n = len(p)
+    n = len(points)
     cells, z, random, systematic = np.empty(n, dtype=np.int64), np.empty(n), np.empty(n), np.empty(n)
     x_of, y_of, z_of = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
     count_of, spread_of = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
@@ -207,6 +209,7 @@ def _measure(
     wrap_i, wrap_j = low_i % rows, low_j % columns
     per_cell, nowhere = np.float32(1.0 / resolution), np.float32(np.nan)
     x0, y0, z0 = camera[0], camera[1], camera[2]
+    origin_x, origin_y, origin_z = origin[0], origin[1], origin[2]
     m, x_sum, y_sum, z_sum = 0, 0.0, 0.0, 0.0
     for begin in range(0, n, _AT_A_TIME):
         some = 0
@@ -214,19 +217,20 @@ def _measure(
         # slope, and none where they disagree in sign: on a plane that is the plane's, beside a step it is that of the ground
         # a foot would stand on, and not the step's.
         for k in range(begin, min(begin + _AT_A_TIME, n)):
-            x, y = p[np.uint64(k), 0], p[np.uint64(k), 1]
+            p = points[np.uint64(k)]
+            x, y, height_there = origin_x + unit * p[0], origin_y + unit * p[1], origin_z + unit * p[2]
             i, j = math.floor(x / resolution) - low_i, math.floor(y / resolution) - low_j
             if not (0 <= i < rows and 0 <= j < columns):
                 continue
             at = np.uint64(some)  # unsigned, as an index that is never counted from the end
-            x, y, z_off = x - x0, y - y0, p[np.uint64(k), 2] - z0
+            x, y, z_off = x - x0, y - y0, height_there - z0
             x_of[at], y_of[at], z_of[at] = x, y, z_off
             x_sum, y_sum, z_sum = x_sum + x, y_sum + y, z_sum + z_off
-            count_of[at], spread_of[at] = count[np.uint64(k)], spread[np.uint64(k)]
+            count_of[at], spread_of[at] = count[np.uint64(k)], unit * spread[np.uint64(k)]
             a, b = i + wrap_i, j + wrap_j  # the remainder by the size, without dividing
             a, b = a if a < rows else a - rows, b if b < columns else b - columns
             c = a * columns + b
-            cells[np.uint64(m + some)], z[np.uint64(m + some)] = c, p[np.uint64(k), 2]
+            cells[np.uint64(m + some)], z[np.uint64(m + some)] = c, height_there
             # The buffer goes on at its border with its other side, the window does not.
             lower, upper = c - columns if a > 0 else c + (rows - 1) * columns, c + columns if a + 1 < rows else b
             before, after = c - 1 if b > 0 else c + columns - 1, c + 1 if b + 1 < columns else c - b

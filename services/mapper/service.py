@@ -82,19 +82,19 @@ class Mapper:
         """Fuse one scan; every few of them score and publish the map."""
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.latest(topics.ACTUATOR_STATE)
         centre = scan.p_world_camera if pose is None else pose.T_world_body[:3, 3]
-        points = scan.points
         self._refused = self._objection(scan, centre)
         if self._refused:
             return  # no map goes out, so that nobody takes the old one for a new one
         with self.stages("fuse"):
             try:
-                checked = CheckedScan.of(
-                    points,
+                checked = CheckedScan.of_millimetres(
+                    scan.origin,
+                    scan.points_mm,
                     scan.count,
-                    scan.spread_mm * 1e-3,
+                    scan.spread_mm,
                     scan.p_world_camera,
-                    pose_covariance=scan.pose_covariance,
-                    sights=scan.sights,
+                    scan.pose_covariance,
+                    scan.sights_mm,
                     nearest=_NEAR * self._profile.camera.sensor.min_range,
                 )
             except ValueError as error:
@@ -116,9 +116,9 @@ class Mapper:
         if request is None:
             self._survey = None  # nobody asks any more: nothing is kept
         else:
-            yield from self._survey_passage(request, scan, points, inbox)
+            yield from self._survey_passage(request, scan, inbox)
 
-    def _survey_passage(self, request: PassageRequest, scan: Scan, points: Array, inbox: Inbox) -> Iterator[PassageMap]:
+    def _survey_passage(self, request: PassageRequest, scan: Scan, inbox: Inbox) -> Iterator[PassageMap]:
         """Merge the scan into the cloud over the strip that is asked for; every few scans tell what is known of it."""
         try:
             strip = self._strip(request)
@@ -134,7 +134,7 @@ class Mapper:
             elif self._survey.strip != strip:
                 self._survey.move_to(strip, self._grid.snapshot())
                 self._surveyed = 0
-            self._survey.add(points, scan.count, self._grid.height_drift)
+            self._survey.add(scan.points, scan.count, self._grid.height_drift)
         self._surveyed += 1
         if self._surveyed % self._settings.passage_every == 0:
             yield self._passage(scan.stamp_ns, self._survey, inbox)

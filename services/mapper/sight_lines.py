@@ -1,11 +1,13 @@
 """Things that are gone, cleared by lines of sight that pass where they stood."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.mapper.cells import Cells
+from services.mapper.checked_scan import CheckedScan
 from shared.compiled import compiled
 from shared.geometry import Array
 
@@ -36,8 +38,8 @@ class SightLines:
         low: NDArray[np.int64],
         resolution: float,
         drift: float,
-        camera: Array,
-        points: Array,
+        scan: CheckedScan,
+        points: NDArray[Any],
         *,
         every: int = 1,
         nearest: float = 0.0,
@@ -49,8 +51,8 @@ class SightLines:
             low: (2,) world index of the lowest cell of its window.
             resolution: [m] cell edge.
             drift: [m] by which the scan lies higher than what the map keeps.
-            camera: (3,) [m] where the lines begin.
-            points: (n, 3) [m] where they end.
+            scan: Whose camera the lines begin at.
+            points: (n, 3) where they end, in its unit from its origin.
             every: How many of them are passed over for one that is followed; other ones each scan.
             nearest: [m] from the camera up to which they say nothing.
 
@@ -59,11 +61,15 @@ class SightLines:
         """
         if self._scans % _REFRESHED == 0:
             self._highest = float(np.fmax.reduce(cells.height, axis=None))
-        if not len(points) or not self._highest - WELL_BELOW > float(points[:, 2].min()) - drift:
+        if not len(points):
+            return 0
+        lowest = float(scan.origin[2]) + scan.unit * float(points[:, 2].min()) - drift
+        if not self._highest - WELL_BELOW > lowest:
             return 0  # nothing stands above what is seen, as on level ground
         c = cells
         cleared = _clear_along_sights(
-            points, self._scans % every, every, camera, drift, nearest, int(low[0]), int(low[1]), resolution, self._highest,
+            points, scan.origin, scan.unit, self._scans % every, every, scan.p_world_camera, drift, nearest,
+            int(low[0]), int(low[1]), resolution, self._highest,
             c.height, c.variance, c.support, c.assumed, c.votes, c.first, c.through, c.fell, self._marked,
         )  # fmt: skip
         return int(cleared)
@@ -75,7 +81,9 @@ class SightLines:
 
 @compiled
 def _clear_along_sights(
-    ends: NDArray[np.float64],
+    ends: NDArray[Any],
+    origin: Array,
+    unit: float,
     begin: int,
     every: int,
     camera: NDArray[np.float64],
@@ -110,7 +118,8 @@ def _clear_along_sights(
     m = 0
     wrap_i, wrap_j = low_i % rows, low_j % columns
     for k in range(begin, len(ends), every):
-        u, v, z = ends[k, 0] / resolution - low_i, ends[k, 1] / resolution - low_j, ends[k, 2] - drift
+        x, y, z = origin[0] + unit * ends[k, 0], origin[1] + unit * ends[k, 1], origin[2] + unit * ends[k, 2] - drift
+        u, v = x / resolution - low_i, y / resolution - low_j
         du, dv, dz = camera[0] / resolution - low_i - u, camera[1] / resolution - low_j - v, camera[2] - drift - z
         way = max(abs(du), abs(dv))
         length = resolution * math.sqrt(du * du + dv * dv)

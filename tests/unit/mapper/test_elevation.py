@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from services.mapper.checked_scan import CheckedScan
 from services.mapper.elevation import ElevationGrid, FusionCount
 from services.mapper.fusion import FusionModel
 from services.mapper.holes import fill_small_holes
@@ -290,6 +291,45 @@ def test_bad_scans_are_refused_and_leave_the_map_as_it_was(index: int, bad: NDAr
     with pytest.raises(ValueError, match="expected"):
         grid.fuse(*arguments)
     assert np.isnan(grid.snapshot().elevation).all()
+
+
+WIRE = (np.zeros(3), np.zeros((2, 3), np.int16), np.ones(2, np.uint8), np.zeros(2, np.uint8), np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("index", "bad"),
+    [
+        (0, np.array([0.0, np.nan, 0.0])),
+        (0, np.zeros(2)),
+        (1, np.zeros((2, 3))),
+        (1, np.zeros((2, 2), np.int16)),
+        (2, np.array([1, 0], np.uint8)),
+        (2, np.ones(3, np.uint8)),
+        (2, np.ones(2)),
+        (3, np.zeros(1, np.uint8)),
+        (4, np.array([0.0, 1e300, 0.0])),
+    ],
+)
+def test_bad_scans_of_the_wire_are_refused(index: int, bad: NDArray[Any]) -> None:
+    arguments: list[Any] = list(WIRE)
+    arguments[index] = bad
+    with pytest.raises(ValueError, match="expected"):
+        CheckedScan.of_millimetres(*arguments)
+
+
+def test_millimetres_of_the_wire_make_the_same_map_as_metres() -> None:
+    rng = np.random.default_rng(4)
+    metres, wire = ElevationGrid(64), ElevationGrid(64)
+    origin, camera = np.array([0.02, -0.01, 0.3]), np.array([-0.2, 0.0, 0.5])
+    for k in range(30):
+        mm = rng.integers([-250, -250, -330], [250, 250, -300 + 60 * (k < 10)], (2000, 3)).astype(np.int16)
+        count, spread = rng.integers(1, 30, 2000).astype(np.uint8), rng.integers(0, 9, 2000).astype(np.uint8)
+        sights = rng.integers([200, -200, -300], [250, 200, -290], (100, 3)).astype(np.int16)
+        metres.fuse(origin + mm * 1e-3, count, spread * 1e-3, camera, sights=origin + sights * 1e-3, nearest=0.1)
+        wire.fuse_checked(CheckedScan.of_millimetres(origin, mm, count, spread, camera, None, sights, 0.1))
+    for layer in ("elevation", "variance"):
+        np.testing.assert_array_equal(getattr(metres.snapshot(), layer), getattr(wire.snapshot(), layer))
+    assert np.isfinite(wire.snapshot().elevation).sum() > 1000
 
 
 def test_bad_settings_are_refused() -> None:
