@@ -192,10 +192,9 @@ class NumpyGrid:
             first = self._low[axis] if shift > 0 else self._low[axis] + n - leaving
             lines = np.arange(first, first + leaving) % n
             where: Any = lines if axis == 0 else (slice(None), lines)
-            for layer in (self._height, self._variance, self._rival, self._rival_variance, self._first):
+            for layer in (self._height, self._variance, self._first):
                 layer.reshape(n, n)[where] = np.nan
-            for counter in (self._support, self._votes, self._through, self._fell):
-                counter.reshape(n, n)[where] = 0
+            self._fell.reshape(n, n)[where] = 0
         self._low = low
 
     def fuse(self, points: Array, count: Array, spread: Array, p_world_camera: Array, pose_covariance: Array) -> None:

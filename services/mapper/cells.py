@@ -33,15 +33,16 @@ class Cells:
         return cls(**measured, **counted)
 
     def forget(self, axis: int, first: int, number: int) -> None:
-        """Make rows (axis 0) or columns (1) unseen, which go on at the buffer's border with its other side."""
+        """Make rows (axis 0) or columns (1) unseen, which go on at the buffer's border with its other side.
+
+        What a first measurement overwrites anyway is left as it is.
+        """
         n = self.height.shape[axis]
         for begin, end in ((first, min(first + number, n)), (0, first + number - n)):
             lines: Any = slice(begin, end) if axis == 0 else (slice(None), slice(begin, end))
             if begin < end:
-                for layer in (self.height, self.variance, self.rival, self.rival_variance, self.first):
-                    layer[lines] = np.nan
-                for counter in (self.support, self.assumed, self.votes, self.through, self.fell):
-                    counter[lines] = 0
+                self.height[lines] = self.variance[lines] = self.first[lines] = np.nan
+                self.assumed[lines] = self.fell[lines] = 0
 
 
 _MEASURED = ("height", "variance", "rival", "rival_variance", "first")

@@ -227,6 +227,7 @@ class ElevationGrid:
         self._cells.height[filled] = heights[rows, columns]
         self._cells.variance[filled] = sigma**2
         self._cells.assumed[filled] = 1
+        self._cells.through[filled] = 0
         return len(rows)
 
     def heights(self, p_world_xy: ArrayLike) -> NDArray[np.float64]:

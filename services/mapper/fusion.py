@@ -201,6 +201,8 @@ def _measure(
     """See `FusionModel.measure`; some points at a time, so that what is noted of each stays in the fastest memory."""
     n = len(points)
     cells, z, random, systematic = np.empty(n, dtype=np.int64), np.empty(n), np.empty(n), np.empty(n)
+    xs, ys, zs = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
+    rows_at, columns_at = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
     x_of, y_of, z_of = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
     count_of, spread_of = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
     slope_x, slope_y = np.empty(_AT_A_TIME), np.empty(_AT_A_TIME)
@@ -216,10 +218,16 @@ def _measure(
         # 1. The cell, and the slope of the map there. Of the differences of height to both sides of a cell the smaller is its
         # slope, and none where they disagree in sign: on a plane that is the plane's, beside a step it is that of the ground
         # a foot would stand on, and not the step's.
-        for k in range(begin, min(begin + _AT_A_TIME, n)):
-            p = points[np.uint64(k)]
-            x, y, height_there = origin_x + unit * p[0], origin_y + unit * p[1], origin_z + unit * p[2]
-            i, j = math.floor(x / resolution) - low_i, math.floor(y / resolution) - low_j
+        end = min(begin + _AT_A_TIME, n)
+        for k in range(end - begin):
+            xs[k], ys[k], zs[k] = points[begin + k, 0], points[begin + k, 1], points[begin + k, 2]
+        for k in range(end - begin):
+            xs[k], ys[k], zs[k] = origin_x + unit * xs[k], origin_y + unit * ys[k], origin_z + unit * zs[k]
+        for k in range(end - begin):
+            rows_at[k], columns_at[k] = np.floor(xs[k] / resolution) - low_i, np.floor(ys[k] / resolution) - low_j
+        for k in range(begin, end):
+            x, y, height_there = xs[k - begin], ys[k - begin], zs[k - begin]
+            i, j = np.int64(rows_at[k - begin]), np.int64(columns_at[k - begin])
             if not (0 <= i < rows and 0 <= j < columns):
                 continue
             at = np.uint64(some)  # unsigned, as an index that is never counted from the end
