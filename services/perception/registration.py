@@ -30,7 +30,7 @@ _RECENT_SHARE = 0.2  # of each good frame in how well frames fit of late
 # Legs may have slipped where a frame fits worse than of late, lies further from its planes, or has been drawn so far from
 # the prior.
 _SURPRISING, _FAR_APART, _DRAWN = 1.25, 1.6, 2.0  # times; times; [sigma]
-_EXPLAINED = 0.97  # of a misfit, below which another pose fits better
+_EXPLAINED = 0.85  # of a misfit, below which another pose fits better
 _ALONG_FLOOR = [0, 1, 5]  # x, y and yaw
 _SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] by which legs may slip between two frames
 _TRUSTING = 2  # iterations in which matches far off are believed after a slip

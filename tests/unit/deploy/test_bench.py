@@ -14,6 +14,7 @@ from deploy.bench import accuracy, full_frame, map_peers, model, registration_pe
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED, REGISTERED
 from deploy.true_ground import TrueGround
+from services.perception.registration import Registration
 from services.simulator.terrain import Terrain
 from shared.geometry import inverse
 from shared.messages import PassageMap, TerrainMap
@@ -261,3 +262,19 @@ def test_the_steady_pixels_of_a_full_frame_are_those_that_a_scan_takes() -> None
     kept = np.isfinite(z)
     kept[:, 320] = kept[0, 0] = True
     assert kept.all()
+
+
+def test_slipping_legs_do_not_carry_the_registration_away_from_a_few_boxes() -> None:
+    rngs = [np.random.default_rng([1006, k]) for k in range(3)]
+    way = ride(REGISTERED["sparse boxes"](rngs[0]), rngs[1], Errors(slip=0.5))
+    camera, T_body_camera = CarriedCamera(way, rngs[2]), way.profile.camera.T_body_camera
+    registration = Registration(way.profile.camera.intrinsics, way.profile.camera.sensor)
+    told, true = way.T_odom_body @ T_body_camera, way.T_world_body @ T_body_camera
+    T = true[0]
+    for k in range(60):
+        motion = inverse(told[k - 1]) @ told[k] if k else np.eye(4)
+        sigma = 0.1 * np.linalg.norm(motion[:3, 3]) + 0.001
+        prior = np.diag(np.array([sigma, sigma, 0.01, 0.01, 0.01, 0.003]) ** 2)
+        T = registration.update(camera.frame(k), k, T @ motion, prior).T_world_camera
+    assert np.linalg.norm((inverse(told[0]) @ told[59])[:3, 3]) - np.linalg.norm((inverse(true[0]) @ true[59])[:3, 3]) > 0.1
+    assert np.linalg.norm(T[:3, 3] - true[59][:3, 3]) < 0.03

@@ -28,18 +28,15 @@ def odometry_covariance(motion):
     return np.diag([(0.1 * moved_by + 2e-4) ** 2] * 3 + [(0.5 * moved_by + 1e-4) ** 2] * 3)
 
 
-def walked(world, scene, frames=101, seed=1, slipping=range(0)):
-    """True, odometry's and registered last pose, and all results, of a walk whose odometry is wrong.
-
-    In frames that slip, legs tell twice the motion, and are believed no less than before.
-    """
+def walked(world, scene, frames=101, seed=1):
+    """True, odometry's and registered last pose, and all results, of a walk whose odometry is wrong."""
     registration = Registration(SMALL, SMALL_SENSOR)
     truth = world.walk(frames, STEP)
     rng = np.random.default_rng(seed)
     T_odometry, T, covariance, results = truth[0], truth[0], TIGHT, []
     for i in range(frames):
         if i:
-            motion = odometry_increment(truth[i - 1], truth[i], scale=2.1 if i in slipping else 1.05)
+            motion = odometry_increment(truth[i - 1], truth[i])
             T_odometry, T = T_odometry @ motion, T @ motion
             covariance = covariance + odometry_covariance(motion)
         depth = world.depth_image(truth[i], world.scenes[scene], rng, SMALL, SMALL_SENSOR)
@@ -60,14 +57,6 @@ def test_error_twist_inverts_moved():
         T = from_xyz_rpy(rng.normal(size=3), rng.normal(size=3))
         twist = rng.normal(scale=0.4, size=6)
         np.testing.assert_allclose(error_twist(moved(T, twist), T), twist, atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_slipping_legs_do_not_carry_it_away_from_few_boxes(world, seed):
-    truth, T_odometry, T, results = walked(world, "boxes", frames=60, seed=seed, slipping=range(30, 38))
-    assert np.linalg.norm((T_odometry - truth)[:2, 3]) > 0.15
-    assert np.linalg.norm((T - truth)[:2, 3]) < 0.02
-    assert all(r.ok for r in results)
 
 
 def test_a_direction_is_believed_by_its_information_over_that_of_noise():
