@@ -38,7 +38,10 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Stairs:
-    """Steps that rise along their own x (or fall, for a negative riser), the last tread as long as `landing`."""
+    """Steps that rise along their own x (or fall, for a negative riser), the last tread as long as `landing`.
+
+    Risers and treads are alike within a staircase; a spread lets the run's seed say how high and how long they are.
+    """
 
     xy: tuple[float, float]  # [m] middle of the first riser's edge
     riser: float  # [m]
@@ -49,6 +52,8 @@ class Stairs:
     landing: float = 1.0  # [m]
     yaw_deg: float = 0.0
     base: float = 0.0  # [m] height of the ground before the first riser
+    riser_spread: float = 0.0  # [m] at most this much, of either sign, is added to the risers
+    tread_spread: float = 0.0  # [m] and to the treads
     color: Color | None = None
 
 

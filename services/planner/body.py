@@ -1,9 +1,9 @@
-"""How high the body goes: Lotriet's floor height, section 6.4."""
+"""How high the body goes, by Lotriet's floor height (section 6.4), and how it leans where level legs would not reach."""
 
 import numpy as np
 
 from services.planner.terrain import Terrain
-from shared.geometry import Array
+from shared.geometry import Array, apply, inverse, rotation_from_rpy, transform, yaw_of
 
 
 def floor_height(ground: Array) -> float:
@@ -24,3 +24,22 @@ def clear_of_ground(floor: float, terrain: Terrain, T_world_body: Array, size: t
     corners = np.array([[-half[0], -half[1]], [half[0], -half[1]], [-half[0], half[1]]])
     under = terrain.highest_under(corners @ T_world_body[:2, :2].T + T_world_body[:2, 3])
     return max(floor, under)
+
+
+def slope_under(stance: Array, T_world_body: Array) -> Array:
+    """Roll and pitch (2,) [rad] with which a body would lie parallel to the plane through the ground under the feet.
+
+    Args:
+        stance: (6, 3) [m] {world} ground under the feet.
+        T_world_body: (4, 4) level body.
+    """
+    feet = apply(inverse(T_world_body), stance)
+    ahead, aside, _ = np.linalg.lstsq(np.column_stack([feet[:, :2], np.ones(len(feet))]), feet[:, 2], rcond=None)[0]
+    pitch = -np.arctan(ahead)
+    return np.array([np.arctan(aside * np.cos(pitch)), pitch])
+
+
+def leaning(T_world_body: Array, lean: Array, stoop: float) -> Array:
+    """A level body (4, 4) that leans by roll and pitch (2,) [rad] and is lower by a stoop [m]."""
+    R = rotation_from_rpy([*lean, yaw_of(T_world_body)])
+    return transform(R, T_world_body[:3, 3] - [0.0, 0.0, stoop])

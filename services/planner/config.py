@@ -13,6 +13,7 @@ class Settings:
     step_s: float = 0.80  # [s] duration of a step
     max_stride: float = 0.09  # [m] of the body in one step
     max_turn_deg: float = 10.0  # [deg] of the body in one step
+    max_lean_deg: float = 12.0  # [deg] of the body with the ground
     max_climb: float = 0.03  # [m] of the body's height in one step
     search_radius: float = 0.06  # [m] around the nominal foothold
     min_foot_distance: float = 0.06  # [m] between feet

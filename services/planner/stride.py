@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.body import clear_of_ground, floor_height
+from services.planner.body import clear_of_ground, floor_height, leaning, slope_under
 from services.planner.config import Settings
 from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
 from services.planner.gait import nominal_touchdowns
@@ -19,6 +19,9 @@ from shared.stability import support_margin
 SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
 _DESCENT = np.array([0.0, 0.0, 0.03])  # [m] over a foothold, from where a foot comes straight down
 _MAX_CLEARANCE = 0.11  # [m] over both ends that a leg can lift its foot
+_STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
+_LEANS = np.arange(5)[:, None] * 0.25  # share of the ground's slope by which it may lean
+_REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may turn out to be lower than believed
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +141,11 @@ class StridePlanner:
         return travel, poses[0], poses[1]
 
     def _raised(self, at: Situation, terrain: Terrain, T_end: Array, T_after: Array, nominal: Array) -> tuple[Array, Array]:
-        """The same poses at the height over the floor that is commanded, climbing no faster than the robot can."""
+        """The same poses at the height over the floor that is commanded, climbing no faster than the robot can.
+
+        Where the standing legs would not reach the ground from there, the body is lower or leans with the ground, no more than
+        it takes.
+        """
         ground = at.feet[:, 2] - self._profile.foot.radius
         ahead = terrain.footing(nominal)
         ground = np.where(at.swing & np.isfinite(ahead), ahead, ground)
@@ -148,7 +155,34 @@ class StridePlanner:
         height = float(np.clip(floor + at.command.body_height, now - climb, now + climb))
         T_end, T_after = T_end.copy(), T_after.copy()
         T_end[2, 3] = T_after[2, 3] = height
-        return T_end, T_after
+        stance = np.column_stack([np.where(at.swing[:, None], nominal, at.feet[:, :2]), ground])
+        lean, stoop = self._posture(at, T_end, stance, floor)
+        return leaning(T_end, lean, stoop), leaning(T_after, lean, stoop)
+
+    def _posture(self, at: Situation, T_end: Array, stance: Array, floor: float) -> tuple[Array, float]:
+        """Lean (2,) [rad], roll and pitch, and stoop [m] of the body at the end of a step.
+
+        Args:
+            at: Where the robot will be when it begins.
+            T_end: (4, 4) the body at its end, level and as high as commanded.
+            stance: (6, 3) [m] {world} ground under the feet when they have landed.
+            floor: [m] {world} height of the ground that counts.
+
+        Returns:
+            Level and as commanded where the standing legs reach the ground so, or none helps; else the first that does.
+        """
+        if self._within_limits(at.feet, T_end)[~at.swing].all():
+            return np.zeros(2), 0.0
+        slope = slope_under(stance, T_end)
+        most = min(1.0, np.radians(self._settings.max_lean_deg) / max(float(np.linalg.norm(slope)), 1e-9))
+        lowest = floor + self._profile.stance.body_height_range[0]
+        stoops = _STOOPS[(_STOOPS == 0.0) | (T_end[2, 3] - _STOOPS >= lowest)].tolist()
+        feet = at.feet - _REACH_SPARE
+        for lean in _LEANS * most * slope:
+            for stoop in stoops:
+                if self._within_limits(feet, leaning(T_end, lean, stoop))[~at.swing].all():
+                    return lean, stoop
+        return np.zeros(2), 0.0
 
     def _foothold(
         self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain
@@ -171,10 +205,14 @@ class StridePlanner:
         limits = profile.joint_limits[leg]
         return np.asarray(((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=1))  # NaN, out of reach, is in no limits
 
+    def _within_limits(self, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
+        """Which legs (6,) have their feet (6, 3) [m] {world} in reach."""
+        q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
+        return np.asarray(within_limits(self._profile, q).all(axis=1))
+
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
         """Which leg would be overstretched at the end of the step, in words, or nothing."""
-        q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
-        bad = np.flatnonzero(~within_limits(self._profile, q).all(axis=1))
+        bad = np.flatnonzero(~self._within_limits(feet_world, T_world_body))
         return f"{LEGS[bad[0]]} leg: would be stretched beyond its limits at the end of the step" if len(bad) else ""
 
     def _unstable(self, feet: Array, T_world_body: Array, when: str) -> str:

@@ -5,7 +5,7 @@ and scorer read the same few numbers.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -103,7 +103,7 @@ class Terrain:
 
 
 def build_terrain(scenario: Scenario, rng: np.random.Generator) -> Terrain:
-    """The solids of a scenario's primitives; only rubble draws from the generator.
+    """The solids of a scenario's primitives; what is random of them draws from the generator.
 
     Raises:
         ValueError: Two planes or two height maps, rubble that finds no room, a height map that cannot be read.
@@ -120,7 +120,7 @@ def build_terrain(scenario: Scenario, rng: np.random.Generator) -> Terrain:
             case Box():
                 heap.add(part.xy, part.size, part.top, part.top - part.depth, np.radians(part.yaw_deg))
             case Stairs():
-                _stairs(heap, part)
+                _stairs(heap, part, rng)
             case Pillars():
                 for xy in part.xy:
                     heap.add(xy, (part.size, part.size), part.top, part.top - part.depth)
@@ -213,9 +213,12 @@ class _Heap:
         )
 
 
-def _stairs(heap: _Heap, stairs: Stairs) -> None:
+def _stairs(heap: _Heap, stairs: Stairs, rng: np.random.Generator) -> None:
     if stairs.count < 1:
         raise ValueError(f"stairs of at least one step expected, found count = {stairs.count}")
+    if stairs.riser_spread or stairs.tread_spread:
+        riser, tread = rng.uniform(-1.0, 1.0, 2) * (stairs.riser_spread, stairs.tread_spread)
+        stairs = replace(stairs, riser=stairs.riser + riser, tread=stairs.tread + tread)
     yaw = np.radians(stairs.yaw_deg)
     forward = np.array([np.cos(yaw), np.sin(yaw)])
     bottom = min(stairs.base, stairs.base + stairs.count * stairs.riser) - DEPTH

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from services.planner.body import clear_of_ground, floor_height
+from services.planner.body import clear_of_ground, floor_height, leaning, slope_under
 from services.planner.terrain import Terrain, flat_terrain
-from shared.geometry import Array, from_xyz_rpy
+from shared.geometry import Array, from_xyz_rpy, yaw_of
 
 SIZE = (0.24, 0.12, 0.04)
 heights = hnp.arrays(np.float64, 6, elements=st.floats(-0.2, 0.2))
@@ -43,3 +43,15 @@ def test_a_block_counts_exactly_while_it_is_under_the_body(make_terrain: Callabl
 def test_unseen_ground_does_not_raise_the_body(make_terrain: Callable[..., Terrain]) -> None:
     unseen = make_terrain(lambda x, y: np.full_like(x, np.nan))
     assert clear_of_ground(0.02, unseen, np.eye(4), SIZE) == 0.02
+
+
+@given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(-3.0, 3.0))
+def test_leaning_by_the_slope_lies_parallel_to_the_ground(ahead: float, aside: float, yaw: float) -> None:
+    xy = np.array([[0.2, 0.2], [0.2, -0.2], [0.0, -0.25], [-0.2, -0.2], [-0.2, 0.2], [0.0, 0.25]])
+    xy += np.array([3.0, -1.0])
+    T = from_xyz_rpy((3.0, -1.0, 0.1), (0.0, 0.0, yaw))
+    leant = leaning(T, slope_under(np.column_stack([xy, xy @ [ahead, aside]]), T), 0.02)
+    normal = np.array([-ahead, -aside, 1.0]) / np.linalg.norm([-ahead, -aside, 1.0])
+    np.testing.assert_allclose(leant[:3, 2], normal, atol=1e-9)
+    np.testing.assert_allclose(leant[:3, 3], [3.0, -1.0, 0.08])
+    assert yaw_of(leant) == pytest.approx(yaw)

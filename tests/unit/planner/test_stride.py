@@ -147,6 +147,68 @@ def test_the_body_follows_the_ground_no_faster_than_it_may(make_terrain: Maker, 
     np.testing.assert_allclose(found.touchdown[TRIPOD, 2], rise + PROFILE.foot.radius, atol=1e-6)
 
 
+def staircase(make_terrain: Maker, riser: float, tread: float) -> Terrain:
+    """Stairs from x = 0.3 m on, no foothold within 3 cm of an edge."""
+
+    def steps(x: Array) -> Array:
+        return np.maximum(np.floor((x - 0.3) / tread) + 1.0, 0.0)
+
+    def near_edge(x: Array, y: Array) -> Array:
+        return np.where(steps(x - 0.03) != steps(x + 0.03), 9.0, 0.0)
+
+    return make_terrain(lambda x, y: riser * steps(x), near_edge, half=2.0)
+
+
+def climbs(planner: StridePlanner, ground: Terrain) -> list[Stride]:
+    """Steps from level ground to 1.4 m on, or as far as they go."""
+    at, strides = standing(command(0.10)), []
+    while at.T_world_body[0, 3] < 1.4:
+        found = planner.plan(at, ground)
+        if isinstance(found, Blocked):
+            break
+        walkable(found, at)
+        strides.append(found)
+        at = Situation(found.body_goal, found.touchdown, ~at.swing, at.command)
+    return strides
+
+
+def lean_deg(found: Stride) -> float:
+    return float(np.degrees(np.arccos(min(found.body_goal[2, 2], 1.0))))
+
+
+@pytest.mark.parametrize("riser", [-0.05, -0.03, 0.03, 0.05])
+@pytest.mark.parametrize("tread", [0.25, 0.325, 0.40])
+def test_stairs_are_climbed_and_descended(make_terrain: Maker, riser: float, tread: float) -> None:
+    strides = climbs(PLANNER, staircase(make_terrain, riser, tread))
+    assert strides[-1].body_goal[0, 3] >= 1.4
+    assert max(map(lean_deg, strides)) <= min(SETTINGS.max_lean_deg, np.degrees(np.arctan(abs(riser) / tread)) + 5.0)
+    assert lean_deg(strides[0]) == 0.0
+
+
+def test_high_stairs_need_a_body_that_leans(make_terrain: Maker) -> None:
+    ground = staircase(make_terrain, 0.06, 0.25)
+    level = climbs(StridePlanner(PROFILE, Settings(max_lean_deg=0.0)), ground)
+    assert level[-1].body_goal[0, 3] < 1.0
+    assert max(map(lean_deg, climbs(PLANNER, ground))) > 3.0
+
+
+def test_legs_that_stand_low_make_the_body_stoop_no_more_than_it_takes() -> None:
+    body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    feet = apply(body, PROFILE.rest_feet(HEIGHT))
+    heights = []
+    for low in np.arange(0.0, 0.12, 0.01):
+        feet[3:5, 2] = PROFILE.foot.radius - low
+        at = standing(command(0.01), T=body, feet=feet.copy())
+        found = PLANNER.plan(at, FLAT)
+        if isinstance(found, Stride):
+            walkable(found, at)
+            heights.append(found.body_goal[2, 3])
+    assert heights[0] == pytest.approx(HEIGHT)
+    assert heights == sorted(heights, reverse=True)
+    assert heights[-1] < HEIGHT - 0.004
+    assert heights[-1] >= PROFILE.stance.body_height_range[0]
+
+
 def test_commanded_height_is_approached() -> None:
     found = stride(standing(command(0.0, height=0.12)))
     assert found.body_goal[2, 3] == pytest.approx(HEIGHT + min(0.02, SETTINGS.max_climb))

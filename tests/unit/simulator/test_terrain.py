@@ -168,6 +168,24 @@ def test_unreadable_height_maps_are_refused(tmp_path: Path) -> None:
             build(HeightMap(file, 0.1, (0.0, 0.0)), folder=tmp_path)
 
 
+def test_stairs_are_as_high_and_as_long_as_their_seed_says() -> None:
+    found = set()
+    for seed in range(20):
+        stairs = Stairs((0.0, 0.0), 0.04, 0.3, 3, 1.0, riser_spread=0.01, tread_spread=0.05)
+        terrain = build_terrain(Scenario("stairs", (Plane(), stairs), Goal(1.0)), np.random.default_rng(seed))
+        x = np.arange(-0.1, 1.2, 0.001)
+        heights = terrain.height_at(np.column_stack([x, np.zeros_like(x)]))
+        edges = x[1:][np.diff(heights) > 0]
+        risers, treads = np.diff(np.unique(heights.round(6))), np.diff(edges)
+        assert len(risers) == 3
+        np.testing.assert_allclose(risers, risers[0], atol=1e-5)
+        np.testing.assert_allclose(treads, treads[0], atol=2.1e-3)
+        assert 0.03 <= risers[0] <= 0.05
+        assert 0.249 <= treads[0] <= 0.351
+        found.add((risers[0], treads[0]))
+    assert len(found) == 20
+
+
 def test_impossible_terrain_is_refused() -> None:
     for terrain, why in (
         ((Plane(), Plane(height=0.1)), "at most one plane"),
