@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.bench import map_peers
-from deploy.bench.map_peers import Layer, Scores
+from deploy.bench import reduction_peers, score_peers
+from deploy.bench.map_peer import NumpyGrid
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED
+from deploy.bench.score_peers import Layer, Scores
 from deploy.bench.timing import Race, Timing, held_against_first, installed, one_core
 from services.mapper.checked_scan import CheckedScan
 from services.mapper.config import Settings as MapperSettings
@@ -111,14 +112,14 @@ class _Races:
                 depth, camera.intrinsics, camera.sensor, T, resolution=_RESOLUTION, max_range=reach, max_points=most
             )
 
-        peers, missing = installed(map_peers.REDUCTION, camera.intrinsics, camera.sensor, _RESOLUTION, reach)
+        peers, missing = installed(reduction_peers.REDUCTION, camera.intrinsics, camera.sensor, _RESOLUTION, reach)
         self._reduce.start({OURS: ours, **{name: peer.reduce for name, peer in peers.items()}})
-        scores, also_missing = installed(map_peers.SCORE, _RESOLUTION, _WEIGHTS, _RULES)
+        scores, also_missing = installed(score_peers.SCORE, _RESOLUTION, _WEIGHTS, _RULES)
         self._missing = missing + also_missing
         model = FusionModel.of_sensor(camera.sensor, camera.intrinsics.fx)
         self._grids: dict[int, dict[str, Any]] = {}
         for n in SIZES:
-            ours_grid, peer = ElevationGrid(n, _RESOLUTION, model), map_peers.NumpyGrid(n, _RESOLUTION, model)
+            ours_grid, peer = ElevationGrid(n, _RESOLUTION, model), NumpyGrid(n, _RESOLUTION, model)
             self._grids[n] = {OURS: ours_grid, "NumPy": peer}
             self._fuse[n].start({OURS: _fused_into(ours_grid), "NumPy": _fused_by_numpy(peer)})
             whole, changed = (FootholdLayers((n, n), _RESOLUTION, _MARGIN, _WEIGHTS, _RULES) for _ in range(2))
@@ -195,7 +196,7 @@ def _fused_into(grid: ElevationGrid) -> Callable[[ReducedScan, Array], None]:
     return fuse
 
 
-def _fused_by_numpy(grid: map_peers.NumpyGrid) -> Callable[[ReducedScan, Array], None]:
+def _fused_by_numpy(grid: NumpyGrid) -> Callable[[ReducedScan, Array], None]:
     """The same by the peer."""
 
     def fuse(scan: ReducedScan, p_world_camera: Array) -> None:

@@ -10,7 +10,8 @@ from kiss_icp.config import KISSConfig
 from kiss_icp.kiss_icp import KissICP
 from numpy.typing import NDArray
 
-from services.perception.keyframes import BlockFrame, Keyframes, Match
+from services.perception.block_frame import BlockFrame
+from services.perception.keyframes import Keyframes, Match
 from services.perception.registration import (
     Acceptance,
     Registered,

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.perception.anchor import AnchorMap, surface_points
-from services.perception.keyframes import BlockFrame, Keyframes, Match
+from services.perception.block_frame import BlockFrame
+from services.perception.keyframes import Keyframes, Match
 from shared.camera import DepthSensor, Intrinsics
 from shared.compiled import compiled
 from shared.geometry import exp_so3, log_so3, orthonormal

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deploy import cli
-from deploy.bench import accuracy, full_frame, map_peers, model, registration_peers, speed, stages, timing
+from deploy.bench import accuracy, full_frame, model, reduction_peers, registration_peers, score_peers, speed, stages, timing
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED, REGISTERED
 from deploy.true_ground import TrueGround
@@ -177,12 +177,12 @@ def is_picture(path: Path) -> bool:
 def test_the_stages_command_leaves_timings_and_a_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def absent(*_: object) -> map_peers.Scores:
+    def absent(*_: object) -> score_peers.Scores:
         raise ImportError("some library is not there")
 
     monkeypatch.setattr(stages, "SCENES", ("steps",))
-    monkeypatch.setattr(map_peers, "REDUCTION", {"NumPy": map_peers.NumpyReduction})
-    monkeypatch.setattr(map_peers, "SCORE", {"OpenCV + NumPy": map_peers.OpencvChain, "elsewhere": absent})
+    monkeypatch.setattr(reduction_peers, "REDUCTION", {"NumPy": reduction_peers.NumpyReduction})
+    monkeypatch.setattr(score_peers, "SCORE", {"OpenCV + NumPy": score_peers.OpencvChain, "elsewhere": absent})
     cores = os.sched_getaffinity(0)
     assert cli.main(["bench", "stages", "--seeds", "1000:1001", "--frames", "4", "--out", str(tmp_path), "--json"]) == 0
     assert os.sched_getaffinity(0) == cores

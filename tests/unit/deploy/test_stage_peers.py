@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from deploy.bench import map_peers
+from deploy.bench import score_peers
+from deploy.bench.map_peer import NumpyGrid
+from deploy.bench.reduction_peers import NumpyReduction, Open3dCloud
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED
 from services.mapper.elevation import ElevationGrid
@@ -25,7 +27,7 @@ def test_numpy_reduces_a_frame_to_the_same_cells(scene: str) -> None:
     depth = CarriedCamera(way, np.random.default_rng(2)).frame(0)
     found = reduce_scan(depth, camera.intrinsics, camera.sensor, T, max_range=1.5)
     ours = found.origin + 1e-3 * found.points
-    theirs = map_peers.NumpyReduction(camera.intrinsics, camera.sensor, 0.01, 1.5).reduce(depth, T)
+    theirs = NumpyReduction(camera.intrinsics, camera.sensor, 0.01, 1.5).reduce(depth, T)
     cells, others = ({tuple(c) for c in np.floor(p[:, :2] / 0.01 + 1e-6).astype(int).tolist()} for p in (ours, theirs))
     assert len(cells ^ others) < 0.002 * len(cells)
     heights = dict(zip(map(tuple, np.floor(theirs[:, :2] / 0.01 + 1e-6).astype(int).tolist()), theirs[:, 2], strict=True))
@@ -43,14 +45,14 @@ def test_open3d_sees_the_same_ground() -> None:
     way = ride(MAPPED["flat"](np.random.default_rng(0)), np.random.default_rng(1), Errors(), frames=3, length=0.1)
     camera, T = way.profile.camera, way.T_world_camera[0]
     depth = CarriedCamera(way, np.random.default_rng(2)).frame(0)
-    points = map_peers.Open3dCloud(camera.intrinsics, camera.sensor, 0.01, 1.5).reduce(depth, T)
+    points = Open3dCloud(camera.intrinsics, camera.sensor, 0.01, 1.5).reduce(depth, T)
     assert len(points) > 10_000
     assert abs(np.median(points[:, 2])) < 0.002
 
 
 def test_numpy_fuses_scans_into_the_same_map() -> None:
     rng = np.random.default_rng(0)
-    ours, theirs = ElevationGrid(64, 0.01, MODEL), map_peers.NumpyGrid(64, 0.01, MODEL)
+    ours, theirs = ElevationGrid(64, 0.01, MODEL), NumpyGrid(64, 0.01, MODEL)
     for k in range(40):
         p = rng.uniform([-0.4, -0.4, 0.0], [0.6, 0.4, 0.0], (600, 3))  # some cells twice or more, some outside
         p[:, 2] = 0.1 * (p[:, 0] > 0.1 + 0.1 * (k > 20)) + 0.003 * rng.standard_normal(600)  # a step that moves away
@@ -69,7 +71,7 @@ def test_numpy_fuses_scans_into_the_same_map() -> None:
 
 def test_numpy_clears_what_is_gone_and_follows_drift_as_ours() -> None:
     rng = np.random.default_rng(3)
-    ours, theirs = ElevationGrid(64, 0.01, MODEL), map_peers.NumpyGrid(64, 0.01, MODEL)
+    ours, theirs = ElevationGrid(64, 0.01, MODEL), NumpyGrid(64, 0.01, MODEL)
     x, y = np.mgrid[-0.295:0.3:0.01, -0.295:0.3:0.01]
     boxed = (np.abs(x - 0.1) < 0.05) & (np.abs(y) < 0.05)
     heights = []
@@ -90,7 +92,7 @@ def test_numpy_clears_what_is_gone_and_follows_drift_as_ours() -> None:
     np.testing.assert_allclose(elevation, theirs.elevation, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", map_peers.SCORE)
+@pytest.mark.parametrize("name", score_peers.SCORE)
 def test_other_libraries_come_to_the_same_layers(name: str) -> None:
     pytest.importorskip({"SciPy": "scipy", "scikit-image": "skimage"}.get(name, "cv2"), reason="of the bench extra")
     rng = np.random.default_rng(1)
@@ -101,7 +103,7 @@ def test_other_libraries_come_to_the_same_layers(name: str) -> None:
     made = FootholdLayers(elevation.shape, 0.01, Margin(sigmas=0.0), WEIGHTS, FootholdRules()).update(
         fill_small_holes(elevation), np.zeros_like(elevation), np.zeros(2, dtype=np.int64)
     )
-    score, evaluation = map_peers.SCORE[name](0.01, WEIGHTS, FootholdRules()).layers(fill_small_holes(elevation))
+    score, evaluation = score_peers.SCORE[name](0.01, WEIGHTS, FootholdRules()).layers(fill_small_holes(elevation))
     assert np.isfinite(made.score).mean() > 0.5
     np.testing.assert_array_equal(np.isfinite(made.score), np.isfinite(score))
     np.testing.assert_allclose(score, made.score, atol=1e-3, rtol=1e-3)
