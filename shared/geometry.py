@@ -40,7 +40,7 @@ def rotation_z(angle: ArrayLike) -> Array:
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
     """Rotation R = Rz(yaw) Ry(pitch) Rx(roll): (..., 3) [rad] roll, pitch, yaw -> (..., 3, 3)."""
     rpy = np.asarray(rpy, dtype=np.float64)
-    if rpy.ndim == 1:  # the control loop makes one at a time; there the general way costs ten times as much
+    if rpy.ndim == 1:  # the control loop makes one at a time; there arrays of one element would cost the most
         angles = rpy.tolist()
         (cr, cp, cy), (sr, sp, sy) = map(math.cos, angles), map(math.sin, angles)
         return np.array(
@@ -98,7 +98,7 @@ def log_so3(R: Array) -> Array:
 
 
 def _exp_of_one(x: float, y: float, z: float) -> Array:
-    """`exp_so3` of one vector: a tenth of the time, of which a pose takes many."""
+    """`exp_so3` of one vector by plain numbers: for one, the overhead of arrays is most of the time."""
     angle = math.sqrt(x * x + y * y + z * z)
     # With the half angle, so that small ones keep their digits.
     a = math.sin(angle) / angle if angle > 0.0 else 1.0
@@ -212,7 +212,7 @@ def to_millimetres(points: Array, origin: Array) -> NDArray[np.int16]:
 
 
 def _offset(points: Array, by: Array) -> Array:
-    """Points (..., 3), moved in place: column by column, since rows of three take NumPy ten times as long."""
+    """Points (..., 3), moved in place: column by column, since NumPy's loops over rows of three are too short for vectors."""
     for axis in range(3):
         points[..., axis] += by[axis]
     return points

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from deploy import cli
+from services.mapper.checked_scan import CheckedScan
 from services.mapper.elevation import ElevationGrid
 from services.mapper.fusion import FusionModel
 from services.perception import tum
@@ -67,7 +68,7 @@ def test_treads_are_mapped_at_their_height() -> None:
         assert found.ok
         T = found.T_world_camera
         scan = reduce_scan(stairs.depth(index), intrinsics, sensor, T, max_range=4.0, max_points=100_000)
-        grid.fuse(scan.origin + scan.points * 1e-3, scan.count, scan.spread * 1e-3, T[:3, 3])
+        grid.fuse(CheckedScan.of(scan.origin + scan.points * 1e-3, scan.count, scan.spread * 1e-3, T[:3, 3]))
     snapshot = grid.snapshot()
     y = snapshot.origin[1] + snapshot.resolution * np.arange(snapshot.elevation.shape[1])
     staircase = snapshot.elevation[:, (y > 0.5) & (y < 1.3)]  # beside it is furniture

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from services.mapper.checked_scan import CheckedScan
 from services.mapper.elevation import ElevationGrid
 from services.mapper.fusion import FusionModel
 from services.perception.reduction import JUMP, NOISE
@@ -51,7 +52,7 @@ class FullFrames:
         points = apply(T, self._camera.intrinsics.points(z)[np.isfinite(z)])
         points = points[np.hypot(*(points[:, :2] - T[:2, 3]).T) <= self._max_range]
         ones = np.ones(len(points))
-        self.grid.fuse(points, ones, 0.0 * ones, T[:3, 3], pose_covariance=pose.covariance)
+        self.grid.fuse(CheckedScan.of(points, ones, 0.0 * ones, T[:3, 3], pose_covariance=pose.covariance))
 
 
 def steady_depth(raw: NDArray[np.uint16], camera: Camera) -> Array:

@@ -187,7 +187,7 @@ def _fused_into(grid: ElevationGrid) -> Callable[[ReducedScan, Array], None]:
 
     def fuse(scan: ReducedScan, p_world_camera: Array) -> None:
         grid.move_to(p_world_camera[:2])
-        grid.fuse_checked(
+        grid.fuse(
             CheckedScan.of_millimetres(
                 scan.origin, scan.points, scan.count, scan.spread, p_world_camera, pose_covariance=_POSE_COVARIANCE
             )

@@ -122,17 +122,7 @@ class ElevationGrid:
                 self._cells.forget(axis, first % n[axis], leaving)
         self._low = np.array(low, dtype=np.int64)
 
-    def fuse(
-        self,
-        points: NDArray[np.floating],
-        count: NDArray[np.integer | np.floating],
-        spread: NDArray[np.floating],
-        p_world_camera: ArrayLike,
-        *,
-        pose_covariance: NDArray[np.float64] | None = None,
-        sights: NDArray[np.floating] | None = None,
-        nearest: float = 0.0,
-    ) -> FusionCount:
+    def fuse(self, scan: CheckedScan) -> FusionCount:
         """Take one reduced scan into the map; a cell counts at most once per scan.
 
         1. Each point gets a variance from the sensor model and the pose's covariance through the map's own slope; the
@@ -143,24 +133,7 @@ class ElevationGrid:
            its variance never below the floor; one outside votes for the rival (see the module).
         4. Cells that stand in a line of sight become unseen again after a while.
         Before 2, where well-known ground shows that the pose's height has drifted, that is taken out (`height_drift`).
-
-        Args:
-            points: (n, 3) [m] {world} one point per cell seen, of the upper surface where a cell holds two.
-            count: (n,) pixels merged into each point, at least 1.
-            spread: (n,) [m] standard deviation of the merged heights, at least 0.
-            p_world_camera: (3,) [m] {world} optical centre.
-            pose_covariance: (6, 6) [m^2, m rad, rad^2] of the camera's position, then rotation, in world axes.
-            sights: (m, 3) [m] {world} points up to which there is nothing in the camera's sight, beside those of the scan.
-            nearest: [m] from the camera up to which sights say nothing, since it measures nothing there.
-
-        Raises:
-            ValueError: A shape is wrong, or a value is not finite or out of its range; the map is then unchanged.
         """
-        checked = CheckedScan.of(points, count, spread, p_world_camera, pose_covariance, sights, nearest)
-        return self.fuse_checked(checked)
-
-    def fuse_checked(self, scan: CheckedScan) -> FusionCount:
-        """Take a scan that is known to be one into the map, as `fuse` does."""
         cells = self._cells
         # 1. Where the points lie, and how far their heights may be off.
         touched, z, random, systematic, ray = self.model.measure(

@@ -101,7 +101,7 @@ class Mapper:
                 self._refused = str(error)
                 return
             self._grid.move_to(centre[:2])
-            self._grid.fuse_checked(checked)
+            self._grid.fuse(checked)
         self._newest_ns = scan.stamp_ns
         if not self._seeded and pose is not None and legs is not None and np.count_nonzero(~legs.swing) >= 3:
             self._assume_ground(pose, legs)

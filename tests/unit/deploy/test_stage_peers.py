@@ -8,6 +8,7 @@ from deploy.bench.map_peer import NumpyGrid
 from deploy.bench.reduction_peers import NumpyReduction, Open3dCloud
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED
+from services.mapper.checked_scan import CheckedScan
 from services.mapper.elevation import ElevationGrid
 from services.mapper.foothold_map import FootholdRules
 from services.mapper.fusion import FusionModel
@@ -61,7 +62,8 @@ def test_numpy_fuses_scans_into_the_same_map() -> None:
         camera = np.array([0.005 * k - 0.3, 0.1 - 0.004 * k, 0.5])
         for grid in (ours, theirs):
             grid.move_to(camera[:2])
-            grid.fuse(p, count, spread, camera, pose_covariance=1e-6 * np.eye(6))
+        ours.fuse(CheckedScan.of(p, count, spread, camera, 1e-6 * np.eye(6)))
+        theirs.fuse(p, count, spread, camera, 1e-6 * np.eye(6))
     elevation = ours.snapshot().elevation
     known = np.isfinite(elevation)
     assert known.mean() > 0.5
@@ -82,8 +84,9 @@ def test_numpy_clears_what_is_gone_and_follows_drift_as_ours() -> None:
         p = np.column_stack(
             [x[seen], y[seen], np.where(boxed, 0.2, 0.0)[seen] + rise + 0.0005 * rng.standard_normal(seen.sum())]
         )
-        for grid in (ours, theirs):
-            grid.fuse(p, np.full(len(p), 8), np.zeros(len(p)), np.array([-0.4, 0.0, 0.5]), pose_covariance=1e-9 * np.eye(6))
+        scan = p, np.full(len(p), 8), np.zeros(len(p)), np.array([-0.4, 0.0, 0.5]), 1e-9 * np.eye(6)
+        ours.fuse(CheckedScan.of(*scan))
+        theirs.fuse(*scan)
         elevation = ours.snapshot().elevation
         np.testing.assert_array_equal(np.isfinite(elevation), np.isfinite(theirs.elevation))
         heights.append(float(np.nanmedian(elevation)))

@@ -15,6 +15,7 @@ from services.mapper.fusion import FusionModel
 from services.mapper.holes import fill_small_holes
 from shared.camera import DepthSensor
 
+scan_of = CheckedScan.of
 CAMERA = np.array([0.0, 0.0, 0.25])
 
 
@@ -28,7 +29,7 @@ def scan(
     grid: ElevationGrid, xy: NDArray[np.float64], z: NDArray[np.float64] | float, count: int = 4, **kwargs: Any
 ) -> FusionCount:
     points = np.column_stack([xy, np.broadcast_to(z, len(xy))])
-    return grid.fuse(points, np.full(len(xy), count), np.zeros(len(xy)), CAMERA, **kwargs)
+    return grid.fuse(scan_of(points, np.full(len(xy), count), np.zeros(len(xy)), CAMERA, **kwargs))
 
 
 def test_equal_measurements_converge_and_the_variance_falls_to_the_floor_never_below() -> None:
@@ -67,7 +68,7 @@ def test_order_of_consistent_measurements_does_not_matter(order: list[int]) -> N
     for sequence in (range(6), order):
         grid = ElevationGrid(size=64, model=model)
         for k in sequence:
-            grid.fuse(np.array([[*xy[0], heights[k]]]), np.array([counts[k]]), np.zeros(1), (-0.9, 0.0, 0.5))
+            grid.fuse(scan_of(np.array([[*xy[0], heights[k]]]), np.array([counts[k]]), np.zeros(1), (-0.9, 0.0, 0.5)))
         results.append((grid.heights(xy)[0], float(np.nanmin(grid.snapshot().variance))))
     assert results[0] == pytest.approx(results[1], rel=1e-3)
 
@@ -135,7 +136,9 @@ def test_a_map_knows_how_wrong_it_is_where_sensor_and_pose_are_as_modelled(gradi
         xy = centres(grid)
         truth = xy @ gradient
         # The exact map lends the slope; then its cells are made as good as new.
-        grid.fuse(np.column_stack([xy, truth]), np.full(len(xy), 8), np.zeros(len(xy)), camera, pose_covariance=np.eye(6))
+        grid.fuse(
+            scan_of(np.column_stack([xy, truth]), np.full(len(xy), 8), np.zeros(len(xy)), camera, pose_covariance=np.eye(6))
+        )
         v, w = np.split(rng.multivariate_normal(np.zeros(6), S), 2)
         points = np.column_stack([xy, truth])
         n = np.append(-np.array(gradient), 1.0)
@@ -143,7 +146,7 @@ def test_a_map_knows_how_wrong_it_is_where_sensor_and_pose_are_as_modelled(gradi
         # Noise along the ray, as the height at the place shows it on level ground.
         noise = 2e-3 * (ray**2).sum(axis=1) * np.abs(ray[:, 2]) / np.linalg.norm(ray, axis=1) * rng.normal(size=len(xy))
         points[:, 2] += (v + np.cross(w, ray)) @ n + noise
-        grid.fuse(points, np.ones(len(xy)), np.zeros(len(xy)), camera, pose_covariance=S)
+        grid.fuse(scan_of(points, np.ones(len(xy)), np.zeros(len(xy)), camera, pose_covariance=S))
         snapshot = grid.snapshot()
         ratio = (snapshot.elevation - truth.reshape(16, 16)) ** 2 / snapshot.variance
         ratios.append(ratio[1:-1, 1:-1].mean())  # at the window's border the slope is unknown
@@ -217,11 +220,11 @@ def test_within_one_scan_the_upper_side_of_an_edge_stands_and_equal_points_merge
     points = np.array([[0.002, 0.002, 0.0], [0.004, 0.004, 0.03], [0.006, 0.006, 0.0]])
     for order in ([0, 1, 2], [1, 0, 2], [0, 2, 1]):
         grid = ElevationGrid(size=16)
-        report = grid.fuse(points[order], np.ones(3), np.zeros(3), CAMERA)
+        report = grid.fuse(scan_of(points[order], np.ones(3), np.zeros(3), CAMERA))
         assert report == FusionCount(updated=1, disputed=0, replaced=0, outside=0)
         assert grid.heights([0.005, 0.005]) == pytest.approx(0.03, abs=1e-6)
     grid = ElevationGrid(size=16)
-    grid.fuse(np.array([[0.002, 0.002, 0.001], [0.004, 0.004, 0.003]]), np.ones(2), np.zeros(2), CAMERA)
+    grid.fuse(scan_of(np.array([[0.002, 0.002, 0.001], [0.004, 0.004, 0.003]]), np.ones(2), np.zeros(2), CAMERA))
     assert grid.heights([0.005, 0.005]) == pytest.approx(0.002, abs=2e-5)
 
 
@@ -235,7 +238,7 @@ def test_points_outside_are_counted_and_change_nothing() -> None:
 
 def test_an_empty_scan_is_nothing() -> None:
     grid = ElevationGrid(size=16)
-    assert grid.fuse(np.empty((0, 3)), np.empty(0), np.empty(0), CAMERA) == FusionCount(0, 0, 0, 0)
+    assert grid.fuse(scan_of(np.empty((0, 3)), np.empty(0), np.empty(0), CAMERA)) == FusionCount(0, 0, 0, 0)
 
 
 @given(
@@ -252,7 +255,7 @@ def test_no_finite_scan_breaks_the_map(rows: list[tuple[float, float, float, int
     grid = ElevationGrid(size=16)
     table = np.array(rows, dtype=np.float64).reshape(-1, 5)
     for _ in range(8):
-        report = grid.fuse(table[:, :3], table[:, 3], table[:, 4], CAMERA, pose_covariance=pose * np.eye(6))
+        report = grid.fuse(scan_of(table[:, :3], table[:, 3], table[:, 4], CAMERA, pose_covariance=pose * np.eye(6)))
         cells = len(np.unique(np.floor(table[:, :2] / 0.01)[(grid.heights(table[:, :2]) > -np.inf)], axis=0))
         assert report.updated + report.disputed == cells
     snapshot = grid.snapshot()
@@ -289,7 +292,7 @@ def test_bad_scans_are_refused_and_leave_the_map_as_it_was(index: int, bad: NDAr
     arguments = list(GOOD)
     arguments[index] = bad
     with pytest.raises(ValueError, match="expected"):
-        grid.fuse(*arguments)
+        grid.fuse(scan_of(*arguments))
     assert np.isnan(grid.snapshot().elevation).all()
 
 
@@ -325,8 +328,8 @@ def test_millimetres_of_the_wire_make_the_same_map_as_metres() -> None:
         mm = rng.integers([-250, -250, -330], [250, 250, -300 + 60 * (k < 10)], (2000, 3)).astype(np.int16)
         count, spread = rng.integers(1, 30, 2000).astype(np.uint8), rng.integers(0, 9, 2000).astype(np.uint8)
         sights = rng.integers([200, -200, -300], [250, 200, -290], (100, 3)).astype(np.int16)
-        metres.fuse(origin + mm * 1e-3, count, spread * 1e-3, camera, sights=origin + sights * 1e-3, nearest=0.1)
-        wire.fuse_checked(CheckedScan.of_millimetres(origin, mm, count, spread, camera, None, sights, 0.1))
+        metres.fuse(scan_of(origin + mm * 1e-3, count, spread * 1e-3, camera, sights=origin + sights * 1e-3, nearest=0.1))
+        wire.fuse(CheckedScan.of_millimetres(origin, mm, count, spread, camera, None, sights, 0.1))
     for layer in ("elevation", "variance"):
         np.testing.assert_array_equal(getattr(metres.snapshot(), layer), getattr(wire.snapshot(), layer))
     assert np.isfinite(wire.snapshot().elevation).sum() > 1000
@@ -335,9 +338,9 @@ def test_millimetres_of_the_wire_make_the_same_map_as_metres() -> None:
 def test_bad_settings_are_refused() -> None:
     grid = ElevationGrid(size=16)
     with pytest.raises(ValueError, match="negative eigenvalue"):
-        grid.fuse(*GOOD, pose_covariance=-np.eye(6))
+        grid.fuse(scan_of(*GOOD, pose_covariance=-np.eye(6)))
     with pytest.raises(ValueError, match="pose covariance"):
-        grid.fuse(*GOOD, pose_covariance=np.full((6, 6), np.nan))
+        grid.fuse(scan_of(*GOOD, pose_covariance=np.full((6, 6), np.nan)))
     with pytest.raises(ValueError, match="coordinates"):
         grid.move_to((0.0, math.nan))
     with pytest.raises(ValueError, match="8 cells"):
@@ -585,7 +588,7 @@ def test_low_blocks_come_out_crisp_with_true_poses() -> None:
     for k in range(60):
         p_camera = np.array([0.012 * k, 0.03 * math.sin(k), 0.25 + 0.005 * math.sin(2.0 * k)])
         grid.move_to(p_camera[:2])
-        grid.fuse(*block_scan(p_camera, math.radians(30 + math.sin(k)), rng), p_camera)
+        grid.fuse(scan_of(*block_scan(p_camera, math.radians(30 + math.sin(k)), rng), p_camera))
     snapshot = grid.snapshot()
     xy = centres(grid).reshape(256, 256, 2)
     x, y = xy[..., 0], xy[..., 1]
@@ -643,7 +646,7 @@ def look(
 
 
 def take(grid: ElevationGrid, points: NDArray[np.float64], p_camera: NDArray[np.float64], **kwargs: Any) -> FusionCount:
-    return grid.fuse(points, np.full(len(points), 4), np.zeros(len(points)), p_camera, **kwargs)
+    return grid.fuse(scan_of(points, np.full(len(points), 4), np.zeros(len(points)), p_camera, **kwargs))
 
 
 BOX = np.array([[0.9, -0.15, 1.1, 0.15, 0.10]])
@@ -829,7 +832,9 @@ def test_a_coarser_map_holds_the_mean_of_its_ground_and_knows_how_far_it_strays(
     x, y = (np.arange(low[k] + 0.005, high[k], 0.01) for k in (0, 1))
     xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     slope = rng.uniform(-0.19, 0.19, 2)  # 15 deg at most
-    report = grid.fuse(np.column_stack([xy, xy @ slope]), np.full(len(xy), 4), np.zeros(len(xy)), np.array([-0.5, 0.0, 0.5]))
+    report = grid.fuse(
+        scan_of(np.column_stack([xy, xy @ slope]), np.full(len(xy), 4), np.zeros(len(xy)), np.array([-0.5, 0.0, 0.5]))
+    )
     assert report.updated == 600
     snapshot = grid.snapshot()
     error = snapshot.elevation.ravel() - centres(grid) @ slope
@@ -842,7 +847,9 @@ def test_a_coarser_map_holds_the_mean_of_its_ground_and_knows_how_far_it_strays(
 @pytest.mark.parametrize("step", [0.05, 0.10])
 def test_a_coarser_map_keeps_the_upper_side_of_an_edge(step: float) -> None:
     grid = ElevationGrid(20, 0.03)
-    grid.fuse(np.array([[0.005, 0.0, 0.0], [0.015, 0.0, step], [0.025, 0.0, step]]), np.full(3, 8), np.zeros(3), CAMERA)
+    grid.fuse(
+        scan_of(np.array([[0.005, 0.0, 0.0], [0.015, 0.0, step], [0.025, 0.0, step]]), np.full(3, 8), np.zeros(3), CAMERA)
+    )
     assert grid.heights([0.015, 0.005]) == pytest.approx(step, abs=1e-6)
 
 

@@ -107,7 +107,7 @@ def test_a_mistake_of_our_own_is_no_bad_scan(monkeypatch: pytest.MonkeyPatch) ->
         raise ValueError("operands could not be broadcast together")
 
     rig = Rig()
-    monkeypatch.setattr(ElevationGrid, "fuse_checked", mistaken)
+    monkeypatch.setattr(ElevationGrid, "fuse", mistaken)
     with pytest.raises(ValueError, match="broadcast"):
         rig.map(scan(ground()))
 
