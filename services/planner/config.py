@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:
@@ -13,7 +15,8 @@ class Settings:
     step_s: float = 0.80  # [s] duration of a step
     max_stride: float = 0.09  # [m] of the body in one step
     max_turn_deg: float = 10.0  # [deg] of the body in one step
-    max_lean_deg: float = 12.0  # [deg] of the body with the ground
+    max_lean_deg: float = 12.0  # [deg] of the body with the ground, and
+    max_tilt_deg: float = 8.0  # [deg] by which that changes in one step
     max_climb: float = 0.03  # [m] of the body's height in one step
     search_radius: float = 0.06  # [m] around the nominal foothold
     min_foot_distance: float = 0.06  # [m] between feet
@@ -33,3 +36,9 @@ class Settings:
             raise ValueError(f"step_s of 0.4 to 2 s expected, found {self.step_s}")
         if not self.retarget_until < self.plan_from:
             raise ValueError(f"retarget_until below plan_from expected, found {self.retarget_until} and {self.plan_from}")
+        for name in ("max_stride", "max_climb", "search_radius", "pose_age_s", "map_age_s", "revise_s"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise ValueError(f"a positive {name} expected, found {getattr(self, name)}")
+        for name in ("max_turn_deg", "max_lean_deg", "max_tilt_deg", "min_foot_distance", "min_margin", "path_margin"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"a {name} of at least 0 expected, found {getattr(self, name)}")

@@ -125,6 +125,9 @@ class Planner:
         at = self._situation(state, pose, command)
         if at is None:
             return self._hold("waiting", "the running step is not one of mine; waiting for its end")
+        nonsense = self._strides.objection(command)
+        if nonsense:
+            return self._hold("blocked", nonsense)
         if _differ(command, self._asked):
             self._refusals.forget()
             self._asked = command
@@ -178,10 +181,11 @@ class Planner:
         running = self._running
         if running is None:
             return None
-        stride = running.stride
-        before, self._looked_at = self._looked_at, (stride, terrain.map)
-        if before is not None and before[0] is stride and before[1] is terrain.map:
+        before, self._looked_at = self._looked_at, (running.stride, terrain.map)
+        if before is not None and before[0] is running.stride and before[1] is terrain.map:
             return None  # nothing has changed since
+        # The legs walk by what was believed when the plan was made; in the world as it is believed to be now that leads here.
+        stride = running.stride.moved_by(pose.T_world_odom @ inverse(running.plan.T_world_odom))
         found = self._strides.retarget(stride, terrain)
         if np.abs(found.touchdown - stride.touchdown).max() < self._settings.retarget_from_m:
             return None

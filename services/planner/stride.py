@@ -1,5 +1,6 @@
 """One step of the walk: footholds for the swinging tripod and a place for the body, or the reason why there is none."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +10,8 @@ from services.planner.body import clear_of_ground, floor_height, leaning, slope_
 from services.planner.config import Settings
 from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
 from services.planner.gait import nominal_touchdowns
-from services.planner.terrain import Terrain
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, yaw_of
+from services.planner.terrain import NONE, Terrain
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, rpy_from_rotation, yaw_of
 from shared.kinematics import body_inverse, leg_inverse, within_limits
 from shared.messages import VelocityCommand
 from shared.robot import LEGS, RobotProfile
@@ -20,7 +21,7 @@ SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when t
 _DESCENT = np.array([0.0, 0.0, 0.03])  # [m] over a foothold, from where a foot comes straight down
 _MAX_CLEARANCE = 0.11  # [m] over both ends that a leg can lift its foot
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
-_LEANS = np.arange(5)[:, None] * 0.25  # share of the ground's slope by which it may lean
+_LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # share of the ground's slope by which it may lean
 _REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may turn out to be lower than believed
 
 
@@ -43,8 +44,15 @@ class Stride:
     nominal: Array  # (6, 2) [m] {world} where swinging feet would land on unobstructed ground
     clearance: Array  # (6,) [m]
     body_goal: Array  # (4, 4) {world}
+    start: Array  # (6, 3) [m] {world} foot centres before it
     moved: int  # footholds away from their nominal place
     share: float  # of the commanded travel
+
+    def moved_by(self, T: Array) -> "Stride":
+        """The same step after a correction (4, 4) of where the world is believed to be."""
+        nominal = apply(T, np.column_stack([self.nominal, self.touchdown[:, 2]]))[:, :2]
+        touchdown, start = apply(T, self.touchdown), apply(T, self.start)
+        return replace(self, touchdown=touchdown, nominal=nominal, body_goal=T @ self.body_goal, start=start)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,18 +66,22 @@ class Blocked:
 class StridePlanner:
     """Plans steps for one robot; it keeps only tables."""
 
-    def __init__(self, profile: RobotProfile, settings: Settings, resolution: float = 0.01):
-        """Prepare the search order.
-
-        Args:
-            profile: The robot.
-            settings: Of the planner.
-            resolution: [m] cell edge of the maps to come.
-        """
+    def __init__(self, profile: RobotProfile, settings: Settings):
+        """Plan for a robot."""
         self._profile = profile
         self._settings = settings
         self._foot_up = np.array([0.0, 0.0, profile.foot.radius])  # [m] from the ground to a foot's centre
-        self._offsets = offsets_by_distance(settings.search_radius, resolution)
+        self._offsets = offsets_by_distance(settings.search_radius, 0.01)
+        self._offsets_resolution = 0.01  # [m] of the map that they are for
+
+    def objection(self, command: VelocityCommand) -> str:
+        """Why a command cannot be walked by this robot anywhere, in words, or nothing."""
+        low, high = self._profile.stance.body_height_range
+        if not low <= command.body_height <= high:
+            return f"a body height of {low:g} to {high:g} m expected, {command.body_height:g} m commanded"
+        if not 0.0 < command.lift <= _MAX_CLEARANCE:
+            return f"a lift of more than 0 and at most {_MAX_CLEARANCE:g} m expected, {command.lift:g} m commanded"
+        return ""
 
     def plan(self, at: Situation, terrain: Terrain, passed_over: int = 0) -> Stride | Blocked:
         """The longest step towards the command that the terrain allows, the longest few passed over."""
@@ -83,12 +95,19 @@ class StridePlanner:
         return first
 
     def retarget(self, stride: Stride, terrain: Terrain) -> Stride:
-        """The same step with its touchdowns chosen anew on a newer map; a leg that finds nothing better keeps its own."""
+        """The same step with its touchdowns chosen anew on a newer map; a leg that finds nothing better keeps its own.
+
+        Nothing is better that asks for more lift than the foot has been given.
+        """
         touchdown = stride.touchdown.copy()
         for leg in np.flatnonzero(stride.swing).tolist():
             ground = self._foothold(leg, stride.nominal[leg], touchdown, stride.body_goal, stride.body_goal, terrain)
-            if not isinstance(ground, NoFoothold):
-                touchdown[leg] = ground.p_world + self._foot_up
+            if isinstance(ground, NoFoothold):
+                continue
+            moved = touchdown.copy()
+            moved[leg] = ground.p_world + self._foot_up
+            if self._clearance(stride.start, moved, 0.0, terrain)[leg] <= stride.clearance[leg]:
+                touchdown = moved
         return replace(stride, touchdown=touchdown)
 
     def _attempt(self, at: Situation, terrain: Terrain, share: float) -> Stride | Blocked:
@@ -116,13 +135,13 @@ class StridePlanner:
         )
         if problem:
             return Blocked(problem)
-        clearance = self._clearance(at, touchdown, terrain)
+        clearance = self._clearance(at.feet, touchdown, at.command.lift, terrain)
         too_high = np.flatnonzero(at.swing & (clearance > _MAX_CLEARANCE))
         if len(too_high):
             leg = int(too_high[0])
             return Blocked(f"{LEGS[leg]} leg: something on its way asks for {clearance[leg] * 100:.0f} cm of lift", leg)
         clearance = np.where(at.swing, clearance, settings.path_margin)
-        return Stride(at.swing, touchdown, nominal, clearance, T_end, moved, share)
+        return Stride(at.swing, touchdown, nominal, clearance, T_end, at.feet, moved, share)
 
     def _body_way(self, at: Situation, share: float) -> tuple[Array, Array, Array]:
         """Travel (2,) [m] {body} of the step, and the body, level, at its end and one step later."""
@@ -143,8 +162,7 @@ class StridePlanner:
     def _raised(self, at: Situation, terrain: Terrain, T_end: Array, T_after: Array, nominal: Array) -> tuple[Array, Array]:
         """The same poses at the height over the floor that is commanded, climbing no faster than the robot can.
 
-        Where the standing legs would not reach the ground from there, the body is lower or leans with the ground, no more than
-        it takes.
+        Where legs would not reach the ground from there, the body is lower or leans with the ground, no more than it takes.
         """
         ground = at.feet[:, 2] - self._profile.foot.radius
         ahead = terrain.footing(nominal)
@@ -156,33 +174,36 @@ class StridePlanner:
         T_end, T_after = T_end.copy(), T_after.copy()
         T_end[2, 3] = T_after[2, 3] = height
         stance = np.column_stack([np.where(at.swing[:, None], nominal, at.feet[:, :2]), ground])
-        lean, stoop = self._posture(at, T_end, stance, floor)
-        return leaning(T_end, lean, stoop), leaning(T_after, lean, stoop)
+        # A place that carries no foot is not worth stooping for.
+        wanted = ~at.swing | (terrain.suitability(nominal) > NONE)
+        lowest = max(floor + self._profile.stance.body_height_range[0], now - climb)
+        second_best = T_end, T_after
+        for lean, stoop in self._postures(at.T_world_body, slope_under(stance, T_end), height - lowest):
+            spare = _REACH_SPARE if stoop > 0.0 or lean.any() else np.zeros(3)
+            feet = np.where(at.swing[:, None], stance + self._foot_up, at.feet) - spare
+            end, after = leaning(T_end, lean, stoop), leaning(T_after, lean, stoop)
+            reached = self._within_limits(feet, end) & (self._within_limits(feet, after) | ~at.swing)
+            if reached[wanted].all():
+                return end, after
+            if reached[~at.swing].all() and second_best[0] is T_end:
+                second_best = end, after
+        return second_best
 
-    def _posture(self, at: Situation, T_end: Array, stance: Array, floor: float) -> tuple[Array, float]:
-        """Lean (2,) [rad], roll and pitch, and stoop [m] of the body at the end of a step.
+    def _postures(self, T_world_body: Array, slope: Array, room: float) -> Iterator[tuple[Array, float]]:
+        """Leans (2,) [rad], roll and pitch, and stoops [m] that a body may take, by rising departure from level and height.
 
         Args:
-            at: Where the robot will be when it begins.
-            T_end: (4, 4) the body at its end, level and as high as commanded.
-            stance: (6, 3) [m] {world} ground under the feet when they have landed.
-            floor: [m] {world} height of the ground that counts.
-
-        Returns:
-            Level and as commanded where the standing legs reach the ground so, or none helps; else the first that does.
+            T_world_body: (4, 4) the body as it is.
+            slope: (2,) [rad] of the ground, as `leaning` takes it.
+            room: [m] by which the body may be lower.
         """
-        if self._within_limits(at.feet, T_end)[~at.swing].all():
-            return np.zeros(2), 0.0
-        slope = slope_under(stance, T_end)
-        most = min(1.0, np.radians(self._settings.max_lean_deg) / max(float(np.linalg.norm(slope)), 1e-9))
-        lowest = floor + self._profile.stance.body_height_range[0]
-        stoops = _STOOPS[(_STOOPS == 0.0) | (T_end[2, 3] - _STOOPS >= lowest)].tolist()
-        feet = at.feet - _REACH_SPARE
-        for lean in _LEANS * most * slope:
-            for stoop in stoops:
-                if self._within_limits(feet, leaning(T_end, lean, stoop))[~at.swing].all():
-                    return lean, stoop
-        return np.zeros(2), 0.0
+        settings = self._settings
+        most = min(1.0, np.radians(settings.max_lean_deg) / max(float(np.linalg.norm(slope)), 1e-9))
+        now, change = rpy_from_rotation(T_world_body[:3, :3])[:2], np.radians(settings.max_tilt_deg)
+        for share in _LEANS:
+            lean = np.clip(share * most * slope, now - change, now + change)
+            for stoop in _STOOPS[(_STOOPS == 0.0) | (room >= _STOOPS)].tolist():
+                yield lean, stoop
 
     def _foothold(
         self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain
@@ -196,6 +217,9 @@ class StridePlanner:
             from_above = self._reaches(leg, feet_world + _DESCENT, T_end)  # a folded leg comes down further out
             return from_above & self._reaches(leg, feet_world, T_end) & self._reaches(leg, feet_world, T_after)
 
+        if terrain.map.resolution != self._offsets_resolution:
+            self._offsets_resolution = terrain.map.resolution
+            self._offsets = offsets_by_distance(self._settings.search_radius, self._offsets_resolution)
         return nearest_foothold(terrain, nominal, self._offsets, others, self._settings.min_foot_distance, reachable)
 
     def _reaches(self, leg: int, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
@@ -222,12 +246,11 @@ class StridePlanner:
         needed = f"{self._settings.min_margin * 100:.1f} cm needed"
         return f"the body would be {margin * 100:.1f} cm inside its three feet {when}, {needed}"
 
-    def _clearance(self, at: Situation, touchdown: Array, terrain: Terrain) -> Array:
+    def _clearance(self, feet: Array, touchdown: Array, lift: float, terrain: Terrain) -> Array:
         """Clearance (6,) [m] over both ends: over what lies between them, too, and more where the ground is rough."""
         settings = self._settings
-        start, end = at.feet[:, 2] - self._profile.foot.radius, touchdown[:, 2] - self._profile.foot.radius
+        start, end = feet[:, 2] - self._profile.foot.radius, touchdown[:, 2] - self._profile.foot.radius
         higher, lower = np.maximum(start, end), np.minimum(start, end)
-        between = terrain.highest_along(at.feet[:, :2], touchdown[:, :2])
+        between = terrain.highest_along(feet[:, :2], touchdown[:, :2])
         rough = np.maximum(higher, between) - lower > settings.uneven
-        lift = np.where(rough, max(at.command.lift, settings.rough_lift), at.command.lift)
-        return np.maximum(lift, between - higher + settings.path_margin)
+        return np.maximum(np.where(rough, max(lift, settings.rough_lift), lift), between - higher + settings.path_margin)

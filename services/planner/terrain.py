@@ -94,7 +94,7 @@ class Terrain:
         known = np.isfinite(patch)
         return np.where(known[:, 4], np.where(known, patch, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
 
-    def highest_along(self, start: Array, end: Array, half_width: float = 0.02, points: int = 12) -> Array:
+    def highest_along(self, start: Array, end: Array, half_width: float = 0.02) -> Array:
         """Highest known ground (n,) [m] {world} under straight ways between (n, 2) starts and ends, -inf for none.
 
         A foot is as wide as it is and does not keep to the line to the millimetre: the ways are bands, `half_width` [m] to
@@ -103,14 +103,16 @@ class Terrain:
         way = end - start
         length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-6)
         aside = np.column_stack([-way[:, 1], way[:, 0]]) / length
-        s = np.linspace(0.0, 1.0, points)[:, None, None, None]
-        offset = np.linspace(-half_width, half_width, 5)[None, :, None, None] * np.sin(np.pi * s) ** 0.5
-        heights = self.heights((start + s * way + offset * aside).reshape(-1, 2)).reshape(points * 5, -1)
+        along, across = (int(np.ceil(reach / self.map.resolution)) + 1 for reach in (float(length.max()), 2.0 * half_width))
+        s = np.linspace(0.0, 1.0, along)[:, None, None, None]
+        offset = np.linspace(-half_width, half_width, across)[None, :, None, None] * np.sin(np.pi * s) ** 0.5
+        heights = self.heights((start + s * way + offset * aside).reshape(-1, 2)).reshape(along * across, -1)
         return np.asarray(np.where(np.isfinite(heights), heights, -np.inf).max(axis=0))
 
-    def highest_under(self, corners: Array, spacing: float = 0.02) -> float:
+    def highest_under(self, corners: Array) -> float:
         """Highest known ground [m] {world} under a rectangle, given by three corners (3, 2): origin, along, aside."""
         origin, along, aside = corners
+        spacing = self.map.resolution
         n = max(2, int(np.ceil(np.linalg.norm(along - origin) / spacing)) + 1)
         m = max(2, int(np.ceil(np.linalg.norm(aside - origin) / spacing)) + 1)
         u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, m), indexing="ij")

@@ -268,6 +268,40 @@ def test_a_newer_map_moves_the_touchdowns_of_the_running_step(make_terrain: Make
     assert rig.plans(3, phase=0.3) == []  # said once
 
 
+def test_a_revision_after_a_correction_leads_where_the_legs_will_go(make_terrain: Maker) -> None:
+    rig = Rig()
+    first = rig.plans(10)[-1]
+    rig.begin(first)
+    T = from_xyz_rpy((0.02, -0.01, 0.0), (0.0, 0.0, 0.03))
+    assert rig.pose is not None
+    rig.pose = replace(rig.pose, T_world_body=T @ rig.pose.T_world_body, T_world_odom=T)
+    assert rig.plans(3, phase=0.1) == []  # on level ground every place is as good as another
+    leg = int(np.flatnonzero(first.swing)[0])
+    bad = apply(T, first.touchdown)[leg, :2]
+    rig.terrain = make_terrain(score=lambda x, y: np.where(np.hypot(x - bad[0], y - bad[1]) < 0.02, 9.0, 0.0)).map
+    (revised,) = rig.plans(3, phase=0.2)
+    # The actuator carries the body's goal along with the correction, and leaves standing feet where they are.
+    np.testing.assert_allclose(revised.body_goal, T @ first.body_goal, atol=1e-9)
+    standing_still = ~revised.swing
+    np.testing.assert_allclose(revised.touchdown[standing_still], apply(T, first.touchdown)[standing_still], atol=1e-9)
+
+
+def test_commands_beyond_the_robot_are_refused_by_name() -> None:
+    rig = Rig()
+    assert rig.command is not None
+    rig.command = replace(rig.command, body_height=0.25)
+    assert rig.plans(3) == []
+    assert rig.status().reason == "a body height of 0.07 to 0.15 m expected, 0.25 m commanded"
+
+
+@pytest.mark.parametrize(
+    ("name", "bad"), [("max_climb", -0.01), ("search_radius", -0.01), ("max_lean_deg", -1.0), ("revise_s", np.nan)]
+)
+def test_settings_that_make_no_sense_are_refused(name: str, bad: float) -> None:
+    with pytest.raises(ValueError, match=f"{name}.* expected, found {bad}"):
+        Settings(**{name: bad})
+
+
 def test_a_step_nearly_done_is_not_revised(make_terrain: Maker) -> None:
     rig = Rig()
     first = rig.plans(10)[-1]

@@ -52,7 +52,8 @@ def walkable(found: Stride, at: Situation) -> None:
     """What every step promises."""
     feet = apply(inverse(found.body_goal), found.touchdown)
     assert within_limits(PROFILE, body_inverse(PROFILE, feet)).all()
-    from_above = within_limits(PROFILE, body_inverse(PROFILE, feet + np.array([0.0, 0.0, 0.03])))
+    above = apply(inverse(found.body_goal), found.touchdown + np.array([0.0, 0.0, 0.03]))
+    from_above = within_limits(PROFILE, body_inverse(PROFILE, above))
     assert from_above[at.swing].all()  # nor does a foot come down from the side
     np.testing.assert_array_equal(found.touchdown[~at.swing], at.feet[~at.swing])
     for legs, body in ((~at.swing, at.T_world_body), (~at.swing, found.body_goal), (at.swing, found.body_goal)):
@@ -60,6 +61,10 @@ def walkable(found: Stride, at: Situation) -> None:
     apart = np.linalg.norm(found.touchdown[:, None, :2] - found.touchdown[None, :, :2], axis=2) + np.eye(6)
     assert apart[np.ix_(at.swing, np.ones(6, dtype=bool))].min() >= SETTINGS.min_foot_distance
     assert (found.clearance >= 0).all()
+    # Nor does the body climb, sink or tilt faster than it may.
+    assert abs(found.body_goal[2, 3] - at.T_world_body[2, 3]) <= SETTINGS.max_climb + 1e-9
+    tilt = rpy_from_rotation(found.body_goal[:3, :3])[:2] - rpy_from_rotation(at.T_world_body[:3, :3])[:2]
+    assert np.degrees(np.abs(tilt)).max() <= SETTINGS.max_tilt_deg + 1e-6
 
 
 @given(st.floats(-0.08, 0.08), st.floats(-0.08, 0.08), st.floats(-0.2, 0.2), st.booleans())
@@ -209,6 +214,39 @@ def test_legs_that_stand_low_make_the_body_stoop_no_more_than_it_takes() -> None
     assert heights[-1] >= PROFILE.stance.body_height_range[0]
 
 
+def test_legs_that_must_reach_down_make_it_stoop_too(make_terrain: Maker) -> None:
+    high = 0.12
+    down = make_terrain(lambda x, y: np.where(x > 0.17, -0.09, 0.0), lambda x, y: np.where(np.abs(x - 0.17) < 0.03, 9.0, 0.0))
+    T = from_xyz_rpy((0.0, 0.0, high), np.zeros(3))
+    at = standing(command(0.10, height=high), T=T, feet=apply(T, PROFILE.rest_feet(high)))
+    found = stride(at, down)
+    walkable(found, at)
+    assert found.touchdown[0, 2] < -0.05
+    assert found.body_goal[2, 3] < high or rpy_from_rotation(found.body_goal[:3, :3])[1] > 0.0
+
+
+@pytest.mark.parametrize(("asked", "why"), [(command(height=0.25), "body height"), (command(lift=0.2), "lift of")])
+def test_commands_that_no_ground_allows_are_named(asked: VelocityCommand, why: str) -> None:
+    assert why in PLANNER.objection(asked)
+    assert PLANNER.objection(command()) == ""
+
+
+def test_footholds_are_searched_for_in_cells_of_the_map(make_terrain: Maker) -> None:
+    """The one good place lies between the cells of a coarser map."""
+    fine = flat_terrain(0, np.zeros(2), 0.0, half_size=0.6, resolution=0.005)
+    wanted = stride(standing(), fine).touchdown[0, :2]
+    fine.map.score[:] = 9.0
+    cell = fine.cells(wanted[None])[0][0] + (3, -5)
+    fine.map.score[tuple(cell)] = 0.0
+    other = [leg for leg in (2, 4) if TRIPOD[leg]]
+    for leg in other:
+        ij = fine.cells(stride(standing()).touchdown[leg : leg + 1, :2])[0][0]
+        fine.map.score[ij[0] - 3 : ij[0] + 4, ij[1] - 3 : ij[1] + 4] = 0.0
+    found = stride(standing(), fine)
+    np.testing.assert_allclose(found.touchdown[0, :2], fine.map.origin + 0.005 * cell, atol=1e-9)
+    assert stride(standing()).moved == 0  # and a coarser map again
+
+
 def test_commanded_height_is_approached() -> None:
     found = stride(standing(command(0.0, height=0.12)))
     assert found.body_goal[2, 3] == pytest.approx(HEIGHT + min(0.02, SETTINGS.max_climb))
@@ -227,12 +265,17 @@ def test_a_foot_is_lifted_over_what_lies_on_its_way(make_terrain: Maker) -> None
 
 def test_what_no_foot_can_be_lifted_over_blocks(make_terrain: Maker) -> None:
     at = standing(command(0.1))
-    middle = (at.feet[0, :2] + stride(at).touchdown[0, :2]) / 2
-    wall = make_terrain(lambda x, y: np.where((np.abs(x - middle[0]) < 0.011) & (y > 0.1), 0.2, 0.0))
-    found = PLANNER.plan(at, wall)
-    assert isinstance(found, Blocked) or np.abs(found.touchdown[0, :2] - at.feet[0, :2]).max() < 0.08
-    if isinstance(found, Blocked):
-        assert "cm of lift" in found.reason
+    foot = at.feet[0, :2]
+    # A wall around the foot, so near that no step is short enough to end before it, and feet are kept off it.
+    ring = make_terrain(
+        lambda x, y: np.where(np.abs(np.hypot(x - foot[0], y - foot[1]) - 0.03) < 0.012, 0.2, 0.0),
+        lambda x, y: np.where(np.hypot(x - foot[0], y - foot[1]) < 0.05, 9.0, 0.0),
+    )
+    found = PLANNER.plan(at, ring)
+    assert isinstance(found, Blocked)
+    assert found.leg == 0
+    assert "left front leg: something on its way asks for" in found.reason
+    assert "cm of lift" in found.reason
 
 
 @pytest.mark.parametrize("heading", np.radians([30.0, 90.0, -135.0]))
@@ -272,3 +315,25 @@ def test_retargeting_keeps_its_foothold_when_the_map_has_nothing_better(make_ter
     found = stride(standing())
     nothing = make_terrain(score=lambda x, y: np.full_like(x, 9.0))
     np.testing.assert_array_equal(PLANNER.retarget(found, nothing).touchdown, found.touchdown)
+
+
+def test_retargeting_takes_no_way_that_asks_for_more_lift(make_terrain: Maker) -> None:
+    at = standing(command(0.1))
+    found = stride(at)
+    middle, bad = (at.feet[0, :2] + found.touchdown[0, :2]) / 2, found.touchdown[0, :2]
+
+    def spoilt(x: Array, y: Array) -> Array:
+        return np.where(np.hypot(x - bad[0], y - bad[1]) < 0.02, 9.0, 0.0)
+
+    bump = make_terrain(lambda x, y: np.where(np.hypot(x - middle[0], y - middle[1]) < 0.025, 0.07, 0.0), spoilt)
+    np.testing.assert_array_equal(PLANNER.retarget(found, bump).touchdown[0], found.touchdown[0])
+    assert np.abs(PLANNER.retarget(found, make_terrain(score=spoilt)).touchdown[0] - found.touchdown[0]).max() > 0.01
+
+
+def test_a_step_moved_by_a_correction_is_the_same_seen_from_the_body() -> None:
+    found, T = stride(standing(command(0.06, 0.01, 0.1))), from_xyz_rpy((0.02, -0.01, 0.004), (0.0, 0.0, 0.03))
+    moved = found.moved_by(T)
+    for name in ("touchdown", "start"):
+        was, now = getattr(found, name), getattr(moved, name)
+        np.testing.assert_allclose(apply(inverse(moved.body_goal), now), apply(inverse(found.body_goal), was), atol=1e-12)
+    np.testing.assert_allclose(moved.nominal, apply(T, np.column_stack([found.nominal, np.zeros(6)]))[:, :2], atol=1e-9)

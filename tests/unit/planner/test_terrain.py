@@ -57,6 +57,12 @@ def test_the_highest_along_a_way_is_found_and_what_is_unseen_is_not_it(make_terr
     np.testing.assert_allclose(wall.highest_along(start, end), [0.05, 0.0, 0.0, -np.inf], atol=1e-7)
 
 
+@pytest.mark.parametrize("x", np.arange(-0.09, 0.10, 0.01))
+def test_no_wall_of_a_cell_is_missed_along_a_way(make_terrain: Maker, x: float) -> None:
+    wall = make_terrain(lambda u, v: np.where(np.abs(u - x) < 0.006, 0.06, 0.0))
+    assert wall.highest_along(np.array([[-0.1, 0.02]]), np.array([[0.1, -0.02]]))[0] == pytest.approx(0.06)
+
+
 def test_the_highest_under_a_turned_rectangle(make_terrain: Maker) -> None:
     post = make_terrain(lambda x, y: np.where(np.hypot(x - 0.1, y) < 0.03, 0.06, 0.0))
 
