@@ -186,6 +186,15 @@ def from_xyz_rpy(xyz: ArrayLike, rpy: ArrayLike) -> Array:
     return transform(rotation_from_rpy(rpy), xyz)
 
 
+def is_rigid(T: Array, tolerance: float = 1e-6) -> bool:
+    """Whether (4, 4) is a rotation and a translation."""
+    R = T[:3, :3]
+    if not np.abs(R).max() <= 1.0 + tolerance:
+        return False
+    off = np.abs(R @ R.T - np.eye(3)).max()
+    return bool(off <= tolerance and np.linalg.det(R) > 0.0 and (T[3] == (0.0, 0.0, 0.0, 1.0)).all())
+
+
 def inverse(T: Array) -> Array:
     """Inverse of rigid transforms (..., 4, 4), by transposing the rotation."""
     if T.ndim == 2:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.actuator.config import SHORTEST_STEP_S
-from shared.geometry import Array, apply, inverse, rpy_from_rotation
+from shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
 from shared.kinematics import body_inverse, within_limits
 from shared.messages import StepPlan
 from shared.robot import JOINTS, LEGS, RobotProfile
@@ -19,7 +19,6 @@ MAX_TILT = np.radians(15.0)
 MAX_TURN = np.radians(25.0)
 DURATION = (SHORTEST_STEP_S, 4.0)  # [s]
 MAX_CLEARANCE = 0.12  # [m]
-_RIGID = 1e-6  # [1] of a rotation's products
 MIN_MARGIN = 0.005  # [m] of the body's centre inside the standing feet
 
 
@@ -125,8 +124,7 @@ class Guard:
 def _malformed(plan: StepPlan) -> str:
     """Whether a pose of the plan is none."""
     for name, T in (("T_world_odom", plan.T_world_odom), ("body_goal", plan.body_goal)):
-        R = T[:3, :3]
-        if np.abs(R @ R.T - np.eye(3)).max() > _RIGID or np.linalg.det(R) < 0 or (T[3] != (0.0, 0.0, 0.0, 1.0)).any():
+        if not is_rigid(T):
             return f"the plan's {name} is not a rigid transform"
     return ""
 

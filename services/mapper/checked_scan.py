@@ -46,7 +46,7 @@ class CheckedScan:
         Args:
             points: (n, 3) [m] {world} one point per cell seen, of the upper surface where a cell holds two.
             count: (n,) pixels merged into each point, at least 1.
-            spread: (n,) [m] standard deviation of the merged heights, at least 0.
+            spread: (n,) [m] from the lowest to the highest height merged, at least 0.
             p_world_camera: (3,) [m] {world} optical centre.
             pose_covariance: (6, 6) [m^2, m rad, rad^2] of the camera's position, then rotation, in world axes.
             sights: (m, 3) [m] {world} points up to which there is nothing in the camera's sight, beside those of the scan.

@@ -95,7 +95,7 @@ class EvaluationFunction:
             accessible: (nx, ny) 1 where the map carries a foot, else 0: B.
             refused: (nx, ny) 1 where it was found not to, else 0.
             known: (nx, ny) 1 where there is a height, else 0.
-            level: (nx, ny) [cells] of margin that a cell is to keep; None for none at all.
+            level: (nx, ny) [cells] of margin that a cell is to keep, `TOO_WIDE` for more than any; None for none at all.
 
         Returns:
             (nx, ny) [cells] negative on accessible ground, at least -bound; positive elsewhere, at most reach; UNKNOWN where
@@ -108,8 +108,8 @@ class EvaluationFunction:
         ground &= _eroded(filled, self._vacant_disc)
         if level is not None:
             firm = ground.copy()
-            for k in range(1, int(level.max()) + 1):
-                np.copyto(firm, _eroded(ground, DISCS[k]), where=level == k)
+            for k in np.unique(level[level > 0]).tolist():
+                np.copyto(firm, np.uint8(0) if k == TOO_WIDE else _eroded(ground, DISCS[k]), where=level == k)
             ground = firm
         F = signed_manhattan(ground, self.bound, self.reach)
         np.copyto(F, UNKNOWN, where=known == 0)
@@ -155,7 +155,8 @@ def disc(radius: float, least: int = 1) -> NDArray[np.uint8]:
     return np.asarray(near, dtype=np.uint8)
 
 
-DISCS = tuple(disc(k, least=0) for k in range(5))  # by the cells of margin that are kept
+TOO_WIDE = 15  # [cells] of margin, which no cell keeps
+DISCS = tuple(disc(k, least=0) for k in range(TOO_WIDE))  # by the cells of margin that are kept
 
 
 def _eroded(layer: NDArray[np.uint8], room: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -72,8 +72,8 @@ class FusionModel:
         """Variance of measured heights: the part that repeated measurement averages away, and the part it does not.
 
         The distance stands for the depth, which overstates the noise by at most 1/cos of the angle off the axis. A
-        spread beyond the noise of a pixel is the ground's own: a foot may meet any of it, so it does not average away,
-        and a scan that saw a cell's face and top together yields to one that saw the top alone.
+        spread beyond the noise of a pixel is the ground's own: a foot may meet any of it, so the whole of it counts as one
+        sigma and does not average away, and a scan that saw a cell's face and top together yields to one that saw the top alone.
 
         A pose that is wrong by the twist (v, w) carries a point at r from the camera off by v + w x r, and the height
         that is noted at a place of ground with the gradient s off by n . (v + w x r), n = (-s, 1). So a pose covariance S
@@ -83,7 +83,7 @@ class FusionModel:
         Args:
             points: (n, 3) [m] {world} one point per cell, the mean of its pixels.
             count: (n,) pixels merged into each point.
-            spread: (n,) [m] standard deviation of the heights merged.
+            spread: (n,) [m] from the lowest to the highest height merged.
             p_world_camera: (3,) [m] {world} optical centre.
             pose_covariance: (6, 6) [m^2, m rad, rad^2] of the camera's position, then rotation, in world axes; none: exact.
             slope: (n, 2) [m/m] gradient of the ground at each point in x and y, NaN or none where it is unknown.

@@ -20,15 +20,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.foothold_map import DISCS, EvaluationFunction, FootholdRules
+from services.mapper.foothold_map import DISCS, TOO_WIDE, EvaluationFunction, FootholdRules
 from services.mapper.holes import fill_small_holes
 from services.mapper.score import Scalar, ScoreWeights, WalkabilityScorer, reference_height
 from shared.compiled import compiled
 from shared.messages import UNKNOWN
 
-_MOST_ADDED = (
-    len(DISCS) - 1
-)  # [cells] that a margin may ask for beyond the score's own: more than that and nothing would be left
+_WIDEST = 0.05  # [m] that a margin may ask for beyond the score's own: a cell that asks for more carries no foot
 _WHOLE = 0.8  # share of the map from which all of it is made anew
 _BAND = 65536  # cells scored at a time
 
@@ -78,6 +76,7 @@ class FootholdLayers:
         self._margin = margin or Margin()
         self._scorer = WalkabilityScorer(shape, resolution, weights)
         self._evaluator = EvaluationFunction(resolution, rules)
+        self._most = min(max(1, math.ceil(_WIDEST / resolution)), TOO_WIDE - 1)  # [cells] of margin added
         self._halo = self._scorer.halo + 1  # a bridged hole shows its neighbours' heights
         self._first: NDArray[np.int64] | None = None  # cell of the world at (0, 0)
         self._reference = math.nan
@@ -214,23 +213,25 @@ class FootholdLayers:
         """Cells (nx, ny) by which each cell's margin is wider than what the score looks at; None where none is."""
         margin, weights, r = self._margin, self._scorer.weights, self._resolution
         room = weights.flat_radius - margin.foot_radius + r / 2  # [m] of sigmas until a first cell is added
-        steps = [room + k * r for k in range(_MOST_ADDED)]
+        steps = [room + k * r for k in range(self._most + 1)]
         fixed = sum(step < 0 for step in steps)  # that the foot asks for by itself
-        if fixed == _MOST_ADDED or margin.sigmas == 0:
-            return np.full(self.shape, fixed, dtype=np.uint8) if fixed else None
+        levels = np.array([*range(self._most + 1), TOO_WIDE], dtype=np.uint8)
+        if fixed == len(steps) or margin.sigmas == 0:
+            return np.full(self.shape, levels[fixed], dtype=np.uint8) if fixed else None
         limits = [np.float32((step / margin.sigmas) ** 2 - position_sigma**2) for step in steps[fixed:]]
-        foothold = self._score <= np.float32(weights.limit)
+        # By either layer: ground too steep for one of them may carry a foot by the other.
+        foothold = (self._score <= np.float32(weights.limit)) | (self._even == 1)
         if limits[0] < 0 or fixed:
-            level = np.where(foothold, np.uint8(fixed), np.uint8(0))
+            added = np.where(foothold, np.uint8(fixed), np.uint8(0))
             v = np.where(np.isnan(variance), np.float32(0.0), variance)
             for limit in limits:
-                level += foothold & (v > limit)
-            return level
+                added += foothold & (v > limit)
+            return np.asarray(levels[added])
         doubtful = np.flatnonzero(foothold & (variance > limits[0]))  # few as a rule, and most often none
         if not len(doubtful):
             return None
         level = np.zeros(self.shape, dtype=np.uint8)
-        level.ravel()[doubtful] = np.searchsorted(np.array(limits), variance.ravel()[doubtful])
+        level.ravel()[doubtful] = levels[np.searchsorted(np.array(limits), variance.ravel()[doubtful])]
         return level
 
     def _evaluate(self, elevation: NDArray[np.float32], lowest: np.float32, level: NDArray[np.uint8] | None) -> None:
@@ -243,7 +244,7 @@ class FootholdLayers:
         self._ground, self._moved = ground, False
         if changed[1] <= changed[0]:
             return
-        halo = self._evaluator.halo + _MOST_ADDED
+        halo = self._evaluator.halo + self._most
         i0, i1, j0, j1 = part = self._wider(changed, halo)
         self._evaluation[i0:i1, j0:j1] = UNKNOWN
         # Beyond what is known nothing is, and nothing is to be said.
@@ -280,8 +281,10 @@ def _bands(part: Rectangle) -> Iterator[Rectangle]:
 
 
 def _worst_within(score: NDArray[np.float32], level: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The highest score within so many cells of each, NaN where one of them has none or lies beyond the border."""
+    """The highest score within so many cells of each; NaN for `TOO_WIDE`, and where one has none or is beyond the border."""
     worst = score.copy()
+    worst[level == TOO_WIDE] = np.nan
+    level = np.where(level == TOO_WIDE, np.uint8(0), level)
     i0, i1, j0, j1 = _rectangle_of(level)
     if i1 == 0:
         return worst
@@ -293,7 +296,7 @@ def _worst_within(score: NDArray[np.float32], level: NDArray[np.uint8]) -> NDArr
     known = np.asarray(cv2.copyMakeBorder(block, *beyond, cv2.BORDER_CONSTANT, value=[nan]), dtype=np.float32)
     known[np.isnan(known)] = np.inf
     inner = slice(most, most + i1 - i0), slice(most, most + j1 - j0)
-    for k in range(1, most + 1):
+    for k in np.unique(level[level > 0]).tolist():
         around = cv2.dilate(known, DISCS[k])[inner]
         np.copyto(worst[i0:i1, j0:j1], around, where=level == k)
     worst[np.isinf(worst)] = np.nan

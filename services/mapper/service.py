@@ -20,8 +20,8 @@ from services.mapper.terrain_type import TerrainType
 from services.mapper.touch import TouchWatch
 from shared import topics
 from shared.color import from_codes
-from shared.geometry import Array, apply
-from shared.messages import ActuatorState, BodyPose, Message, PassageMap, PassageRequest, Scan, TerrainMap
+from shared.geometry import Array, apply, is_rigid
+from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, TerrainMap
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
 
@@ -31,10 +31,12 @@ _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a scan that was overtaken may be late
 _FROM_BODY = 1.0  # [m] from the body to the camera, beyond which pose and scan have nothing to do with each other
 _FROM_CAMERA = 1.0  # [m] from the camera to the origin of its scan, which is a corner of the cell that the camera is in
+_NARROWEST = 3  # cells of a passage, either way: fewer have no slope
 _BOX = 10  # cells of the box around a passage that lies askew, to those it may have
 _FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
 _NEAR = 1.2  # of the camera's least range, up to which a line of sight without a return says nothing
 _REACH = 0.30  # [m] between a foot and the map under it, beyond which pose and map have nothing to do with each other
+_WORST_COVARIANCE = 1e4  # [m^2] and [rad^2]
 _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
 
 
@@ -82,7 +84,7 @@ class Mapper:
         """Fuse one scan; every few of them score and publish the map."""
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.latest(topics.ACTUATOR_STATE)
         centre = scan.p_world_camera if pose is None else pose.T_world_body[:3, 3]
-        self._refused = self._objection(scan, centre)
+        self._refused = self._objection(scan, pose, centre)
         if self._refused:
             return  # no map goes out, so that nobody takes the old one for a new one
         with self.stages("fuse"):
@@ -103,7 +105,7 @@ class Mapper:
             self._grid.move_to(centre[:2])
             self._grid.fuse(checked)
         self._newest_ns = scan.stamp_ns
-        if not self._seeded and pose is not None and legs is not None and np.count_nonzero(~legs.swing) >= 3:
+        if not self._seeded and pose is not None and legs is not None and _stand(legs):
             self._assume_ground(pose, legs)
             self._seeded = True
         if self._profile.camera.color and (len(scan.color) or self._type is not None):
@@ -186,6 +188,8 @@ class Mapper:
         settings = self._settings
         strip = Strip((float(request.origin[0]), float(request.origin[1])), request.heading, request.length, request.width)
         nx, ny = cells_of(strip, settings.resolution)
+        if min(nx, ny) < _NARROWEST:
+            raise ValueError(f"at least {_NARROWEST} cells along and across expected, found {nx} x {ny}")
         if nx * ny > settings.passage_cells:
             raise ValueError(f"at most {settings.passage_cells} cells expected, found {nx} x {ny}")
         columns = math.prod(strip.box(settings.resolution)[1])
@@ -197,12 +201,16 @@ class Mapper:
             )
         return strip
 
-    def _objection(self, scan: Scan, centre: Array) -> str:
-        """Why a scan is none of here and now, by the body's place (3,) [m] {world}; nothing if it is."""
+    def _objection(self, scan: Scan, pose: BodyPose | None, centre: Array) -> str:
+        """Why a scan is none of here and now, by the pose or else the body's place (3,) [m] {world}; nothing if it is."""
         if 0 <= self._newest_ns - scan.stamp_ns < _OUT_OF_ORDER_NS:  # further back it is another clock
             return "it is no newer than the one before"
         if not (np.abs(centre) < FAR).all():
             return f"a body within {FAR:g} m of the world's origin expected"
+        if pose is not None and not is_rigid(pose.T_world_body):
+            return "the body's pose is no rotation and translation"
+        if pose is not None and np.abs(pose.covariance).max() > _WORST_COVARIANCE:
+            return f"a pose known to {math.sqrt(_WORST_COVARIANCE):g} m and rad expected, its covariance says otherwise"
         away = float(np.abs(scan.p_world_camera - centre).max())
         if away > _FROM_BODY:
             return f"it was taken {away:.3g} m from where the body is"
@@ -240,7 +248,7 @@ class Mapper:
     def _assume_ground(self, pose: BodyPose, legs: ActuatorState) -> None:
         """Fill what the camera cannot see at the start with the plane of the standing feet; measurements amend it."""
         settings, T = self._settings, pose.T_world_body
-        feet = apply(T, legs.feet)[~legs.swing] - [0.0, 0.0, self._profile.foot.radius]
+        feet = apply(T, legs.feet)[legs.contact & ~legs.swing] - [0.0, 0.0, self._profile.foot.radius]
         plane = feet_plane(feet)
         # In mid-course, where a mapper begins anew, there may be anything ahead: unless what is seen beyond goes on as the
         # feet stand, only the ground under the robot is taken for known.
@@ -299,6 +307,13 @@ class Mapper:
             assumed=snapshot.assumed.astype(np.bool_),
             **made_of,
         )
+
+
+def _stand(legs: ActuatorState) -> bool:
+    """Whether the feet show where the ground is: limp legs, or a robot that is being carried, do not."""
+    carrying = legs.contact & ~legs.swing
+    near = np.abs(legs.feet).max() < _FROM_BODY
+    return bool(legs.mode in (Mode.HOLD, Mode.WALK) and np.count_nonzero(carrying) >= 3 and near)
 
 
 def _no_passage(stamp_ns: int, request: PassageRequest, resolution: float, reason: str) -> PassageMap:

@@ -129,6 +129,12 @@ class Palette:
         self.weight[kind, k] += weight
         self.mean[kind, k] += weight / self.weight[kind, k] * (color - self.mean[kind, k])
 
+    def take_back(self, kind: int, color: Array, weight: float, sigma: Array) -> None:
+        """Let a colour (3,) count less for a type, where it is within two sigma of known ones."""
+        near = (np.linalg.norm((self.mean[kind] - color) / sigma, axis=1) <= 2.0) & (self.weight[kind] > 0.0)
+        if near.any():
+            self.weight[kind, near] = np.maximum(self.weight[kind, near] - weight / near.sum(), 0.0)
+
 
 class TerrainType:
     """Colours and touches of the cells around the robot, and what they say together."""
@@ -151,6 +157,7 @@ class TerrainType:
         self._touch = np.full((*shape, _TYPES), 0.0, dtype=np.float32)  # log likelihood of all touches
         self._reference: Array | None = None  # colour of the ground that carried, of all touches
         self._carried = 0.0  # touches behind it
+        self._falsely = self._sinks_on_firm_ground()
         self._bin_of = np.full(_LUMA_BINS * _CHROMA_BINS**2, -1, dtype=np.int32)
         self._near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, [2 * round(self.model.clearance / resolution) + 1] * 2)
 
@@ -204,9 +211,13 @@ class TerrainType:
             color = features(under).mean(axis=0)
             # A foot that did not clearly sink has found firm ground. Were every doubt counted as a share of loose ground, a
             # colour on which nothing but firm ground has been found would still get a bad name, since it is new.
-            sank = said[1:].max() > said[Type.FIRM] + math.log(self.model.sank_ratio)
+            sank = self._sank(said)
             likely = np.exp(said - said.max()) * self._density(color) * self._prior() if sank else _FIRMLY
             self._teach(color, likely / likely.sum(), 1.0)
+            if not sank:
+                # Now and then a foot seems to sink on firm ground, too: those that do not take back what that has taught.
+                for kind in (Type.WATER, Type.LOOSE):
+                    self.palette.take_back(kind, color, self._falsely, np.array(self.model.same_sigma))
 
     def sink_log_likelihood(self, sink: float | None) -> Array:
         """Log likelihood (3,) of firm, water and loose ground, given how far a foot sank [m], None where it found nothing.
@@ -221,6 +232,21 @@ class TerrainType:
         water, loose = (_blurred_exponential(sink, mean, m.firm_sink_sigma) for mean in (m.water_sink, m.loose_sink))
         floor = m.firm_outlier / m.deepest
         return np.asarray(np.log([firm, max(water, floor), max(loose, floor)]))
+
+    def _sank(self, said: Array) -> bool:
+        """Whether log likelihoods (3,) tell against firm ground."""
+        return bool(said[1:].max() > said[Type.FIRM] + math.log(self.model.sank_ratio))
+
+    def _sinks_on_firm_ground(self) -> float:
+        """How often feet seem to sink on firm ground, per foot that does not."""
+        m = self.model
+        sinks = np.linspace(0.0, m.deepest, 201)[1:]
+        told = np.array([self._sank(self.sink_log_likelihood(float(sink))) for sink in sinks])
+        error = np.exp(-0.5 * (sinks / m.firm_sink_sigma) ** 2) / (m.firm_sink_sigma * math.sqrt(2.0 * math.pi))
+        density = (1.0 - m.firm_outlier) * error + m.firm_outlier / m.deepest
+        falsely = float((density * told).sum() * (sinks[1] - sinks[0])) * (1.0 - m.nothing_found[Type.FIRM])
+        falsely += m.nothing_found[Type.FIRM] * self._sank(self.sink_log_likelihood(None))
+        return falsely / (1.0 - falsely)
 
     def classify(self, slope: Layer, roughness: Layer) -> TypeMap:
         """What every cell is.

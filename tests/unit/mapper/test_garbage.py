@@ -88,6 +88,29 @@ def test_what_makes_no_sense_is_said_and_leaves_the_map_as_it_was(name: str) -> 
     assert rig.mapper.doing().startswith("mapping")
 
 
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"covariance": np.full((6, 6), 1e300)}, "covariance says otherwise"),
+        ({"T_world_body": np.diag([1e7, 1e7, 1e7, 1.0])}, "no rotation and translation"),
+        ({"T_world_body": np.diag([-1.0, 1.0, 1.0, 1.0])}, "no rotation and translation"),
+    ],
+)
+def test_a_pose_that_is_none_is_said_and_leaves_the_map_as_it_was(changes: dict[str, Array], words: str) -> None:
+    rig = Rig()
+    before = rig.map(scan(ground()))
+    assert before is not None
+    pose = BodyPose(rig.now_ns, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
+    bad = replace(pose, **changes)  # type: ignore[arg-type]
+    rig.inbox.receive(topics.BODY_POSE, codec.encode(bad), rig.now_ns)
+    assert rig.map(scan(ground())) is None
+    assert words in rig.mapper.doing()
+    rig.stand((0.0, 0.0, 0.1))
+    after = rig.map(scan(ground()))
+    assert after is not None
+    np.testing.assert_allclose(after.elevation, before.elevation, atol=1e-4)
+
+
 def test_a_scan_that_is_refused_does_not_move_the_map() -> None:
     rig = Rig()
     before = rig.map(scan(ground()))

@@ -200,6 +200,27 @@ def test_more_doubt_never_makes_a_foothold() -> None:
 # ---- Lotriet's form
 
 
+@pytest.mark.parametrize("resolution", [0.005, 0.01, 0.02])
+def test_a_place_known_too_badly_is_a_foothold_by_no_layer(resolution: float) -> None:
+    z = np.zeros((N, N), dtype=np.float32)
+    maker = FootholdLayers((N, N), resolution, None, WEIGHTS)
+    made = maker.update(z, np.full_like(z, 1e-6), ORIGIN, math.inf, 0.5)
+    assert not (made.score <= 1).any()
+    assert not (made.evaluation < 0).any()
+    sure = maker.update(z, np.full_like(z, 1e-6), ORIGIN, math.inf, 0.001)
+    assert (sure.score <= 1).any()
+    assert (sure.evaluation < 0).any()
+
+
+def test_doubt_widens_the_margin_on_ground_that_only_one_layer_takes() -> None:
+    """35 degrees: too steep for Lotriet's score, but not for Masri's map; it ends at unknown ground."""
+    z = 0.7 * 0.01 * np.arange(N)[:, None] * np.ones(N)
+    z[:, N // 2 :] = np.nan
+    assert not (of(z).score <= 1).any()
+    good = [int((of(z, sigma).evaluation[N // 2] < 0).sum()) for sigma in (0.0, 0.01, 0.02, 0.5)]
+    assert good[0] > good[1] > good[2] > good[3] == 0
+
+
 def test_the_published_score_is_ours_without_the_third_term() -> None:
     """On known ground slope and proximity are the thesis's with two constants fixed."""
     rng = np.random.default_rng(2)

@@ -145,6 +145,26 @@ def test_without_a_pose_and_legs_nothing_is_assumed() -> None:
     assert then.assumed.any()
 
 
+@pytest.mark.parametrize(
+    "limp",
+    [
+        replace(legs(), mode=Mode.OFF, contact=np.zeros(6, dtype=bool)),
+        replace(legs(), mode=Mode.STAND),
+        replace(legs(), contact=np.zeros(6, dtype=bool)),
+        legs(feet=PROFILE.rest_feet(HEIGHT) + np.array([0.0, 0.0, 1e30])),
+    ],
+)
+def test_legs_that_do_not_stand_show_no_ground(limp: ActuatorState) -> None:
+    rig = Rig()
+    rig.stand(at())
+    rig.hear(replace(limp, stamp_ns=rig.now_ns))
+    (before,) = rig.scan()
+    assert not before.assumed.any()
+    rig.stand(at())
+    (then,) = rig.scan()
+    assert then.assumed.any()
+
+
 def test_feet_in_the_air_are_no_ground() -> None:
     """A mapper that comes new into a step."""
     rig, swing = Rig(), np.arange(6) % 2 == 0
@@ -296,6 +316,8 @@ def test_a_strip_that_moves_on_keeps_what_lies_on_it() -> None:
         ((0.0, 0.0), 0.0, 50.0, 50.0, "at most 40000 cells"),
         ((0.0, 0.0), 0.785, 100.0, 0.04, "in the box around it"),
         ((1e9, 0.0), 0.0, 2.7, 1.0, "within"),
+        ((0.0, 0.0), 0.0, 1.0, 0.02, "at least 3 cells along and across expected, found 100 x 2"),
+        ((0.0, 0.0), 0.0, 0.01, 1.0, "at least 3 cells"),
     ],
 )
 def test_a_strip_that_cannot_be_is_refused_in_words(

@@ -126,6 +126,22 @@ def test_a_new_colour_on_which_feet_stand_a_little_low_gets_no_bad_name() -> Non
         assert not judged(known).hazard.any()
 
 
+@pytest.mark.parametrize(("sigma", "outliers"), [(0.006, 0.0), (0.003, 0.05), (0.006, 0.05)])
+@pytest.mark.parametrize("seed", range(3))
+def test_thousands_of_steps_on_firm_ground_give_it_no_bad_name(sigma: float, outliers: float, seed: int) -> None:
+    """Errors as the model itself takes them for, on ground that is new at every touch."""
+    rng = np.random.default_rng(seed)
+    known = painted(GREY)
+    assert known.stand_on(ALL)
+    place, model = np.zeros(2), known.model
+    for k in range(4000):
+        sink = rng.uniform(0.0, model.deepest) if rng.random() < outliers else rng.normal(0.0, sigma)
+        known.touch(place, float(sink))
+        known._touch[:] = 0.0
+        if k % 500 == 499:
+            assert not judged(known).hazard.any()
+
+
 def test_feet_that_carry_clear_a_colour_of_its_bad_name() -> None:
     known = painted(GREY, (POOL, BLUE))
     known.stand_on(~POOL)
