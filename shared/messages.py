@@ -162,7 +162,9 @@ class BodyPose(Message):
 
     T_world_body: Pose
     T_world_odom: Pose  # correction: T_world_odom @ T_odom_body is where the body is at any time near, its tilt averaged
-    covariance: Annotated[NDArray[np.float64], Dims(6, 6)]  # [m^2, m rad, rad^2] position, then rotation, {world}
+    covariance: Annotated[
+        NDArray[np.float64], Dims(6, 6)
+    ]  # [m^2, m rad, rad^2] of the body's position, then rotation, {world}, against the ground as it was mapped lately
     overlap: float  # [1] share of the scan that met the reference
     ok: bool  # False: registration failed and odometry alone stands behind the pose
     reason: str  # what is wrong, in words; empty when nothing is

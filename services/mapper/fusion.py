@@ -73,7 +73,7 @@ class FusionModel:
 
         The distance stands for the depth, which overstates the noise by at most 1/cos of the angle off the axis. A
         spread beyond the noise of a pixel is the ground's own: a foot may meet any of it, so the whole of it counts as one
-        sigma and does not average away, and a scan that saw a cell's face and top together yields to one that saw the top alone.
+        sigma and does not average away: a scan that saw a cell's face and top together yields to one that saw the top alone.
 
         A pose that is wrong by the twist (v, w) carries a point at r from the camera off by v + w x r, and the height
         that is noted at a place of ground with the gradient s off by n . (v + w x r), n = (-s, 1). So a pose covariance S

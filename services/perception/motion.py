@@ -11,6 +11,7 @@ from shared.messages import Odometry
 _KEPT = 100  # messages, two seconds
 _STILL = 1.5e-3  # [m] and [rad], three times what the servos' resolution makes of a standing robot
 _MAX_EXTRAPOLATION_NS = 100_000_000  # [ns] beyond the newest message the body is taken to stand still
+_OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a message may be late; further back it is of another clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +22,7 @@ class Motion:
     travelled: float  # [m]
     turned: float  # [rad]
     reliable: bool  # False where fewer than three legs carried, or nothing has been heard for long
+    silence_s: float = 0.0  # [s] for which nothing had been heard
 
 
 class OdometryHistory:
@@ -32,11 +34,12 @@ class OdometryHistory:
         self._messages: list[Odometry] = []
 
     def add(self, message: Odometry) -> None:
-        """Take in a message; one that has travelled less than its predecessor belongs to a new beginning."""
+        """Take in a message; one that has travelled less, or is far older, than its predecessor belongs to a new beginning."""
         newest = self._messages[-1] if self._messages else None
-        if newest is not None and message.stamp_ns <= newest.stamp_ns:
+        since_ns = 1 if newest is None else message.stamp_ns - newest.stamp_ns
+        if -_OTHER_CLOCK_NS < since_ns <= 0:
             return  # out of order: what came later stands
-        if newest is not None and message.travelled < newest.travelled:
+        if newest is not None and (message.travelled < newest.travelled or since_ns < 0):
             self.restarts += 1
             self._messages.clear()
         self._messages.append(message)
@@ -59,7 +62,8 @@ class OdometryHistory:
         a, b = (messages[after - 1], messages[after]) if after < len(messages) else (messages[max(0, after - 2)], messages[-1])
         if a is b:
             recent = stamp_ns <= a.stamp_ns + _MAX_EXTRAPOLATION_NS
-            return Motion(np.array(a.T_odom_body), a.travelled, a.turned, a.reliable and recent)
+            silence_s = max(0, stamp_ns - a.stamp_ns) * 1e-9
+            return Motion(np.array(a.T_odom_body), a.travelled, a.turned, a.reliable and recent, silence_s)
         span = b.stamp_ns - a.stamp_ns
         latest_ns = b.stamp_ns + _MAX_EXTRAPOLATION_NS
         s = (min(stamp_ns, latest_ns) - a.stamp_ns) / span
@@ -67,7 +71,8 @@ class OdometryHistory:
             interpolate(a.T_odom_body, b.T_odom_body, s),
             a.travelled + s * (b.travelled - a.travelled),
             a.turned + s * (b.turned - a.turned),
-            a.reliable and b.reliable and stamp_ns <= latest_ns,
+            a.reliable and b.reliable and stamp_ns <= latest_ns and span <= 2 * _MAX_EXTRAPOLATION_NS,
+            max(0, stamp_ns - b.stamp_ns) * 1e-9,
         )
 
 

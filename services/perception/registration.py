@@ -137,12 +137,12 @@ class Registration:
             depth_raw: (h, w) raw depth, 0 = no return.
             stamp_ns: [ns] capture time, copied to the result.
             T_world_camera_prior: (4, 4) expected pose, e.g. the last one composed with the odometry since.
-            prior_covariance: (6, 6) [m, rad] of its error twist, as in `Registered`: the last result's plus that
-                of the odometry since, or a wide one where velocity is only assumed constant.
+            prior_covariance: (6, 6) [m, rad] of its error twist, as in `Registered`: that of the odometry since the last
+                frame that registered, or a wide one where velocity is only assumed constant.
 
         Returns:
-            The pose; on failure the prior and the reason. Its covariance is against the keyframes, so their own
-            drift is not in it.
+            The pose; on failure the prior and the reason. Its covariance is against the ground as it was mapped lately:
+            the drift of the keyframes is not in it, nor is what earlier frames left to the legs, by which the map is off, too.
 
         Raises:
             ValueError: A shape or type that differs, or a covariance that is not positive definite.

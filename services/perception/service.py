@@ -23,7 +23,8 @@ from shared.service import AnyTopic, Inbox, Stages
 
 _SAMPLED = 8  # every how many rows and columns are looked at to tell a frozen picture
 _EMPTY_EVERY = 3  # scans after which pixels without a return count as lines of sight: they are less to be relied upon
-_BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothing is in range
+_BLIND_WAY, _BLIND_S = 0.6, 2.0  # [m] and [s] for which one may walk over what has been mapped while nothing is in range
+_SILENT_S = 0.5  # [s] without odometry from which nothing is known of what the ground does not show
 _MOVED = 0.01  # [m] or [rad] beyond which no two pictures are the same
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a frame that was overtaken may be late
 _LEFT = 0.8  # share of an axis that must be left to odometry to be named
@@ -55,7 +56,8 @@ class Perception:
         self._restarts = 0
         self._T_world_odom: Array = np.eye(4)
         self._T_world_body: Array = np.eye(4)
-        self._last: Motion | None = None
+        self._last: Motion | None = None  # when a frame was registered, and
+        self._last_ns = 0  # [ns] its stamp
         self._tilt: Array = np.zeros(2)  # [rad] roll and pitch of {odom} in {world}, steadied
         self._stamp_ns = -1
         self._frames = 0
@@ -97,16 +99,19 @@ class Perception:
                 self._T_world_odom = np.array(legs.T_world_odom)
         prior, covariance = self._prior(motion)
         T_camera = prior @ self._T_body_camera
+        covariance = _seen_from(covariance, T_camera[:3, 3] - prior[:3, 3])
         with self.stages("registration"):
             if useless:  # a frozen one would fit where it was taken, and hold the body back there
                 found = refused(image.stamp_ns, T_camera, covariance, None, useless)
             else:
                 found = self._registration.update(image.depth, image.stamp_ns, T_camera, covariance)
+                if motion.silence_s > _SILENT_S and len(found.degenerate) and found.ok:
+                    found = refused(image.stamp_ns, found.T_world_camera, found.covariance, None, _silent(motion))
         self._T_world_body = found.T_world_camera @ self._T_camera_body
         self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
         self._steady_tilt(image.stamp_ns)
         if found.ok:
-            self._last = motion  # what was travelled on odometry alone goes on adding to the doubt
+            self._last, self._last_ns = motion, image.stamp_ns  # what is travelled on odometry alone adds to the doubt
         yield self._pose(found, motion)
         if useless or not (found.ok or self._sees_nothing_yet(image, motion)):
             return  # what lies who knows where is no ground: the map is left to grow old, and whoever walks by it stops
@@ -138,8 +143,11 @@ class Perception:
 
     def _sees_nothing_yet(self, image: DepthImage, motion: Motion) -> bool:
         """Whether nothing is in the camera's range, as before a wall or an abyss, and legs can still be relied upon."""
+        if self._last is None or motion.silence_s > _SILENT_S:
+            return False
         empty = measured_share(image.depth, self._camera.sensor) < EMPTY
-        return bool(empty and self._last is not None and motion.travelled - self._last.travelled < _BLIND_WAY)
+        lately = image.stamp_ns - self._last_ns < _BLIND_S * 1e9
+        return bool(empty and lately and motion.travelled - self._last.travelled < _BLIND_WAY)
 
     def _has_wrong_size(self, image: DepthImage) -> str:
         """Why a picture is not of the profile's camera, or nothing."""
@@ -154,7 +162,9 @@ class Perception:
         if self._picture is None or not np.array_equal(sample, self._picture[0]):
             self._picture = (sample.copy(), image.stamp_ns, motion)
             return ""
-        _, since_ns, before = self._picture
+        first, since_ns, before = self._picture
+        if before is None:  # the legs have been silent since it first came
+            self._picture = (first, since_ns, motion)
         if motion is None or before is None or not sample.any():
             return ""
         if np.abs(motion.T_odom_body - before.T_odom_body).max() <= _MOVED:
@@ -204,11 +214,11 @@ class Perception:
             stamp_ns=found.stamp_ns,
             T_world_body=self._T_world_body,
             T_world_odom=self._correction(motion.T_odom_body),
-            covariance=np.asarray(found.covariance, dtype=np.float64),
+            covariance=_seen_from(found.covariance, self._T_world_body[:3, 3] - found.T_world_camera[:3, 3]),
             overlap=float(found.overlap),
             ok=found.ok,
             reason=found.reason,
-            degenerate=np.asarray(found.degenerate, dtype=np.float64),
+            degenerate=_twists_from(found.degenerate, self._T_world_body[:3, 3] - found.T_world_camera[:3, 3]),
         )
 
     def _scan(self, image: DepthImage, found: Registered) -> Scan:
@@ -221,6 +231,7 @@ class Perception:
             resolution=settings.scan_resolution,
             max_range=settings.scan_range,
             max_points=settings.scan_points,
+            ceiling=settings.scan_ceiling,
         )
         return Scan(
             stamp_ns=image.stamp_ns,
@@ -230,27 +241,51 @@ class Perception:
             spread_mm=reduced.spread,
             p_world_camera=np.array(found.T_world_camera[:3, 3]),
             pose_covariance=np.asarray(found.covariance, dtype=np.float64),
-            sights_mm=self._sights(image, found.T_world_camera, reduced.origin),
+            sights_mm=self._sights(image, found, reduced.origin),
         )
 
-    def _sights(self, image: DepthImage, T_world_camera: Array, origin: Array) -> NDArray[np.int16]:
+    def _sights(self, image: DepthImage, found: Registered, origin: Array) -> NDArray[np.int16]:
         """Where a picture shows that nothing stands, beyond the scan, [mm] from its origin."""
         self._looks += 1
         points = free_sights(
             image.depth,
             self._camera.intrinsics,
             self._camera.sensor,
-            T_world_camera,
+            found.T_world_camera,
             max_range=self._settings.scan_range,
             turn=self._looks,
-            believe_empty=self._looks % _EMPTY_EVERY == 0,
+            # A camera that sees nothing at all may be covered.
+            believe_empty=found.ok and self._looks % _EMPTY_EVERY == 0,
         )
         return to_millimetres(points, origin)
+
+
+def _carried(r: Array) -> Array:
+    """J (6, 6) that takes an error twist at a point to that at another, r (3,) [m] {world} from it: v + w x r."""
+    J = np.eye(6)
+    J[:3, 3:] = [[0.0, r[2], -r[1]], [-r[2], 0.0, r[0]], [r[1], -r[0], 0.0]]
+    return J
+
+
+def _seen_from(covariance: Array, r: Array) -> Array:
+    """Covariance (6, 6) [m, rad] of an error twist at a point r (3,) [m] {world} away."""
+    J = _carried(r)
+    return np.asarray(J @ covariance @ J.T, dtype=np.float64)
+
+
+def _twists_from(twists: Array, r: Array) -> Array:
+    """Unit twists (k, 6) at a point r (3,) [m] {world} away."""
+    moved = twists @ _carried(r).T
+    return np.asarray(moved / np.maximum(np.linalg.norm(moved, axis=1, keepdims=True), 1e-12), dtype=np.float64)
 
 
 def _is_noise(image: DepthImage) -> str:
     """That a picture is noise, or nothing."""
     return "the camera sends noise: neighbouring pixels have nothing to do with each other" if is_noise(image.depth) else ""
+
+
+def _silent(motion: Motion) -> str:
+    return f"no odometry from the actuator for {motion.silence_s:.1f} s, and the ground does not show everything by itself"
 
 
 def in_words(found: Registered) -> str:
@@ -281,4 +316,6 @@ def _make_registration(profile: RobotProfile, settings: Settings) -> Registers:
         from services.perception.kiss import KissRegistration  # heavy, for those who ask for it
 
         return KissRegistration(camera.intrinsics, camera.sensor)
-    return Registration(camera.intrinsics, camera.sensor, blocks_across=settings.blocks_across)
+    return Registration(
+        camera.intrinsics, camera.sensor, max_range=settings.registration_range, blocks_across=settings.blocks_across
+    )

@@ -39,6 +39,7 @@ class Camera(Protocol):
     """A camera that is open; a context manager. Whoever made it closes it."""
 
     about: str  # what it is, in words
+    recorded: bool  # no device: to open it anew begins it anew, and mends nothing
 
     def read(self, color: bool) -> Frame | None:
         """The newest picture that has not been handed out, or None while there is none; never waits.

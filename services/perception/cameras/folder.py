@@ -21,17 +21,18 @@ _REMEDY = "give a folder with depth.txt and camera.toml, as `sextant run --locks
 
 
 class FolderCamera:
-    """Hands out the pictures of a recording, at the pace of their stamps or as fast as it is asked."""
+    """Hands out the pictures of a recording at the pace of their stamps; one that cannot be read is passed over."""
 
-    def __init__(self, folder: Path, expected: CameraProfile, clock: Callable[[], int], loop: bool = True, paced: bool = True):
+    recorded = True
+
+    def __init__(self, folder: Path, expected: CameraProfile, clock: Callable[[], int], loop: bool = True):
         """Open a recording.
 
         Args:
             folder: Of the recording.
             expected: What the robot's profile says of the camera.
-            clock: [ns] what pictures are stamped by where they are paced.
+            clock: [ns] what pictures are stamped by.
             loop: Begin anew when it is over.
-            paced: By the recorded stamps, from now on; else every call gets the next picture with its recorded stamp.
 
         Raises:
             CameraError: It cannot be read, or is of another camera.
@@ -44,8 +45,9 @@ class FolderCamera:
         check_intrinsics(name, expected.intrinsics, self._recording.camera.intrinsics)
         check_depth_scale(name, expected.sensor.depth_scale, self._recording.camera.depth_scale)
         colored = "" if self._recording.colors is None else ", with colour"
-        self.about = f"{name}: {len(self._recording)} pictures{colored}"
-        self._clock, self._loop, self._paced = clock, loop, paced
+        self._whole = self.about = f"{name}: {len(self._recording)} pictures{colored}"
+        self._clock, self._loop = clock, loop
+        self._unreadable = 0
         self._next = 0
         self._round_ns: int | None = None  # when the first picture of this round is due
 
@@ -69,19 +71,18 @@ class FolderCamera:
                 raise RecordingOverError(f"{self.about}: it is over", "set loop=true to see it again and again")
             period_ns = round(1e9 / self._recording.camera.rate_hz)
             self._next, self._round_ns = 0, max(self._round_ns + int(stamps[-1]) + period_ns, now_ns - period_ns)
-        if not self._paced:
-            self._next += 1
-            return self._frame(self._next - 1, int(self._recording.stamps_ns[self._next - 1]), color)
         due = int(np.searchsorted(stamps, now_ns - self._round_ns, side="right"))
         if due <= self._next:
             return None
         self._next = due
         return self._frame(due - 1, self._round_ns + int(stamps[due - 1]), color)
 
-    def _frame(self, index: int, stamp_ns: int, color: bool) -> Frame:
+    def _frame(self, index: int, stamp_ns: int, color: bool) -> Frame | None:
         try:
             depth = self._recording.depth(index)
             rgb = self._recording.color(index) if color else None
         except (OSError, ValueError) as error:
-            raise CameraError(f"{self.about}: {error}", _REMEDY) from error
+            self._unreadable += 1
+            self.about = f"{self._whole}, {self._unreadable} times one could not be read: {error}"
+            return None
         return Frame(stamp_ns, depth, rgb)

@@ -9,6 +9,7 @@ FIRST_RETRY_S, LAST_RETRY_S = 1.0, 16.0  # [s] between two attempts at the begin
 _FIRST_PICTURE_S = 4.0  # [s] that a device may take to send its first picture
 _SETTLE_S = 2.0  # [s] after opening for which bad pictures are held back only: exposure and projector find their way
 _SILENT_S = 1.0  # [s] without a picture after which a device is gone
+_BLIND_S = 20.0  # [s] without a picture that shows anything after which a device that works by its looks is opened anew
 _RELIABLE_S = 10.0  # [s] of good pictures after which a failure counts as the first
 
 
@@ -33,6 +34,7 @@ class Keeper:
         self._retry_s = FIRST_RETRY_S
         self._retry_ns = clock()  # when it is opened next
         self._opened_ns = 0
+        self._useful_ns = 0  # when the last picture of use came, or the device was opened
         self._heard_ns = 0  # when the last new picture came
         self._patience_s = _FIRST_PICTURE_S
         self._good_since_ns = -1
@@ -54,7 +56,9 @@ class Keeper:
         if frame is None or frame.stamp_ns <= self._stamp_ns:  # nothing, or one that was overtaken
             if now_ns - self._heard_ns > self._patience_s * 1e9:
                 silent_s = (now_ns - self._heard_ns) * 1e-9
-                self._lose(f"{self.about} has sent no new picture for {silent_s:.1f} s; see that it is still plugged in")
+                self._fail(
+                    f"{self._camera.about} has sent no new picture for {silent_s:.1f} s", "see that it is still plugged in"
+                )
             return None
         self._heard_ns, self._patience_s = now_ns, _SILENT_S
         self._stamp_ns = frame.stamp_ns
@@ -76,31 +80,43 @@ class Keeper:
             self._lose(str(error))
             return False
         self.about = self._camera.about
-        self._opened_ns = self._heard_ns = self._clock()
+        self._opened_ns = self._useful_ns = self._heard_ns = self._clock()
         self._patience_s = _FIRST_PICTURE_S
         return True
 
     def _judged(self, frame: Frame, now_ns: int) -> Frame | None:
-        """The picture, if nothing speaks against it; a device is opened anew if it is broken, not if it sees nothing."""
+        """The picture, if nothing speaks against it; a device is opened anew if it is broken, or sees nothing for long."""
         wrong = self._watch.look(frame.depth, frame.stamp_ns)
         if wrong:
             remedy = "see that nothing covers it or stands right before it" if self._watch.sound else "plug it in again"
-            trouble = f"{self.about}: {wrong}; {remedy}"
-            if not self._watch.sound and now_ns - self._opened_ns > _SETTLE_S * 1e9:
-                self._lose(trouble)
+            since_ns, patience_s = (self._useful_ns, _BLIND_S) if self._watch.sound else (self._opened_ns, _SETTLE_S)
+            if now_ns - since_ns > patience_s * 1e9:
+                self._fail(f"{self.about}: {wrong}", remedy)
             else:
-                self.ok, self.trouble, self._good_since_ns = False, trouble, -1
+                self._hold_back(f"{self.about}: {wrong}; {remedy}")
             return None
-        self.ok, self.trouble = True, ""
+        self.ok, self.trouble, self._useful_ns = True, "", now_ns
         if self._good_since_ns < 0:
             self._good_since_ns = now_ns
         elif now_ns - self._good_since_ns > _RELIABLE_S * 1e9:
             self._retry_s = FIRST_RETRY_S
         return frame
 
+    def _hold_back(self, trouble: str) -> None:
+        """Say what is wrong, and go on."""
+        self.ok, self.trouble, self._good_since_ns = False, trouble, -1
+
+    def _fail(self, cause: str, remedy: str) -> None:
+        """Say what is wrong; a device is opened anew, a recording goes on."""
+        assert self._camera is not None
+        if self._camera.recorded:
+            self._hold_back(f"{cause}; it was recorded so")
+        else:
+            self._lose(f"{cause}; {remedy}")
+
     def _lose(self, trouble: str) -> None:
         """Let the camera go, say why, and try again later."""
+        self._hold_back(trouble)  # before it closes, which may take a driver its time
         self.close()
-        self.ok, self.trouble, self._good_since_ns = False, trouble, -1
         self._retry_ns = self._clock() + round(self._retry_s * 1e9)
         self._retry_s = min(2 * self._retry_s, LAST_RETRY_S)

@@ -7,6 +7,7 @@ import math
 import os
 import sysconfig
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -25,6 +26,8 @@ _PAIRED_US = 20_000  # [us] between a depth picture and the colour picture that 
 
 class OpenNI:
     """The first device found. Where the profile has colour, the device brings depth into the view of its colour lens."""
+
+    recorded = False
 
     def __init__(self, expected: CameraProfile, clock: Callable[[], int], delay_s: float = 0.0):
         """Start the streams.
@@ -166,10 +169,14 @@ def _library() -> tuple[Any, tuple[type[Exception], ...]]:
     try:
         openni2.initialize(folders)
     except InitializationError as error:
-        raise CameraError(
-            f"{_NAME}: libOpenNI2.so not found in {', '.join(folders)}",
-            "install OpenNI2 (Debian, Ubuntu: `sudo apt install libopenni2-dev`), or name its folder in OPENNI2_REDIST",
-        ) from error
+        there = [folder for folder in folders if Path(folder, "libOpenNI2.so").exists()]
+        cause = f"libOpenNI2.so in {there[0]} does not start" if there else f"libOpenNI2.so not found in {', '.join(folders)}"
+        remedy = (
+            "see that its drivers are beside it, and made for this machine"
+            if there
+            else "install OpenNI2 (Debian, Ubuntu: `sudo apt install libopenni2-dev`), or name its folder in OPENNI2_REDIST"
+        )
+        raise CameraError(f"{_NAME}: {cause} ({_words(error)})", remedy) from error
     return openni2, (OpenNIError, ClosedHandleError, OSError, AssertionError)  # the binding asserts that handles are there
 
 

@@ -17,6 +17,8 @@ _PLUG = "plug it into a USB 3 port with its own cable, and look for it with `rs-
 class RealSense:
     """The first RealSense found: depth as the sensor measures it, colour brought into the view of the depth."""
 
+    recorded = False
+
     def __init__(self, expected: CameraProfile, clock: Callable[[], int], delay_s: float = 0.0):
         """Start the streams.
 

@@ -19,6 +19,7 @@ from shared.service import AnyTopic, Every, Inbox, Stages
 _LOOKS = 4  # at the device in the time of one picture
 _STATE_NS = 250_000_000  # [ns] between two state messages while nothing changes
 _HUNG_NS = 5_000_000_000  # [ns] in one call of the driver, after which it hangs
+_GIVE_UP_NS = 20_000_000_000  # [ns] after which nothing but a new process helps
 _PAUSE_S = 0.002  # between two looks of the thread
 
 
@@ -84,6 +85,8 @@ class CameraService:
         """Publish what has come."""
         if self._error is not None:
             raise self._error
+        if self._called_ns >= 0 and self._clock() - self._called_ns > _GIVE_UP_NS:
+            raise RuntimeError(f"{self._trouble()}; this process ends, so that a new one can open it")
         self._color_wanted = tick.stamp_ns >= self._color_due_ns and inbox.wanted(topics.COLOR)
         frame = self._take()
         if frame is not None:

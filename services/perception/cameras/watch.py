@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from shared.camera import DepthSensor
 
-EMPTY, POOR = 0.02, 0.20  # shares of the picture that are measured, below which it shows nothing, or hardly anything
+EMPTY, POOR = 0.02, 0.25  # shares of the picture that are measured, below which it shows nothing, or hardly anything
+_STEADY = 0.1  # share of the newest picture in the mean by which it is told whether they show hardly anything
 _SAMPLED = 8  # every how many rows and columns are looked at
 _NOISE_SAMPLED = 16  # likewise for pairs of neighbours
 _NOISE_STEP = 10  # the share of the depth by which neighbouring pixels differ on no ground, save for few: a tenth
@@ -44,6 +45,7 @@ class Watch:
         self._sensor, self._size = sensor, size
         self._sample: NDArray[np.uint16] | None = None
         self._since_ns = 0  # since when the sample has been the same
+        self._share = 1.0  # of a picture that is measured, in the mean
         self._poor_since_ns = -1  # since when next to nothing is seen, -1 while all is well
         self.sound = True  # whether the device works by its newest picture: one that sees next to nothing may work
 
@@ -58,10 +60,11 @@ class Watch:
             return f"pictures of {expected} expected by the profile, found {'x'.join(map(str, depth.shape))} {depth.dtype}"
         share = measured_share(depth, self._sensor)
         frozen_s = self._unchanged_s(depth, stamp_ns)
-        if share >= POOR:
+        self._share += _STEADY * (share - self._share)
+        if share >= POOR and is_noise(depth):
+            return "its pictures are noise: neighbouring pixels have nothing to do with each other"
+        if min(share, self._share) >= POOR or share >= 2.0 * POOR:  # a camera whose view is free again is so at once
             self._poor_since_ns = -1
-            if is_noise(depth):
-                return "its pictures are noise: neighbouring pixels have nothing to do with each other"
         elif self._poor_since_ns < 0:
             self._poor_since_ns = stamp_ns
         if share >= EMPTY and frozen_s >= _FROZEN_S:
@@ -69,7 +72,7 @@ class Watch:
         self.sound = True
         poor_s = (stamp_ns - self._poor_since_ns) * 1e-9 if self._poor_since_ns >= 0 else 0.0
         if poor_s >= _PATIENCE_S:
-            what = "nothing" if share < EMPTY else f"only {share:.0%} of its picture"
+            what = "nothing" if self._share < EMPTY else f"only {min(share, self._share):.0%} of its picture"
             return f"it has measured {what} within its range for {poor_s:.1f} s"
         return ""
 

@@ -187,6 +187,49 @@ def test_on_odometry_alone_the_doubt_grows(world) -> None:  # type: ignore[no-un
     assert (np.diff(spreads) > 0).all()
 
 
+def test_a_camera_that_shows_nothing_is_believed_for_two_seconds_and_clears_no_ground(world) -> None:  # type: ignore[no-untyped-def]
+    rig, dark = Rig(world, "flat"), np.zeros((240, 320), dtype=np.uint16)
+    for _ in range(5):
+        rig.frame(body_at(0.0))
+    scans = []
+    for _ in range(120):
+        rig.travelled -= 0.005  # it stands
+        scans.append([m for m in rig.frame(body_at(0.0), depth=dark) if isinstance(m, Scan)])
+    sent = [bool(s) for s in scans]
+    assert sum(sent) * FRAME * 1e-9 == pytest.approx(2.0, abs=0.1)
+    assert not any(sent[sum(sent) :])
+    assert all(len(s.sights_mm) == 0 for (s,) in scans[: sum(sent)])
+
+
+def test_silent_odometry_is_no_standing_robot_where_the_ground_does_not_tell(world) -> None:  # type: ignore[no-untyped-def]
+    for scene, told in (("flat", False), ("pillars", True)):
+        rig = Rig(world, scene)
+        for _ in range(5):
+            rig.frame(body_at(0.0))
+        made: list[Message] = []
+        for _ in range(30):
+            rig.now_ns += FRAME
+            rig.inbox.now_ns = rig.now_ns
+            made = rig.see(body_at(0.0))
+        assert pose_of(made).ok is told
+        assert any(isinstance(m, Scan) for m in made) is told
+        if not told:
+            assert "no odometry from the actuator for" in pose_of(made).reason
+            assert "no odometry" in rig.perception.doing()
+
+
+def test_a_picture_that_froze_before_the_legs_were_heard_is_named(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    frozen = rig.picture(body_at(0.0))
+    for _ in range(3):
+        rig.now_ns += FRAME
+        rig.inbox.now_ns = rig.now_ns
+        assert rig.see(body_at(0.0), frozen) == []
+    poses = [pose_of(rig.frame(body_at(0.005 * k), depth=frozen)) for k in range(20)]
+    assert not poses[-1].ok
+    assert "frozen" in poses[-1].reason
+
+
 def test_legs_that_nobody_vouches_for_are_believed_less(world) -> None:  # type: ignore[no-untyped-def]
     dark, spreads = np.zeros((240, 320), dtype=np.uint16), []
     for reliable in (True, False):
@@ -231,7 +274,12 @@ def test_a_scan_lies_on_the_ground_and_carries_its_frames_health(world) -> None:
     heights = scan.origin[2] + 1e-3 * scan.points_mm[:, 2]
     assert np.abs(np.median(heights)) < 2e-3
     assert scan.stamp_ns == pose.stamp_ns == rig.now_ns
-    np.testing.assert_array_equal(scan.pose_covariance, pose.covariance)
+    # The scan's is of the camera, the pose's of the body: what a turn about one of them does to the other is in it.
+    rng = np.random.default_rng(0)
+    twists = rng.multivariate_normal(np.zeros(6), scan.pose_covariance, 200_000)
+    r = pose.T_world_body[:3, 3] - scan.p_world_camera
+    twists[:, :3] += np.cross(twists[:, 3:], r)
+    np.testing.assert_allclose(np.cov(twists.T), pose.covariance, atol=0.02 * np.abs(pose.covariance).max())
     np.testing.assert_allclose(scan.p_world_camera, (pose.T_world_body @ PROFILE.camera.T_body_camera)[:3, 3], atol=1e-9)
 
 
@@ -263,3 +311,12 @@ def test_a_frozen_picture_is_named_once_the_legs_have_moved(world, moving: bool)
     assert any(isinstance(m, Scan) for m in messages) is not moving
     np.testing.assert_allclose(pose.T_world_body[:3, 3], body_at(0.02 + 0.025 * moving)[:3, 3], atol=12e-3)  # by the legs
     assert pose_of(rig.frame(body_at(0.05))).ok  # and it goes on with the next new picture
+
+
+@pytest.mark.parametrize(
+    ("name", "bad"),
+    [("odometry_floor", 0.0), ("odometry_drift", np.nan), ("tilt_s", 0.0), ("scan_range", 40.0), ("settle_s", 2.0)],
+)
+def test_settings_that_make_no_sense_are_refused(name: str, bad: float) -> None:
+    with pytest.raises(ValueError, match=f"{name} from .* expected, found {bad:g}"):
+        Settings(**{name: bad})

@@ -14,6 +14,7 @@ class Script:
     """A camera that does what a test says: a picture, nothing, or an error at every look."""
 
     about = "scripted camera"
+    recorded = False
 
     def __init__(self, acts: Iterator[object]):
         self.acts, self.closed = acts, 0
@@ -159,6 +160,40 @@ def test_one_that_sees_next_to_nothing_is_held_back_and_stays_open(kit, share: f
     assert "within its range" in rig.keeper.trouble
     assert "nothing covers it" in rig.keeper.trouble
     assert rig.run(1.0) > 20, "it came back at once"
+    assert rig.keeper.ok
+    assert len(rig.opened) == 1
+
+
+def test_one_that_shows_nothing_for_long_is_opened_anew_now_and_then(kit) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(kit)
+    rig.acts = rig.pictures(lambda k: kit.ground(k) * np.uint16(k < 30))
+    rig.run(25.0)
+    assert len(rig.opened) == 2
+    assert "nothing" in rig.keeper.trouble
+    rig.run(600.0)
+    assert 10 < len(rig.opened) < 30
+
+
+def test_what_is_wrong_is_said_before_a_driver_takes_its_time_to_close(kit, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    rig, said = Rig(kit), []
+    rig.acts = rig.pictures(lambda k: kit.ground(k) if k < 30 else None)
+    monkeypatch.setattr(Script, "close", lambda _: said.append((rig.keeper.ok, rig.keeper.trouble)))
+    rig.run(3.0)
+    assert said
+    assert not said[0][0]
+    assert "no new picture" in said[0][1]
+
+
+@pytest.mark.parametrize("what", ["gap", "still", "blind"])
+def test_a_recording_goes_on_where_a_device_would_be_opened_anew(kit, monkeypatch, what: str) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setattr(Script, "recorded", True)
+    rig = Rig(kit)
+    faulty = {"gap": None, "still": kit.ground(0), "blind": np.zeros((48, 64), np.uint16)}[what]
+    rig.acts = rig.pictures(lambda k: faulty if 60 <= k < 1000 else kit.ground(k))
+    rig.run(30.0)
+    assert not rig.keeper.ok
+    assert "it was recorded so" in rig.keeper.trouble or what == "blind"
+    rig.run(5.0)
     assert rig.keeper.ok
     assert len(rig.opened) == 1
 

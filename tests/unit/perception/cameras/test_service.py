@@ -17,6 +17,7 @@ class Device:
     """A camera with a picture whenever a period has passed, until it is unplugged."""
 
     about = "test camera"
+    recorded = False
 
     def __init__(self, kit, rgb=None) -> None:  # type: ignore[no-untyped-def]
         self.kit, self.rgb, self.plugged, self.due_ns, self.asked = kit, rgb, True, 0, []  # type: ignore[var-annotated]
@@ -123,6 +124,8 @@ def test_a_driver_that_hangs_holds_up_nothing_and_is_named(kit) -> None:  # type
     with CameraService(kit.profile, Settings(), hang, kit.clock) as service:
         assert called.wait(5.0)
         made = run(service, kit, 7.0)  # simulated; the driver has not returned
+        with pytest.raises(RuntimeError, match="this process ends, so that a new one can open it"):
+            run(service, kit, 20.0)
         release.set()
     assert "has not answered for" in of(made, CameraState)[-1].reason
 

@@ -43,6 +43,14 @@ def test_and_so_is_one_that_loses_four_fifths_of_its_picture(kit) -> None:  # ty
     assert "only" in words[-1]
 
 
+@pytest.mark.parametrize(("lost", "named"), [(0.60, False), (0.80, True), (0.85, True)])
+def test_pixels_lost_at_random_are_counted_in_the_mean(kit, lost: float, named: bool) -> None:  # type: ignore[no-untyped-def]
+    def torn(k: int):  # type: ignore[no-untyped-def]
+        return np.where(np.random.default_rng(k).random((48, 64)) < lost, 0, kit.ground(k)).astype(np.uint16)
+
+    assert bool(look(kit, map(torn, range(200)))[-1]) == named
+
+
 def test_a_moment_of_darkness_is_nothing(kit) -> None:  # type: ignore[no-untyped-def]
     dark = np.zeros((48, 64), np.uint16)
     pictures = [dark if k % 30 < 25 else kit.ground(k) for k in range(150)]
