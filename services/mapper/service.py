@@ -313,7 +313,7 @@ def _stand(legs: ActuatorState) -> bool:
     """Whether the feet show where the ground is: limp legs, or a robot that is being carried, do not."""
     carrying = legs.contact & ~legs.swing
     near = np.abs(legs.feet).max() < _FROM_BODY
-    return bool(legs.mode in (Mode.HOLD, Mode.WALK) and np.count_nonzero(carrying) >= 3 and near)
+    return bool(legs.mode is not Mode.OFF and np.count_nonzero(carrying) >= 3 and near)
 
 
 def _no_passage(stamp_ns: int, request: PassageRequest, resolution: float, reason: str) -> PassageMap:

@@ -23,7 +23,7 @@ from shared.service import AnyTopic, Inbox, Stages
 
 _SAMPLED = 8  # every how many rows and columns are looked at to tell a frozen picture
 _EMPTY_EVERY = 3  # scans after which pixels without a return count as lines of sight: they are less to be relied upon
-_BLIND_WAY, _BLIND_S = 0.6, 2.0  # [m] and [s] for which one may walk over what has been mapped while nothing is in range
+_BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothing is in range
 _SILENT_S = 0.5  # [s] without odometry from which nothing is known of what the ground does not show
 _MOVED = 0.01  # [m] or [rad] beyond which no two pictures are the same
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a frame that was overtaken may be late
@@ -56,8 +56,7 @@ class Perception:
         self._restarts = 0
         self._T_world_odom: Array = np.eye(4)
         self._T_world_body: Array = np.eye(4)
-        self._last: Motion | None = None  # when a frame was registered, and
-        self._last_ns = 0  # [ns] its stamp
+        self._last: Motion | None = None  # when a frame was registered
         self._tilt: Array = np.zeros(2)  # [rad] roll and pitch of {odom} in {world}, steadied
         self._stamp_ns = -1
         self._frames = 0
@@ -111,7 +110,7 @@ class Perception:
         self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
         self._steady_tilt(image.stamp_ns)
         if found.ok:
-            self._last, self._last_ns = motion, image.stamp_ns  # what is travelled on odometry alone adds to the doubt
+            self._last = motion  # what was travelled on odometry alone goes on adding to the doubt
         yield self._pose(found, motion)
         if useless or not (found.ok or self._sees_nothing_yet(image, motion)):
             return  # what lies who knows where is no ground: the map is left to grow old, and whoever walks by it stops
@@ -142,12 +141,14 @@ class Perception:
         return replace(scan, color=color) if len(color) else scan
 
     def _sees_nothing_yet(self, image: DepthImage, motion: Motion) -> bool:
-        """Whether nothing is in the camera's range, as before a wall or an abyss, and legs can still be relied upon."""
+        """Whether nothing is in the camera's range, as before a wall or an abyss, and legs can still be relied upon.
+
+        For how long that may be so is for `cameras.watch` to say.
+        """
         if self._last is None or motion.silence_s > _SILENT_S:
             return False
         empty = measured_share(image.depth, self._camera.sensor) < EMPTY
-        lately = image.stamp_ns - self._last_ns < _BLIND_S * 1e9
-        return bool(empty and lately and motion.travelled - self._last.travelled < _BLIND_WAY)
+        return bool(empty and motion.travelled - self._last.travelled < _BLIND_WAY)
 
     def _has_wrong_size(self, image: DepthImage) -> str:
         """Why a picture is not of the profile's camera, or nothing."""

@@ -47,7 +47,7 @@ class FolderCamera:
         colored = "" if self._recording.colors is None else ", with colour"
         self._whole = self.about = f"{name}: {len(self._recording)} pictures{colored}"
         self._clock, self._loop = clock, loop
-        self._unreadable = 0
+        self._folder, self._unreadable = folder, 0
         self._next = 0
         self._round_ns: int | None = None  # when the first picture of this round is due
 
@@ -82,6 +82,8 @@ class FolderCamera:
             depth = self._recording.depth(index)
             rgb = self._recording.color(index) if color else None
         except (OSError, ValueError) as error:
+            if not self._folder.is_dir():
+                raise CameraError(f"{self._whole}: the folder is gone", _REMEDY) from error
             self._unreadable += 1
             self.about = f"{self._whole}, {self._unreadable} times one could not be read: {error}"
             return None

@@ -149,7 +149,6 @@ def test_without_a_pose_and_legs_nothing_is_assumed() -> None:
     "limp",
     [
         replace(legs(), mode=Mode.OFF, contact=np.zeros(6, dtype=bool)),
-        replace(legs(), mode=Mode.STAND),
         replace(legs(), contact=np.zeros(6, dtype=bool)),
         legs(feet=PROFILE.rest_feet(HEIGHT) + np.array([0.0, 0.0, 1e30])),
     ],

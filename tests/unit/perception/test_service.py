@@ -187,18 +187,13 @@ def test_on_odometry_alone_the_doubt_grows(world) -> None:  # type: ignore[no-un
     assert (np.diff(spreads) > 0).all()
 
 
-def test_a_camera_that_shows_nothing_is_believed_for_two_seconds_and_clears_no_ground(world) -> None:  # type: ignore[no-untyped-def]
+def test_a_camera_that_shows_nothing_clears_no_ground(world) -> None:  # type: ignore[no-untyped-def]
     rig, dark = Rig(world, "flat"), np.zeros((240, 320), dtype=np.uint16)
     for _ in range(5):
         rig.frame(body_at(0.0))
-    scans = []
-    for _ in range(120):
-        rig.travelled -= 0.005  # it stands
-        scans.append([m for m in rig.frame(body_at(0.0), depth=dark) if isinstance(m, Scan)])
-    sent = [bool(s) for s in scans]
-    assert sum(sent) * FRAME * 1e-9 == pytest.approx(2.0, abs=0.1)
-    assert not any(sent[sum(sent) :])
-    assert all(len(s.sights_mm) == 0 for (s,) in scans[: sum(sent)])
+    scans = [m for _ in range(30) for m in rig.frame(body_at(0.0), depth=dark) if isinstance(m, Scan)]
+    assert len(scans) > 20
+    assert all(len(scan.sights_mm) == 0 for scan in scans)
 
 
 def test_silent_odometry_is_no_standing_robot_where_the_ground_does_not_tell(world) -> None:  # type: ignore[no-untyped-def]
