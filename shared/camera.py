@@ -3,6 +3,7 @@
 The camera frame is optical: x right, y down, z forward; depth is the z of a point, not its distance.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,15 @@ class Intrinsics:
             raise ValueError(f"image of at least 1x1 pixels expected, found {self.width}x{self.height}")
         if not (self.fx > 0 and self.fy > 0):
             raise ValueError(f"positive focal lengths expected, found fx = {self.fx}, fy = {self.fy}")
+
+    def check_raw(self, depth: NDArray[np.uint16]) -> None:
+        """Refuse a raw depth image of another shape or type than (h, w) uint16.
+
+        Raises:
+            ValueError: It is.
+        """
+        if depth.shape != (self.height, self.width) or depth.dtype != np.uint16:
+            raise ValueError(f"uint16 depth image {(self.height, self.width)} expected, found {depth.dtype} {depth.shape}")
 
     def points(self, depth: NDArray[np.floating]) -> NDArray[np.float64]:
         """Points (h, w, 3) [m] {camera} of a depth image (h, w) [m]; NaN stays NaN (Lotriet 2024, eq. 4.6-4.8)."""
@@ -55,6 +65,12 @@ class DepthSensor:
             raise ValueError(f"0 < min_range < max_range expected, found {self.min_range} and {self.max_range} m")
         if min(self.rate_hz, self.baseline, self.depth_scale) <= 0 or min(self.disparity_sigma, self.disparity_step) < 0:
             raise ValueError(f"positive rate, baseline and scale and no negative noise expected, found {self}")
+
+    @property
+    def raw_bounds(self) -> tuple[int, int]:
+        """Lowest and highest raw value within range."""
+        lowest = math.ceil(self.min_range * self.depth_scale - 1e-6)
+        return max(lowest, 1), min(math.floor(self.max_range * self.depth_scale + 1e-6), 65535)
 
     def sigma(self, z: NDArray[np.float64], fx: float) -> NDArray[np.float64]:
         """One-sigma depth noise [m] at depth z [m], Gaussian and quantisation together."""

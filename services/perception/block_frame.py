@@ -41,7 +41,7 @@ class BlockFrame:
         middle = (self.block - 1) / 2
         self.x = (self.block * np.arange(self.shape[1]) + middle - intrinsics.cx) / intrinsics.fx
         self.y = (self.block * np.arange(self.shape[0]) + middle - intrinsics.cy) / intrinsics.fy
-        self._bounds, self._scale = raw_bounds(sensor), sensor.depth_scale
+        self._bounds, self._scale = sensor.raw_bounds, sensor.depth_scale
         self.pixel_sigma = inverse_depth_sigma(intrinsics, sensor)
         self.sigma = self.pixel_sigma / math.sqrt(max(1.0, self.block**2 / _CORRELATION))
         self.inverse_depth = np.zeros(self.shape)
@@ -54,7 +54,7 @@ class BlockFrame:
         Raises:
             ValueError: Another shape or type than (h, w) uint16.
         """
-        check_depth(depth_raw, self._intrinsics)
+        self._intrinsics.check_raw(depth_raw)
         max_variance = (3.0 * self.pixel_sigma) ** 2
         self.valid = _reduce_blocks(
             depth_raw,
@@ -80,25 +80,6 @@ class BlockFrame:
     def points(self) -> NDArray[np.float64]:
         """Block means as points (n, 3) [m] {camera}, row by row; overwritten by the next frame."""
         return self._points[: self.valid]
-
-
-def check_depth(depth_raw: NDArray[np.uint16], intrinsics: Intrinsics) -> None:
-    """Refuse a depth image of another shape or type than (h, w) uint16.
-
-    Raises:
-        ValueError: It is.
-    """
-    if depth_raw.shape != (intrinsics.height, intrinsics.width) or depth_raw.dtype != np.uint16:
-        raise ValueError(
-            f"uint16 depth image {(intrinsics.height, intrinsics.width)} expected, found {depth_raw.dtype} {depth_raw.shape}"
-        )
-
-
-def raw_bounds(sensor: DepthSensor) -> tuple[int, int]:
-    """Lowest and highest raw value within range."""
-    z = np.arange(1, 65536) / sensor.depth_scale
-    inside = np.flatnonzero((z >= sensor.min_range) & (z <= sensor.max_range)) + 1
-    return (int(inside[0]), int(inside[-1])) if len(inside) else (1, 0)
 
 
 def inverse_depth_sigma(intrinsics: Intrinsics, sensor: DepthSensor) -> float:

@@ -65,10 +65,7 @@ def reduce_scan(
     Raises:
         ValueError: A shape or type that differs, or a number out of range.
     """
-    if depth_raw.shape != (intrinsics.height, intrinsics.width) or depth_raw.dtype != np.uint16:
-        raise ValueError(
-            f"uint16 depth image {(intrinsics.height, intrinsics.width)} expected, found {depth_raw.dtype} {depth_raw.shape}"
-        )
+    intrinsics.check_raw(depth_raw)
     if T_world_camera.shape != (4, 4) or not np.isfinite(T_world_camera).all():
         raise ValueError(f"a finite (4, 4) pose expected, found {T_world_camera.tolist()}")
     if not (0.005 <= resolution <= 1.0 and resolution <= max_range <= 30.0 and max_points >= 1):
@@ -82,7 +79,7 @@ def reduce_scan(
     half = math.ceil(max_range / resolution) + 2
     cell_of = np.full((2 * half) ** 2, -1, dtype=np.int32)
     cells = np.empty((min(depth_raw.size, cell_of.size), _RECORD), dtype=np.float32)
-    bounds = _raw_bounds(sensor)
+    bounds = sensor.raw_bounds
     noise = NOISE * float(sensor.sigma(np.array(1.0), intrinsics.fx))  # [1/m] of a depth, over its square
     n = _bin(
         depth_raw,
@@ -109,12 +106,6 @@ def reduce_scan(
     count, spread = np.empty(len(chosen), dtype=np.uint8), np.empty(len(chosen), dtype=np.uint8)
     _write(cells, chosen, T[:3, 3].copy(), resolution, half, points, count, spread)
     return ReducedScan(origin, points, count, spread)
-
-
-def _raw_bounds(sensor: DepthSensor) -> tuple[int, int]:
-    """Lowest and highest raw value within range."""
-    lowest = math.ceil(sensor.min_range * sensor.depth_scale - 1e-6)
-    return max(lowest, 1), min(math.floor(sensor.max_range * sensor.depth_scale + 1e-6), 65535)
 
 
 @compiled

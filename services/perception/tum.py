@@ -124,11 +124,6 @@ class Recording:
             yield int(stamp_ns), self.depth(index)
 
 
-def is_recording(folder: Path) -> bool:
-    """Whether a folder is laid out as a recording."""
-    return (folder / "depth.txt").is_file() and (folder / "camera.toml").is_file()
-
-
 def read_recording(folder: Path) -> Recording:
     """Open a recording.
 
