@@ -31,6 +31,8 @@ _RECENT_SHARE = 0.2  # of each good frame in how well frames fit of late
 # Legs may have slipped where a frame fits worse than of late, lies further from its planes, or has been drawn so far from
 # the prior.
 _SURPRISING, _FAR_APART, _DRAWN = 1.25, 1.6, 2.0  # times; times; [sigma]
+_TRIES = 3  # to come from a place that was searched for to the right one
+_FAR_APART_FOUND = 2.0  # times, from which a place that was searched for is not the right one
 _EXPLAINED = 0.85  # of a misfit, below which another pose fits better
 _ALONG_FLOOR = [0, 1, 5]  # x, y and yaw
 _SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] by which legs may slip between two frames
@@ -172,8 +174,8 @@ class Registration:
             if isinstance(better, _Aligned):
                 found, reason, doubted, self._doubtful = better, "", False, 0
             elif reason:
-                reason = f"{reason}; {better}"
-            else:
+                reason = f"{reason}; {better.reason}"
+            elif not better.is_elsewhere:
                 self._believed = self._acceptance.search_every  # what is seen has changed, not the place
         match = found.match
         if reason:
@@ -209,13 +211,20 @@ class Registration:
         since = self._doubtful - self._acceptance.doubt
         return since >= 0 and since % self._acceptance.search_every == 0
 
-    def _search(self, T_expected: NDArray[np.float64]) -> "_Aligned | str":
-        """A better place in the map, registered there; or why there is none, in words."""
+    def _search(self, T_expected: NDArray[np.float64]) -> "_Aligned | _Nowhere":
+        """A better place in the map, registered there; or why there is none."""
         found = self._anchor.find(self._frame.points, T_expected)
         if found.T_world_camera is None:
-            return found.reason
-        better = self._align(found.T_world_camera, np.eye(6) / _LOST_SIGMA**2)
-        return self._objection(better.match) or better
+            return _Nowhere(found.reason, is_elsewhere=False)
+        T = found.T_world_camera
+        for _ in range(_TRIES):
+            better = self._align(T, np.eye(6) / _LOST_SIGMA**2, _TRUSTING)
+            T = better.T
+            if better.match.rmse <= _FAR_APART_FOUND * self._lately.rmse:
+                objection = self._objection(better.match)
+                return _Nowhere(objection, is_elsewhere=True) if objection else better
+        words = f"surfaces are {1e3 * better.match.rmse:.1f} mm apart at the place that fits best"
+        return _Nowhere(words, is_elsewhere=True)
 
     def _remember(self, T: NDArray[np.float64]) -> None:
         """Make the frame as last loaded a keyframe, and a part of the map."""
@@ -275,6 +284,14 @@ class _Aligned:
     covariance: NDArray[np.float64]  # (6, 6) [m, rad]
     degenerate: NDArray[np.float64]  # (k, 6) unit twists that are left to the prior
     match: Match
+
+
+@dataclass(frozen=True, slots=True)
+class _Nowhere:
+    """Why a search has found no place."""
+
+    reason: str  # in words
+    is_elsewhere: bool  # there is a better place than the expected one, though none that fits
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from services.perception.anchor import AnchorMap, Found
 from services.perception.keyframes import Match
-from services.perception.registration import Acceptance, Registration, belief, error_twist, jump, moved
+from services.perception.registration import Acceptance, Registration, _Aligned, belief, error_twist, jump, moved
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import exp_so3, from_xyz_rpy, inverse, orthonormal, transform
 
@@ -237,6 +238,24 @@ def test_a_robot_that_was_carried_off_finds_itself_again(world):
         expected = found.T_world_camera
     assert found.ok
     assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
+
+
+@pytest.mark.parametrize(("away", "taken"), [((0.03, 0.02, 0.02), True), ((0.5, -0.3, 0.4), False)])
+def test_a_place_that_was_searched_for_must_fit_as_frames_use_to(world, monkeypatch, away, taken):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(3)
+    for x in np.arange(0.0, 0.6, 0.05):
+        T = world.camera_pose(x)
+        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    keyframes = len(registration.keyframe_poses)
+    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: 1.0)  # all is in doubt
+    monkeypatch.setattr(AnchorMap, "find", lambda *_: Found(world.camera_pose(0.55 + away[0], *away[1:]), ""))
+    for i in range(5):
+        found = registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, WIDE)
+        assert found.ok
+        assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
+    assert len(registration.keyframe_poses) == keyframes, "what is in doubt is no part of the map"
+    assert isinstance(registration._search(T), _Aligned) is taken
 
 
 def test_surfaces_further_apart_than_usual_are_refused(world):
