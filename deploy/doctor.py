@@ -78,13 +78,13 @@ def wheels() -> Iterator[Check]:
     for role, modules in _ROLES.items():
         missing = [f"{module} ({problems[module]})" for module in modules if module in problems]
         if missing:
-            extra = "sextant" if role == "core" else f"sextant[{role}]"
+            extra = "." if role == "core" else f".[{role}]"
             level = Level.FAIL if role == "core" else Level.WARN
             yield Check(
                 f"libraries: {role}",
                 level,
                 f"cannot import {', '.join(missing)}",
-                f"pip install '{extra}' to run this role here",
+                f"pip install -e '{extra}' to run this role here",
             )
         else:
             yield Check(f"libraries: {role}", Level.OK, ", ".join(modules))
@@ -168,11 +168,11 @@ def depth_camera(robot: str, device: str = "") -> Check:
         from services.perception.cameras.service import find
         from shared.robot import load_profile
     except ImportError as error:
-        return Check("camera", level, str(error), "pip install 'sextant[perception]'")
+        return Check("camera", level, str(error), "pip install -e '.[perception]'")
     try:
         profile = load_profile(robot)
     except ConfigError as error:
-        return Check("camera", Level.FAIL, str(error), "name a profile that exists with --robot")
+        return Check("camera", Level.FAIL, str(error), "mend the profile, or name another with --robot")
     device = device or profile.camera.device
     if device == "none":
         return Check("camera", Level.OK, f"none is named by the profile {robot}")
@@ -209,7 +209,7 @@ def _ping_servos(name: str, port: str, robot: str) -> Iterator[Check]:
         from services.actuator.bus import BusGone, ServoBus, open_port
         from shared.robot import load_profile
     except ImportError as error:
-        yield Check(name, Level.FAIL, str(error), "pip install 'sextant[actuator]'")
+        yield Check(name, Level.FAIL, str(error), "pip install -e '.[actuator]'")
         return
     try:
         profile = load_profile(robot)

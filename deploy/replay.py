@@ -30,6 +30,7 @@ from shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry,
 from shared.robot import Camera, RobotProfile, load_profile
 from shared.service import AnyTopic, Every, Inbox, Lockstep, Service, Stages, Worker
 
+_FLAT = 0.05  # [m] of height that a picture's colours span at least: noise is no relief
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
 _SHOW_NS = 1_000_000_000
 _HAND_CELLS = 512  # along each edge of the map: a hand-held camera sees further than the robot steps
@@ -421,7 +422,9 @@ def _draw(path: Path, terrain: TerrainMap, T: Array) -> None:
     scale = max(1, math.ceil(640 / max(terrain.elevation.shape)))
     known = np.isfinite(terrain.elevation)
     low, high = np.percentile(terrain.elevation[known], (1, 99)) if known.any() else (0.0, 1.0)
-    level = np.clip((np.where(known, terrain.elevation, low) - low) / max(high - low, 1e-6), 0, 1)
+    middle, half = (low + high) / 2, max((high - low) / 2, _FLAT / 2)
+    low, high = middle - half, middle + half
+    level = np.clip((np.where(known, terrain.elevation, low) - low) / (high - low), 0, 1)
     picture = cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_TURBO)
     colored = known & terrain.color.any(axis=-1) if terrain.color.size else np.zeros_like(known)
     if colored.any():

@@ -114,7 +114,8 @@ class Scorer:
         self._profile, self._scenario, self._seed = profile, scenario, seed
         self._terrain: Ground = build_terrain(scenario, np.random.default_rng([seed, 0])) if terrain is None else terrain
         unblocked = tuple(part for part in scenario.terrain if not isinstance(part, Box | Rubble | Pillars | Puddle | Puddles))
-        self._unblocked: Ground = build_terrain(replace(scenario, terrain=unblocked or (Plane(),)), np.random.default_rng(0))
+        bare = replace(scenario, terrain=unblocked or (Plane(),))
+        self._unblocked: Ground = build_terrain(bare, np.random.default_rng([seed, 0]))
         self._truth: list[GroundTruth] = []
         self._recent: deque[tuple[int, float, float]] = deque()  # stamp, x, y of the last half second
         self._poses: list[BodyPose] = []

@@ -6,6 +6,7 @@ scenario, or of the same one changed since, or of another version of the program
 
 import hashlib
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
@@ -152,7 +153,7 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
     """A batch in a few lines for people."""
     lines = [_rate_words(trials)]
     lines.append(
-        f"  mean speed {100 * trials.mean_speed_mps:.1f} cm/s, falls {trials.falls}, with a servo shut down "
+        f"  mean speed {_speed(trials.mean_speed_mps)}, falls {trials.falls}, with a servo shut down "
         f"{trials.runs_with_shutdown}"
     )
     figures = (
@@ -280,3 +281,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return round(value, 6) + 0.0 if np.isfinite(value) else None
     return list(value) if isinstance(value, tuple) else value
+
+
+def _speed(speed_mps: float) -> str:
+    """A speed in words; without a successful run there is none."""
+    return f"{100 * speed_mps:.1f} cm/s" if math.isfinite(speed_mps) else "-"

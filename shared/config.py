@@ -82,7 +82,7 @@ def _build_dataclass(table: object, schema: type[Any], where: str, problems: lis
         if name in table:
             values[name] = _build_value(table[name], hints[name], _join(where, name), problems)
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-            problems.append(f"{_join(where, name)}: missing; a value of {_type_words(hints[name])} is needed")
+            problems.append(f"{_join(where, name)}: missing; {_wanted(hints[name], name)} is needed")
     if len(problems) > before:
         return _INVALID
     try:
@@ -147,6 +147,20 @@ def _build_tuple(value: object, args: tuple[Any, ...], where: str, problems: lis
 
 def _join(where: str, name: str) -> str:
     return f"{where}.{name}" if where else name
+
+
+def _wanted(hint: Any, name: str) -> str:
+    """What a missing key asks for, in words."""
+    if dataclasses.is_dataclass(hint):
+        return f"a table [{name}]"
+    if get_origin(hint) is tuple and any(dataclasses.is_dataclass(member) for member in _members(hint)):
+        return f"one table [[{name}]] or more"
+    return f"a value of {_type_words(hint)}"
+
+
+def _members(hint: Any) -> tuple[Any, ...]:
+    """What the entries of a tuple's hint may be."""
+    return tuple(member for entry in get_args(hint) for member in (get_args(entry) or (entry,)))
 
 
 def _type_words(hint: Any) -> str:

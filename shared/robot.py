@@ -145,6 +145,8 @@ class Camera:
     device: str = "none"
 
     def __post_init__(self) -> None:
+        if not -45.0 <= self.pitch_down_deg <= 90.0:
+            raise ValueError(f"a pitch_down_deg from -45 (up) to 90 (straight down) expected, found {self.pitch_down_deg:g}")
         if not self.device.strip():
             raise ValueError('a device of "openni2", "realsense", "none" or the path of a recorded folder expected, found none')
 
@@ -235,7 +237,7 @@ def load_profile(name_or_path: str) -> RobotProfile:
         ConfigError: No such profile, or what is wrong in it, all at once.
     """
     if name_or_path.endswith(".toml"):
-        return config.load(Path(name_or_path), RobotProfile)
+        return _checked_stance(config.load(Path(name_or_path), RobotProfile), name_or_path)
     known = {p.name.removesuffix(".toml"): p for p in resources.files("shared.profiles").iterdir() if p.name.endswith(".toml")}
     if name_or_path not in known:
         raise config.ConfigError(
@@ -244,3 +246,26 @@ def load_profile(name_or_path: str) -> RobotProfile:
         )
     with resources.as_file(known[name_or_path]) as path:
         return config.load(path, RobotProfile)
+
+
+def _checked_stance(profile: RobotProfile, source: str) -> RobotProfile:
+    """A profile whose legs reach the ground in the resting stance.
+
+    Raises:
+        ConfigError: One does not.
+    """
+    from shared.kinematics import body_inverse, within_limits  # which knows robots
+
+    q = body_inverse(profile, profile.rest_feet())
+    bad = [LEGS[leg] for leg in np.flatnonzero(~within_limits(profile, q).all(axis=1))]
+    if not bad:
+        return profile
+    out = [leg for leg, angles in zip(LEGS, q, strict=True) if not np.isfinite(angles).all()]
+    why = "is out of the legs' reach" if out else "is beyond the servos' limits"
+    raise config.ConfigError(
+        source,
+        [
+            f"stance: the resting stance ({profile.stance.foot_radius_from_coxa:g} m from the coxa, the body "
+            f"{profile.stance.body_height:g} m high) {why} for {', '.join(bad)}; check links, limits and stance"
+        ],
+    )

@@ -4,6 +4,7 @@ Services that steer the robot never see a scenario; the simulator builds the wor
 launcher hands its goal and speed to the planner as an operator would.
 """
 
+import re
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -55,6 +56,12 @@ class Stairs:
     riser_spread: float = 0.0  # [m] at most this much, of either sign, is added to the risers
     tread_spread: float = 0.0  # [m] and to the treads
     color: Color | None = None
+
+    def __post_init__(self) -> None:
+        _expect(self.count >= 1, "a count of at least one step", self.count)
+        _expect(min(self.tread, self.width, self.landing) > 0, "tread, width and landing greater than 0 m", self)
+        _expect(0 <= self.riser_spread < abs(self.riser), "a riser_spread from 0 to less than the riser", self.riser_spread)
+        _expect(0 <= self.tread_spread < self.tread, "a tread_spread from 0 to less than the tread", self.tread_spread)
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,6 +271,9 @@ class Scenario:
     folder: str = "."  # where files named in the scenario are looked for; set on loading
 
     def __post_init__(self) -> None:
+        # Folders of runs are named by it.
+        plain = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.-]*", self.name) is not None and ".." not in self.name
+        _expect(plain, "a name of letters, digits, spaces, dots, dashes and underscores", repr(self.name))
         if not self.terrain:
             raise ValueError('at least one terrain primitive expected, found none; add [[terrain]] with kind = "plane"')
         _expect(self.time_limit_s > 0, "a time limit greater than 0 s", self.time_limit_s)

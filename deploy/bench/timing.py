@@ -130,7 +130,7 @@ def installed(makers: Mapping[str, Callable[..., Made]], *arguments: Any) -> tup
         try:
             made[name] = maker(*arguments)
         except ModuleNotFoundError as error:
-            missing.append(f"{name}: {error}; pip install 'sextant[bench]' brings it")
+            missing.append(f"{name}: {error}; pip install -e '.[bench]' brings it")
         except ImportError as error:  # it is there, but something that it needs is not
             missing.append(f"{name}: {error}")
     return made, missing

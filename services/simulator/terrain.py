@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from services.simulator.solids import Boxes, HeightField
+from shared.config import ConfigError
 from shared.geometry import Array, rotation_from_rpy, rotation_z
 from shared.scenario import Box, Color, HeightMap, Pillars, Plane, Puddle, Puddles, Rubble, Scenario, Slope, Stairs
 
@@ -106,13 +107,21 @@ def build_terrain(scenario: Scenario, rng: np.random.Generator) -> Terrain:
     """The solids of a scenario's primitives; what is random of them draws from the generator.
 
     Raises:
-        ValueError: Two planes or two height maps, rubble that finds no room, a height map that cannot be read.
+        ConfigError: Two planes or two height maps, rubble that finds no room, a height map that cannot be read.
     """
+    try:
+        return _built(scenario, rng)
+    except ValueError as error:
+        raise ConfigError(f"scenario {scenario.name}", [f"terrain: {error}"]) from error
+
+
+def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
     heap = _Heap()
     planes: list[Plane] = []
     fields: list[tuple[HeightField, Color | None]] = []
     puddles: list[Puddle] = []
-    for part in scenario.terrain:
+    # Stairs first: they are the same whether rubble lies on them or not.
+    for part in [_drawn(part, rng) if isinstance(part, Stairs) else part for part in scenario.terrain]:
         heap.paint = part.color
         match part:
             case Plane():
@@ -120,7 +129,7 @@ def build_terrain(scenario: Scenario, rng: np.random.Generator) -> Terrain:
             case Box():
                 heap.add(part.xy, part.size, part.top, part.top - part.depth, np.radians(part.yaw_deg))
             case Stairs():
-                _stairs(heap, part, rng)
+                _stairs(heap, part)
             case Pillars():
                 for xy in part.xy:
                     heap.add(xy, (part.size, part.size), part.top, part.top - part.depth)
@@ -213,12 +222,15 @@ class _Heap:
         )
 
 
-def _stairs(heap: _Heap, stairs: Stairs, rng: np.random.Generator) -> None:
-    if stairs.count < 1:
-        raise ValueError(f"stairs of at least one step expected, found count = {stairs.count}")
-    if stairs.riser_spread or stairs.tread_spread:
-        riser, tread = rng.uniform(-1.0, 1.0, 2) * (stairs.riser_spread, stairs.tread_spread)
-        stairs = replace(stairs, riser=stairs.riser + riser, tread=stairs.tread + tread)
+def _drawn(stairs: Stairs, rng: np.random.Generator) -> Stairs:
+    """Stairs with their spread drawn."""
+    if not (stairs.riser_spread or stairs.tread_spread):
+        return stairs
+    riser, tread = rng.uniform(-1.0, 1.0, 2) * (stairs.riser_spread, stairs.tread_spread)
+    return replace(stairs, riser=stairs.riser + riser, tread=stairs.tread + tread, riser_spread=0.0, tread_spread=0.0)
+
+
+def _stairs(heap: _Heap, stairs: Stairs) -> None:
     yaw = np.radians(stairs.yaw_deg)
     forward = np.array([np.cos(yaw), np.sin(yaw)])
     bottom = min(stairs.base, stairs.base + stairs.count * stairs.riser) - DEPTH

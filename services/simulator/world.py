@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from services.simulator.solids import Boxes, Capsules, HeightField
 from services.simulator.terrain import DEPTH, Terrain
+from shared.config import ConfigError
 from shared.geometry import Array, quaternion_from_rotation, rotation_z, transform
 from shared.robot import JOINTS, RobotProfile
 from shared.scenario import Variation
@@ -118,7 +119,7 @@ class World:
         """Place the robot level at xy [m] and yaw [rad], as low as its feet allow; returns T_world_body (4, 4).
 
         Raises:
-            ValueError: There is no ground below one of the feet.
+            ConfigError: There is no ground below one of the feet.
         """
         T = transform(rotation_z(yaw), np.array([*np.asarray(xy, dtype=np.float64), 0.0]))
         self._pose(_joint_angles(q), T)
@@ -126,7 +127,8 @@ class World:
         ground = self.terrain.height_at(feet[:, :2])
         if not np.all(np.isfinite(ground)):
             missing = [leg.name for leg, z in zip(self.profile.legs, ground, strict=True) if not np.isfinite(z)]
-            raise ValueError(f"ground below every foot expected, found none below {', '.join(missing)}; start somewhere else")
+            words = f"ground below every foot expected, found none below {', '.join(missing)}; start somewhere else"
+            raise ConfigError("start", [words])
         T[2, 3] = np.max(ground + self.profile.foot.radius - feet[:, 2])
         self.place(q, T)
         return T

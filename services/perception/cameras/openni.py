@@ -160,9 +160,7 @@ def _library() -> tuple[Any, tuple[type[Exception], ...]]:
         from openni import openni2
         from openni.utils import ClosedHandleError, InitializationError, OpenNIError
     except ImportError as error:
-        raise CameraError(
-            f"{_NAME}: the openni binding cannot be imported ({error})", "pip install 'sextant[openni]'"
-        ) from error
+        raise CameraError(f"{_NAME}: the openni binding cannot be imported ({error})", "pip install -e '.[openni]'") from error
     # Where the binding looks, and where Debian puts the library.
     named = [os.environ[key] for key in ("OPENNI2_REDIST64", "OPENNI2_REDIST") if os.environ.get(key)]
     folders = [*named, f"/usr/lib/{sysconfig.get_config_var('MULTIARCH')}", "/usr/lib", "/usr/local/lib", "/usr/lib64"]

@@ -133,7 +133,7 @@ def _library() -> Any:
     except (ImportError, OSError) as error:
         raise CameraError(
             f"{_NAME}: pyrealsense2 cannot be imported ({error})",
-            "pip install 'sextant[realsense]'; there are wheels for x86-64, elsewhere build librealsense with "
+            "pip install -e '.[realsense]'; there are wheels for x86-64, elsewhere build librealsense with "
             "-DBUILD_PYTHON_BINDINGS=ON",
         ) from error
     return rs

@@ -147,7 +147,7 @@ def test_a_ride_needs_frames(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (
             ModuleNotFoundError("No module named 'somewhere'"),
-            "elsewhere: No module named 'somewhere'; pip install 'sextant[bench]'",
+            "elsewhere: No module named 'somewhere'; pip install -e '.[bench]'",
         ),
         (
             ImportError("libusb-1.0.so.0: cannot open shared object file"),

@@ -40,7 +40,7 @@ def test_a_missing_wheel_is_named_with_the_role_that_lacks_it(monkeypatch: pytes
     checks = {check.name: check for check in doctor.wheels()}
     assert checks["libraries: simulator"].level is Level.WARN
     assert "mujoco (libEGL.so.1" in checks["libraries: simulator"].found
-    assert "sextant[simulator]" in checks["libraries: simulator"].advice
+    assert ".[simulator]" in checks["libraries: simulator"].advice
     assert checks["libraries: actuator"].level is Level.OK
 
 
@@ -101,10 +101,10 @@ def test_a_camera_that_is_absent_is_a_warning_unless_it_was_asked_for(tmp_path: 
     monkeypatch.setitem(sys.modules, "openni", None)
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     check = doctor.depth_camera("phantomx_mk2")
-    assert (check.level, check.advice) == (Level.WARN, "pip install 'sextant[openni]'")
+    assert (check.level, check.advice) == (Level.WARN, "pip install -e '.[openni]'")
     check = doctor.depth_camera("phantomx_mk2", "realsense")
     assert check.level is Level.FAIL
-    assert "sextant[realsense]" in check.advice
+    assert ".[realsense]" in check.advice
     assert doctor.depth_camera("phantomx_mk2", str(tmp_path)).level is Level.FAIL
     assert doctor.depth_camera("phantomx_mk2_scanner").level is Level.OK
     assert doctor.depth_camera("nobody").level is Level.FAIL

@@ -22,23 +22,8 @@ def test_raw_bounds_are_the_first_and_last_value_within_range(nearest: float, sp
         assert low > high
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_points_project_to_their_pixels(seed: int) -> None:
-    depth = np.random.default_rng(seed).uniform(0.4, 3.0, (48, 64))
-    points = SMALL.points(depth)
-    v, u = np.mgrid[0:48, 0:64]
-    np.testing.assert_allclose(SMALL.fx * points[..., 0] / points[..., 2] + SMALL.cx, u, atol=1e-9)
-    np.testing.assert_allclose(SMALL.fy * points[..., 1] / points[..., 2] + SMALL.cy, v, atol=1e-9)
-    np.testing.assert_array_equal(points[..., 2], depth)
-
-
 @pytest.mark.parametrize("bad", [np.zeros((48, 64)), np.zeros((64, 48), np.uint16), np.zeros((48, 64, 1), np.uint16)])
 def test_raw_images_of_another_shape_or_type_are_refused(bad: np.ndarray) -> None:  # type: ignore[type-arg]
     with pytest.raises(ValueError, match=r"uint16 depth image \(48, 64\) expected, found"):
         SMALL.check_raw(bad)
     SMALL.check_raw(np.zeros((48, 64), np.uint16))
-
-
-def test_noise_grows_with_the_square_of_the_distance() -> None:
-    near, far = DepthSensor().sigma(np.array([1.0, 2.0]), 525.0)
-    assert far == pytest.approx(4.0 * near)

@@ -158,6 +158,9 @@ def test_each_misfit_is_named_with_its_place(change: dict[str, Any], words: str)
 
 def test_a_missing_value_is_named() -> None:
     assert problems({}) == ("count: missing; a value of a whole number is needed",)
+    wanted = r"(?s)terrain: missing; one table \[\[terrain\]\] or more is needed.*goal: missing; a table \[goal\] is needed"
+    with pytest.raises(config.ConfigError, match=wanted):
+        config.build({"name": "short"}, Scenario)
 
 
 def test_everything_wrong_is_said_at_once() -> None:

@@ -153,6 +153,22 @@ def test_a_profile_is_found_by_name_and_by_path(tmp_path: Path) -> None:
     assert load_profile(str(path)) == replace(PROFILE, name="mine")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("foot_radius_from_coxa = 0.14", "foot_radius_from_coxa = 0.6", "out of the legs' reach for left front"),
+        ("pitch_down_deg = 30", "pitch_down_deg = -80", "camera: a pitch_down_deg from -45"),
+    ],
+)
+def test_a_profile_that_cannot_stand_or_see_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
+    text = Path(__file__).parents[3].joinpath("shared/profiles/phantomx_mk2.toml").read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "my.toml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(config.ConfigError, match=words):
+        load_profile(str(path))
+
+
 def test_a_profile_with_five_legs_is_refused_in_words() -> None:
     with pytest.raises(config.ConfigError, match="legs: a list of 6 values expected, found 5"):
         config.build(TABLE | {"legs": TABLE["legs"][:5]}, RobotProfile)

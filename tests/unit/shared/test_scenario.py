@@ -9,6 +9,7 @@ from shared import config
 from shared.robot import load_profile
 from shared.scenario import Box, Fault, Goal, Plane, Rubble, Scenario, Stairs, load_scenario, scenario_names
 
+STAIRS = {"kind": "stairs", "xy": [0.0, 0.0], "riser": 0.04, "tread": 0.3, "count": 3, "width": 1.0}
 MINIMAL = {"name": "mine", "terrain": [{"kind": "plane"}], "goal": {"distance": 1.0}}
 
 
@@ -88,6 +89,11 @@ def test_an_unknown_name_lists_the_known() -> None:
         ({"faults": [{"at_s": 1, "service": "simulator"}]}, r"faults\[0\].service: one of"),
         ({"faults": [{"at_s": 1, "service": "camera"}]}, r"faults\[0\]: a kind out of absent, frozen, blind, noise"),
         ({"faults": [{"at_s": 1, "service": "planner", "kind": "blind"}]}, r"faults\[0\]: a kind out of kill, hang"),
+        ({"name": "a/../b"}, "a name of letters"),
+        ({"name": ""}, "a name of letters"),
+        ({"terrain": [STAIRS | {"count": 0}]}, r"terrain\[0\]: a count of at least one step"),
+        ({"terrain": [STAIRS | {"riser_spread": 0.05}]}, r"terrain\[0\]: a riser_spread from 0 to less than the riser"),
+        ({"terrain": [STAIRS | {"tread_spread": -0.1}]}, r"terrain\[0\]: a tread_spread from 0"),
         ({"time_limit_s": 0}, "a time limit greater than 0 s"),
         ({"time_limit_s": float("inf")}, "time_limit_s: a finite number expected"),
     ],
