@@ -161,7 +161,9 @@ def replay_folder(
     try:
         sequence = tum.read_recording(folder)
     except (FileNotFoundError, ValueError) as unreadable:
-        raise ReplayError(str(unreadable)) from None
+        run = folder / "recording.mcap"
+        instead = f"; to replay what was recorded of a run, give {run}" if run.is_file() else ""
+        raise ReplayError(f"{unreadable}{instead}") from None
     profile = profile_for(sequence)
     # 2. Play it to perception and mapper on simulated time.
     poses, terrain, stages_ms, lost = _play(sequence, profile, registration, progress)

@@ -26,6 +26,8 @@ RUN_BY = {
     "trials": "tests/walk/test_walks.py::test_trials_of_several_seeds_at_a_time",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_tell_the_rate_and_the_baseline_beside_it",
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
+    "replay FILE": "tests/unit/deploy/test_replay.py::"
+    "test_the_command_replays_a_recording_and_the_folder_of_a_run_points_to_it",
     "up --camera": "tests/live/test_camera.py::test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none",
     "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
@@ -51,7 +53,8 @@ def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
     group = words[:2] if words[0] in ("topics", "bench") else words[:1]
     ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera")]
-    return " ".join(group + ways)
+    files = ["FILE"] if words[-1].endswith(".mcap") else []
+    return " ".join(group + files + ways)
 
 
 README = list(commands((ROOT / "README.md").read_text(encoding="utf-8")))

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -5,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from deploy import replay
+from deploy import cli, replay
 from deploy.attendance import about
 from deploy.progress import Silent
 from deploy.recording import Recorder
@@ -169,6 +170,16 @@ def test_a_recorded_run_replays_into_the_same_maps(recorded: Path, tmp_path: Pat
     assert table["map_error_m"]["rmse"] == 0.0
     assert table["map_error_m"]["coverage"] == 1.0
     assert "differ by 0.00 mm" in replay.in_words(table)
+
+
+def test_the_command_replays_a_recording_and_the_folder_of_a_run_points_to_it(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert cli.main(["replay", str(recorded), "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["map_error_m"]["rmse"] == 0.0
+    assert cli.main(["replay", str(recorded.parent), "--out", str(out)]) == 2
+    assert f"to replay what was recorded of a run, give {recorded}" in capsys.readouterr().err
 
 
 def test_a_run_with_a_map_of_its_own_replays_into_the_same_cells(tmp_path: Path) -> None:
