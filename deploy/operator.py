@@ -47,6 +47,7 @@ class Operator:
         self._walk = scenario.walk
         self._speed = min(scenario.walk.speed, profile.stance.max_speed)
         self._order: Literal["stand", "walk"] = "stand"
+        self._first_order = -1  # number of the first order; the second follows it
         self._order_due_ns = 0
         self._rising = False
         self._arrived_ns: int | None = None
@@ -55,6 +56,8 @@ class Operator:
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """One beat: look, order, steer."""
         now = tick.stamp_ns
+        if self._first_order < 0:
+            self._first_order = now + 1  # an actuator that has heard another operator before counts on
         state = inbox.latest(topics.ACTUATOR_STATE)
         pose = inbox.latest(topics.BODY_POSE)
         steerable = inbox.fresh(topics.BODY_POSE) is not None
@@ -64,7 +67,7 @@ class Operator:
             self._give_up(now, state, status, ever_posed=pose is not None, posed=steerable)
         if now >= self._order_due_ns:
             self._order_due_ns = now + _ORDER_NS
-            yield ModeCommand(now, self._order, 1 if self._order == "stand" else 2)
+            yield ModeCommand(now, self._order, self._first_order + (self._order == "walk"))
         if self._order == "walk":
             known = pose is not None and steerable and not self.finished
             yield self._steer(now, pose.T_world_body if pose is not None and known else None)

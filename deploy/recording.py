@@ -42,7 +42,7 @@ FRAME_LAYOUT = (
 
 
 # What reading ends in where a file does: inside a record, a length or a chunk.
-_CUT_OFF = (McapError, CRCValidationError, zstandard.ZstdError, struct.error)
+_CUT_OFF = (McapError, CRCValidationError, zstandard.ZstdError, struct.error, UnicodeDecodeError)
 
 
 class RecordingError(ValueError):
@@ -210,6 +210,9 @@ class Recording:
                         case Metadata(name="run"):
                             self.about = dict(record.metadata)
                         case Entry():
+                            if record.channel_id not in keys:
+                                words = f"a message of channel {record.channel_id}, which the file does not declare"
+                                raise RecordingError(f"{self.path}: damaged: {words}")
                             yield keys[record.channel_id], record.data, record.log_time
             except _CUT_OFF:
                 self.complete = False

@@ -120,6 +120,7 @@ class Scorer:
         self._recent: deque[tuple[int, float, float]] = deque()  # stamp, x, y of the last half second
         self._poses: list[BodyPose] = []
         self._states: list[ActuatorState] = []
+        self._newest_step = self._steps_before = 0  # of the actuator as it counts, and of those before it
         self._plans: dict[int, StepPlan] = {}  # the newest revision of each step
         self._moved: dict[int, int] = {}  # footholds moved in each step, by the planner's word
         self._first_step_ns: int | None = None
@@ -147,11 +148,15 @@ class Scorer:
         self._trace = None
         self._poses += inbox.drain(topics.BODY_POSE)
         for state in inbox.drain(topics.ACTUATOR_STATE):
-            self._states.append(state)
+            if state.step < self._newest_step:
+                self._steps_before += self._newest_step  # an actuator that began anew counts from zero
+            self._newest_step = state.step
+            self._states.append(replace(state, step=state.step + self._steps_before))
             if self._first_step_ns is None and state.mode is Mode.WALK:
                 self._first_step_ns = state.stamp_ns
                 self._anchor()
         for plan in inbox.drain(topics.STEP_PLAN):
+            plan = replace(plan, step=plan.step + self._steps_before)
             known = self._plans.get(plan.step)
             if known is None or plan.revision >= known.revision:
                 self._plans[plan.step] = plan
@@ -178,7 +183,6 @@ class Scorer:
     def _begin(self, truth: GroundTruth) -> None:
         self._begin_ns = truth.stamp_ns
         self._lay_start(truth.T_world_body)
-        self._ground = GroundHeights(self._around(_PATH_MARGIN), self._T_start_sim, self._height_in_start)
 
     def _lay_start(self, T: Array) -> None:
         """Lay {start} under a pose (4, 4) of the body in the simulator's world."""
@@ -189,6 +193,7 @@ class Scorer:
         self._T_start_sim = inverse(self._T_sim_start)
         self._maps = None  # what was laid over the old frame
         self._rows = self._T_start_sim[:3].tolist()
+        self._ground = GroundHeights(self._around(_PATH_MARGIN), self._T_start_sim, self._height_in_start)
 
     def _anchor(self) -> None:
         """Lay {start} anew where the robot stands before its first step, so that truth and estimate agree there."""
@@ -222,7 +227,7 @@ class Scorer:
         return self._height_in_start(xy) - self._sink_in_start(xy)
 
     def _note(self, status: PlannerStatus) -> None:
-        self._moved[status.step] = status.moved_footholds
+        self._moved[status.step + self._steps_before] = status.moved_footholds
 
     def _judge(self, truth: GroundTruth) -> None:
         T, now = truth.T_world_body, truth.stamp_ns
@@ -534,7 +539,11 @@ class Scorer:
         return float(x[1] - x[0]) / duration, duration
 
     def _pose_error(self, trace: Trace) -> PoseError:
-        known = (trace.t_estimate >= trace.t[0]) & (trace.t_estimate <= trace.t[-1])
+        if not trace.walking.any():
+            return PoseError()
+        # While it stands before its first step both are one by construction.
+        first = trace.t[int(np.argmax(trace.walking))]
+        known = (trace.t_estimate >= first) & (trace.t_estimate <= trace.t[-1])
         if not known.any():
             return PoseError()
         true = np.stack([np.interp(trace.t_estimate[known], trace.t, trace.p_true[:, k]) for k in range(3)], axis=1)

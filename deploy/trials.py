@@ -220,19 +220,20 @@ def _read(path: Path, mark: str) -> dict[int, dict[str, Any]]:
     """Reports on file of one scenario, by seed. A last line that was cut off counts as not run."""
     if not path.exists():
         return {}
-    text = path.read_text(encoding="utf-8")
-    if text and not text.endswith("\n"):
-        text = text[: text.rfind("\n") + 1]
-        path.write_text(text, encoding="utf-8")
+    data = path.read_bytes()
+    if data and not data.endswith(b"\n"):
+        data = data[: data.rfind(b"\n") + 1]
+        path.write_bytes(data)
     found: dict[int, dict[str, Any]] = {}
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(data.split(b"\n")[:-1], 1):
         try:
             entry = json.loads(line)
-        except json.JSONDecodeError:
+        except ValueError:  # no text, or no JSON
             entry = None
-        if not isinstance(entry, dict) or reports.check(entry.get("report")):
+        ours = isinstance(entry, dict) and entry.get("fingerprint") == mark
+        if not isinstance(entry, dict) or "report" not in entry or (ours and reports.check(entry["report"])):
             raise ValueError(f"{path}, line {number}: a finished seed as JSON expected, found {line[:60]!r}; remove the line")
-        if entry.get("fingerprint") == mark:
+        if ours:
             found[entry["report"]["seed"]] = entry["report"]
     return found
 

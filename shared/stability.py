@@ -33,4 +33,6 @@ def support_margin(feet: Array, centre: Array) -> float:
     towards = np.where(sides.max(axis=1) > -sides.min(axis=1), 1.0, -1.0)
     hull = (sides * towards[:, None]).min(axis=1) > -1e-9
     distance = towards * np.einsum("ek,ek->e", normals, centre - start)
+    # Feet on a line have no inside.
+    distance = np.where(np.abs(sides).max(axis=1) <= 1e-9, -np.abs(distance), distance)
     return float(distance[hull].min()) if hull.any() else -float(np.linalg.norm(centre - middle))

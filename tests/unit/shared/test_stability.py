@@ -65,10 +65,12 @@ def test_another_foot_never_makes_it_worse(seed: int) -> None:
     assert support_margin(feet, centre) >= support_margin(feet[:5], centre) - 1e-9
 
 
-def test_feet_in_one_line_carry_nothing() -> None:
-    line = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0], [1, 0, 2]])
+@pytest.mark.parametrize("aside", [0.1, -0.1, 0.5, -0.5])
+def test_feet_in_one_line_carry_nothing(order: list[int], aside: float) -> None:
+    line = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])[order]
     assert support_margin(line, np.array([1.0, 0.0])) <= 1e-9
-    assert support_margin(line, np.array([1.0, 0.1])) < 0
+    assert support_margin(line, np.array([1.0, aside])) == pytest.approx(-abs(aside))
 
 
 def test_feet_in_one_place_carry_nothing() -> None:
