@@ -37,6 +37,10 @@ def assert_carried_on(found: Walk) -> None:
     assert (report.falls, report.shutdowns) == (0, 0)
     assert report.min_stability_margin_m >= 0
     assert report.tilt_deg.max < 5
+    # A step is counted once, whoever walked it, and no foot slips by more than on other walks.
+    steps = np.array([state.step for state in found.states()])
+    assert report.steps == np.count_nonzero(np.diff(steps) > 0)
+    assert report.slip_m_per_step.p95 < 0.006
     truth = found.heard.of(topics.TRUTH, AT_S)
     feet = np.array([m.feet[:, :2] for m in truth])
     contact = np.array([m.contact for m in truth], dtype=np.bool_)

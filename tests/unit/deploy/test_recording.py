@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from deploy import recording as recording_module
 from deploy.recording import LiveRecorder, Recorder, Recording, RecordingError, describe, read
@@ -158,6 +159,17 @@ def test_a_recording_that_was_never_closed_is_read_up_to_a_chunk_and_a_second(
     smallest = min(len(codec.encode(message)) for _, message, _ in written[:2])
     assert len(found) >= len(written) - 2000 // smallest - 3
     recorder.close()
+
+
+def test_a_message_of_a_channel_that_is_not_declared_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "odd.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        writer.add_message(channel_id=7, log_time=0, data=b"", publish_time=0)
+        writer.finish()
+    with pytest.raises(RecordingError, match="damaged: a message of channel 7"):
+        list(Recording(path).frames())
 
 
 def test_a_damaged_chunk_ends_the_reading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

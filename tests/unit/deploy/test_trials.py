@@ -91,6 +91,16 @@ def test_a_batch_that_was_stopped_goes_on_where_it_was(tmp_path):
     assert trials.run_trials(SCENARIO, [2, 4], 1, tmp_path, run=Runner(until=0)).success.n == 2
 
 
+def test_what_another_program_left_is_not_counted_and_no_error(tmp_path):
+    runner = Runner()
+    with (tmp_path / "trials.jsonl").open("wb") as lines:
+        lines.write(b'{"fingerprint": "of long ago", "report": {"seed": 1}}\n')
+        lines.write('{"fingerprint": "a line\u2028cut in a letter: \u00fc'.encode()[:-1])
+    trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=runner)
+    assert runner.seeds == [0, 1, 2]
+    trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=Runner(until=0))
+
+
 def test_a_changed_scenario_is_run_anew(tmp_path):
     trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=Runner())
     faster, moved = replace(SCENARIO, time_limit_s=1.0), replace(SCENARIO, folder="/elsewhere")
