@@ -1,5 +1,6 @@
 """What a run is doing, gathered from the wire and shown in the terminal; with cli.py the only place that writes to stdout."""
 
+import math
 import shutil
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -103,7 +104,7 @@ class Monitor:
         if len(self._track) < 2:
             return 0.0
         (t0, x0, y0), (t1, x1, y1) = self._track[0], self._track[-1]
-        return float(((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5 / ((t1 - t0) * 1e-9))
+        return math.hypot(x1 - x0, y1 - y0) / ((t1 - t0) * 1e-9)
 
     def _warnings(
         self, state: ActuatorState | None, pose: BodyPose | None, planner: PlannerStatus | None, now_ns: int

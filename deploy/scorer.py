@@ -45,6 +45,7 @@ _PATH_MARGIN = 0.5  # [m] around the straight path where a fall is looked up on 
 _RAISED = 0.005  # [m]
 _DEBOUNCE = max(1, round(0.02 * topics.TRUTH.rate_hz))  # samples of truth, 20 ms
 _GROUNDED = 0.2  # [1] of a swing at its ends, in which a touching foot carries and does not brush
+_RESOLUTIONS, _FAR = (0.001, 1.0), 1e4  # [m] cells and places of maps that make sense
 _HANGING = 0.003  # [m] a standing foot over its ground catches the body after a degree of tilt
 _STALE_NS = 250_000_000  # [ns] an actuator that has been silent for longer is not walking
 _MOVED = 0.008  # [m] a touchdown this far off its fellows' pattern has been moved
@@ -276,6 +277,9 @@ class Scorer:
         return np.array([m.stamp_ns - self._begin_ns for m in self._truth], dtype=np.float64)
 
     def _look_at(self, terrain: TerrainMap) -> None:
+        low, high = _RESOLUTIONS
+        if not low <= terrain.resolution <= high or np.abs(terrain.origin).max() > _FAR or not terrain.elevation.size:
+            return  # no map of anything, which the planner says; it must not end the judging
         if self._maps is None or not self._maps.grid.fits(terrain):
             grid = Grid.of(self._around(_COURSE_MARGIN), terrain)
             self._maps = MapJudge(grid, self._height_in_start)

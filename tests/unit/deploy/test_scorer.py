@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,6 +16,7 @@ from deploy.walk_metrics import (
     touchdowns,
 )
 from services.simulator.terrain import build_terrain
+from shared.messages import TerrainMap
 from shared.scenario import Box, Goal, Plane, Scenario, Slope, Stairs
 
 STEPS = Scenario(
@@ -106,6 +109,19 @@ def test_the_map_of_the_course_is_judged_as_in_the_bench(story):
     assert 0.8 < course.coverage < 1.0  # the story's maps end 0.6 m aside, the camera sees further
     assert course.rmse < 1e-6
     assert course.edge <= 0.006  # where they are, but for the cell
+
+
+@pytest.mark.parametrize(
+    "odd", [{"resolution": 0.0}, {"resolution": -0.01}, {"resolution": 1e-9}, {"origin": np.full(2, 1e200)}]
+)
+def test_a_map_that_makes_no_sense_does_not_end_the_judging(story, odd):
+    scorer = story().judged()
+    before = scorer.result()
+    n = np.zeros((4, 4), np.float32)
+    flags, depth = np.zeros((4, 4), np.bool_), np.zeros((4, 4), np.int8)
+    terrain = TerrainMap(0, 0.01, np.zeros(2), n, n, n, flags, depth)
+    scorer._look_at(replace(terrain, **odd))
+    assert reports.as_table(scorer.result()) == reports.as_table(before)
 
 
 def test_a_fall_is_a_fall(story):
