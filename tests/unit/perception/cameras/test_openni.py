@@ -200,7 +200,7 @@ def test_what_is_not_installed_is_named(kit, lib: Library, monkeypatch: pytest.M
     with pytest.raises(CameraError, match=r"libOpenNI2\.so not found.*libopenni2-dev"):
         OpenNI(kit.profile.camera, kit.clock)
     monkeypatch.setitem(sys.modules, "openni", None)
-    with pytest.raises(CameraError, match=r"openni binding.*sextant\[openni\]"):
+    with pytest.raises(CameraError, match=r"openni binding.*\.\[openni\]"):
         openni.find()
 
 
