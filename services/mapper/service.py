@@ -36,7 +36,7 @@ _BOX = 10  # cells of the box around a passage that lies askew, to those it may 
 _FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
 _NEAR = 1.2  # of the camera's least range, up to which a line of sight without a return says nothing
 _REACH = 0.30  # [m] between a foot and the map under it, beyond which pose and map have nothing to do with each other
-_WORST_COVARIANCE = 1e4  # [m^2] and [rad^2]
+_WORST_COVARIANCE = 1e4  # [m^2] and [rad^2] beyond which a pose is none
 _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
 
 
@@ -208,9 +208,10 @@ class Mapper:
         if not (np.abs(centre) < FAR).all():
             return f"a body within {FAR:g} m of the world's origin expected"
         if pose is not None and not is_rigid(pose.T_world_body):
-            return "the body's pose is no rotation and translation"
-        if pose is not None and np.abs(pose.covariance).max() > _WORST_COVARIANCE:
-            return f"a pose known to {math.sqrt(_WORST_COVARIANCE):g} m and rad expected, its covariance says otherwise"
+            return f"a rotation and a translation expected for the body's pose, found {pose.T_world_body.tolist()}"
+        worst = 0.0 if pose is None else float(np.abs(pose.covariance).max())
+        if worst > _WORST_COVARIANCE:
+            return f"a pose's covariance of at most {_WORST_COVARIANCE:g} m^2 and rad^2 expected, found {worst:.3g}"
         away = float(np.abs(scan.p_world_camera - centre).max())
         if away > _FROM_BODY:
             return f"it was taken {away:.3g} m from where the body is"

@@ -71,8 +71,8 @@ class StridePlanner:
         self._profile = profile
         self._settings = settings
         self._foot_up = np.array([0.0, 0.0, profile.foot.radius])  # [m] from the ground to a foot's centre
-        self._offsets = offsets_by_distance(settings.search_radius, 0.01)
-        self._offsets_resolution = 0.01  # [m] of the map that they are for
+        self._offsets: Array = np.zeros((0, 2))  # [m] of the cells to try, made for the resolution of the map at hand
+        self._offsets_resolution = 0.0  # [m]
 
     def objection(self, command: VelocityCommand) -> str:
         """Why a command cannot be walked by this robot anywhere, in words, or nothing."""

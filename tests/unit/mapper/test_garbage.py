@@ -91,9 +91,9 @@ def test_what_makes_no_sense_is_said_and_leaves_the_map_as_it_was(name: str) -> 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"covariance": np.full((6, 6), 1e300)}, "covariance says otherwise"),
-        ({"T_world_body": np.diag([1e7, 1e7, 1e7, 1.0])}, "no rotation and translation"),
-        ({"T_world_body": np.diag([-1.0, 1.0, 1.0, 1.0])}, "no rotation and translation"),
+        ({"covariance": np.full((6, 6), 1e300)}, "a pose's covariance of at most 10000 m^2 and rad^2 expected, found 1e+300"),
+        ({"T_world_body": np.diag([1e7, 1e7, 1e7, 1.0])}, "a rotation and a translation expected for the body's pose, found"),
+        ({"T_world_body": np.diag([-1.0, 1.0, 1.0, 1.0])}, "a rotation and a translation expected for the body's pose, found"),
     ],
 )
 def test_a_pose_that_is_none_is_said_and_leaves_the_map_as_it_was(changes: dict[str, Array], words: str) -> None:
