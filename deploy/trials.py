@@ -191,7 +191,7 @@ def fingerprint(scenario: Scenario) -> str:
     """Changes with whatever decides about a run but its seed: the scenario, the files that it names, and the program."""
     table = config.as_table(replace(scenario, folder="."))
     digest = hashlib.blake2s(json.dumps(table, sort_keys=True).encode() + _program(), digest_size=6)
-    named = [Path(scenario.folder) / part.file for part in scenario.terrain if isinstance(part, HeightMap)]
+    named = [part.path(Path(scenario.folder)) for part in scenario.terrain if isinstance(part, HeightMap)]
     for path in [*named, Path(scenario.robot)]:
         if path.is_file():
             digest.update(path.read_bytes())

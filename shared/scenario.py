@@ -4,6 +4,7 @@ Services that steer the robot never see a scenario; the simulator builds the wor
 launcher hands its goal and speed to the planner as an operator would.
 """
 
+import os
 import re
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -53,6 +54,7 @@ class Stairs:
     landing: float = 1.0  # [m]
     yaw_deg: float = 0.0
     base: float = 0.0  # [m] height of the ground before the first riser
+    depth: float = 0.5  # [m] how far they reach below their lowest tread
     riser_spread: float = 0.0  # [m] at most this much, of either sign, is added to the risers
     tread_spread: float = 0.0  # [m] and to the treads
     color: Color | None = None
@@ -87,6 +89,8 @@ class Slope:
     kind: Literal["slope"] = "slope"
     yaw_deg: float = 0.0
     landing: float = 1.0  # [m]
+    base: float = 0.0  # [m] height of its lower edge, or of its upper one where it falls
+    depth: float = 0.5  # [m] how far it reaches below its lower end
     color: Color | None = None
 
 
@@ -108,15 +112,43 @@ class Rubble:
 
 @dataclass(frozen=True, slots=True)
 class HeightMap:
-    """Measured ground from a .npy file (metres, NaN unknown, filled with the lowest) or a .png (grey value times scale)."""
+    """Measured ground from a .npy file (metres, NaN unknown, filled with the lowest) or a .png (grey value times scale).
 
-    file: str  # beside the scenario file, or absolute
+    Of a larger map a part can be taken, and then be turned.
+    """
+
+    file: str  # beside the scenario file, absolute, or in a folder that an environment variable names: "$FOLDER/map.npy"
     resolution: float  # [m] cell edge
-    xy: tuple[float, float]  # [m] where cell (0, 0) lies; rows run along x
+    xy: tuple[float, float]  # [m] where cell (0, 0) of what is taken and turned lies; rows run along x
     kind: Literal["height_map"] = "height_map"
     scale: float = 1.0  # heights are multiplied by it
     color: Color | None = None
     base: float = 0.0  # [m] and this is added: a .png has no negative heights
+    rows: tuple[int, int] | None = None  # first and one past the last that is taken, None for all
+    columns: tuple[int, int] | None = None
+    quarter_turns: int = 0  # of what is taken, counterclockwise as seen from above
+
+    def __post_init__(self) -> None:
+        for name, taken in (("rows", self.rows), ("columns", self.columns)):
+            _expect(taken is None or 0 <= taken[0] < taken[1] - 1, f"{name} from 0 on, two at least", taken)
+
+    def path(self, folder: Path) -> Path:
+        """Where the file is looked for.
+
+        Args:
+            folder: Of the scenario.
+
+        Raises:
+            ConfigError: The environment variable that is to name its folder is not set.
+        """
+        variable = re.match(r"\$(\w+)/", self.file)
+        if variable is None:
+            return folder / self.file
+        root, rest = os.environ.get(variable[1], ""), self.file[variable.end() :]
+        if not root:
+            wanted = f"the environment variable {variable[1]} expected to name the folder that holds {rest}, it is not set"
+            raise config.ConfigError(f"height map {self.file}", [wanted])
+        return Path(root) / rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +179,126 @@ class Puddles:
     color: Color = (74, 94, 118)
 
 
-Terrain = Plane | Box | Stairs | Pillars | Slope | Rubble | HeightMap | Puddle | Puddles
+@dataclass(frozen=True, slots=True)
+class Level:
+    """A stretch of level ground."""
+
+    length: float  # [m]
+    kind: Literal["level"] = "level"
+
+    def __post_init__(self) -> None:
+        _expect(self.length > 0, "a length greater than 0 m", self.length)
+
+
+@dataclass(frozen=True, slots=True)
+class Ramp:
+    """A stretch that rises evenly, or falls for a negative angle."""
+
+    length: float  # [m] horizontal
+    angle_deg: float
+    kind: Literal["ramp"] = "ramp"
+    angle_spread_deg: float = 0.0  # at most this much, of either sign, is added by the run's seed
+
+    def __post_init__(self) -> None:
+        _expect(self.length > 0, "a length greater than 0 m", self.length)
+        spread, angle = self.angle_spread_deg, abs(self.angle_deg)
+        _expect(0 <= spread < angle, "an angle_spread_deg from 0 to less than the angle", spread)
+        _expect(angle + spread < 80, "an angle of less than 80 deg", self.angle_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """Steps up, or down for a negative riser; spreads as those of `Stairs`."""
+
+    riser: float  # [m]
+    tread: float  # [m]
+    count: int
+    kind: Literal["flight"] = "flight"
+    riser_spread: float = 0.0  # [m]
+    tread_spread: float = 0.0  # [m]
+
+    def __post_init__(self) -> None:
+        _expect(self.count >= 1, "a count of at least one step", self.count)
+        _expect(self.tread > 0, "a tread greater than 0 m", self.tread)
+        _expect(0 <= self.riser_spread < abs(self.riser), "a riser_spread from 0 to less than the riser", self.riser_spread)
+        _expect(0 <= self.tread_spread < self.tread, "a tread_spread from 0 to less than the tread", self.tread_spread)
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """Level ground with rubble on it, placed as `Rubble` is."""
+
+    length: float  # [m]
+    count: int
+    size: tuple[float, float]  # [m] shortest and longest edge
+    top: tuple[float, float]  # [m] lowest and highest over the level ground
+    kind: Literal["blocks"] = "blocks"
+    gap: float = 0.02  # [m]
+    yaw_deg: float = 180.0  # [deg]
+
+    def __post_init__(self) -> None:
+        _expect(self.length > 0, "a length greater than 0 m", self.length)
+
+
+@dataclass(frozen=True, slots=True)
+class Stones:
+    """Square stepping stones in rows across the way; between them, before and behind there is nothing to stand on."""
+
+    length: float  # [m] at most; as many rows as find room, and the gaps around them
+    size: float  # [m] edge of a stone
+    gap: float  # [m] from stone to stone
+    kind: Literal["stones"] = "stones"
+    jitter: float = 0.0  # [m] by which the run's seed moves each stone, at most and along either axis
+    top: tuple[float, float] = (0.0, 0.0)  # [m] lowest and highest over the ground before them, by the run's seed
+
+    def __post_init__(self) -> None:
+        _expect(self.size > 0, "a size greater than 0 m", self.size)
+        _expect(0 <= 2 * self.jitter <= self.gap, "a jitter of at most half the gap", self.jitter)
+        _expect(self.top[0] <= self.top[1], "a top in rising order", self.top)
+        _expect(self.rows >= 1, f"a length of at least {self.size + 2 * self.gap:g} m, for one row", self.length)
+
+    @property
+    def rows(self) -> int:
+        """How many rows of stones there are."""
+        return int((self.length - self.gap + 1e-9) // (self.size + self.gap))
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A ditch right across the way."""
+
+    length: float  # [m] along the way
+    kind: Literal["gap"] = "gap"
+    spread: float = 0.0  # [m] at most this much, of either sign, is added by the run's seed
+
+    def __post_init__(self) -> None:
+        _expect(0 <= self.spread < self.length, "a spread from 0 to less than the length", self.spread)
+
+
+Stretch = Level | Ramp | Flight | Blocks | Stones | Gap
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Stretches of ground laid end to end along x, each as high as the last one ended, over whatever lies below."""
+
+    stretches: tuple[Stretch, ...]
+    width: float  # [m] the middle at y = 0
+    kind: Literal["course"] = "course"
+    x: float = -0.6  # [m] where the first one begins
+    bottom: float = -0.5  # [m] {world} how far down its solids reach
+    shuffled: bool = False  # the stretches between the first and the last follow each other in an order of the run's seed
+    rest: float = 0.0  # [m] of level ground put between any two of those
+    color: Color | None = None
+
+    def __post_init__(self) -> None:
+        _expect(self.width > 0, "a width greater than 0 m", self.width)
+        _expect(self.rest >= 0, "a rest of at least 0 m", self.rest)
+        if not self.stretches:
+            raise ValueError('at least one stretch expected, found none; add [[terrain.stretches]] with kind = "level"')
+
+
+Terrain = Plane | Box | Stairs | Pillars | Slope | Rubble | HeightMap | Puddle | Puddles | Course
 
 
 def _expect(holds: bool, expected: str, found: object) -> None:

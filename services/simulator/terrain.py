@@ -15,9 +15,30 @@ import numpy as np
 from services.simulator.solids import Boxes, HeightField
 from shared.config import ConfigError
 from shared.geometry import Array, rotation_from_rpy, rotation_z
-from shared.scenario import Box, Color, HeightMap, Pillars, Plane, Puddle, Puddles, Rubble, Scenario, Slope, Stairs
+from shared.scenario import (
+    Blocks,
+    Box,
+    Color,
+    Course,
+    Flight,
+    Gap,
+    HeightMap,
+    Level,
+    Pillars,
+    Plane,
+    Puddle,
+    Puddles,
+    Ramp,
+    Rubble,
+    Scenario,
+    Slope,
+    Stairs,
+    Stones,
+    Stretch,
+)
+from shared.scenario import Terrain as Primitive
 
-DEPTH = 0.5  # [m] how far stairs, slopes, rubble and height fields reach below the ground they join
+DEPTH = 0.5  # [m] how far rubble and height fields reach below the ground they join
 _BATCH = 256  # rubble candidates drawn at a time
 _BATCHES = 40  # tried for one block before the heap is begun anew
 _RESTARTS = 20
@@ -120,8 +141,8 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
     planes: list[Plane] = []
     fields: list[tuple[HeightField, Color | None]] = []
     puddles: list[Puddle] = []
-    # Stairs first: they are the same whether rubble lies on them or not.
-    for part in [_drawn(part, rng) if isinstance(part, Stairs) else part for part in scenario.terrain]:
+    # Stairs and courses first: they are the same whether rubble lies on them or not.
+    for part in [piece for whole in scenario.terrain for piece in _drawn(whole, rng)]:
         heap.paint = part.color
         match part:
             case Plane():
@@ -143,6 +164,8 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
                 puddles.append(part)
             case Puddles():
                 puddles += _scattered(part, rng)
+            case Course():
+                raise AssertionError("a course is made of its pieces by now")
     for name, count in (("plane", len(planes)), ("height_map", len(fields))):
         if count > 1:
             raise ValueError(f"at most one {name} in a terrain expected, found {count}; join them")
@@ -222,18 +245,103 @@ class _Heap:
         )
 
 
-def _drawn(stairs: Stairs, rng: np.random.Generator) -> Stairs:
-    """Stairs with their spread drawn."""
+def _drawn(part: Primitive, rng: np.random.Generator) -> list[Primitive]:
+    """What a primitive consists of once its spread is drawn: stairs of one riser and tread, a course's pieces, or itself."""
+    match part:
+        case Stairs():
+            return [_drawn_stairs(part, rng)]
+        case Course():
+            return _pieces(part, rng)
+        case _:
+            return [part]
+
+
+def _drawn_stairs(stairs: Stairs, rng: np.random.Generator) -> Stairs:
     if not (stairs.riser_spread or stairs.tread_spread):
         return stairs
     riser, tread = rng.uniform(-1.0, 1.0, 2) * (stairs.riser_spread, stairs.tread_spread)
     return replace(stairs, riser=stairs.riser + riser, tread=stairs.tread + tread, riser_spread=0.0, tread_spread=0.0)
 
 
+def _pieces(course: Course, rng: np.random.Generator) -> list[Primitive]:
+    """The primitives of a course, one stretch after the other."""
+    pieces: list[Primitive] = []
+    x, base = course.x, 0.0
+    for stretch in _in_order(course, rng):
+        found, length, rise = _laid(stretch, course, x, base, rng)
+        pieces += found
+        x, base = x + length, base + rise
+    return pieces
+
+
+def _in_order(course: Course, rng: np.random.Generator) -> list[Stretch]:
+    """A course's stretches in their order, the rests between them put in."""
+    first, inner, last = course.stretches[:1], course.stretches[1:-1], course.stretches[1:][-1:]
+    if course.shuffled:
+        inner = tuple(inner[k] for k in rng.permutation(len(inner)))
+    rests = [Level(course.rest)] if course.rest > 0 else []
+    between = [stretch for k, one in enumerate(inner) for stretch in [*(rests if k else []), one]]
+    return [*first, *between, *last]
+
+
+def _laid(
+    stretch: Stretch, course: Course, x: float, base: float, rng: np.random.Generator
+) -> tuple[list[Primitive], float, float]:
+    """The primitives of a stretch that begins at x at a height of `base`, its length and its rise, all [m]."""
+    depth = base - course.bottom
+    match stretch:
+        case Level():
+            return [_slab(x, stretch.length, base, course)], stretch.length, 0.0
+        case Ramp():
+            angle = stretch.angle_deg + stretch.angle_spread_deg * float(rng.uniform(-1.0, 1.0))
+            rise = stretch.length * float(np.tan(np.radians(angle)))
+            ramp = Slope((x, 0.0), angle, stretch.length, course.width, landing=0.0, base=base, color=course.color)
+            return [replace(ramp, depth=depth + min(rise, 0.0))], stretch.length, rise
+        case Flight():
+            stairs = Stairs((x, 0.0), stretch.riser, stretch.tread, stretch.count, course.width, base=base, color=course.color)
+            stairs = replace(stairs, riser_spread=stretch.riser_spread, tread_spread=stretch.tread_spread)
+            stairs = _drawn_stairs(stairs, rng)
+            rise = stairs.count * stairs.riser
+            stairs = replace(stairs, landing=stairs.tread, depth=depth + min(rise, 0.0))
+            return [stairs], stairs.count * stairs.tread, rise
+        case Blocks():
+            half = course.width / 2
+            region = ((x, x + stretch.length), (-half, half))
+            rubble = Rubble(*region, stretch.count, stretch.size, stretch.top, base=base, color=course.color)
+            rubble = replace(rubble, gap=stretch.gap, yaw_deg=stretch.yaw_deg)
+            return [_slab(x, stretch.length, base, course), rubble], stretch.length, 0.0
+        case Stones():
+            return _stones(stretch, course, x, base, rng)
+        case Gap():
+            return [], stretch.length + stretch.spread * float(rng.uniform(-1.0, 1.0)), 0.0
+
+
+def _slab(x: float, length: float, top: float, course: Course) -> Box:
+    """Level ground across a course."""
+    return Box((x + length / 2, 0.0), (length, course.width), top, depth=top - course.bottom, color=course.color)
+
+
+def _stones(
+    stones: Stones, course: Course, x: float, base: float, rng: np.random.Generator
+) -> tuple[list[Primitive], float, float]:
+    pitch = stones.size + stones.gap
+    across = max(1, int((course.width + stones.gap) // pitch))
+    i, j = np.meshgrid(np.arange(stones.rows), np.arange(across), indexing="ij")
+    xy = np.stack([x + stones.gap + stones.size / 2 + pitch * i, pitch * (j - (across - 1) / 2)], axis=-1).reshape(-1, 2)
+    xy += rng.uniform(-stones.jitter, stones.jitter, xy.shape)
+    tops = base + rng.uniform(*stones.top, len(xy))
+    size = (stones.size, stones.size)
+    boxes: list[Primitive] = [
+        Box((at_x, at_y), size, top, depth=top - course.bottom, color=course.color)
+        for at_x, at_y, top in np.column_stack([xy, tops]).tolist()
+    ]
+    return boxes, stones.rows * pitch + stones.gap, 0.0
+
+
 def _stairs(heap: _Heap, stairs: Stairs) -> None:
     yaw = np.radians(stairs.yaw_deg)
     forward = np.array([np.cos(yaw), np.sin(yaw)])
-    bottom = min(stairs.base, stairs.base + stairs.count * stairs.riser) - DEPTH
+    bottom = min(stairs.base, stairs.base + stairs.count * stairs.riser) - stairs.depth
     for step in range(stairs.count):
         tread = stairs.landing if step == stairs.count - 1 else stairs.tread
         middle = np.asarray(stairs.xy) + (step * stairs.tread + tread / 2) * forward
@@ -247,15 +355,15 @@ def _slope(heap: _Heap, slope: Slope) -> None:
     rise = slope.length * np.tan(angle)
     along = np.array([np.cos(yaw), np.sin(yaw)])
     R = rotation_from_rpy((0.0, -angle, yaw))
-    half = np.array([slope.length / np.cos(angle), slope.width, (abs(rise) + DEPTH) * np.cos(angle)]) / 2
-    middle_of_top = np.array([*(np.asarray(slope.xy) + slope.length / 2 * along), rise / 2])
+    half = np.array([slope.length / np.cos(angle), slope.width, (abs(rise) + slope.depth) * np.cos(angle)]) / 2
+    middle_of_top = np.array([*(np.asarray(slope.xy) + slope.length / 2 * along), slope.base + rise / 2])
     heap.centre.append(middle_of_top - R[:, 2] * half[2])
     heap.half.append(half)
     heap.R.append(R)
     heap.color.append(heap.paint)
     if slope.landing > 0:
         middle = np.asarray(slope.xy) + (slope.length + slope.landing / 2) * along
-        heap.add(middle, (slope.landing, slope.width), rise, min(rise, 0.0) - DEPTH, yaw)
+        heap.add(middle, (slope.landing, slope.width), slope.base + rise, slope.base + min(rise, 0.0) - slope.depth, yaw)
 
 
 def _rubble(heap: _Heap, rubble: Rubble, rng: np.random.Generator) -> None:
@@ -322,7 +430,7 @@ def _closer_than(a: Array, b: Array, gap: float) -> Array:
 
 
 def _height_field(part: HeightMap, folder: Path) -> HeightField:
-    path = folder / part.file
+    path = part.path(folder)
     if not path.is_file():
         raise ValueError(f"height map {str(path)!r} expected, found no such file; name it relative to the scenario file")
     if path.suffix == ".npy":
@@ -334,10 +442,22 @@ def _height_field(part: HeightMap, folder: Path) -> HeightField:
         heights = np.asarray(image, dtype=np.float64)
     else:
         raise ValueError(f"a height map in .npy or .png expected, found {part.file!r}")
+    heights = _taken(heights, part)
     if not np.any(np.isfinite(heights)):
         raise ValueError(f"a height map with at least one known height expected, found none in {str(path)!r}")
     lowest = heights[np.isfinite(heights)].min()
     return HeightField(np.where(np.isfinite(heights), heights, lowest) * part.scale + part.base, part.resolution, part.xy)
+
+
+def _taken(heights: Array, part: HeightMap) -> Array:
+    """The rows and columns of a height map that are wanted, turned."""
+    if heights.ndim != 2:
+        raise ValueError(f"a grid of at least 2x2 heights expected, found {heights.shape} in {part.file!r}")
+    for name, wanted, there in (("rows", part.rows, heights.shape[0]), ("columns", part.columns, heights.shape[1])):
+        if wanted is not None and wanted[1] > there:
+            raise ValueError(f"{name} of at most {there} expected, found {wanted}; {part.file!r} has no more")
+    taken = heights[slice(*(part.rows or (None,))), slice(*(part.columns or (None,)))]
+    return np.asarray(np.rot90(taken, part.quarter_turns))
 
 
 def _box_top(xy: Array, centre: Array, half: Array, R: Array) -> Array:

@@ -7,9 +7,11 @@ import pytest
 
 from shared import config
 from shared.robot import load_profile
-from shared.scenario import Box, Fault, Goal, Plane, Rubble, Scenario, Stairs, load_scenario, scenario_names
+from shared.scenario import Box, Course, Fault, Goal, Level, Plane, Rubble, Scenario, Stairs, load_scenario, scenario_names
 
 STAIRS = {"kind": "stairs", "xy": [0.0, 0.0], "riser": 0.04, "tread": 0.3, "count": 3, "width": 1.0}
+COURSE = {"kind": "course", "width": 1.0}
+STONES = {"kind": "stones", "length": 1.0, "size": 0.12, "gap": 0.05}
 MINIMAL = {"name": "mine", "terrain": [{"kind": "plane"}], "goal": {"distance": 1.0}}
 
 
@@ -37,6 +39,10 @@ def test_every_course_begins_with_flat_ground() -> None:
                 assert piece.x[0] >= 0.8
             if isinstance(piece, Box | Stairs):
                 assert piece.xy[0] >= 0.8
+            if isinstance(piece, Course):
+                first = piece.stretches[0]
+                assert isinstance(first, Level)
+                assert piece.x + first.length >= 0.8 - 1e-9
 
 
 def test_steps_has_a_dozen_low_blocks_and_two_stairs() -> None:
@@ -94,6 +100,14 @@ def test_an_unknown_name_lists_the_known() -> None:
         ({"terrain": [STAIRS | {"count": 0}]}, r"terrain\[0\]: a count of at least one step"),
         ({"terrain": [STAIRS | {"riser_spread": 0.05}]}, r"terrain\[0\]: a riser_spread from 0 to less than the riser"),
         ({"terrain": [STAIRS | {"tread_spread": -0.1}]}, r"terrain\[0\]: a tread_spread from 0"),
+        ({"terrain": [COURSE | {"stretches": []}]}, r"terrain\[0\]: at least one stretch expected"),
+        ({"terrain": [COURSE | {"stretches": [{"kind": "level"}]}]}, r"terrain\[0\].stretches\[0\].length: missing"),
+        ({"terrain": [COURSE | {"stretches": [STONES | {"jitter": 0.03}]}]}, "a jitter of at most half the gap"),
+        ({"terrain": [COURSE | {"stretches": [STONES | {"length": 0.1}]}]}, "a length of at least 0.22 m, for one row"),
+        (
+            {"terrain": [COURSE | {"stretches": [{"kind": "gap", "length": 0.1, "spread": 0.1}]}]},
+            "a spread from 0 to less than",
+        ),
         ({"time_limit_s": 0}, "a time limit greater than 0 s"),
         ({"time_limit_s": float("inf")}, "time_limit_s: a finite number expected"),
     ],

@@ -13,20 +13,28 @@ from shared.config import ConfigError
 from shared.geometry import Array
 from shared.robot import load_profile
 from shared.scenario import (
+    Blocks,
     Box,
+    Course,
+    Flight,
+    Gap,
     Goal,
     HeightMap,
+    Level,
     Pillars,
     Plane,
     Puddle,
     Puddles,
+    Ramp,
     Rubble,
     Scenario,
     Slope,
     Stairs,
+    Stones,
     load_scenario,
 )
 from shared.scenario import Terrain as Primitive
+from tests.support.recordings import recording
 
 
 def scenario(*terrain: Primitive, folder: Path | str = ".") -> Scenario:
@@ -54,7 +62,16 @@ def heights_by_rays(terrain: Terrain, xy: Array) -> Array:
 
 
 ROUGH = HeightField(np.random.default_rng(4).uniform(-0.05, 0.1, (21, 31)), 0.05, (-0.5, -0.7))
+STRETCHES = (
+    Level(0.4),
+    Ramp(0.3, 10.0),
+    Flight(0.05, 0.2, 2),
+    Stones(0.4, 0.12, 0.05, jitter=0.01, top=(-0.01, 0.01)),
+    Gap(0.1),
+    Level(0.4),
+)
 KINDS = {
+    "course": build(Plane(height=-0.4), Course(STRETCHES, 1.0, x=-1.2)),
     "plane": build(Plane(height=0.03)),
     "box": build(Plane(), Box((0.3, 0.1), (0.5, 0.3), 0.2, yaw_deg=25.0)),
     "stairs up": build(Plane(), Stairs((0.1, 0.0), 0.05, 0.2, 4, 1.0, landing=0.3, yaw_deg=-20.0)),
@@ -185,6 +202,115 @@ def test_stairs_are_as_high_and_as_long_as_their_seed_says() -> None:
         assert 0.249 <= treads[0] <= 0.351
         found.add((risers[0], treads[0]))
     assert len(found) == 20
+
+
+def profile_along(terrain: Terrain, x: Array, y: float = 0.0) -> Array:
+    """Heights along a line in the direction of x."""
+    return terrain.height_at(np.column_stack([x, np.full_like(x, y)]))
+
+
+def test_a_course_goes_on_at_the_height_at_which_a_stretch_ends() -> None:
+    stretches = (Level(0.5), Ramp(1.0, 10.0), Level(0.5), Flight(-0.04, 0.3, 3), Gap(0.1), Level(1.0))
+    terrain = build(Course(stretches, 1.0, x=0.0))
+    rise = np.tan(np.radians(10.0))
+    x = np.array([0.25, 1.0, 1.75, 2.15, 2.45, 2.75, 2.95, 3.5])
+    down = rise - 0.04 * np.arange(1, 4)
+    np.testing.assert_allclose(profile_along(terrain, x), [0.0, rise / 2, rise, *down, -np.inf, down[-1]], atol=1e-9)
+    upright = terrain.boxes.R[:, 2, 2] == 1.0
+    bottoms = (terrain.boxes.centre[:, 2] - terrain.boxes.half[:, 2])[upright]
+    np.testing.assert_allclose(bottoms, -0.5, atol=1e-12)
+
+
+def test_what_a_course_draws_follows_the_seed_within_its_spread() -> None:
+    stretches = (Level(0.5), Ramp(0.5, -8.0, angle_spread_deg=2.0), Flight(0.04, 0.3, 2, riser_spread=0.01), Level(1.0))
+    widths, ends = [], []
+    for seed in range(12):
+        x = np.arange(0.0, 1.0, 0.0005)
+        ditch = profile_along(build(Course((Level(0.4), Gap(0.1, spread=0.02), Level(1.0)), 1.0, x=0.0), seed=seed), x)
+        widths.append(0.0005 * np.count_nonzero(~np.isfinite(ditch)))
+        ends.append(float(profile_along(build(Course(stretches, 1.0, x=0.0), seed=seed), np.array([1.9]))[0]))
+    assert 0.079 <= min(widths) < max(widths) <= 0.121
+    low, high = (2 * riser - 0.5 * np.tan(np.radians(angle)) for riser, angle in ((0.03, 10.0), (0.05, 6.0)))
+    assert low <= min(ends) < max(ends) <= high
+    assert len(set(ends)) == 12
+
+
+def test_a_shuffled_course_has_the_same_stretches_in_another_order() -> None:
+    inner = (Ramp(0.3, 5.0), Flight(0.04, 0.3, 1), Blocks(0.3, 2, (0.05, 0.06), (0.02, 0.02)))
+    course = Course((Level(1.0), *inner, Level(2.0)), 1.0, x=-0.2, shuffled=True, rest=0.2)
+    x = np.arange(-0.1, 3.0, 0.001)
+    lines = [profile_along(build(course, seed=seed), x, y=0.49) for seed in range(10)]
+    # Up to where the shuffled part begins, and from where it ends, all are alike.
+    assert np.ptp([line[x < 0.79] for line in lines], axis=0).max() == 0.0
+    assert np.ptp([line[x > 2.15] for line in lines], axis=0).max() < 1e-12
+    assert len({line.tobytes() for line in lines}) > 3
+
+
+def test_stepping_stones_keep_their_gaps_and_nothing_else_carries() -> None:
+    stones = Stones(1.07, 0.12, 0.05, jitter=0.01, top=(-0.01, 0.01))
+    assert stones.rows == 6
+    terrain = build(Plane(height=-0.4), Course((Level(1.0), stones, Level(1.0)), 1.5, x=0.0), seed=3)
+    blocks = terrain.boxes
+    is_stone = np.abs(2 * blocks.half[:, 0] - 0.12) < 1e-9
+    assert is_stone.sum() == 6 * 9
+    low, high = (blocks.centre[is_stone, :2] + sign * blocks.half[is_stone, :2] for sign in (-1, 1))
+    apart = np.maximum(low[:, None] - high, low - high[:, None]).max(axis=-1)
+    assert apart[~np.eye(len(apart), dtype=bool)].min() >= 0.03 - 1e-9
+    assert low[:, 0].min() >= 1.04
+    assert high[:, 0].max() <= 1.0 + 6 * 0.17 + 0.05 - 0.04
+    heights = terrain.raster(1.001, -0.7, 1060, 1400, 0.001)
+    assert set(np.round(np.unique(heights[heights < -0.1]), 9)) == {-0.4}
+    tops = np.unique(heights[heights > -0.1])
+    assert len(tops) == 54
+    assert np.abs(tops).max() <= 0.01
+
+
+def test_a_part_of_a_height_map_can_be_taken_and_turned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = np.arange(30.0).reshape(5, 6)
+    np.save(tmp_path / "ground.npy", whole)
+    monkeypatch.setenv("GROUNDS", str(tmp_path))
+    part = HeightMap("$GROUNDS/ground.npy", 1.0, (0.0, 0.0), rows=(1, 4), columns=(2, 6), quarter_turns=1)
+    field = build(part, folder="/elsewhere").height_field
+    assert field is not None
+    taken = whole[1:4, 2:6]
+    # A quarter turn counterclockwise takes what lay at (x, y) to (-y, x).
+    ij = np.array([(i, j) for i in range(3) for j in range(4)])
+    turned = np.column_stack([3 - ij[:, 1], ij[:, 0]]).astype(float)
+    np.testing.assert_array_equal(field.height_at(turned), taken[ij[:, 0], ij[:, 1]])
+    with pytest.raises(ConfigError, match="columns of at most 6 expected"):
+        build(replace(part, columns=(2, 7)))
+    with pytest.raises(ValueError, match="rows from 0 on"):
+        replace(part, rows=(3, 3))
+
+
+def test_a_folder_that_nobody_named_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SEXTANT_DATA", raising=False)
+    with pytest.raises(ConfigError, match=r"stair_map: terrain: .*the environment variable SEXTANT_DATA expected"):
+        build_terrain(load_scenario("stair_map"), np.random.default_rng(0))
+    monkeypatch.setenv("SEXTANT_DATA", "/nowhere")
+    with pytest.raises(ConfigError, match=r"'/nowhere/elevation_maps/realStairs_125cm.npy' expected, found no such file"):
+        build_terrain(load_scenario("stair_map"), np.random.default_rng(0))
+
+
+@pytest.mark.data
+def test_the_mapped_stairs_have_the_risers_that_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SEXTANT_DATA", str(recording("elevation_maps", "maps.toml").parent))
+    terrain = build_terrain(load_scenario("stair_map"), np.random.default_rng(0))
+    for y in (-0.3, 0.0, 0.3):
+        heights = profile_along(terrain, np.arange(0.0, 2.2, 0.01), y)
+        treads = [np.median(heights[np.abs(heights - level) < 0.015]) for level in (0.0, 0.046, 0.093, 0.141)]
+        assert np.all((np.diff(treads) > 0.042) & (np.diff(treads) < 0.050))
+    assert np.ptp(terrain.raster(-0.3, -0.3, 101, 60, 0.01)) < 0.003
+
+
+@pytest.mark.parametrize("name", ["rubble", "stepping_stones", "ditch", "mixed"])
+def test_courses_of_a_seed_begin_and_end_on_level_ground(name: str) -> None:
+    scenario = load_scenario(name)
+    for seed in range(1000, 1020):
+        terrain = build_terrain(scenario, np.random.default_rng([seed, 0]))
+        assert np.ptp(terrain.raster(-0.3, -0.3, 109, 60, 0.01)) == 0.0  # as far as the camera does not see
+        if name != "rubble":
+            assert np.ptp(terrain.raster(scenario.goal.distance - 0.2, -0.3, 60, 60, 0.01)) < 1e-9
 
 
 def test_impossible_terrain_is_refused() -> None:
