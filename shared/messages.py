@@ -25,6 +25,8 @@ _MAX_INT = 1 << 63
 UNKNOWN = 127  # of the evaluation function: never seen
 HAZARDS = ("", "water", "loose ground")  # by the numbers of TerrainMap.hazard
 MAX_LENGTH = 4_000_000  # elements along an array
+MAX_WAYPOINTS = 32  # of a goal
+MAX_PATH = 64  # corners of a planned way
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +42,23 @@ class Dims:
     packed: bool
     optional: bool
     most: int | None = dataclasses.field(repr=False)  # its largest value; no part of what the wire looks like
+    lengths: tuple[int, int] | None = dataclasses.field(repr=False)  # within which the free ones lie; no part of it either
 
     def __init__(
-        self, *shape: int | str, finite: bool = True, packed: bool = False, optional: bool = False, most: int | None = None
+        self,
+        *shape: int | str,
+        finite: bool = True,
+        packed: bool = False,
+        optional: bool = False,
+        most: int | None = None,
+        lengths: tuple[int, int] | None = None,
     ):
         object.__setattr__(self, "shape", shape)
         object.__setattr__(self, "finite", finite)
         object.__setattr__(self, "packed", packed)
         object.__setattr__(self, "optional", optional)
         object.__setattr__(self, "most", most)
+        object.__setattr__(self, "lengths", lengths)
 
 
 Pose: TypeAlias = Annotated[NDArray[np.float64], Dims(4, 4)]
@@ -59,6 +69,7 @@ LegFlags: TypeAlias = Annotated[NDArray[np.bool_], Dims(6)]
 _POINTS_WITHOUT_COLOR, _CELLS_WITHOUT_COLOR = np.zeros((0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8)
 _NO_SIGHTS = np.zeros((0, 3), dtype=np.int16)
 _NO_CELLS = np.zeros((0, 0), np.uint8)
+_NO_PATH = np.zeros((0, 2))
 
 
 class Mode(StrEnum):
@@ -285,11 +296,14 @@ class StepPlan(Message):
 class PlannerStatus(Message):
     """What the planner is doing and why it does not go on; planner -> operator, console."""
 
-    state: Literal["waiting", "resting", "stepping", "blocked"]
+    state: Literal["waiting", "resting", "stepping", "blocked", "arrived"]
     reason: str  # in words
     step: int
     moved_footholds: int  # touchdowns of the newest plan that are not at their nominal place
     blocked_leg: int  # index of the leg without a foothold, -1 for none
+    path: Annotated[NDArray[np.float64], Dims("path", 2, lengths=(0, MAX_PATH))] = dataclasses.field(
+        default_factory=lambda: _NO_PATH
+    )  # [m] {world} corners of the way to the goal that is being walked, from the robot on; empty without one
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,6 +312,17 @@ class VelocityCommand(Message):
 
     velocity: Annotated[NDArray[np.float64], Dims(2)]  # [m/s] {body} forward, left
     yaw_rate: float  # [rad/s]
+    body_height: float  # [m] over the floor
+    lift: float  # [m] clearance of swinging feet
+
+
+@dataclass(frozen=True, slots=True)
+class Goal(Message):
+    """Where the operator wants the robot, repeated while it holds; operator -> planner. A fresh VelocityCommand comes first."""
+
+    waypoints: Annotated[NDArray[np.float64], Dims("waypoint", 2, lengths=(1, MAX_WAYPOINTS))]  # [m] {world} in their order
+    tolerance: float  # [m] from the last one, within which it has arrived
+    speed: float  # [m/s] at most
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
 
@@ -440,7 +465,7 @@ def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
         if empty is not None and value.shape == empty:
             return ""
         if names:
-            problem = _shape_misfit(value.shape, expected, lengths)
+            problem = _shape_misfit(value.shape, expected, lengths) or _length_misfit(value.shape, dims)
             if problem:
                 return problem
         elif value.shape != expected:
@@ -453,6 +478,14 @@ def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
         return ""
 
     return check
+
+
+def _length_misfit(shape: tuple[int, ...], dims: Dims) -> str:
+    """What is wrong with the free lengths of an array, or nothing."""
+    low, high = dims.lengths or (0, MAX_LENGTH)
+    free = [found for name, found in zip(dims.shape, shape, strict=True) if isinstance(name, str)]
+    wrong = [found for found in free if not low <= found <= high]
+    return f"{low} to {high} of {dims.shape} expected, found {wrong[0]}" if wrong else ""
 
 
 def _shape_misfit(shape: tuple[int, ...], expected: tuple[int | str, ...], lengths: dict[str, int]) -> str:

@@ -62,6 +62,7 @@ PASSAGE = Topic("mapper/passage", m.PassageMap, 2.0, Delivery.LATEST, Lane.BULK,
 STEP_PLAN = Topic("planner/step", m.StepPlan, 20.0, Delivery.EVERY, Lane.CONTROL, 8 * _KIB, 0.009)
 PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.007)
 VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
+GOAL = Topic("operator/goal", m.Goal, 5.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.004)
 MODE = Topic("operator/mode", m.ModeCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 TRUTH = Topic("simulator/truth", m.GroundTruth, 50.0, Delivery.EVERY, Lane.BULK, 8 * _KIB, 0.009)
 HEALTH = Topic("health", m.Health, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003)
@@ -81,6 +82,7 @@ TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
     STEP_PLAN,
     PLANNER_STATUS,
     VELOCITY,
+    GOAL,
     MODE,
     TRUTH,
     HEALTH,

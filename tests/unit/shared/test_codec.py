@@ -51,8 +51,9 @@ def field_values(base: Any, detail: Any, lengths: dict[str, int]) -> st.SearchSt
 def messages(draw: st.DrawFn, kind: type[Message]) -> Message:
     """Any message of a type, made from its declaration."""
     fields = m.schema(kind)
-    names = {n for _, base, detail in fields if base is np.ndarray for n in detail[1].shape if isinstance(n, str)}
-    lengths = {n: draw(st.integers(0, 5), label=n) for n in sorted(names)}
+    arrays = [detail[1] for _, base, detail in fields if base is np.ndarray]
+    names = {n: (dims.lengths or (0, 5))[0] for dims in arrays for n in dims.shape if isinstance(n, str)}
+    lengths = {n: draw(st.integers(least, 5), label=n) for n, least in sorted(names.items())}
     return kind(**{name: draw(field_values(base, detail, lengths)) for name, base, detail in fields})
 
 

@@ -151,3 +151,10 @@ def test_numbers_without_a_meaning_are_refused(kind: type[Message], name: str, m
     dataclasses.replace(message, **{name: values})  # type: ignore[arg-type]
     values.flat[-1] = most + 1
     assert f"at most {most} expected, found {most + 1}" in refused(message, name, values)
+
+
+def test_a_goal_has_a_waypoint_and_not_too_many() -> None:
+    goal = example(m.Goal)
+    for n in (0, m.MAX_WAYPOINTS + 1):
+        assert f"found {n}" in refused(goal, "waypoints", np.zeros((n, 2)))
+    dataclasses.replace(goal, waypoints=np.zeros((m.MAX_WAYPOINTS, 2)))  # type: ignore[call-arg]

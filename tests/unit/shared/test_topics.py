@@ -60,7 +60,8 @@ def _smallest(kind: type[messages.Message]) -> messages.Message:
     values: dict[str, Any] = {}
     for name, base, detail in messages.schema(kind):
         if base is np.ndarray:
-            values[name] = np.zeros([n if isinstance(n, int) else 0 for n in detail[1].shape], detail[0])
+            least = (detail[1].lengths or (0, 0))[0]
+            values[name] = np.zeros([n if isinstance(n, int) else least for n in detail[1].shape], detail[0])
         elif isinstance(base, type) and issubclass(base, StrEnum):
             values[name] = next(iter(base))
         elif isinstance(detail, tuple):
