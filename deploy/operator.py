@@ -1,4 +1,7 @@
-"""Commands a run as a person with a stick would: stand, walk straight to the goal, stop; by the estimated pose alone."""
+"""Commands a run as a person would: stand, walk straight to the goal by stick or tell the planner where it is, stop.
+
+It knows the estimated pose alone.
+"""
 
 from collections.abc import Iterator
 from math import atan2, cos, radians, sin
@@ -8,7 +11,7 @@ import numpy as np
 
 from shared import topics
 from shared.geometry import Array, yaw_of
-from shared.messages import ActuatorState, Message, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
+from shared.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
 from shared.robot import RobotProfile
 from shared.scenario import Scenario
 from shared.service import Every, Inbox, Stages
@@ -20,6 +23,8 @@ _HEADING_GAIN = 0.5  # [1/s] turn per heading error
 _MAX_YAW_RATE = 0.15  # [rad/s]
 _APPROACH = 0.15  # [m] before the end the speed begins to fall
 _CREEP = 0.4  # [1] share of the speed that is left at the end
+_TOLERANCE = 0.03  # [m] from the end of a route
+_GOAL_NS = round(1e9 / topics.GOAL.rate_hz)
 _ORDER_NS = 500_000_000  # [ns] orders are repeated, so that an actuator that restarts learns them
 _BLOCKED_NS = 20_000_000_000  # [ns] patience with a planner that is blocked
 _NO_POSE_NS = 5_000_000_000  # [ns] patience without a pose, once there was one
@@ -28,14 +33,14 @@ _FAULT_NS = 2_000_000_000  # [ns] patience with an actuator that is in fault or 
 
 
 class Operator:
-    """Walks the robot along the line from its start to the goal.
+    """Walks the robot along the line from its start to the goal, or has the planner find the way there.
 
     {world} is fixed where the robot started with x along its heading, so the line is the x axis.
     """
 
     name = "operator"
     reads = (topics.BODY_POSE, topics.ACTUATOR_STATE, topics.PLANNER_STATUS)
-    writes = (topics.VELOCITY, topics.MODE)
+    writes = (topics.VELOCITY, topics.GOAL, topics.MODE)
 
     def __init__(self, profile: RobotProfile, scenario: Scenario):
         self.paced_by = Every.hz(topics.VELOCITY.rate_hz)
@@ -44,6 +49,9 @@ class Operator:
         self.reason = ""  # why it is finished, in words
         self.progress = "waiting for the actuator"
         self._goal = scenario.goal.distance + _OVERSHOOT
+        end = (self._goal + _TOLERANCE, 0.0)
+        self._route = np.array([*scenario.goal.waypoints, end]) if scenario.goal.route else None
+        self._goal_due_ns = 0
         self._walk = scenario.walk
         self._speed = min(scenario.walk.speed, profile.stance.max_speed)
         self._order: Literal["stand", "walk"] = "stand"
@@ -70,7 +78,13 @@ class Operator:
             yield ModeCommand(now, self._order, self._first_order + (self._order == "walk"))
         if self._order == "walk":
             known = pose is not None and steerable and not self.finished
-            yield self._steer(now, pose.T_world_body if pose is not None and known else None)
+            if self._route is None:
+                yield self._steer(now, pose.T_world_body if pose is not None and known else None)
+            elif not self.finished and now >= self._goal_due_ns:
+                self._goal_due_ns = now + _GOAL_NS
+                yield Goal(now, self._route, _TOLERANCE, self._speed, self._walk.body_height, self._walk.lift)
+            if self._route is not None and status is not None and status.state == "arrived" and self._arrived_ns is None:
+                self._arrived_ns = now
             self._watch_arrival(now, state, status)
         if not self.finished:
             self.progress = self._words(state, status, pose.T_world_body if pose else None)

@@ -14,6 +14,7 @@ from typing import Literal
 from shared import config
 
 Color = tuple[int, int, int]  # R, G, B from 0 to 255
+_MOST_WAYPOINTS = 32  # of a route, its end included
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,9 +321,15 @@ class Goal:
 
     distance: float  # [m] straight ahead from the start
     corridor: float = 0.25  # [m] how far to the side it may be
+    route: bool = False  # the planner is told where to go and finds the way; else the operator steers straight ahead
+    waypoints: tuple[tuple[float, float], ...] = ()  # [m] from the start, x ahead and y left: of the route, before its end
+    # What is right to do: to arrive, or to stand before what cannot be crossed and to say why.
+    expect: Literal["arrival", "refusal"] = "arrival"
 
     def __post_init__(self) -> None:
         _expect(min(self.distance, self.corridor) > 0, "distance and corridor greater than 0 m", (self.distance, self.corridor))
+        _expect(self.route or not self.waypoints, "route = true with waypoints", "false")
+        _expect(len(self.waypoints) < _MOST_WAYPOINTS, f"fewer than {_MOST_WAYPOINTS} waypoints", len(self.waypoints))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,22 +8,35 @@ import numpy as np
 
 from services.planner.config import Settings
 from services.planner.gait import directions, swinging_tripod
+from services.planner.pilot import Pilot
 from services.planner.refusals import WAYS, Refusals, way_of
+from services.planner.route import NoWay
 from services.planner.stride import SHARES, Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, flat_terrain
 from shared import topics
 from shared.geometry import Array, apply, inverse
-from shared.messages import ActuatorState, BodyPose, Message, Mode, PlannerStatus, StepPlan, TerrainMap, VelocityCommand
+from shared.messages import (
+    ActuatorState,
+    BodyPose,
+    Goal,
+    Message,
+    Mode,
+    PlannerStatus,
+    StepPlan,
+    TerrainMap,
+    VelocityCommand,
+)
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
 
-State = Literal["waiting", "resting", "stepping", "blocked"]
+State = Literal["waiting", "resting", "stepping", "blocked", "arrived"]
 
 _STATUS_PERIOD_NS = 100_000_000
 _TRY_AGAIN_NS = 2_000_000_000  # [ns] after every way of taking a step was refused
 _KEPT = 15  # plans remembered besides the newest
 _NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] by which a command must differ to be another one
 _STILL = 1e-3  # [m/s] and [rad/s]
+_NOT_MINE = "the running step is not one of mine; waiting for its end"
 
 
 class Planner:
@@ -31,7 +44,7 @@ class Planner:
 
     name = "planner"
     paced_by: AnyTopic = topics.ACTUATOR_STATE
-    reads: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.TERRAIN, topics.VELOCITY, topics.CAMERA_STATE)
+    reads: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.TERRAIN, topics.VELOCITY, topics.GOAL, topics.CAMERA_STATE)
     writes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.PLANNER_STATUS)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
@@ -40,6 +53,8 @@ class Planner:
         self._profile = profile
         self._settings = settings
         self._strides = StridePlanner(profile, settings)
+        self._pilot = Pilot(profile, settings.step_s)
+        self._led = False  # whether a goal is what it walks by
         self._sent: list[_Sent] = []  # that may yet be walked, the newest last
         self._running: _Sent | None = None  # what is being walked, or was last
         self._refusals = Refusals()
@@ -79,6 +94,7 @@ class Planner:
             if self._running is not None and (running is None or running.plan.step != self._running.plan.step):
                 self._due_ns = 0  # a new step: its touchdowns may be looked at at once
                 self._refusals.forget()
+                self._pilot.steps()
         refused = next((s for s in self._sent if s.plan.stamp_ns == state.refused_ns), None)
         if refused is not None:
             self._sent.remove(refused)
@@ -95,8 +111,10 @@ class Planner:
             return self._hold("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
         if pose is None:
             return self._hold("waiting", f"no fresh pose from perception{_blamed_on_camera(inbox)}")
-        if command is None:
-            return self._hold("resting", "no fresh velocity command")
+        goal = inbox.fresh(topics.GOAL) if command is None else None
+        self._led = goal is not None
+        if command is None and goal is None:
+            return self._hold("resting", "no fresh velocity command, and no goal")
         terrain = self._terrain(state, pose, inbox)
         if terrain is None:
             blind = f", and the camera does not help: {pose.reason}" if not pose.ok else _blamed_on_camera(inbox)
@@ -106,12 +124,39 @@ class Planner:
             return self._hold("waiting", f"the terrain map makes no sense: {nonsense}")
         if state.phase < 1.0 and state.phase < self._settings.retarget_until:
             return self._retarget(state, pose, terrain)
-        if np.abs(command.velocity).max() < _STILL and abs(command.yaw_rate) < _STILL:
+        if command is not None and np.abs(command.velocity).max() < _STILL and abs(command.yaw_rate) < _STILL:
             self._refusals.forget()
             return self._hold("resting", "no velocity is commanded")
         if state.phase < self._settings.plan_from:
             return None
-        return self._next_step(state, pose, command, terrain)
+        if command is not None:
+            return self._next_step(state, pose, command, terrain)
+        assert goal is not None
+        return self._towards(goal, state, pose, terrain)
+
+    def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
+        """The next step on the way to a goal; where one on the way does not go, walking without turning, or turning alone."""
+        standing = self._standing(state, pose)
+        if standing is None:
+            return self._hold("waiting", _NOT_MINE)
+        body, _ = standing
+        with self.stages("find a way"):
+            found = self._pilot.lead(goal, terrain, pose.T_world_body, body, state.stamp_ns)
+        if isinstance(found, NoWay):
+            self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
+            return self._hold("blocked", found.reason)
+        if not found.commands:
+            return self._hold("arrived", found.words)
+        sent = None
+        for command in found.commands:
+            sent = self._next_step(state, pose, command, terrain)
+            if sent is not None:
+                break
+        if state.phase >= 1.0 and self._state in ("stepping", "blocked"):
+            self._pilot.stands(body, state.stamp_ns, self._reason)
+        if sent is not None:
+            self._reason = f"{found.words}; {self._reason}"
+        return sent
 
     def _terrain(self, state: ActuatorState, pose: BodyPose, inbox: Inbox) -> Terrain | None:
         """The map, or for the blind baseline level ground at the height of the standing feet."""
@@ -124,7 +169,7 @@ class Planner:
     def _next_step(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain) -> "_Sent | None":
         at = self._situation(state, pose, command)
         if at is None:
-            return self._hold("waiting", "the running step is not one of mine; waiting for its end")
+            return self._hold("waiting", _NOT_MINE)
         nonsense = self._strides.objection(command)
         if nonsense:
             return self._hold("blocked", nonsense)
@@ -159,7 +204,18 @@ class Planner:
         return found, False
 
     def _situation(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand) -> Situation | None:
-        """Where the robot will stand when the running step is over."""
+        """What the next step begins with; None where that is not known."""
+        standing = self._standing(state, pose)
+        if standing is None:
+            return None
+        body, feet = standing
+        rest = self._profile.rest_feet(command.body_height)
+        feet_body = apply(inverse(body), feet)
+        swing = swinging_tripod(directions(command.velocity, command.yaw_rate, rest), feet_body, rest)
+        return Situation(body, feet, swing, command)
+
+    def _standing(self, state: ActuatorState, pose: BodyPose) -> tuple[Array, Array] | None:
+        """The body (4, 4) and the feet (6, 3) [m] {world} when the running step is over; None where that is not known."""
         T_world_odom = pose.T_world_odom
         feet = _feet_in_world(state, pose)
         body = T_world_odom @ state.body_ref
@@ -171,10 +227,7 @@ class Planner:
             moved = T_world_odom @ inverse(plan.T_world_odom)  # the world as it is believed to be now
             body = moved @ plan.body_goal
             feet[plan.swing] = apply(moved, plan.touchdown)[plan.swing]
-        rest = self._profile.rest_feet(command.body_height)
-        feet_body = apply(inverse(body), feet)
-        swing = swinging_tripod(directions(command.velocity, command.yaw_rate, rest), feet_body, rest)
-        return Situation(body, feet, swing, command)
+        return body, feet
 
     def _retarget(self, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
         """A revision of the running step, when the newer map moves a touchdown by more than a little."""
@@ -221,6 +274,7 @@ class Planner:
             step=state.step,
             moved_footholds=self._moved,
             blocked_leg=self._blocked_leg,
+            path=self._pilot.path if self._led else np.zeros((0, 2)),
         )
 
 

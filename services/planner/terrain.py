@@ -70,6 +70,12 @@ class Terrain:
         good = here <= np.maximum(around, round(-FIRM / self.map.resolution))
         return np.where(here == UNKNOWN, np.nan, np.where(here >= 0, NONE, np.where(good, GOOD, POOR)))
 
+    def footholds(self) -> NDArray[np.bool_]:
+        """Which cells (nx, ny) of the map carry a foot."""
+        if self.layer == "score":
+            return np.asarray(self.map.score <= ACCEPTABLE)
+        return np.asarray(self.map.evaluation < 0)
+
     def _evaluations(self, xy: Array) -> NDArray[np.int64]:
         """Evaluation function (n,) [cells] at (n, 2) [m] {world} points, UNKNOWN outside the map."""
         ij, inside = self.cells(xy)

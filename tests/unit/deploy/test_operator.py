@@ -7,6 +7,7 @@ from deploy.operator import Operator
 from shared import codec, topics
 from shared.geometry import from_xyz_rpy, rotation_z, yaw_of
 from shared.messages import ActuatorState, BodyPose, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
+from shared.messages import Goal as GoalMessage
 from shared.robot import load_profile
 from shared.scenario import Goal, Plane, Scenario
 from shared.service import Inbox
@@ -18,8 +19,10 @@ PERIOD_NS = 50_000_000
 class Robot:
     """A robot that obeys at once and goes where it is told, and an operator who commands it."""
 
-    def __init__(self, y=0.0, yaw=0.0, side_slip=0.0):
-        self.operator = Operator(load_profile(SCENARIO.robot), SCENARIO)
+    def __init__(self, y=0.0, yaw=0.0, side_slip=0.0, scenario=SCENARIO):
+        self.operator = Operator(load_profile(scenario.robot), scenario)
+        self.goals = []
+        self.arrived = False
         self.inbox = Inbox(self.operator.reads, self.operator.stages)
         self.now = 0
         self.T = from_xyz_rpy((0.0, y, 0.1), (0, 0, yaw))
@@ -63,12 +66,17 @@ class Robot:
         )
         if self.pose_comes:
             self.hear(BodyPose(self.now, self.T, np.eye(4), np.eye(6), 1.0, True, "", np.zeros((0, 6))))
-        state = "blocked" if self.blocked else "stepping" if self.mode is Mode.WALK else "resting"
+        state = (
+            "arrived" if self.arrived else "blocked" if self.blocked else "stepping" if self.mode is Mode.WALK else "resting"
+        )
         self.hear(PlannerStatus(self.now, state, self.blocked, 0, 0, -1))
         for made in self.operator.step(Tick(self.now), self.inbox):
             if isinstance(made, ModeCommand):
                 self.orders.append((self.now, made))
                 self.obey(made)
+            elif isinstance(made, GoalMessage):
+                self.goals.append(made)
+                self.mode = Mode.WALK if not self.arrived else Mode.HOLD
             else:
                 assert isinstance(made, VelocityCommand)
                 self.velocities.append(made)
@@ -210,3 +218,18 @@ def test_it_gives_up_when_nobody_answers():
         list(operator.step(Tick(now), inbox))
     assert operator.finished
     assert "within 60 s" in operator.reason
+
+
+def test_a_route_is_told_and_not_steered():
+    route = replace(SCENARIO, goal=Goal(1.5, route=True, waypoints=((0.5, 0.2),)))
+    robot = Robot(scenario=route).run(400)
+    assert not robot.velocities
+    goal = robot.goals[-1]
+    np.testing.assert_allclose(goal.waypoints, [[0.5, 0.2], [1.56, 0.0]])
+    assert (goal.speed, goal.body_height, goal.lift) == (route.walk.speed, route.walk.body_height, route.walk.lift)
+    assert np.diff([goal.stamp_ns for goal in robot.goals]).max() <= topics.GOAL.fresh_for_ns / 3
+    assert not robot.operator.finished
+    robot.arrived = True
+    robot.run(100)
+    assert robot.operator.finished
+    assert "at the goal" in robot.operator.reason

@@ -18,6 +18,7 @@ from shared.messages import (
     ActuatorState,
     BodyPose,
     CameraState,
+    Goal,
     Message,
     Mode,
     PlannerStatus,
@@ -51,6 +52,7 @@ class Rig:
         self.terrain: TerrainMap | None = FLAT
         self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
         self.command: VelocityCommand | None = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
+        self.goal: Goal | None = None
         self.state = ActuatorState(
             stamp_ns=0,
             mode=Mode.HOLD,
@@ -77,7 +79,7 @@ class Rig:
         """One actuator state later, with everything heard anew that is there."""
         self.now_ns += 20 * MS
         self.inbox.now_ns = self.now_ns
-        for message in (self.terrain, self.pose, self.command):
+        for message in (self.terrain, self.pose, self.command, self.goal):
             if message is not None:
                 fresh = replace(message, stamp_ns=self.now_ns)
                 self.inbox.receive(topics.OF_TYPE[type(fresh)], codec.encode(fresh), self.now_ns)
@@ -491,3 +493,64 @@ def test_the_same_map_is_searched_once_for_better_footholds(make_terrain: Maker)
     rig.plans(5, phase=0.2)
     assert len(searches) == 2
     rig.planner._terrain = terrain  # type: ignore[method-assign]
+
+
+def towards(*waypoints: tuple[float, float]) -> Goal:
+    return Goal(0, np.array(waypoints), 0.03, 0.10, HEIGHT, 0.04)
+
+
+def led(*waypoints: tuple[float, float]) -> Rig:
+    """A rig that is given a goal and no velocity."""
+    rig = Rig()
+    rig.command, rig.goal = None, towards(*waypoints)
+    return rig
+
+
+def take_steps(rig: Rig, most: int) -> list[Array]:
+    """Walk until no step comes any more: where the body was after each, (3,) [m] {world}."""
+    reached: list[Array] = []
+    for _ in range(most):
+        plans = rig.plans(15)
+        if not plans:
+            break
+        rig.begin(plans[-1])
+        rig.plans(1, phase=0.1)
+        rig.finish(plans[-1])
+        assert rig.pose is not None
+        rig.pose = replace(rig.pose, T_world_body=plans[-1].body_goal)
+        reached.append(plans[-1].body_goal[:3, 3])
+    return reached
+
+
+def test_a_goal_is_walked_to_by_its_waypoints_and_then_it_has_arrived() -> None:
+    rig = led((0.4, 0.2), (0.6, 0.0))
+    reached = take_steps(rig, 60)
+    assert min(np.linalg.norm(p[:2] - (0.4, 0.2)) for p in reached) < 0.10
+    assert np.linalg.norm(reached[-1][:2] - (0.6, 0.0)) <= 0.03
+    status = rig.status()
+    assert (status.state, status.reason) == ("arrived", "at the goal (0.6, 0.0)")
+    assert not len(status.path)
+    assert rig.plans(50) == []
+
+
+def test_the_status_carries_the_way_that_is_walked() -> None:
+    rig = led((0.6, 0.0))
+    rig.plans(3)
+    status = rig.status()
+    assert status.state == "stepping"
+    assert status.reason.startswith("0.6 m of way left to (0.6, 0.0)")
+    np.testing.assert_allclose(status.path[[0, -1]], [[0.0, 0.0], [0.6, 0.0]], atol=1e-9)
+
+
+def test_a_fresh_velocity_comes_before_a_goal_and_the_goal_after_it() -> None:
+    rig = led((0.6, 0.0))
+    rig.command = VelocityCommand(0, np.zeros(2), 0.0, HEIGHT, 0.04)
+    assert rig.plans(20) == []
+    assert rig.status().reason == "no velocity is commanded"
+    assert not len(rig.status().path)
+    rig.command = None
+    assert rig.plans(30)
+    rig.goal = None
+    rig.plans(60)
+    assert rig.plans(20) == []
+    assert rig.status().reason == "no fresh velocity command, and no goal"

@@ -1,0 +1,333 @@
+"""What the robot can cross, in cells of 5 cm around it: what a walk over each costs, and where there is none.
+
+A bad cell is no obstacle: feet find another place within 6 cm, and the body passes over. What stops a robot is ground that
+changes by more than its legs can take, ground without a foothold over more than feet can step across, and ground that was
+looked at and not there. Ground never seen is dear but open: who comes nearer sees it, and no foot is set on it before.
+
+What was seen is kept while the map moves on, so that a robot that turns back does not take the way it knows to be closed.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.planner.terrain import Terrain
+from shared.geometry import Array, apply, inverse
+from shared.robot import Camera
+
+Mask = NDArray[np.bool_]
+Layer = TypeVar("Layer", bound=NDArray[Any])
+
+EDGE = 0.05  # [m] of a cell
+_CELLS = 128  # of the window that is kept, either way
+MAX_STEP = 0.065  # [m] between the ground of neighbouring cells that legs can take
+_AGREE = 3  # cells of the map that must be as high, so that one wrong measurement makes no wall
+_SEEN = 0.25  # [1] share of a cell that must be known
+_BARE = 0.8  # [1] share of a cell out of reach of every foothold, from which it is bare, and
+_NARROW = 2  # cells that bare ground must be wide to stop feet, and
+_BRIDGED = 5  # cells of low ground up to which it may be narrow, and stepped over
+_LOOKS = 4  # at a place that showed nothing, from which it is a hole
+_NEAREST, _FURTHEST = 1.15, 1.20  # of the camera's least range, and [m]: where what is there shows
+_FRAME = 0.84  # [1] share of the picture's width and height in which it does
+_SHADOW = 0.01  # [m] under the top of what stands before it, a place is hidden
+_BESIDE = 0.50  # [m] from the body, within which the camera sees nothing wherever it looks
+
+OPEN, STEP, BARE, HOLE, STUCK, FAR = range(6)  # what stops a robot at a cell
+WORDS = (
+    "",
+    f"a step of more than {int(MAX_STEP * 100)} cm",
+    "no foothold",
+    "a hole, or ground that does not show",
+    "where it got stuck",
+    "too far off the straight way",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Prices:
+    """What a metre costs beyond the metre."""
+
+    rough: float = 1.5  # where no cell carries a foot, of a footprint; less where some do
+    bare: float = 6.0  # where no foothold is in reach
+    relief: float = 2.0  # where the ground changes by as much as legs can take
+    near: float = 2.0  # right beside what cannot be crossed, falling to nothing at `wide`
+    unseen: float = 1.0
+    beside: float = 6.0  # unseen and so near that it cannot be looked at
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """How much room the robot takes."""
+
+    half_width: float  # [m] from its middle to its feet, by which it must keep away from what cannot be crossed
+    wide: float  # [m] by which it would like to
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crossing:
+    """Where the robot's middle may go. Cell (i, j) spans edge * (first + (i, j)) and one edge more, either way, [m] {world}."""
+
+    first: NDArray[np.int64]  # (2,)
+    edge: float  # [m]
+    cost: Array  # (n, m) of a metre, 1 and more; inf where it may not be
+    room: Array  # (n, m) [m] to the nearest cell that cannot be crossed, at most the room it would like
+    stops: NDArray[np.int8]  # (n, m) what cannot be crossed there, OPEN where the ground can
+    unseen: Mask  # (n, m)
+
+    def cell(self, xy: Array) -> tuple[int, int]:
+        """The cell that holds a place (2,) [m] {world}, the nearest one if it lies outside."""
+        i, j = np.clip(np.floor(xy / self.edge).astype(np.int64) - self.first, 0, np.array(self.cost.shape) - 1)
+        return int(i), int(j)
+
+    def centres(self, cells: NDArray[np.int64]) -> Array:
+        """Centres (k, 2) [m] {world} of cells (k, 2)."""
+        return np.asarray((cells + self.first + 0.5) * self.edge)
+
+    def holds(self, xy: Array) -> bool:
+        """Whether a place (2,) [m] {world} lies in it."""
+        ij = np.floor(xy / self.edge).astype(np.int64) - self.first
+        return bool(((ij >= 0) & (ij < self.cost.shape)).all())
+
+    def costs(self, xy: Array) -> Array:
+        """Costs (k,) of a metre at places (k, 2) [m] {world}."""
+        ij = np.clip(np.floor(xy / self.edge).astype(np.int64) - self.first, 0, np.array(self.cost.shape) - 1)
+        return np.asarray(self.cost[ij[:, 0], ij[:, 1]])
+
+    def beside(self, start: Array, end: Array, most: float) -> "Crossing":
+        """The same, closed further than so much [m] from the straight way between two places (2,) [m] {world}."""
+        cells = np.indices(self.cost.shape).reshape(2, -1).T
+        way = end - start
+        off = self.centres(cells) - start
+        s = np.clip(off @ way / max(float(way @ way), 1e-9), 0.0, 1.0)
+        far = (np.linalg.norm(off - s[:, None] * way, axis=1) > most).reshape(self.cost.shape)
+        stops = np.where(far & (self.stops == OPEN), FAR, self.stops).astype(np.int8)
+        return replace(self, cost=np.where(far, np.inf, self.cost), stops=stops)
+
+
+class SeenGround:
+    """The ground around the robot as the maps have shown it, kept while it stays within 3.2 m."""
+
+    def __init__(self) -> None:
+        """Begin with nothing seen."""
+        self._first: NDArray[np.int64] = np.zeros(2, dtype=np.int64)
+        self._edge = EDGE
+        self._layers = _nothing()
+
+    def see(self, terrain: Terrain, T_world_body: Array, camera: Camera, floor: float) -> None:
+        """Take in a map.
+
+        Args:
+            terrain: The newest map.
+            T_world_body: (4, 4) the body as it looked.
+            camera: What it looked with.
+            floor: [m] {world} of the ground under the robot.
+        """
+        block = max(1, round(EDGE / terrain.map.resolution))
+        edge = block * terrain.map.resolution
+        if edge != self._edge:
+            self._edge = edge
+            self._layers = _nothing()
+        self._move_to(T_world_body[:2, 3])
+        found = _coarse(terrain, block)
+        offset = found.first - self._first
+        low = np.maximum(offset, 0)
+        high = np.minimum(offset + found.layers["known"].shape, _CELLS)
+        if (low >= high).any():
+            return
+        here = np.s_[low[0] : high[0], low[1] : high[1]]
+        there = np.s_[low[0] - offset[0] : high[0] - offset[0], low[1] - offset[1] : high[1] - offset[1]]
+        anew = found.layers["known"][there] > 0
+        for name, layer in found.layers.items():
+            self._layers[name][here][anew] = layer[there][anew]
+        self._look(T_world_body @ camera.T_body_camera, camera, floor)
+
+    def crossing(self, size: Size, prices: Prices, xy: Array, stuck: Array, stuck_radius: float) -> Crossing:
+        """What it costs to cross, and where one cannot.
+
+        Args:
+            size: Of the robot.
+            prices: Of what is dear.
+            xy: (2,) [m] {world} where the robot is: what is unseen so near cannot be looked at.
+            stuck: (k, 2) [m] {world} where it could not go on.
+            stuck_radius: [m] around them.
+        """
+        seen = self._layers
+        unseen = seen["known"] < _SEEN
+        stops = np.zeros(unseen.shape, dtype=np.int8)
+        # 1. Ground that rises or falls by more than legs can take: its upper edge. Narrow low ground is stepped over.
+        ground = _closed(seen["low"], _BRIDGED)
+        rise = seen["high"] - _lowest_around(ground)
+        stops[rise > MAX_STEP] = STEP
+        # 2. Ground without a foothold in reach, and ground that does not show, unless feet can step across.
+        stops[_wide(~unseen & (seen["bare"] > _BARE), _NARROW) & (stops == OPEN)] = BARE
+        stops[_wide(unseen & (seen["looks"] >= _LOOKS), _NARROW) & (stops == OPEN)] = HOLE
+        centres = (np.indices(unseen.shape).transpose(1, 2, 0) + self._first + 0.5) * self._edge
+        for place in stuck:
+            stops[(np.linalg.norm(centres - place, axis=2) < stuck_radius) & (stops == OPEN)] = STUCK
+        room = _distance(stops != OPEN, size.wide / self._edge) * self._edge
+        # 3. Where the body may be: prices over the ground that its feet stand on, and more where there is little room.
+        near = np.linalg.norm(centres - xy, axis=2) < _BESIDE
+        relief = np.clip(np.nan_to_num(rise) / MAX_STEP, 0.0, 1.0)
+        ground_price = np.where(
+            unseen,
+            np.where(near, prices.beside, prices.unseen),
+            prices.rough * (1.0 - seen["footing"]) + prices.bare * seen["bare"] + prices.relief * relief**2,
+        )
+        beyond = np.clip((size.wide - room) / max(size.wide - size.half_width, 1e-9), 0.0, 1.0)
+        cost = 1.0 + _mean_around(ground_price, round(size.half_width / self._edge)) + prices.near * beyond**2
+        cost[room < size.half_width] = np.inf
+        return Crossing(self._first.copy(), self._edge, cost, room, stops, unseen)
+
+    def _move_to(self, xy: Array) -> None:
+        """Bring the window's middle to where the robot is, a quarter at a time; what it leaves is forgotten."""
+        middle = np.floor(xy / self._edge).astype(np.int64)
+        off = middle - (self._first + _CELLS // 2)
+        if (np.abs(off) < _CELLS // 4).all():
+            return
+        first = middle - _CELLS // 2
+        by = first - self._first
+        kept, self._layers, self._first = self._layers, _nothing(), first
+        low, high = np.maximum(by, 0), np.minimum(by + _CELLS, _CELLS)
+        if (low < high).all():
+            old = np.s_[low[0] : high[0], low[1] : high[1]]
+            new = np.s_[low[0] - by[0] : high[0] - by[0], low[1] - by[1] : high[1] - by[1]]
+            for name, layer in self._layers.items():
+                layer[new] = kept[name][old]
+
+    def _look(self, T_world_camera: Array, camera: Camera, floor: float) -> None:
+        """Count the look at cells that would show if there were ground as high as the robot's, and do not."""
+        cells = np.argwhere((self._layers["known"] < _SEEN) & (self._layers["looks"] < _LOOKS))
+        places = np.column_stack([(cells + self._first + 0.5) * self._edge, np.full(len(cells), floor)])
+        eye = T_world_camera[:3, 3]
+        reach = np.linalg.norm(places[:, :2] - eye[:2], axis=1) < _FURTHEST
+        cells, places = cells[reach], places[reach]
+        x, y, z = apply(inverse(T_world_camera), places).T
+        lens = camera.intrinsics
+        ahead = z > _NEAREST * camera.sensor.min_range
+        z = np.where(ahead, z, 1.0)
+        across = np.abs(lens.fx * x / z + lens.cx - lens.width / 2) < _FRAME * lens.width / 2
+        upright = np.abs(lens.fy * y / z + lens.cy - lens.height / 2) < _FRAME * lens.height / 2
+        shown = ahead & across & upright
+        cells, places = cells[shown], places[shown]
+        s = np.linspace(0.1, 0.95, 24)[:, None, None]
+        line = eye + s * (places - eye)
+        ij = np.clip(np.floor(line[..., :2] / self._edge).astype(np.int64) - self._first, 0, _CELLS - 1)
+        hidden = (self._layers["high"][ij[..., 0], ij[..., 1]] > line[..., 2] - _SHADOW).any(axis=0)
+        cells = cells[~hidden]
+        self._layers["looks"][cells[:, 0], cells[:, 1]] += 1
+
+
+def _nothing() -> dict[str, Array]:
+    """Layers of ground never seen."""
+    blank = {
+        "known": 0.0,  # share of the cell
+        "footing": 0.0,  # share of it that carries a foot
+        "bare": 0.0,  # share of what is known of it that has no foothold in reach
+        "high": np.nan,  # [m] {world}
+        "low": np.nan,  # [m] {world}
+        "looks": 0.0,  # at the cell, in which nothing showed
+    }
+    return {name: np.full((_CELLS, _CELLS), value) for name, value in blank.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class _Coarse:
+    """A map in coarse cells, from the cell `first` (2,) of the world's grid on; layers as of `_nothing`, but for looks."""
+
+    first: NDArray[np.int64]
+    layers: dict[str, Array]
+
+
+def _coarse(terrain: Terrain, block: int) -> _Coarse:
+    """A map by blocks of block x block cells that lie on the world's grid of them; what its border cuts off is left out."""
+    first_fine = np.floor(terrain.map.origin / terrain.map.resolution + 1e-6).astype(np.int64)
+    first = -(-first_fine // block)
+    skip = first * block - first_fine
+    n, m = (np.array(terrain.map.elevation.shape) - skip) // block
+    cut = np.s_[skip[0] : skip[0] + n * block, skip[1] : skip[1] + m * block]
+
+    def blocks(layer: Layer) -> Layer:
+        return cast(Layer, layer[cut].reshape(n, block, m, block).transpose(0, 2, 1, 3).reshape(n, m, block * block))
+
+    height = terrain.map.elevation
+    known, foothold = np.isfinite(height), terrain.footholds()
+    reach = max(1, int(0.04 / terrain.map.resolution))  # a square within the 6 cm that are searched
+    bare = known & ~_dilated(foothold, reach)
+    count = blocks(known).sum(axis=2)
+    rank = np.clip(np.minimum(_AGREE, count) - 1, 0, None)[..., None]
+    tops = np.sort(blocks(np.where(known, -height, np.inf)), axis=2)
+    lows = np.sort(blocks(np.where(known, height, np.inf)), axis=2)
+    nothing = count == 0
+    layers = {
+        "known": count / block**2,
+        "footing": blocks(foothold).mean(axis=2),
+        "bare": blocks(bare).sum(axis=2) / np.maximum(count, 1),
+        "high": np.where(nothing, np.nan, -np.take_along_axis(tops, rank, axis=2)[..., 0]),
+        "low": np.where(nothing, np.nan, np.take_along_axis(lows, rank, axis=2)[..., 0]),
+    }
+    return _Coarse(first, layers)
+
+
+def _shifted(layer: Layer, by: int, axis: int, fill: float) -> Layer:
+    """A layer moved along an axis, filled where nothing comes from."""
+    out = np.full_like(layer, fill)
+    source, target = [slice(None), slice(None)], [slice(None), slice(None)]
+    n = layer.shape[axis]
+    if abs(by) < n:
+        source[axis], target[axis] = slice(max(-by, 0), n - max(by, 0)), slice(max(by, 0), n + min(by, 0))
+        out[tuple(target)] = layer[tuple(source)]
+    return out
+
+
+def _over_square(layer: Layer, before: int, after: int, take: np.ufunc, fill: float) -> Layer:
+    """The extreme of a layer over squares from `before` cells before to `after` cells behind each."""
+    for axis in (0, 1):
+        layer = take.reduce([_shifted(layer, by, axis, fill) for by in range(-after, before + 1)])
+    return cast(Layer, layer)
+
+
+def _dilated(mask: Mask, reach: int) -> Mask:
+    return _over_square(mask, reach, reach, np.logical_or, False)
+
+
+def _wide(mask: Mask, width: int) -> Mask:
+    """What of a mask is covered by squares of so many cells that lie in it."""
+    inside = _over_square(mask, 0, width - 1, np.logical_and, False)
+    return _over_square(inside, width - 1, 0, np.logical_or, False)
+
+
+def _closed(low: Array, width: int) -> Array:
+    """Ground (n, m) [m] with what is low and narrower than so many cells filled up to beside it; NaN where unknown."""
+    reach = width // 2
+    raised = _over_square(np.where(np.isnan(low), -np.inf, low), reach, reach, np.maximum, -np.inf)
+    lowered = _over_square(np.where(np.isinf(raised), np.inf, raised), reach, reach, np.minimum, np.inf)
+    return np.asarray(np.where(np.isnan(low), np.nan, lowered))
+
+
+def _lowest_around(ground: Array) -> Array:
+    """The lowest known ground of each cell and its eight neighbours, inf for none."""
+    return _over_square(np.where(np.isnan(ground), np.inf, ground), 1, 1, np.minimum, np.inf)
+
+
+def _mean_around(layer: Array, reach: int) -> Array:
+    """The mean of a layer over squares of so many cells to every side, the border's cells going on beyond it."""
+    wide = np.pad(layer, reach + 1, mode="edge")
+    total = wide.cumsum(axis=0).cumsum(axis=1)
+    k = 2 * reach + 1
+    return np.asarray((total[k:-1, k:-1] - total[: -k - 1, k:-1] - total[k:-1, : -k - 1] + total[: -k - 1, : -k - 1]) / k**2)
+
+
+def _distance(mask: Mask, most: float) -> Array:
+    """Distance (n, m) [cells] to the nearest cell of a mask, at most so much."""
+    reach = int(np.ceil(most))
+    along = np.where(mask, 0.0, np.inf)
+    for by in range(1, reach + 1):
+        for sign in (1, -1):
+            along = np.minimum(along, np.where(_shifted(mask, sign * by, 0, False), float(by), np.inf))
+    squared = along**2
+    for by in range(1, reach + 1):
+        for sign in (1, -1):
+            squared = np.minimum(squared, _shifted(along, sign * by, 1, np.inf) ** 2 + by**2)
+    return np.asarray(np.minimum(np.sqrt(squared), most))

@@ -1,0 +1,260 @@
+"""Leads the robot to a goal: which way, facing where, how fast; and what it does where there is no way.
+
+The way is found anew as the map changes. The camera looks ahead, so the robot turns to face the way it goes. Where it cannot
+go on although the map knows no reason, it remembers the place and takes another way; where none is left, it looks to both
+sides for what it has not seen, and then says what stands in the way.
+"""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import atan2, cos, hypot, pi, radians, sin
+
+import numpy as np
+
+from services.planner.crossing import Crossing, Prices, SeenGround, Size
+from services.planner.route import NoWay, Way, cost_of, find_way
+from services.planner.terrain import Terrain
+from shared.geometry import Array, yaw_of
+from shared.messages import MAX_PATH, Goal, TerrainMap, VelocityCommand
+from shared.robot import RobotProfile
+
+_SPARE = 0.015  # [m] between the feet and what they must keep away from
+_LIKED = 0.15  # [m] that the robot would like to have beyond that
+_DETOUR = 1.5  # [m] from the straight way between two waypoints, at most
+_REPLAN_NS = 400_000_000  # [ns] between two looks for a way
+_PASSED = 0.10  # [m] at least, from a waypoint that is not the last, within which it counts as passed
+_LOOK_AHEAD = 0.25  # [m] along the way, where the robot walks to
+_FACE = 0.45  # [m] along the way, where it looks
+_TURN_FIRST = radians(50.0)  # off the way, from which it turns before it walks
+_TURN_GAIN = 1.2  # [1/s]
+_TURN = 0.21  # [rad/s] at most
+_WORTH = 0.85  # [1] cost of another way, of that of the one being walked, from which it is taken
+_OFF_WAY = 0.20  # [m] from the way, from which another is taken whatever it costs
+_STUCK_NS = 2_500_000_000  # [ns] without a step until a place counts as one where it cannot go on
+_STUCK_AHEAD = 0.08  # [m] beyond its feet that such a place lies
+_STUCK_RADIUS = 0.08  # [m]
+_MOST_STUCK = 24  # places remembered
+_SIDES = radians(70.0)  # to which it turns to look
+_SIDE_WIDTH = radians(30.0)  # [rad] to either side of it that is looked at
+_SIDE_NEAR, _SIDE_FAR = 0.55, 1.3  # [m] between which it is
+_WORTH_A_LOOK = 0.25  # [1] of that unseen
+_FACED = radians(6.0)  # off the side, from which it is being looked at
+_LOOK_NS = 800_000_000  # [ns] that a look lasts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heading:
+    """What to do now."""
+
+    commands: tuple[VelocityCommand, ...]  # the first that can be walked; none: it has arrived
+    words: str
+
+
+@dataclass(slots=True, eq=False)
+class _Errand:
+    """A goal, and what was found on the way to it."""
+
+    goal: Goal
+    begin: Array  # (2,) [m] {world} of the straight way to the next waypoint
+    leg: int = 0  # the next waypoint
+    arrived: bool = False
+    map: TerrainMap | None = None  # on which the way was found
+    planned_ns: int = 0
+    crossing: Crossing | None = None
+    found: Way | NoWay | None = None
+    way: Way | None = None  # that is being walked
+    stuck: list[Array] = field(default_factory=list)  # (2,) [m] {world} places where it could not go on
+    stuck_reason: str = ""
+    still_since_ns: int | None = None  # since when there is no step
+    course: float = 0.0  # [rad] {world} of the newest command
+    sides: list[float] | None = None  # [rad] {world} still to be looked to; None: it goes on
+    looking_since_ns: int | None = None
+
+
+class Pilot:
+    """Leads to one goal at a time."""
+
+    def __init__(self, profile: RobotProfile, step_s: float):
+        """Lead a robot whose steps take so long [s]."""
+        self._profile = profile
+        self._step_s = step_s
+        feet = profile.rest_feet()
+        half = float(np.abs(feet[:, 1]).max()) + _SPARE
+        self._size = Size(half, half + _LIKED)
+        self._prices = Prices()
+        self._ground = SeenGround()
+        self._errand: _Errand | None = None
+
+    @property
+    def path(self) -> Array:
+        """(k, 2) [m] {world} corners of the way being walked."""
+        errand = self._errand
+        return np.zeros((0, 2)) if errand is None or errand.way is None else errand.way.corners[:MAX_PATH]
+
+    def lead(self, goal: Goal, terrain: Terrain, T_world_body: Array, body: Array, now_ns: int) -> Heading | NoWay:
+        """What to do to come to a goal.
+
+        Args:
+            goal: Where to.
+            terrain: The newest map.
+            T_world_body: (4, 4) where the body is.
+            body: (4, 4) {world} where it will be when the next step begins.
+            now_ns: [ns]
+        """
+        xy = body[:2, 3]
+        # 1. Another goal: what was found on the way to the old one does not count.
+        if self._errand is None or not _same(goal, self._errand.goal):
+            self._errand = _Errand(goal, xy.copy())
+        errand = self._errand
+        errand.goal = goal
+        # 2. Which waypoint is next.
+        target = goal.waypoints[errand.leg]
+        while errand.leg < len(goal.waypoints) - 1 and _length(target - xy) < max(goal.tolerance, _PASSED):
+            errand.begin, errand.way, errand.map = target, None, None
+            errand.leg += 1
+            target = goal.waypoints[errand.leg]
+        # A robot that has arrived does not start again because its estimate moves a little.
+        near = _length(target - xy) <= goal.tolerance * (2.0 if errand.arrived else 1.0)
+        errand.arrived = near and errand.leg == len(goal.waypoints) - 1
+        if errand.arrived:
+            errand.way = None
+            return Heading((), f"at the goal ({target[0]:.1f}, {target[1]:.1f})")
+        # 3. The way, anew when the map has changed and some time has passed.
+        changed = errand.map is not terrain.map and now_ns - errand.planned_ns >= _REPLAN_NS
+        if errand.map is None or changed:
+            errand.map, errand.planned_ns = terrain.map, now_ns
+            self._ground.see(terrain, T_world_body, self._profile.camera, float(T_world_body[2, 3]) - goal.body_height)
+            self._plan(errand, xy, target)
+        if isinstance(errand.found, NoWay):
+            return self._look_round(errand, errand.found, body, now_ns) or errand.found
+        errand.sides = None
+        return self._follow(errand, target, body, now_ns)
+
+    def steps(self) -> None:
+        """Note that the robot takes a step."""
+        if self._errand is not None:
+            self._errand.still_since_ns = None
+
+    def stands(self, body: Array, now_ns: int, reason: str) -> None:
+        """Note that the robot takes no step, and why; after a while the place ahead is one where it cannot go on."""
+        errand = self._errand
+        if errand is None:
+            return
+        if errand.still_since_ns is None:
+            errand.still_since_ns = now_ns
+        if now_ns - errand.still_since_ns < _STUCK_NS:
+            return
+        errand.still_since_ns = None
+        if errand.sides:
+            errand.sides.pop(0)  # it cannot turn there
+            return
+        ahead = np.array([cos(errand.course), sin(errand.course)])
+        place = body[:2, 3] + (self._size.half_width + _STUCK_AHEAD) * ahead
+        errand.stuck = [*errand.stuck[-_MOST_STUCK + 1 :], place]
+        errand.stuck_reason = reason
+        errand.map = None  # another way, now
+
+    def _plan(self, errand: _Errand, xy: Array, target: Array) -> None:
+        """Find the way; the old one stays where another is hardly cheaper."""
+        stuck = np.array(errand.stuck).reshape(-1, 2)
+        crossing = self._ground.crossing(self._size, self._prices, xy, stuck, _STUCK_RADIUS)
+        crossing = crossing.beside(errand.begin, target, _DETOUR)
+        found = find_way(crossing, xy, target, errand.goal.tolerance)
+        errand.crossing, errand.found = crossing, found
+        if isinstance(found, NoWay):
+            because = f"; it got stuck there: {errand.stuck_reason}" if errand.stuck else ""
+            errand.found, errand.way = NoWay(found.reason + because), None
+            return
+        if errand.way is not None:
+            old, off = _rest(errand.way.corners, xy)
+            cost = cost_of(crossing, old)
+            if off < _OFF_WAY and found.cost > _WORTH * cost:
+                found = Way(old, cost)
+        errand.way = found
+
+    def _follow(self, errand: _Errand, target: Array, body: Array, now_ns: int) -> Heading:
+        """Walk along the way, facing it."""
+        assert errand.way is not None
+        goal, xy, yaw = errand.goal, body[:2, 3], yaw_of(body)
+        way, _ = _rest(errand.way.corners, xy)
+        left = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+        to, facing = _along(way, _LOOK_AHEAD) - xy, _along(way, _FACE) - xy
+        errand.course = atan2(to[1], to[0])
+        error = _wrapped(atan2(facing[1], facing[0]) - yaw) if left > _LOOK_AHEAD else 0.0
+        turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
+        # No further in a step than to the end, nor around a corner.
+        speed = min(goal.speed, self._profile.stance.max_speed, _length(to) / self._step_s)
+        velocity = speed * np.array([cos(errand.course - yaw), sin(errand.course - yaw)])
+        wanted = [(velocity, turn), (velocity, 0.0), (np.zeros(2), turn)]
+        if abs(error) > _TURN_FIRST:
+            wanted = [(np.zeros(2), turn), (velocity, 0.0)]
+        commands = tuple(_command(goal, now_ns, v, w) for v, w in wanted if _length(v) > 0.0 or w != 0.0)
+        return Heading(commands, f"{left:.1f} m of way left to ({target[0]:.1f}, {target[1]:.1f})")
+
+    def _look_round(self, errand: _Errand, no_way: NoWay, body: Array, now_ns: int) -> Heading | None:
+        """Turn to where something is unseen before giving up; None while it looks, and once that is done."""
+        xy, yaw = body[:2, 3], yaw_of(body)
+        if errand.sides is None:
+            errand.sides = [yaw + side for side in (_SIDES, -_SIDES) if self._unseen(errand, xy, yaw + side) > _WORTH_A_LOOK]
+            errand.looking_since_ns = None
+        while errand.sides:
+            error = _wrapped(errand.sides[0] - yaw)
+            if abs(error) > _FACED:
+                errand.looking_since_ns = None
+                turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
+                words = f"turning {'left' if error > 0 else 'right'} to look for a way: {no_way.reason}"
+                return Heading((_command(errand.goal, now_ns, np.zeros(2), turn),), words)
+            if errand.looking_since_ns is None:
+                errand.looking_since_ns = now_ns
+            if now_ns - errand.looking_since_ns < _LOOK_NS:
+                return None
+            errand.looking_since_ns = None
+            errand.sides.pop(0)
+        return None
+
+    def _unseen(self, errand: _Errand, xy: Array, direction: float) -> float:
+        """Share [1] of the ground to a side [rad] {world} that has not been seen."""
+        crossing = errand.crossing
+        assert crossing is not None
+        r, angle = np.meshgrid(
+            np.linspace(_SIDE_NEAR, _SIDE_FAR, 8), direction + np.linspace(-_SIDE_WIDTH, _SIDE_WIDTH, 9), indexing="ij"
+        )
+        places = xy + np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
+        cells = np.array([crossing.cell(place) for place in places])
+        return float(crossing.unseen[cells[:, 0], cells[:, 1]].mean())
+
+
+def _command(goal: Goal, now_ns: int, velocity: Array, yaw_rate: float) -> VelocityCommand:
+    return VelocityCommand(now_ns, velocity, yaw_rate, goal.body_height, goal.lift)
+
+
+def _same(a: Goal, b: Goal) -> bool:
+    return a.tolerance == b.tolerance and np.array_equal(a.waypoints, b.waypoints)
+
+
+def _rest(corners: Array, xy: Array) -> tuple[Array, float]:
+    """What is left of a way (k, 2) [m] from the place on it that is nearest to a robot (2,) [m], and how far that is [m]."""
+    start, step = corners[:-1], np.diff(corners, axis=0)
+    s = np.clip(((xy - start) * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-12), 0.0, 1.0)
+    on = start + s[:, None] * step
+    off = np.linalg.norm(on - xy, axis=1)
+    k = len(off) - 1 - int(np.argmin(off[::-1]))
+    return np.vstack([xy, corners[k + 1 :]]), float(off[k])
+
+
+def _along(way: Array, distance: float) -> Array:
+    """The place (2,) so far [m] along a way (k, 2), at most its end."""
+    for a, b in pairwise(way):
+        length = _length(b - a)
+        if length >= distance:
+            return np.asarray(a + (b - a) * (distance / length))
+        distance -= length
+    return np.asarray(way[-1])
+
+
+def _length(v: Array) -> float:
+    return hypot(float(v[0]), float(v[1]))
+
+
+def _wrapped(angle: float) -> float:
+    return (angle + pi) % (2.0 * pi) - pi
