@@ -278,14 +278,14 @@ def _shifted(layer: Layer, by: int, axis: int, fill: float) -> Layer:
     if abs(by) < n:
         source[axis], target[axis] = slice(max(-by, 0), n - max(by, 0)), slice(max(by, 0), n + min(by, 0))
         out[tuple(target)] = layer[tuple(source)]
-    return out
+    return cast(Layer, out)
 
 
 def _over_square(layer: Layer, before: int, after: int, take: np.ufunc, fill: float) -> Layer:
     """The extreme of a layer over squares from `before` cells before to `after` cells behind each."""
     for axis in (0, 1):
         layer = take.reduce([_shifted(layer, by, axis, fill) for by in range(-after, before + 1)])
-    return cast(Layer, layer)
+    return layer
 
 
 def _dilated(mask: Mask, reach: int) -> Mask:
