@@ -11,7 +11,7 @@ of the truth are those of the estimate, so errors count from there; its height i
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ from shared.messages import ActuatorState, BodyPose, GroundTruth, Message, Mode,
 from shared.robot import JOINTS, LEGS, RobotProfile
 from shared.scenario import Box, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
 from shared.service import Inbox, Stages
+
+Counted = TypeVar("Counted", ActuatorState, StepPlan)
 
 FALL_TILT_DEG = 35.0  # [deg]
 _FALL_COSINE = float(np.cos(np.radians(FALL_TILT_DEG)))
@@ -152,12 +154,12 @@ class Scorer:
             if state.step < self._newest_step:
                 self._steps_before += self._newest_step  # an actuator that began anew counts from zero
             self._newest_step = state.step
-            self._states.append(replace(state, step=state.step + self._steps_before))
+            self._states.append(self._counted_on(state))
             if self._first_step_ns is None and state.mode is Mode.WALK:
                 self._first_step_ns = state.stamp_ns
                 self._anchor()
         for plan in inbox.drain(topics.STEP_PLAN):
-            plan = replace(plan, step=plan.step + self._steps_before)
+            plan = self._counted_on(plan)
             known = self._plans.get(plan.step)
             if known is None or plan.revision >= known.revision:
                 self._plans[plan.step] = plan
@@ -171,6 +173,10 @@ class Scorer:
         if not self.finished:
             self._judge(truth)
         return ()
+
+    def _counted_on(self, message: Counted) -> Counted:
+        """A message with its step counted from the run's beginning, over restarts of the actuator."""
+        return replace(message, step=message.step + self._steps_before) if self._steps_before else message
 
     def doing(self) -> str:
         """How far it is, by the truth."""

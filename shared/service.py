@@ -97,17 +97,32 @@ class _Ring:
         return p50, p99
 
 
+class Decode(Protocol):
+    """What makes messages of frames; as `codec.decode`."""
+
+    def __call__(self, frame: bytes, kind: type[M], max_bytes: int, /) -> tuple[M, codec.Timing]:
+        """Decode a frame as a message of one type, or raise DecodeError."""
+        ...
+
+
 class Inbox:
     """What has arrived for one service. Frames are decoded when they are looked at; those that do not decode are refused,
     counted and reported, and the last good message of their topic stays."""
 
-    def __init__(self, reads: Sequence[AnyTopic], stages: Stages, wanted: Callable[[AnyTopic], bool] = lambda _: True):
+    def __init__(
+        self,
+        reads: Sequence[AnyTopic],
+        stages: Stages,
+        wanted: Callable[[AnyTopic], bool] = lambda _: True,
+        decode: Decode = codec.decode,
+    ):
         self.now_ns = 0
         self.refused = 0
         self.dropped = 0
         self.last_refusal = ""
         self.wanted = wanted  # whether anybody listens to a topic: what nobody wants need not be made
         self._stages = stages
+        self._decode = decode
         self._reads = {topic.key: topic for topic in reads}
         self._frames: dict[str, deque[tuple[bytes, int]]] = {}
         for topic in reads:
@@ -145,14 +160,16 @@ class Inbox:
 
     def drain(self, topic: Topic[M]) -> list[M]:
         """All messages that have come since the last look, in order."""
+        queue = self._frames[topic.key]
+        if not queue:
+            return []
         with self._lock:
-            queue = self._frames[topic.key]
             frames = list(queue)
             queue.clear()
         messages: list[M] = []
         for frame, at_ns in frames:
             try:
-                message, timing = codec.decode(frame, topic.type, topic.max_bytes)
+                message, timing = self._decode(frame, topic.type, topic.max_bytes)
             except codec.DecodeError as error:
                 self.refused += 1
                 self.last_refusal = f"{topic.key}: {error}"[:500]
@@ -203,12 +220,13 @@ class Worker:
         send: Callable[[AnyTopic, bytes, int], None],
         clock: Callable[[], int],
         wanted: Callable[[AnyTopic], bool] = lambda _: True,
+        decode: Decode = codec.decode,
     ):
         self.service = service
         self.reads = tuple(
             dict.fromkeys([*([] if isinstance(service.paced_by, Every) else [service.paced_by]), *service.reads])
         )
-        self.inbox = Inbox(self.reads, service.stages, wanted)
+        self.inbox = Inbox(self.reads, service.stages, wanted, decode)
         self._send = send
         self._clock = clock
         self._writes = set(service.writes)
@@ -310,6 +328,21 @@ def run_live(service: Service, link: Link, stop: threading.Event) -> None:
         worker.report_health(clock())  # also while nothing comes in, or nothing that decodes
 
 
+class _DecodedOnce:
+    """Decodes a frame once for all that read it: messages are frozen and their arrays read-only, so they can be shared."""
+
+    def __init__(self) -> None:
+        self._newest: dict[type[Message], tuple[bytes, tuple[Any, codec.Timing]]] = {}
+
+    def __call__(self, frame: bytes, kind: type[M], max_bytes: int, /) -> tuple[M, codec.Timing]:
+        known = self._newest.get(kind)
+        if known is not None and known[0] is frame:
+            return known[1]
+        decoded = codec.decode(frame, kind, max_bytes)
+        self._newest[kind] = frame, decoded
+        return decoded
+
+
 @dataclass(frozen=True, slots=True)
 class Outage:
     """A service that is away between two times: killed (a new object comes back) or hung (the same one goes on)."""
@@ -355,7 +388,8 @@ class Lockstep:
         self._makers = makers
         self._tap = tap
         self._latency_ns = {t.key: round(1e9 * (latency_s or {}).get(t.key, t.latency_s)) for t in topics.TOPICS}
-        self._outages = tuple(outages)
+        self._outages = {name: tuple(o for o in outages if o.service == name) for name in makers}
+        self._decode = _DecodedOnce()
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
         self._sequence = 0
         self._workers: dict[str, Worker] = {}
@@ -364,8 +398,8 @@ class Lockstep:
             self._start(name)
             pace = self._workers[name].service.paced_by
             if isinstance(pace, Every):
-                self._schedule_beat(name, 0, pace.period_ns, order)
-        for outage in self._outages:
+                self._keep_beating(name, pace.period_ns, order)
+        for outage in outages:
             if outage.kill:
                 self._schedule(outage.until_ns, -2, lambda name=outage.service: self._start(name))  # type: ignore[misc]
 
@@ -383,7 +417,7 @@ class Lockstep:
 
     def _start(self, name: str) -> None:
         service = self._makers[name]()
-        worker = Worker(service, self._send, lambda: self.now_ns, self._wanted)
+        worker = Worker(service, self._send, lambda: self.now_ns, self._wanted, self._decode)
         self._workers[name] = worker
         for topic in worker.reads:
             readers = self._readers.setdefault(topic.key, [])
@@ -394,19 +428,22 @@ class Lockstep:
         return bool(self._readers.get(topic.key))
 
     def _outage(self, name: str) -> Outage | None:
-        return next((o for o in self._outages if o.service == name and o.from_ns <= self.now_ns < o.until_ns), None)
+        for outage in self._outages[name]:
+            if outage.from_ns <= self.now_ns < outage.until_ns:
+                return outage
+        return None
 
     def _schedule(self, at_ns: int, rank: int, act: Callable[[], None]) -> None:
         self._sequence += 1
         heapq.heappush(self._events, (at_ns, rank, self._sequence, act))
 
-    def _schedule_beat(self, name: str, at_ns: int, period_ns: int, order: int) -> None:
+    def _keep_beating(self, name: str, period_ns: int, order: int) -> None:
         def beat() -> None:
             if self._outage(name) is None:
                 self._workers[name].tick()
-            self._schedule_beat(name, at_ns + period_ns, period_ns, order)
+            self._schedule(self.now_ns + period_ns, order, beat)
 
-        self._schedule(at_ns, order, beat)
+        self._schedule(0, order, beat)
 
     def _send(self, topic: AnyTopic, frame: bytes, began_ns: int) -> None:
         self._tap(topic, frame, self.now_ns)

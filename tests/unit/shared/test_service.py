@@ -316,6 +316,16 @@ def test_a_message_takes_its_latency() -> None:
     assert [(at, v.stamp_ns) for at, v in seen(run)] == [(10 * MS * n + latency_ns, 10 * MS * n) for n in range(10)]
 
 
+def test_what_several_read_is_decoded_once_and_none_of_them_can_change_it() -> None:
+    run = Lockstep({"console": operator, "planner": planner, "mapper": lambda: Scripted("mapper", VELOCITY)})
+    run.run(50 * MS)
+    pairs = zip(seen(run), seen(run, "mapper"), strict=True)
+    for (_, at_planner), (_, at_mapper) in pairs:
+        assert at_planner is at_mapper
+        with pytest.raises(ValueError, match="read-only"):
+            at_planner.velocity[0] = 1.0
+
+
 def test_a_latency_may_be_another() -> None:
     run, _ = system(latency_s={VELOCITY.key: 0.025})
     run.run(50 * MS)
