@@ -60,17 +60,19 @@ class Attendance:
         return replace(report, success=False, reason=ended_by) if ended_by else report
 
     def leave_behind(self, report: Report, out: Path, picture: bool = True) -> None:
-        """Write report.json and, if asked for and where there is anything to see, summary.png into the run's folder."""
+        """Write report.json and, if asked for and where there is anything to see, summary.png and walk.png into a folder."""
         reports.write(report, out)
         if not picture:
             return
         from deploy import summary as summaries  # takes a second to import, which an interrupted run does not have
+        from deploy import walk_picture
 
         try:
             trace = self.scorer.trace
         except ValueError:  # the run ended before the simulator said a word
             return
         summaries.draw(out / "summary.png", report, trace)
+        walk_picture.draw(out / "walk.png", report, trace)
 
 
 def about(scenario: Scenario, seed: int, way: str) -> dict[str, str]:

@@ -74,6 +74,8 @@ def demo(arguments: argparse.Namespace) -> int:
 
 def trials(arguments: argparse.Namespace) -> int:
     """`sextant trials`: the success rate over many seeds, in lockstep."""
+    if arguments.scenario == "all":
+        return _campaign(arguments)
     scenario = _scenario(arguments)
     out = _out(arguments, f"trials-{scenario.name}")
     from deploy import trials as batches
@@ -90,6 +92,23 @@ def trials(arguments: argparse.Namespace) -> int:
     else:
         _say(batches.words(seeing, baseline))
         _say(f"written to {out}: trials.json, trials.jsonl")
+    return SUCCESS
+
+
+def _campaign(arguments: argparse.Namespace) -> int:
+    """`sextant trials all`: the table of all terrains."""
+    from deploy import campaign as campaigns
+
+    robot = _robot(arguments)
+    out = _out(arguments, "trials-all")
+    say = _progress(arguments.json).say
+    found = campaigns.run_campaign(campaigns.WALKED, arguments.seeds, arguments.jobs, out, arguments.blind, robot, say)
+    campaigns.write(found, out)
+    if arguments.json:
+        sys.stdout.write(campaigns.to_json(found))
+    else:
+        _say(campaigns.markdown(found))
+        _say(f"written to {out}: table.md, campaign.json, and a folder per terrain")
     return SUCCESS
 
 
@@ -230,15 +249,22 @@ def compose(arguments: argparse.Namespace) -> int:
 
 def _scenario(arguments: argparse.Namespace) -> "Scenario":
     """The scenario that is asked for, walked by the robot that is asked for."""
-    from shared.robot import load_profile
     from shared.scenario import load_scenario
 
     scenario = load_scenario(arguments.scenario)
+    robot = _robot(arguments)
+    return replace(scenario, robot=robot) if robot else scenario
+
+
+def _robot(arguments: argparse.Namespace) -> str:
+    """The robot that is asked for in place of the scenario's, as scenarios name it; empty for none."""
+    from shared.robot import load_profile
+
     if not arguments.robot:
-        return scenario
-    robot = str(Path(arguments.robot).resolve()) if arguments.robot.endswith(".toml") else arguments.robot
+        return ""
+    robot = str(Path(arguments.robot).resolve()) if arguments.robot.endswith(".toml") else str(arguments.robot)
     load_profile(robot)  # what is wrong with it is told before anything starts
-    return replace(scenario, robot=robot)
+    return robot
 
 
 def _run_lockstep(arguments: argparse.Namespace) -> int:
@@ -453,7 +479,7 @@ def _parser() -> argparse.ArgumentParser:
     one = add("demo", demo, "watch the robot walk a field of low steps, over Zenoh")
     _add_seed_and_out(one)
 
-    one = add("run", run, "run a scenario and write a folder with report.json, summary.png and recording.mcap")
+    one = add("run", run, "run a scenario and write a folder with report.json, summary.png, walk.png and recording.mcap")
     one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
     _add_robot(one)
     one.add_argument("--lockstep", action="store_true", help="in one process on simulated time, as fast as the machine allows")
@@ -465,7 +491,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_seed_and_out(one)
 
     one = add("trials", trials, "run a scenario in lockstep with many seeds: success rate with its 95 %% interval")
-    one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
+    one.add_argument("scenario", help="name of a scenario that comes with sextant, path of a TOML file, or all that are walked")
     _add_robot(one)
     one.add_argument("--seeds", type=_seeds, required=True, metavar="A:B", help="from A up to, not including, B")
     one.add_argument("--blind", action="store_true", help="also run the baseline, without a map, and compare")

@@ -47,7 +47,7 @@ def run_live_scenario(
     attach: Endpoints | None = None,
     started: Callable[[Launcher], None] = lambda _: None,
 ) -> Outcome:
-    """Run a scenario over Zenoh to its end, leaving report.json, summary.png, recording.mcap and services.log in `out`.
+    """Run a scenario over Zenoh to its end, leaving report.json, pictures, recording.mcap and services.log in `out`.
 
     Args:
         scenario: The course and the way to walk it.

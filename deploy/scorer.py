@@ -82,6 +82,10 @@ class Trace:
     p_true: Array  # (n, 3) [m] {start} body
     height_reference: Array  # (n,) [m] {start} commanded height of the body, NaN before the actuator spoke
     tilt: Array  # (n,) [rad] against the commanded attitude
+    attitude: Array  # (n, 2) [rad] {start} true roll and pitch of the body
+    attitude_reference: Array  # (n, 2) [rad] and those commanded
+    feet: Array  # (n, 6, 3) [m] {start} true foot centres
+    ground: Array  # (n, 6) [m] {start} true height of what is seen under them
     torque_worst: Array  # (n,) [N m] highest of all joints
     t_estimate: Array  # (m,) [s]
     p_estimate: Array  # (m, 3) [m] {start} body as perception has it
@@ -423,12 +427,17 @@ class Scorer:
             height = np.where(before, np.nan, np.interp(t_ns, self._state_t, z))
             up = up_states[self._state_of]
         self._up_commanded = up
+        feet = self._feet()
         return Trace(
             t=t_ns * 1e-9,
             walking=self._walking,
             p_true=p_true,
             height_reference=height,
             tilt=angle_between(up_true, up),
+            attitude=_lean(up_true),
+            attitude_reference=_lean(up),
+            feet=feet,
+            ground=self._height_in_start(feet[..., :2].reshape(-1, 2)).reshape(-1, 6),
             torque_worst=np.abs(np.array([m.torque for m in self._truth]).reshape(-1, 18)).max(axis=1),
             t_estimate=np.array([p.stamp_ns - self._begin_ns for p in self._poses]) * 1e-9,
             p_estimate=np.array([p.T_world_body[:3, 3] for p in self._poses]).reshape(-1, 3),
@@ -486,9 +495,8 @@ class Scorer:
         """
         phase = np.array([s.phase for s in self._states])[self._state_of]
         grounded = (phase < _GROUNDED) | (phase > 1.0 - _GROUNDED)
-        stance, feet = ~self._swing(), self._feet()
-        ground = self._height_in_start(feet[..., :2].reshape(-1, 2)).reshape(stance.shape)
-        hangs_low = feet[..., 2] - self._profile.foot.radius - ground < _HANGING
+        stance, trace = ~self._swing(), self.trace
+        hangs_low = trace.feet[..., 2] - self._profile.foot.radius - trace.ground < _HANGING
         return np.asarray(self._contact() & (stance | grounded[:, None]) | (stance & hangs_low))
 
     def _step_numbers(self) -> NDArray[np.int64]:
@@ -572,6 +580,11 @@ class Scorer:
 def _flat(T: Array) -> Array:
     """Place and heading of a pose (4, 4): the part that lies in the plane."""
     return transform(rotation_z(yaw_of(T)), np.array([T[0, 3], T[1, 3], 0.0]))
+
+
+def _lean(up: Array) -> Array:
+    """Roll and pitch (n, 2) [rad] of bodies that have the vertical at (n, 3) {body}."""
+    return np.stack([np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1.0, 1.0))], axis=1)
 
 
 def _spread(values: Array) -> Spread:

@@ -12,13 +12,12 @@ from deploy.map_metrics import Mosaic
 from deploy.relief import shaded
 from deploy.report import Report
 from deploy.scorer import Trace
+from deploy.walk_picture import LEG_COLORS
 from shared.robot import LEGS
 
 _SIZE = (16.0, 12.0)  # [in]
 _DPI = 100
 _FONT = 13  # [pt]
-# One colour a leg, told apart by most colour-blind eyes; left legs warm, right legs cold.
-_LEG_COLORS = ("#d55e00", "#0072b2", "#56b4e9", "#332288", "#cc79a7", "#e69f00")
 _GOOD, _BAD = "#1a7f37", "#b3261e"
 _TRUE, _ESTIMATE, _REFERENCE = "#111111", "#d01c8b", "#7f7f7f"
 _NO_FOOTHOLD, _HATCH = (0.70, 0.10, 0.08, 0.5), "#00000045"
@@ -176,7 +175,7 @@ def _draw_course(axes: Any, trace: Trace) -> None:
 
 def _draw_footholds(axes: Any, trace: Trace) -> None:
     downs = trace.touchdowns
-    for leg, color in enumerate(_LEG_COLORS):
+    for leg, color in enumerate(LEG_COLORS):
         xy = downs.p[downs.leg == leg]
         axes.scatter(xy[:, 0], xy[:, 1], s=36, c=color, edgecolors="white", linewidths=0.7, zorder=6)
     moved = downs.p[downs.moved]
@@ -202,7 +201,7 @@ def _legend(report: Report) -> list[Any]:
         chosen: dict[str, Any] = {"marker": "o", "ms": 7, "mec": "white"} | look
         return Line2D([], [], ls="", label=label, **chosen)
 
-    legs = [dot(name, mfc=color) for name, color in zip(LEGS, _LEG_COLORS, strict=True)]
+    legs = [dot(name, mfc=color) for name, color in zip(LEGS, LEG_COLORS, strict=True)]
     rest = [
         dot("foothold moved", mfc="none", mec=_TRUE, ms=10, mew=1.3),
         dot(f"misstep ({report.missteps})", marker="x", mec=_BAD, mew=2.2),

@@ -16,7 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from deploy import provenance
 from deploy import report as reports
+from deploy.provenance import Made
 from deploy.report import Report
 from deploy.statistics import Difference, Rate, difference, wilson
 from deploy.workers import share_out
@@ -47,8 +49,14 @@ class Trials:
     mean_speed_mps: float  # of the successful runs
     block_touchdowns: Figure  # of a run, on raised blocks; the worst is the fewest
     missteps: Figure  # of a run, touchdowns on what is truly no foothold
-    tilt_p95_deg: Figure
+    missteps_per_step: float  # [1] of all runs together
+    tilt_p95_deg: Figure  # against the commanded attitude
+    commanded_tilt_p95_deg: Figure
     height_error_m: Figure  # mean of a run, its size
+    height_rms_m: Figure
+    slip_p50_m: Figure  # per step
+    stability_margin_m: Figure  # least of a run; the worst is the least
+    torque_rms_nm: Figure  # of the worst joint
     height_oscillation_m: Figure
     final_pose_error: Figure  # [1] share of the way
     map_rmse_m: Figure  # of the whole course; see `deploy.report.CourseMap`
@@ -59,6 +67,7 @@ class Trials:
     real_time_factor: Figure  # with other jobs beside it
     failures: dict[str, int]  # reason without its figures -> runs, most frequent first
     failed_seeds: tuple[int, ...]
+    made: Made
 
 
 def run_trials(
@@ -91,21 +100,24 @@ def run_trials(
     out.mkdir(parents=True, exist_ok=True)
     path = out / "trials.jsonl"
     mark = fingerprint(scenario)
-    done = {seed: table for seed, table in _read(path, mark).items() if seed in set(wanted)}
+    done = {seed: entry for seed, entry in _read(path, mark).items() if seed in set(wanted)}
     if done:
         say(f"{len(done)} of {len(wanted)} seeds are done already; see {path}")
     left = [seed for seed in wanted if seed not in done]
-    successes = sum(table["success"] for table in done.values())
+    successes = sum(entry["report"]["success"] for entry in done.values())
+    made_by = provenance.commit()
     with path.open("a", encoding="utf-8") as lines:
         tasks = [(scenario, seed) for seed in left]
         for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
             table = reports.as_table(report)
-            lines.write(json.dumps({"fingerprint": mark, "report": table}, ensure_ascii=False) + "\n")
+            entry = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "report": table}
+            lines.write(json.dumps(entry, ensure_ascii=False) + "\n")
             lines.flush()
-            done[report.seed] = table
+            done[report.seed] = entry
             successes += report.success
             say(_line(report, len(done), len(wanted), successes))
-    return summarise(scenario.name, scenario.walk.blind, [done[seed] for seed in wanted])
+    made = Made.of([(entry.get("commit", ""), entry.get("time", "")) for entry in done.values()])
+    return summarise(scenario.name, scenario.walk.blind, [done[seed]["report"] for seed in wanted], made)
 
 
 def compare(seeing: Trials, blind: Trials) -> Difference:
@@ -113,8 +125,8 @@ def compare(seeing: Trials, blind: Trials) -> Difference:
     return difference(seeing.success, blind.success)
 
 
-def summarise(name: str, blind: bool, tables: list[dict[str, Any]]) -> Trials:
-    """What a batch came to, from its reports as tables."""
+def summarise(name: str, blind: bool, tables: list[dict[str, Any]], made: Made) -> Trials:
+    """What a batch came to, from its reports as tables, and what made them."""
     good = [t for t in tables if t["success"]]
     failures = Counter(_without_figures(t["reason"]) for t in tables if not t["success"])
     return Trials(
@@ -126,8 +138,14 @@ def summarise(name: str, blind: bool, tables: list[dict[str, Any]]) -> Trials:
         mean_speed_mps=_over(np.mean, [t["speed_mps"] for t in good]),
         block_touchdowns=_figure([t["raised_block_touchdowns"] for t in tables], min),
         missteps=_figure([t["missteps"] for t in tables]),
+        missteps_per_step=sum(t["missteps"] for t in tables) / max(sum(t["steps"] for t in tables), 1),
         tilt_p95_deg=_figure([t["tilt_deg"]["p95"] for t in tables]),
+        commanded_tilt_p95_deg=_figure([t["commanded_tilt_deg"]["p95"] for t in tables]),
         height_error_m=_figure([_size(t["body_height_error_m"]["mean"]) for t in tables]),
+        height_rms_m=_figure([t["body_height_error_m"]["rms"] for t in tables]),
+        slip_p50_m=_figure([t["slip_m_per_step"]["p50"] for t in tables]),
+        stability_margin_m=_figure([t["min_stability_margin_m"] for t in tables], min),
+        torque_rms_nm=_figure([t["torque_nm"]["rms_worst_joint"] for t in tables]),
         height_oscillation_m=_figure([t["body_height_oscillation_m"] for t in tables]),
         final_pose_error=_figure([_share(t["pose_error_m"]["final"], t["distance_m"]) for t in tables]),
         map_rmse_m=_figure([t["course_map_m"]["rmse"] for t in tables]),
@@ -138,6 +156,7 @@ def summarise(name: str, blind: bool, tables: list[dict[str, Any]]) -> Trials:
         real_time_factor=_figure([t["real_time_factor"] for t in tables], min),
         failures=dict(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
         failed_seeds=tuple(t["seed"] for t in tables if not t["success"]),
+        made=made,
     )
 
 
@@ -159,8 +178,14 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
     figures = (
         ("touchdowns on blocks", trials.block_touchdowns, 1.0, ".0f", ""),
         ("missteps", trials.missteps, 1.0, ".0f", ""),
-        ("tilt p95", trials.tilt_p95_deg, 1.0, ".2f", " deg"),
+        ("missteps of all steps", Figure(trials.missteps_per_step, float("nan")), 1e2, ".2f", " %"),
+        ("tilt p95 off the command", trials.tilt_p95_deg, 1.0, ".2f", " deg"),
+        ("commanded tilt p95", trials.commanded_tilt_p95_deg, 1.0, ".2f", " deg"),
         ("height error", trials.height_error_m, 1e3, ".1f", " mm"),
+        ("height error, rms", trials.height_rms_m, 1e3, ".1f", " mm"),
+        ("slip per step p50", trials.slip_p50_m, 1e3, ".1f", " mm"),
+        ("least stability margin", trials.stability_margin_m, 1e3, ".0f", " mm"),
+        ("torque rms of the worst joint", trials.torque_rms_nm, 1.0, ".2f", " N m"),
         ("height oscillation", trials.height_oscillation_m, 1e3, ".1f", " mm"),
         ("pose error at the end", trials.final_pose_error, 1e2, ".2f", " % of the way"),
         ("map of the course, rmse", trials.map_rmse_m, 1e3, ".1f", " mm"),
@@ -173,10 +198,11 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
     lines.append("  median (worst) of a run:")
     for name, figure, unit, form, of in figures:
         if np.isfinite(figure.median):
-            lines.append(f"    {name} {unit * figure.median:{form}} ({unit * figure.worst:{form}}){of}")
+            lines.append(f"    {name} {in_words(figure, unit, form)}{of}")
     lines += [f"  {count:3d} x {reason}" for reason, count in trials.failures.items()]
     if trials.failed_seeds:
         lines.append(f"  failed seeds: {', '.join(map(str, trials.failed_seeds))}")
+    lines.append(f"  made {trials.made.words}")
     if baseline is not None:
         d = compare(trials, baseline)
         lines += words(baseline).splitlines()
@@ -185,6 +211,14 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
             + ("disjoint" if d.disjoint else "overlap")
         )
     return "\n".join(lines)
+
+
+def in_words(figure: Figure, unit: float, form: str) -> str:
+    """A figure as `median (worst)` in a unit, a dash where nothing was measured."""
+    if not np.isfinite(figure.median):
+        return "-"
+    worst = f" ({unit * figure.worst:{form}})" if np.isfinite(figure.worst) else ""
+    return f"{unit * figure.median:{form}}{worst}"
 
 
 def fingerprint(scenario: Scenario) -> str:
@@ -217,7 +251,7 @@ def _run_lockstep(scenario: Scenario, seed: int) -> Report:
 
 
 def _read(path: Path, mark: str) -> dict[int, dict[str, Any]]:
-    """Reports on file of one scenario, by seed. A last line that was cut off counts as not run."""
+    """Entries on file of one scenario, by seed: its report and what made it. A last line that was cut off counts as not run."""
     if not path.exists():
         return {}
     data = path.read_bytes()
@@ -234,7 +268,7 @@ def _read(path: Path, mark: str) -> dict[int, dict[str, Any]]:
         if not isinstance(entry, dict) or "report" not in entry or (ours and reports.check(entry["report"])):
             raise ValueError(f"{path}, line {number}: a finished seed as JSON expected, found {line[:60]!r}; remove the line")
         if ours:
-            found[entry["report"]["seed"]] = entry["report"]
+            found[entry["report"]["seed"]] = entry
     return found
 
 

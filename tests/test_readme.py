@@ -25,6 +25,7 @@ RUN_BY = {
     "run --connect": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "trials": "tests/walk/test_walks.py::test_trials_of_several_seeds_at_a_time",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_tell_the_rate_and_the_baseline_beside_it",
+    "trials all --blind": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
     "replay FILE": "tests/unit/deploy/test_replay.py::"
     "test_the_command_replays_a_recording_and_the_folder_of_a_run_points_to_it",
@@ -51,7 +52,7 @@ def commands(text: str) -> Iterator[list[str]]:
 
 def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
-    group = words[:2] if words[0] in ("topics", "bench") else words[:1]
+    group = words[:2] if words[0] in ("topics", "bench") or words[:2] == ["trials", "all"] else words[:1]
     ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera")]
     files = ["FILE"] if words[-1].endswith(".mcap") else []
     return " ".join(group + files + ways)
@@ -88,5 +89,5 @@ def test_scenarios_named_in_the_readme_come_with_sextant() -> None:
     from shared.scenario import load_scenario
 
     for words in README:
-        if words[:2] in (["sextant", "run"], ["sextant", "trials"]):
+        if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[1:3] != ["trials", "all"]:
             assert load_scenario(words[2]).name == words[2]

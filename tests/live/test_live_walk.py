@@ -47,7 +47,7 @@ def test_a_course_of_ones_own_is_walked_over_zenoh(tmp_path: Path) -> None:
     report = report_in(out)
     assert report["success"] is True
     assert (report["scenario"], report["seed"], report["falls"], report["shutdowns"]) == ("mine", 1000, 0, 0)
-    assert {path.name for path in out.iterdir()} >= {"report.json", "summary.png", "recording.mcap"}
+    assert {path.name for path in out.iterdir()} >= {"report.json", "summary.png", "walk.png", "recording.mcap"}
     assert (out / "summary.png").read_bytes().startswith(b"\x89PNG")
     recording = Recording(out / "recording.mcap")
     counts = recording.counts()

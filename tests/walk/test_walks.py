@@ -39,7 +39,7 @@ def test_over_low_blocks_and_two_stairs(tmp_path: Path, capsys: pytest.CaptureFi
     assert table["map_error_m"]["rmse"] < 0.01
     unknown = [name for name, value in table.items() if value is None]
     assert not unknown, "everything was measured"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["recording.mcap", "report.json", "summary.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["recording.mcap", "report.json", "summary.png", "walk.png"]
 
 
 def test_with_a_scanner_and_kiss_icp_between_pillars() -> None:

@@ -224,6 +224,30 @@ def test_trials_tell_the_rate_and_the_baseline_beside_it(
     assert "without a map" in printed.err
 
 
+def test_trials_of_all_terrains_print_one_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deploy import campaign, lockstep_run
+
+    left: list[Path] = []
+
+    def run(scenario: Scenario, seed: int, out: Path | None = None) -> Report:
+        if out is not None:
+            left.append(out)
+        return replace(report(not scenario.walk.blind, seed), scenario=scenario.name, blind=scenario.walk.blind)
+
+    monkeypatch.setattr(lockstep_run, "run_lockstep", run)
+    monkeypatch.delenv("SEXTANT_DATA", raising=False)
+    assert cli.main(["trials", "all", "--seeds", "5:7", "--blind", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    walked = [name for name in campaign.WALKED if name != "stair_map"]
+    assert all(f"| `{name}` | 2 of 2" in printed and f"| `{name}`, blind | 0 of 2" in printed for name in walked)
+    assert "Left out: stair_map" in printed
+    assert (tmp_path / "table.md").read_text() in printed
+    # The first seed of each leaves its run behind, with its pictures.
+    assert left == [tmp_path / name / f"seed-5{way}" for name in walked for way in ("", "-blind")]
+
+
 def test_another_robot_walks_in_place_of_the_scenarios(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

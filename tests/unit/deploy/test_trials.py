@@ -8,6 +8,7 @@ import pytest
 
 from deploy import report as reports
 from deploy import trials
+from deploy.provenance import Made
 from deploy.report import CourseMap, HeightError, PoseError, Report, Spread
 from shared.scenario import Goal, HeightMap, Plane, Scenario
 
@@ -38,6 +39,7 @@ def _report(scenario, seed):
         missteps=seed // 5,
         body_height_error_m=HeightError(-0.001 * seed, 0.01),
         body_height_oscillation_m=0.001,
+        min_stability_margin_m=0.01 if seed == 3 else 0.046,
         pose_error_m=PoseError(0.01, float("nan") if seed == 1 else 0.02),
         course_map_m=CourseMap(0.01, 0.001, -0.002 * seed, 0.008, 0.9 + 0.01 * seed),
         real_time_factor=3.0,
@@ -68,6 +70,9 @@ def test_a_batch_is_counted(tmp_path):
     assert result.mean_speed_mps == pytest.approx(0.1 + 0.001 * (0 + 2 + 4 + 8) / 4)
     assert result.block_touchdowns == trials.Figure(16.5, 12.0)
     assert result.missteps == trials.Figure(0.5, 1.0)
+    assert result.missteps_per_step == pytest.approx(sum(seed // 5 for seed in range(10)) / 400)
+    assert result.height_rms_m == trials.Figure(0.01, 0.01)
+    assert result.stability_margin_m == trials.Figure(0.046, 0.01)
     assert result.tilt_p95_deg == trials.Figure(4.5, 9.0)
     assert (result.height_error_m.median, result.height_error_m.worst) == pytest.approx((0.0045, 0.009))
     assert (result.final_pose_error.median, result.final_pose_error.worst) == pytest.approx((0.02 / 2.5,) * 2)
@@ -86,7 +91,8 @@ def test_a_batch_that_was_stopped_goes_on_where_it_was(tmp_path):
     second = Runner()
     result = trials.run_trials(SCENARIO, range(10), 1, tmp_path, run=second)
     assert first.seeds + second.seeds == list(range(10))
-    assert result == trials.run_trials(SCENARIO, range(10), 1, tmp_path / "anew", run=Runner())
+    anew = trials.run_trials(SCENARIO, range(10), 1, tmp_path / "anew", run=Runner())
+    assert repr(replace(result, made=anew.made)) == repr(anew), "compared as text: what was not measured is NaN"
     # The seeds that are asked for count, not all that are on file.
     assert trials.run_trials(SCENARIO, [2, 4], 1, tmp_path, run=Runner(until=0)).success.n == 2
 
@@ -154,6 +160,16 @@ def test_what_is_refused(tmp_path):
     (tmp_path / "trials.jsonl").write_text('{"seed": 3}\n')
     with pytest.raises(ValueError, match=r"line 1.*remove the line"):
         trials.run_trials(SCENARIO, [1], 1, tmp_path)
+
+
+def test_a_batch_says_what_made_it_and_when(tmp_path, monkeypatch):
+    for commit, time, seeds in (("abc1234", "2024-05-01T10:00:00+00:00", 2), ("def5678+", "2024-05-03T09:00:00+00:00", 4)):
+        monkeypatch.setattr(trials.provenance, "commit", lambda commit=commit: commit)
+        monkeypatch.setattr(trials.provenance, "now", lambda time=time: time)
+        result = trials.run_trials(SCENARIO, range(seeds), 1, tmp_path, run=Runner())
+    assert result.made == Made(("abc1234", "def5678+"), "2024-05-01T10:00:00+00:00", "2024-05-03T09:00:00+00:00")
+    assert "made at commit abc1234, def5678+ on 2024-05-01 to 2024-05-03" in trials.words(result)
+    assert json.loads(trials.to_json(result))["made"]["commits"] == ["abc1234", "def5678+"]
 
 
 def test_every_line_on_file_holds_a_whole_report(tmp_path):

@@ -1,0 +1,131 @@
+"""A walk in the plots of Lotriet 2024, chapter 8: body height, tilt, one foot's path, all feet from above and from aside."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.report import Report
+from deploy.scorer import Trace
+from shared.robot import LEGS
+
+LEG_COLORS = ("#d55e00", "#0072b2", "#56b4e9", "#332288", "#cc79a7", "#e69f00")  # told apart by most colour-blind eyes
+_SIZE, _DPI = (16.0, 15.0), 100
+_TRUE, _REFERENCE, _GROUND = "#111111", "#7f7f7f", "#8c6d46"
+_ROLL, _PITCH = "#0072b2", "#d55e00"
+
+
+def draw(path: Path, report: Report, trace: Trace) -> bool:
+    """Draw the plots of a run.
+
+    Args:
+        path: Of the picture, 1600 x 1500 pixels, in the format of its suffix.
+        report: What it came to.
+        trace: How it went.
+
+    Returns:
+        Whether there was anything to draw: a robot that never walked leaves no picture.
+    """
+    if not trace.walking.any():
+        return False
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with rc_context({"font.size": 13, "axes.spines.top": False, "axes.spines.right": False}):
+        figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white", layout="constrained")
+        FigureCanvasAgg(figure)
+        height, tilt, foot, above, aside = figure.subplots(5, 1, height_ratios=(1.0, 1.0, 0.9, 1.5, 0.9)).tolist()
+        walk = f"{report.scenario}, seed {report.seed}, {report.robot}, {report.gait}" + (", blind" if report.blind else "")
+        figure.suptitle(f"{walk}: {report.reason}", size=15)
+        _over_time(height, tilt, trace)
+        _one_foot(foot, trace, steadiest_leg(trace))
+        _from_above(above, trace)
+        _from_aside(aside, trace)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path)
+    return True
+
+
+def steadiest_leg(trace: Trace) -> int:
+    """The leg whose path strays least to the side, as Lotriet chose his for Fig. 8.7."""
+    feet = trace.feet[trace.walking, :, 1]
+    return int(np.argmin(np.ptp(feet, axis=0)))
+
+
+def _over_time(height: Any, tilt: Any, trace: Trace) -> None:
+    t = trace.t
+    height.plot(t, 100 * trace.height_reference, color=_REFERENCE, lw=2.5, label="commanded")
+    height.plot(t, 100 * trace.p_true[:, 2], color=_TRUE, lw=1.2, label="true")
+    height.set_ylabel("body height [cm]")
+    for k, (name, color) in enumerate((("roll", _ROLL), ("pitch", _PITCH))):
+        reference = np.degrees(trace.attitude_reference[:, k])
+        tilt.plot(t, reference, color=color, lw=2.5, alpha=0.35, label=f"{name}, commanded")
+        tilt.plot(t, np.degrees(trace.attitude[:, k]), color=color, lw=1.0, label=f"{name}, true")
+    tilt.set_ylabel("tilt [deg]")
+    tilt.set_xlabel("simulated time [s]")
+    walked = t[trace.walking]
+    for axes in (height, tilt):
+        axes.set_xlim(walked[0] - 0.5, walked[-1] + 0.5)
+        axes.grid(alpha=0.25)
+        axes.legend(loc="upper left", ncols=4, frameon=False, fontsize=11)
+    _zoom(height, 100 * np.concatenate([trace.p_true[trace.walking, 2], trace.height_reference[trace.walking]]), 2.0)
+    both = np.concatenate([trace.attitude[trace.walking].ravel(), trace.attitude_reference[trace.walking].ravel()])
+    _zoom(tilt, np.degrees(both), 2.0)
+
+
+def _one_foot(axes: Any, trace: Trace, leg: int) -> None:
+    feet = trace.feet[trace.walking, leg]
+    axes.plot(feet[:, 0], 100 * trace.ground[trace.walking, leg], color=_GROUND, lw=2.0, label="ground under it")
+    lowest = 100 * (feet[:, 2] - trace.profile.foot.radius)
+    axes.plot(feet[:, 0], lowest, color=LEG_COLORS[leg], lw=1.3, label=f"{LEGS[leg]} foot")
+    _side_view(axes, trace, leg)
+
+
+def _from_above(axes: Any, trace: Trace) -> None:
+    from matplotlib.collections import PolyCollection
+
+    if len(trace.blocks):
+        axes.add_collection(PolyCollection(list(trace.blocks), facecolors="#f2ece2", edgecolors=_GROUND, linewidths=0.7))
+    for leg, color in enumerate(LEG_COLORS):
+        feet = trace.feet[trace.walking, leg]
+        axes.plot(feet[:, 0], feet[:, 1], color=color, lw=0.9)
+    axes.plot(trace.p_true[trace.walking, 0], trace.p_true[trace.walking, 1], color=_TRUE, lw=2.0)
+    down = trace.touchdowns
+    axes.scatter(down.p[:, 0], down.p[:, 1], s=34, c=[LEG_COLORS[k] for k in down.leg], edgecolors="white", zorder=3)
+    axes.set_ylabel("feet from above:\nleft [m]")
+    feet = trace.feet[trace.walking]
+    axes.set_xlim(*_ahead(trace))
+    axes.set_ylim(feet[..., 1].min() - 0.05, feet[..., 1].max() + 0.05)
+    axes.set_aspect("equal", adjustable="box")
+
+
+def _from_aside(axes: Any, trace: Trace) -> None:
+    for leg, color in enumerate(LEG_COLORS):
+        feet = trace.feet[trace.walking, leg]
+        axes.plot(feet[:, 0], 100 * (feet[:, 2] - trace.profile.foot.radius), color=color, lw=0.9, label=LEGS[leg])
+    _side_view(axes, trace, None)
+
+
+def _side_view(axes: Any, trace: Trace, leg: int | None) -> None:
+    feet = trace.feet[trace.walking] if leg is None else trace.feet[trace.walking, leg]
+    axes.set_xlim(*_ahead(trace))
+    _zoom(axes, 100 * (feet[..., 2].ravel() - trace.profile.foot.radius), 4.0)
+    axes.set_ylabel("one foot's\nheight [cm]" if leg is not None else "feet from aside:\nheight [cm]")
+    axes.set_xlabel("ahead [m]")
+    axes.grid(alpha=0.25)
+    axes.legend(loc="upper left", ncols=6, frameon=False, fontsize=11)
+
+
+def _ahead(trace: Trace) -> tuple[float, float]:
+    x = trace.feet[trace.walking, :, 0]
+    return float(x.min()) - 0.05, float(x.max()) + 0.05
+
+
+def _zoom(axes: Any, values: NDArray[np.float64], least: float) -> None:
+    """Limits that show nearly all of some values, with room for a legend above."""
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, [0.2, 99.8]).tolist()
+    spare = max(least - (high - low), 0.0) / 2 + 0.08 * (high - low)
+    axes.set_ylim(low - spare, high + spare + 0.25 * (high - low + 2 * spare))

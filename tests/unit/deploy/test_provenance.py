@@ -1,0 +1,51 @@
+import datetime
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from deploy import provenance
+from deploy.provenance import Made
+
+
+def test_a_checkout_says_its_commit_and_whether_files_have_changed(tmp_path, monkeypatch):
+    if shutil.which("git") is None:
+        pytest.skip("git is not installed, so there is no checkout to ask")
+    module = tmp_path / "deploy" / "provenance.py"
+    module.parent.mkdir()
+    module.write_text("one")
+
+    def git(*words: str) -> str:
+        name = ("-c", "user.name=n", "-c", "user.email=e@example.org")
+        return subprocess.run(["git", *name, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout.strip()
+
+    git("init")
+    git("add", ".")
+    git("commit", "-m", "one")
+    monkeypatch.setattr(provenance, "__file__", str(module))
+    head = git("rev-parse", "HEAD")
+    assert provenance.commit() == head[:7]
+    module.write_text("two")
+    assert provenance.commit() == head[:7] + "+"
+
+
+def test_without_a_checkout_the_version_counts(tmp_path, monkeypatch):
+    monkeypatch.setattr(provenance, "__file__", str(tmp_path / "deploy" / "provenance.py"))
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert provenance.commit() in ("", provenance._version())
+
+
+def test_the_time_is_utc_to_the_second():
+    moment = datetime.datetime.fromisoformat(provenance.now())
+    assert moment.utcoffset() == datetime.timedelta(0)
+    assert moment.microsecond == 0
+
+
+def test_results_of_several_programs_name_them_all():
+    marks = [("b", "2024-01-03T00:00:00+00:00"), ("a", "2024-01-01T00:00:00+00:00"), ("", "")]
+    made = Made.of(marks)
+    assert made == Made(("a", "b"), "2024-01-01T00:00:00+00:00", "2024-01-03T00:00:00+00:00")
+    assert made.words == "at commit a, b on 2024-01-01 to 2024-01-03"
+    assert Made.of([("", "")]).words == "by an unknown commit"
+    assert Path(provenance.__file__).is_file()
