@@ -314,13 +314,14 @@ class ServoBus:
         """
         self.sync_write(dxl.TORQUE_LIMIT, limit_ticks)
 
-    def poll(self, budget_ns: int) -> list[ServoReading]:
+    def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Read the next servos of the rotation, as many as typically fit a time budget.
 
         A servo that does not answer costs a timeout; after the third in a row it is asked every 2nd, 4th ... 32nd turn only.
 
         Args:
             budget_ns: [ns] time for this call; 0 reads nothing. A timeout may overrun it.
+            first: Servos by their place in the list that are read in every call, before the rotation goes on with the others.
 
         Raises:
             BusGone: The port is gone.
@@ -328,11 +329,16 @@ class ServoBus:
         readings: list[ServoReading] = []
         start = self._clock()
         end = start + budget_ns
+        urgent = iter(first)
         for _ in range(len(self)):
             if start + self._typical_ns > end:
                 break
-            i = self._next
-            self._next = (i + 1) % len(self)
+            i = next(urgent, -1)
+            if i < 0:
+                i = self._next
+                self._next = (i + 1) % len(self)
+                if i in first:  # has been
+                    continue
             if self._skips[i]:
                 self._skips[i] -= 1
                 continue

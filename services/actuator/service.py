@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from services.actuator.bus import BusSetupError, Port, ServoBus, ServoReading, open_port
 from services.actuator.config import Settings
 from services.actuator.contact import ContactEstimate
+from services.actuator.feeler import FEMUR, Feeler, Felt
 from services.actuator.guard import Guard
 from services.actuator.load import sag_feed_forward
 from services.actuator.odometry import LegOdometry
@@ -17,7 +18,7 @@ from services.actuator.stand_up import StandUp
 from services.actuator.walker import Targets, Walker
 from shared import dynamixel as dxl
 from shared import topics
-from shared.geometry import Array, from_xyz_rpy
+from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_forward, body_inverse, nearest_reachable
 from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StepPlan, Tick
 from shared.robot import JOINTS, LEGS, RobotProfile
@@ -66,6 +67,7 @@ class Actuator:
         self._set_up()
         self._guard = Guard(profile, settings.plan_age_s)
         self._contact = ContactEstimate(profile)
+        self._feeler = Feeler(profile)
         self._q = self._read_all(dxl.PRESENT_POSITION)
         self._q_goal = self._first_goals()
         self._q_wanted = self._q_goal.copy()  # goals less the feed-forward: where the joints are to come to rest
@@ -129,13 +131,19 @@ class Actuator:
         return elapsed * 1e-9
 
     def _read(self) -> None:
-        """Read the next servos of the rotation and note what they say."""
-        for reading in self._bus.poll(round(self._settings.read_budget_ms * 1e6)):
+        """Read the legs that may meet ground, then the next servos of the rotation, and note what they say."""
+        awaiting = self._walker.awaiting
+        self._feeler.forget(~awaiting)
+        self._feeler.see(self._measured(), self._q_goal)
+        urgent = [3 * leg + FEMUR for leg in np.flatnonzero(awaiting).tolist()]
+        for reading in self._bus.poll(round(self._settings.read_budget_ms * 1e6), urgent):
             leg, joint = divmod(reading.index, 3)
             sign = self._profile.servo_signs[leg, joint]
             self._q[leg, joint] = sign * reading.position - self._profile.horn_offsets[joint]
             self._q_wanted_when_read[leg, joint] = self._q_wanted[leg, joint]
             self._load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
+            if joint == FEMUR:
+                self._feeler.read(leg, sign * reading.speed, float(self._load[leg, joint]), reading.stamp_ns)
             self._voltage[reading.index] = reading.voltage
             self._temperature[reading.index] = reading.temperature
             self._notice(reading)
@@ -234,7 +242,8 @@ class Actuator:
         if self._stand_up is not None:
             targets = self._stand_up.update(dt)
         else:
-            targets = self._walker.update(dt, T_odom_body)
+            felt = Felt(self._feeler.touches, apply(T_odom_body, self._odometry.feet))
+            targets = self._walker.update(dt, T_odom_body, felt)
         self._reach_for(targets, dt)
         if self._stand_up is not None and self._stand_up.done:
             self._stand_up = None

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.actuator.config import Settings
+from services.actuator.feeler import Felt
 from services.actuator.swing import Swing
 from shared.geometry import (
     Array,
@@ -35,6 +36,9 @@ _LOWERING_S = 1.0  # [s]
 _FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
 _LEVEL = np.array([1.0, 1.0, 0.0])  # of x, y, z, or of roll, pitch, yaw
 _LEVELLED = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of x, y, z, roll, pitch, yaw: those that a load bends
+_LISTEN_FROM, _STOP_FROM = 0.35, 0.45  # shares of a swing from which its feet are felt, and from which they may be stopped
+_EARLY = 0.006  # [m] over its target from which a touch stops a foot; lower, the leg gives way as much
+_SETTLE_S = 0.05  # [s] time constant in which a foot that was stopped is told to be where it is
 _CORRECTION_LIMIT = np.array([0.0, 0.0, 0.025, np.radians(4), np.radians(4), 0.0])  # [m] and [rad]
 
 
@@ -76,6 +80,8 @@ class Walker:
         self._elapsed = 0.0
         self._start_ref, self._start_velocity = self._ref, self._velocity
         self._flight: Swing | None = None
+        self._stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swung legs that met ground before their targets
+        self._met = self._feet.copy()  # (6, 3) [m] {cmd} where
 
     @property
     def body_ref(self) -> Array:
@@ -98,6 +104,13 @@ class Walker:
         return self._share.copy()
 
     @property
+    def awaiting(self) -> NDArray[np.bool_]:
+        """(6,) legs that are coming down: they may meet ground in any cycle."""
+        plan = self._plan
+        coming = plan is not None and self._flight is not None and _LISTEN_FROM <= self._progress(plan, self._elapsed) < 1.0
+        return np.asarray(self.swing & ~self._stopped & coming)
+
+    @property
     def resting(self) -> bool:
         """Whether no step is going on."""
         return self._plan is None
@@ -109,6 +122,7 @@ class Walker:
             return self.body_ref, self.feet_odom
         T_odom_world = inverse(self._plan.T_world_odom)
         landed = apply(T_odom_world, self._plan.touchdown)
+        landed[self._stopped] = apply(self._T_odom_cmd, self._met[self._stopped])
         return T_odom_world @ self._plan.body_goal, np.where(self._plan.swing[:, None], landed, self.feet_odom)
 
     def accept(self, plan: StepPlan) -> None:
@@ -122,12 +136,13 @@ class Walker:
         else:
             self._next = plan
 
-    def update(self, dt: float, T_odom_body: Array) -> Targets:
+    def update(self, dt: float, T_odom_body: Array, felt: Felt | None = None) -> Targets:
         """Move on by one cycle.
 
         Args:
             dt: [s] since the last cycle.
             T_odom_body: (4, 4) where the body is by the measured joints.
+            felt: What the legs feel; without it every foot goes where the plan says.
 
         Returns:
             What the legs shall do.
@@ -139,7 +154,8 @@ class Walker:
         if self._plan is None:
             self._brake(dt)
         else:
-            self._advance(dt, self._plan)
+            self._advance(dt, self._plan, felt)
+        self._feet[self._stopped] += (1.0 - math.exp(-dt / _SETTLE_S)) * (self._met - self._feet)[self._stopped]
         return self._targets()
 
     def lower(self, legs: NDArray[np.bool_], ground: float) -> None:
@@ -172,8 +188,9 @@ class Walker:
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
         self._start_ref, self._start_velocity = self._ref.copy(), self._velocity.copy()
         self._flight = None
+        self._stopped &= ~plan.swing
 
-    def _advance(self, dt: float, plan: StepPlan) -> None:
+    def _advance(self, dt: float, plan: StepPlan, felt: Felt | None) -> None:
         before = self._elapsed
         self._elapsed = min(before + dt, plan.duration)
         self.phase = self._elapsed / plan.duration
@@ -183,24 +200,51 @@ class Walker:
         end_velocity = np.zeros(6) if plan.stop else (goal - self._start_ref) / plan.duration
         way = (self._start_ref, self._start_velocity, goal, end_velocity)
         self._ref, self._velocity = _hermite(*way, plan.duration, self._elapsed)
-        self._swing_feet(before, plan, apply(T_cmd_world, plan.touchdown)[plan.swing])
+        self._swing_feet(before, plan, apply(T_cmd_world, plan.touchdown), felt)
         if self._elapsed >= plan.duration:
             self._land()
 
-    def _swing_feet(self, before: float, plan: StepPlan, targets: Array) -> None:
-        """Move the swinging feet on towards their targets (n, 3) [m] {cmd}, and their load off and on."""
+    def _swing_feet(self, before: float, plan: StepPlan, targets: Array, felt: Felt | None) -> None:
+        """Move the swinging feet on towards their targets (6, 3) [m] {cmd}, and their load off and on."""
         begin, end = self._settings.unload_s, plan.duration - self._settings.load_s
         legs = plan.swing
         if self._elapsed <= begin:
             self._share[legs] = np.minimum(self._share[legs], 1.0 - self._elapsed / begin)
             return
         if self._flight is None:
-            self._flight = Swing(self._feet[legs], targets, plan.clearance[legs])
-        self._share[legs] = max(0.0, (self._elapsed - end) / self._settings.load_s)
-        since, until = (min(max((t - begin) / (end - begin), 0.0), 1.0) for t in (before, self._elapsed))
+            self._flight = Swing(self._feet[legs], targets[legs], plan.clearance[legs])
+        since, until = self._progress(plan, before), self._progress(plan, self._elapsed)
+        if felt is not None and since >= _STOP_FROM:
+            self._stop(legs & ~self._stopped & felt.touches, targets, felt.feet)
+        load_s = self._settings.load_s
+        self._share[legs & ~self._stopped] = max(0.0, (self._elapsed - end) / load_s)
+        stopped = legs & self._stopped
+        self._share[stopped] = np.minimum(self._share[stopped] + (self._elapsed - before) / load_s, 1.0)
         if since < 1.0:
-            self._feet[legs] = self._flight.update(targets, since, until - since)
-            self._ground[legs] = targets[:, 2]
+            feet = self._feet.copy()
+            feet[legs] = self._flight.update(targets[legs], since, until - since)
+            free = legs & ~self._stopped
+            self._feet[free] = feet[free]
+            self._ground[free] = targets[free, 2]
+
+    def _progress(self, plan: StepPlan, elapsed: float) -> float:
+        """Share of the way through the air that is over, 0 to 1, at a time [s] in the step."""
+        begin, end = self._settings.unload_s, plan.duration - self._settings.load_s
+        return min(max((elapsed - begin) / (end - begin), 0.0), 1.0)
+
+    def _stop(self, legs: NDArray[np.bool_], targets: Array, feet: Array) -> None:
+        """Let feet stay where they have met ground, unless they are about where they go anyway.
+
+        Args:
+            legs: (6,) that have met something.
+            targets: (6, 3) [m] {cmd} where they go.
+            feet: (6, 3) [m] {odom} where they are.
+        """
+        met = apply(inverse(self._T_odom_cmd), feet)
+        early = legs & (met[:, 2] > targets[:, 2] + _EARLY)
+        self._met[early] = met[early]
+        self._ground[early] = feet[early, 2]
+        self._stopped |= early
 
     def _land(self) -> None:
         self._share[:] = 1.0

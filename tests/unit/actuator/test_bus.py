@@ -121,6 +121,20 @@ def test_poll_reads_all_in_rotation_within_the_budget(rig: Rig) -> None:
     assert rig.driver.ages().max() < 0.15
 
 
+def test_urgent_servos_are_read_in_every_call_and_the_others_in_turn() -> None:
+    rig = Rig()
+    rig.driver.setup()
+    urgent, seen = [4, 10], []
+    for _ in range(30):
+        rig.settle()
+        found = [r.index for r in rig.driver.poll(6_500_000, urgent)]
+        assert found[:2] == urgent
+        seen += found[2:]
+    others = [i for i in range(18) if i not in urgent]
+    assert seen == [others[k % 16] for k in range(len(seen))]
+    assert len(seen) >= 32
+
+
 def test_four_servos_fit_a_50_hz_cycle() -> None:
     """Sync write 0.98 ms, then 1.22 ms a servo: request 0.08, answer 0.14, USB 1.00."""
     rig = Rig()

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from services.actuator.config import Settings
+from services.actuator.feeler import Felt
 from services.actuator.walker import Targets, Walker
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from shared.messages import StepPlan
@@ -272,3 +273,89 @@ def test_the_stance_at_the_end_is_the_one_it_ends_in() -> None:
         cycle(walker)
     np.testing.assert_allclose(body, walker.body_ref, atol=1e-9)
     np.testing.assert_allclose(feet, walker.feet_odom, atol=1e-9)
+
+
+NOTHING = np.zeros(6, dtype=bool)
+
+
+def stepping(walker: Walker, ground: dict[int, float], plan: StepPlan) -> list[Targets]:
+    """One step of legs that go where they are told, but for those that meet ground at a height [m] {odom}, and feel it."""
+    walker.accept(plan)
+    targets = [cycle(walker)]
+    while not walker.resting:
+        feet, touches = walker.feet_odom, NOTHING.copy()
+        for leg, height in ground.items():
+            touches[leg] = walker.awaiting[leg] and feet[leg, 2] <= height
+            feet[leg, 2] = max(feet[leg, 2], height)
+        targets.append(walker.update(DT, walker.body_ref, Felt(touches, feet)))
+    return targets
+
+
+def test_legs_that_feel_nothing_walk_as_the_plan_says() -> None:
+    plan = plan_to(1, body_at(0.06))
+    by_plan, _ = walk(new_walker(), [plan])
+    for a, b in zip(by_plan, stepping(new_walker(), {}, plan), strict=False):
+        np.testing.assert_array_equal(a.feet, b.feet)
+        np.testing.assert_array_equal(a.share, b.share)
+
+
+@given(st.floats(0.01, 0.035), st.sampled_from([0, 2, 4]))
+@settings(max_examples=15)
+def test_a_foot_that_meets_ground_early_stays_there_and_takes_up_load(height: float, leg: int) -> None:
+    walker, plan = new_walker(), plan_to(1, body_at(0.06))
+    low = float(plan.touchdown[leg, 2])
+    targets = stepping(walker, {leg: low + height}, plan)
+    others = TRIPOD & (np.arange(6) != leg)
+    np.testing.assert_allclose(walker.feet_odom[others], plan.touchdown[others], atol=1e-9)
+    assert walker.feet_odom[leg, 2] == pytest.approx(low + height, abs=1e-3)
+    assert walker.ground[leg] == pytest.approx(low + height)
+    np.testing.assert_array_equal(targets[-1].share, np.ones(6))
+    loads = [t.share[leg] for t in targets]
+    assert min(loads) == 0.0
+    assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
+    assert np.abs(np.diff(loads)).max() <= max(DT / SETTINGS.unload_s, DT / SETTINGS.load_s) + 1e-9
+
+
+def test_the_foot_that_stopped_is_where_the_stance_at_the_end_says() -> None:
+    walker, plan = new_walker(), plan_to(1, body_at(0.06))
+    walker.accept(plan)
+    low, expected = float(plan.touchdown[2, 2]), None
+    cycle(walker)
+    while not walker.resting:
+        feet = walker.feet_odom
+        touches = (np.arange(6) == 2) & walker.awaiting & (feet[:, 2] < low + 0.025)
+        walker.update(DT, walker.body_ref, Felt(touches, feet))
+        if touches.any():
+            expected = feet[2]
+        if expected is not None and not walker.resting:
+            np.testing.assert_allclose(walker.stance_at_end[1][2], expected, atol=1e-9)
+    np.testing.assert_allclose(walker.feet_odom[2], expected, atol=1e-3)
+
+
+def test_what_is_felt_on_the_way_up_or_at_the_target_stops_nothing() -> None:
+    plan = plan_to(1, body_at(0.06))
+    walker = new_walker()
+    walker.accept(plan)
+    cycle(walker)
+    while not walker.resting:
+        feet = walker.feet_odom
+        near = feet[:, 2] < plan.touchdown[:, 2] + 0.004
+        rising = np.full(6, walker.phase < 0.4)
+        walker.update(DT, walker.body_ref, Felt(TRIPOD & (near | rising), feet))
+    np.testing.assert_allclose(walker.feet_odom[TRIPOD], plan.touchdown[TRIPOD], atol=1e-9)
+
+
+def test_legs_are_awaited_while_they_come_down_and_at_no_other_time() -> None:
+    walker = new_walker()
+    assert not walker.awaiting.any()
+    walker.accept(plan_to(1, body_at(0.06)))
+    heights, awaited = [], []
+    while not walker.resting or not heights:
+        cycle(walker)
+        heights.append(walker.feet_odom[0, 2])
+        awaited.append(walker.awaiting.copy())
+    assert not np.array(awaited)[:, ~TRIPOD].any()
+    assert not np.array(awaited)[: int(np.argmax(heights)) - 5].any()
+    landed = int(np.argmin(np.abs(np.array(heights[10:]) - heights[-1]) > 1e-9)) + 10
+    assert np.array(awaited)[int(np.argmax(heights)) + 1 : landed, TRIPOD].all()
+    assert not np.array(awaited)[landed:].any()

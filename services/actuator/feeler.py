@@ -1,0 +1,100 @@
+"""What a leg that moves feels of the ground: its femur servo's load, less what turning the leg takes of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.actuator.load import link_torques
+from shared.geometry import Array
+from shared.robot import RobotProfile
+
+FEMUR = 1  # the joint that bears the ground's push; over the foot the tibia's arm is short
+_TOUCH_N = 2.0  # [N] two readings in a row of as much are a touch: one is noise, or a foot that hops
+_HARD_N = 4.5  # [N] one of as much is a touch
+_BEARS_N = 1.0  # [N] what a foot that stands pushes at least; twice in a row, or
+_BEARS_HARD_N = 3.0  # [N] once
+_NEAR_NS = 50_000_000  # [ns] between two readings that tell how the leg gathers speed
+_FRICTION = 2.5  # times the dry friction: goals come in steps, so at a reading the leg is always losing speed
+_DOUBT = 0.4  # of what speeds the leg up, for an armature is known no better, and of a jerk that the goal makes
+_NEAREST_ARM = 0.03  # [m] of a foot beside its femur's axis, below which there is no leverage
+
+
+@dataclass(frozen=True, slots=True)
+class Felt:
+    """What the legs feel in this cycle."""
+
+    touches: NDArray[np.bool_]  # (6,) feet that have met something while they moved
+    feet: Array  # (6, 3) [m] {odom} measured foot centres
+
+
+class Feeler:
+    """The ground's upward push on each foot, by readings of its femur servo.
+
+    A servo's load is what its motor gives. That turns the gear against its damping, holds the links up and speeds them up;
+    the rest holds against the ground. Load and speed come in one reading, how the speed changes from the reading before, so
+    a leg is read in every cycle while it matters.
+
+    Measured on the emulated AX-12A in free swings, the rest is within 1 N of zero while a foot comes down, and within 2.5 N
+    where it turns over the top of its way; a foot that is stopped pushes with 4 N and more after 20 ms.
+    """
+
+    def __init__(self, profile: RobotProfile):
+        """Begin without a reading."""
+        self._profile = profile
+        self._inertia = _leg_inertia(profile)
+        self._speed = np.zeros(6)
+        self._goal, self._told = np.zeros(6), np.zeros(6)  # [rad] what the femurs were told, and its last change
+        self._jerk = np.zeros(6)  # [rad] by how much that was another change than the one before
+        self._stamp_ns = np.full(6, -_NEAR_NS - 1, dtype=np.int64)
+        self._push = np.zeros((2, 6))  # [N] by the newest reading and the one before
+        self._links = np.zeros((6, 3))  # [N m] that hold the links up, as the legs were in the last cycle
+
+    def see(self, q: Array, q_goal: Array) -> None:
+        """Take in where the joints are and what they are told (6, 3) [rad], once a cycle, before its readings."""
+        self._links = link_torques(self._profile, q)
+        links, shank = self._profile.links, q[:, 1] + q[:, 2]
+        self._arm = np.maximum(links.femur * np.cos(q[:, 1]) + links.tibia * np.cos(shank), _NEAREST_ARM)
+        told = q_goal[:, FEMUR] - self._goal
+        self._jerk, self._told, self._goal = np.abs(told - self._told), told, q_goal[:, FEMUR].copy()
+
+    def read(self, leg: int, speed: float, load: float, stamp_ns: int) -> None:
+        """Take in a reading of a femur: speed [rad/s] and motor torque [N m], in the direction of growing angles."""
+        since_ns = stamp_ns - int(self._stamp_ns[leg])
+        gathered, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, stamp_ns
+        self._push[1, leg] = self._push[0, leg]
+        if not 0 < since_ns <= _NEAR_NS:
+            self._push[:, leg] = 0.0  # how it gathers speed is not known
+            return
+        servo = self._profile.servo
+        speeding_up = self._inertia * gathered / (since_ns * 1e-9)
+        turning = servo.damping * speed + _FRICTION * servo.friction * np.sign(speed) + speeding_up
+        doubt = _DOUBT * (abs(speeding_up) + servo.stiffness * float(self._jerk[leg]))
+        push = (turning + self._links[leg, FEMUR] - load) / self._arm[leg]
+        self._push[0, leg] = np.sign(push) * max(abs(push) - doubt / self._arm[leg], 0.0)
+
+    def forget(self, legs: NDArray[np.bool_]) -> None:
+        """Begin anew with legs (6,): what they felt is over."""
+        self._push[:, legs] = 0.0
+
+    @property
+    def push(self) -> Array:
+        """(6,) [N] of the ground on each foot, upward, by the newest readings."""
+        return np.array(self._push[0])
+
+    @property
+    def touches(self) -> NDArray[np.bool_]:
+        """(6,) feet that have met something while they moved."""
+        return np.asarray((self._push > _TOUCH_N).all(axis=0) | (self._push[0] > _HARD_N))
+
+    @property
+    def bears(self) -> NDArray[np.bool_]:
+        """(6,) feet that stand on something: those that share their load with five others may bear little of it."""
+        return np.asarray((self._push > _BEARS_N).all(axis=0) | (self._push[0] > _BEARS_HARD_N))
+
+
+def _leg_inertia(profile: RobotProfile) -> float:
+    """Inertia [kg m^2] about a femur's axis: the motor's, and the links with the knee bent square."""
+    _, femur, tibia = profile.body.leg_link_masses
+    arm = profile.links.femur**2 + (profile.links.tibia / 2) ** 2
+    return profile.servo.armature + femur * (profile.links.femur / 2) ** 2 + tibia * arm

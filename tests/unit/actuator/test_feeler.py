@@ -1,0 +1,96 @@
+"""What a femur's load says of the ground: nothing in free motion, a push soon after a foot has met something."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.actuator.feeler import FEMUR, Feeler
+from services.actuator.load import link_torques
+from shared.geometry import Array
+from shared.kinematics import body_inverse
+from shared.robot import load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+SERVO = PROFILE.servo
+Q = body_inverse(PROFILE, PROFILE.rest_feet())
+LEG = 2
+PERIOD = 20_000_000
+STEPS = 20  # of the joint's own motion per cycle
+
+
+def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf) -> tuple[list[bool], int]:
+    """Whether the foot touches, cycle by cycle, on the way of goals (n,) [rad] of one femur; and when it met the ground.
+
+    The servo is what it is in the simulator: a spring to its goal, damped, with dry friction, a leg and an armature behind it.
+    From the middle of the way on there is ground as hard as stone below a femur angle [rad].
+    """
+    feeler = Feeler(PROFILE)
+    inertia = feeler._inertia + (armature - 1.0) * SERVO.armature
+    q, angle, speed, load, met = Q.copy(), float(goals[0]), 0.0, 0.0, -1
+    touches = []
+    dt = PERIOD * 1e-9 / STEPS
+    for cycle, goal in enumerate(goals):
+        before = goals[max(cycle - 1, 0)]
+        q[LEG, FEMUR] = angle
+        told = q.copy()
+        told[LEG, FEMUR] = before
+        feeler.see(q, told)
+        feeler.read(LEG, speed, load, cycle * PERIOD)
+        touches.append(bool(feeler.touches[LEG]))
+        held = link_torques(PROFILE, q)[LEG, FEMUR]
+        for step in range(STEPS):
+            written = before if step < 0.3 * STEPS else goal
+            load = float(np.clip(SERVO.stiffness * (written - angle), -SERVO.stall_torque, SERVO.stall_torque))
+            sunk = max(ground - angle, 0.0) if cycle > len(goals) / 2 else 0.0
+            if sunk and met < 0:
+                met = cycle
+            torque = load - held + 400.0 * sunk - SERVO.friction * np.tanh(speed / 0.02)
+            speed = (speed + dt * torque / inertia) / (1.0 + dt * (SERVO.damping + 4.0 * (sunk > 0)) / inertia)
+            angle += dt * speed
+    return touches, met
+
+
+def stroke(height: float, cycles: int) -> Array:
+    """Up by a height [rad], down by as much, and rest, as smooth as swings are."""
+    s = np.linspace(0.0, 1.0, cycles)
+    up = height * np.sin(np.pi * s) ** 2
+    return np.asarray(Q[LEG, FEMUR] + np.concatenate([np.zeros(3), up, np.zeros(5)]))
+
+
+@given(st.floats(0.2, 0.8), st.integers(28, 60), st.floats(0.6, 1.6))
+@settings(max_examples=30)
+def test_free_motion_is_no_touch(height: float, cycles: int, armature: float) -> None:
+    touches, _ = swing(stroke(height, cycles), armature)
+    assert not any(touches)
+
+
+@pytest.mark.parametrize("armature", [0.7, 1.0, 1.4])
+@pytest.mark.parametrize("height", [0.4, 0.6])
+def test_ground_on_the_way_down_is_felt_within_three_readings(height: float, armature: float) -> None:
+    touches, met = swing(stroke(height, 34), armature, ground=Q[LEG, FEMUR] + 0.4 * height)
+    assert met > 0
+    assert touches.index(True) - met in (1, 2, 3)
+
+
+def test_a_push_at_rest_is_a_foot_that_bears() -> None:
+    feeler = Feeler(PROFILE)
+    held = link_torques(PROFILE, Q)
+    for newton, bears in ((0.0, False), (1.5, True)):
+        arm = 0.1
+        for cycle in range(3):
+            feeler.see(Q, Q)
+            for leg in range(6):
+                feeler.read(leg, 0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD)
+        assert feeler.bears.all() == bears
+        assert not feeler.touches.any()
+        feeler.forget(np.ones(6, dtype=bool))
+        assert not feeler.bears.any()
+
+
+def test_readings_far_apart_say_nothing() -> None:
+    feeler = Feeler(PROFILE)
+    for cycle in range(5):
+        feeler.see(Q, Q)
+        feeler.read(LEG, 0.0, -1.5, cycle * 4 * PERIOD)
+        assert feeler.push[LEG] == 0.0
