@@ -10,6 +10,7 @@ from shared.geometry import Array
 from shared.messages import UNKNOWN, TerrainMap
 
 ACCEPTABLE = 1.0  # highest score that carries a foot
+ROOM = 0.01  # [m] around a good foothold that carries a foot, too; nine of ten feet land within it
 FIRM = 0.03  # [m] from the end of accessible ground, beyond which Masri's evaluation function is strongly negative
 NONE, POOR, GOOD = 0.0, 1.0, 2.0  # a place as a foothold
 Layer = Literal["score", "evaluation"]
@@ -59,12 +60,15 @@ class Terrain:
     def suitability(self, xy: Array) -> Array:
         """How good (n,) places (n, 2) [m] {world} are as footholds: `NONE`, `POOR` or `GOOD`; NaN where unknown.
 
-        By Lotriet's score a place is good or it is none. By Masri's evaluation function (2016, section 5.2.1) it is good where
-        that is strongly negative or at a local minimum, poor where it is negative else.
+        By Lotriet's score a place is good where the places around it, `ROOM` away, carry a foot as well, since feet do not land
+        to the millimetre; it is poor where it alone does. By Masri's evaluation function (2016, section 5.2.1) it is good
+        where that is strongly negative or at a local minimum, poor where it is negative else.
         """
         if self.layer == "score":
             scores = self.scores(xy)
-            return np.where(np.isnan(scores), np.nan, np.where(scores <= ACCEPTABLE, GOOD, NONE))
+            around = np.max([self.scores(xy + ROOM * np.array(step)) for step in _AROUND], axis=0)
+            carries = np.where(around <= ACCEPTABLE, GOOD, POOR)  # NaN, not seen, is poor, too
+            return np.where(np.isnan(scores), np.nan, np.where(scores <= ACCEPTABLE, carries, NONE))
         here = self._evaluations(xy)
         around = np.min([self._evaluations(xy + self.map.resolution * np.array(step)) for step in _AROUND], axis=0)
         good = here <= np.maximum(around, round(-FIRM / self.map.resolution))
