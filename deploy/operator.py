@@ -4,6 +4,7 @@ It knows the estimated pose alone.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from math import atan2, cos, radians, sin
 from typing import Literal
 
@@ -17,6 +18,7 @@ from shared.scenario import Scenario
 from shared.service import Every, Inbox, Stages
 
 _OVERSHOOT = 0.03  # [m] beyond the goal line, by the estimate, so that the true body is past it too
+_BY_TOUCH = 0.07  # [m] further for a robot that has counted its steps in the dark
 _LATERAL_GAIN = 2.0  # [rad/m] course toward the line per metre beside it
 _MAX_COURSE = radians(25.0)  # off the line's direction
 _HEADING_GAIN = 0.5  # [1/s] turn per heading error
@@ -29,6 +31,7 @@ _ORDER_NS = 500_000_000  # [ns] orders are repeated, so that an actuator that re
 _BLOCKED_NS = 20_000_000_000  # [ns] patience with a planner that is blocked
 _NO_POSE_NS = 5_000_000_000  # [ns] patience without a pose, once there was one
 _START_NS = 60_000_000_000  # [ns] patience for the first word of a service
+_LOST_NS = 2_000_000_000  # [ns] that the planner waits for sight, until it is asked to go on by touch, where that is wanted
 _FAULT_NS = 2_000_000_000  # [ns] patience with an actuator that is in fault or off
 
 
@@ -48,7 +51,8 @@ class Operator:
         self.finished = False
         self.reason = ""  # why it is finished, in words
         self.progress = "waiting for the actuator"
-        self._goal = scenario.goal.distance + _OVERSHOOT
+        self._line = scenario.goal.distance
+        self._goal = self._line + _OVERSHOOT
         end = (self._goal + _TOLERANCE, 0.0)
         self._route = np.array([*scenario.goal.waypoints, end]) if scenario.goal.route else None
         self._goal_due_ns = 0
@@ -59,6 +63,7 @@ class Operator:
         self._order_due_ns = 0
         self._rising = False
         self._arrived_ns: int | None = None
+        self._by_touch = False  # whether it has been asked for
         self._since: dict[str, int] = {}  # since when something that must not last has lasted
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
@@ -70,8 +75,11 @@ class Operator:
         pose = inbox.latest(topics.BODY_POSE)
         steerable = inbox.fresh(topics.BODY_POSE) is not None
         status = inbox.latest(topics.PLANNER_STATUS)
+        if self._by_touch and pose is not None and state is not None:  # nobody else says where it is
+            pose, steerable = replace(pose, T_world_body=pose.T_world_odom @ state.T_odom_body), True
         if not self.finished:
             self._choose_order(state, pose is not None)
+            self._ask_for_touch(now, status)
             self._give_up(now, state, status, ever_posed=pose is not None, posed=steerable)
         if now >= self._order_due_ns:
             self._order_due_ns = now + _ORDER_NS
@@ -102,6 +110,15 @@ class Operator:
         if posed and (risen or state.mode is Mode.WALK):
             self._order = "walk"
             self._order_due_ns = 0
+
+    def _ask_for_touch(self, now: int, status: PlannerStatus | None) -> None:
+        """Where the scenario allows it, have the robot go on by touch once it has stood for want of sight; for good."""
+        waits = self._walk.by_touch and self._order == "walk" and status is not None and status.state == "waiting"
+        if not waits:
+            self._since.pop("sight", None)
+        elif not self._by_touch and now - self._since.setdefault("sight", now) >= _LOST_NS:
+            self._by_touch = True
+            self._goal += _BY_TOUCH
 
     def _give_up(
         self, now: int, state: ActuatorState | None, status: PlannerStatus | None, ever_posed: bool, posed: bool
@@ -140,7 +157,7 @@ class Operator:
                 velocity = speed * np.array([cos(direction), sin(direction)])
                 error = atan2(sin(yaw), cos(yaw))
                 yaw_rate = min(max(-_HEADING_GAIN * error, -_MAX_YAW_RATE), _MAX_YAW_RATE)
-        return VelocityCommand(now, velocity, yaw_rate, self._walk.body_height, self._walk.lift)
+        return VelocityCommand(now, velocity, yaw_rate, self._walk.body_height, self._walk.lift, self._by_touch)
 
     def _watch_arrival(self, now: int, state: ActuatorState | None, status: PlannerStatus | None) -> None:
         if self.finished or self._arrived_ns is None or now - self._arrived_ns < _ORDER_NS:
@@ -159,4 +176,4 @@ class Operator:
         if self._order == "stand":
             return "waiting for a pose" if T_world_body is None and self._rising else "standing up"
         at = f"{T_world_body[0, 3]:.2f}" if T_world_body is not None else "?"
-        return f"at {at} of {self._goal - _OVERSHOOT:.2f} m" + (f"; planner {status.state}: {status.reason}" if status else "")
+        return f"at {at} of {self._line:.2f} m" + (f"; planner {status.state}: {status.reason}" if status else "")

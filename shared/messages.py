@@ -314,6 +314,7 @@ class VelocityCommand(Message):
     yaw_rate: float  # [rad/s]
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
+    by_touch: bool = False  # True: no map is asked for; feet find the ground, slowly
 
 
 @dataclass(frozen=True, slots=True)

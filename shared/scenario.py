@@ -342,6 +342,7 @@ class Walk:
     lift: float = 0.04  # [m] clearance of a swinging foot over start and touchdown
     blind: bool = False  # the baseline: the planner gets no map and walks as on flat ground
     footholds: Literal["score", "evaluation"] = "score"  # the layer of the map that says where: Lotriet's or Masri's
+    by_touch: bool = False  # when the robot stands for want of sight, it is asked to go on by touch alone
 
     def __post_init__(self) -> None:
         _expect(self.speed > 0, "a speed greater than 0 m/s", self.speed)

@@ -18,6 +18,9 @@ class Settings:
     max_lean_deg: float = 12.0  # [deg] of the body with the ground, and
     max_tilt_deg: float = 8.0  # [deg] by which that changes in one step
     max_climb: float = 0.03  # [m] of the body's height in one step
+    touch_step_s: float = 1.6  # [s] duration of a step by touch alone,
+    touch_stride: float = 0.05  # [m] of the body in it, at most,
+    touch_lift: float = 0.07  # [m] and clearance of its feet, at least
     search_radius: float = 0.06  # [m] around the nominal foothold
     min_foot_distance: float = 0.06  # [m] between feet
     min_margin: float = 0.02  # [m] of the body's centre inside each support triangle
@@ -36,7 +39,19 @@ class Settings:
             raise ValueError(f"step_s of 0.4 to 2 s expected, found {self.step_s}")
         if not self.retarget_until < self.plan_from:
             raise ValueError(f"retarget_until below plan_from expected, found {self.retarget_until} and {self.plan_from}")
-        for name in ("max_stride", "max_climb", "search_radius", "pose_age_s", "map_age_s", "revise_s"):
+        if not 0.8 <= self.touch_step_s <= 4.0:
+            raise ValueError(f"touch_step_s of 0.8 to 4 s expected, found {self.touch_step_s}")
+        positive = (
+            "max_stride",
+            "max_climb",
+            "search_radius",
+            "pose_age_s",
+            "map_age_s",
+            "revise_s",
+            "touch_stride",
+            "touch_lift",
+        )
+        for name in positive:
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"a positive {name} expected, found {getattr(self, name)}")
         for name in ("max_turn_deg", "max_lean_deg", "max_tilt_deg", "min_foot_distance", "min_margin", "path_margin"):

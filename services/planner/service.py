@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from services.planner.by_touch import ByTouch
 from services.planner.config import Settings
 from services.planner.gait import directions, swinging_tripod
 from services.planner.pilot import Pilot
@@ -53,6 +54,7 @@ class Planner:
         self._profile = profile
         self._settings = settings
         self._strides = StridePlanner(profile, settings)
+        self._by_touch = ByTouch(profile, settings)
         self._pilot = Pilot(profile, settings.step_s)
         self._led = False  # whether a goal is what it walks by
         self._sent: list[_Sent] = []  # that may yet be walked, the newest last
@@ -109,6 +111,8 @@ class Planner:
         if state.mode not in (Mode.WALK, Mode.HOLD):
             self._refusals.forget()
             return self._hold("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
+        if command is not None and command.by_touch:
+            return self._feel_ahead(state, command, inbox)
         if pose is None:
             return self._hold("waiting", f"no fresh pose from perception{_blamed_on_camera(inbox)}")
         goal = inbox.fresh(topics.GOAL) if command is None else None
@@ -124,7 +128,7 @@ class Planner:
             return self._hold("waiting", f"the terrain map makes no sense: {nonsense}")
         if state.phase < 1.0 and state.phase < self._settings.retarget_until:
             return self._retarget(state, pose, terrain)
-        if command is not None and np.abs(command.velocity).max() < _STILL and abs(command.yaw_rate) < _STILL:
+        if command is not None and _is_still(command):
             self._refusals.forget()
             return self._hold("resting", "no velocity is commanded")
         if state.phase < self._settings.plan_from:
@@ -133,6 +137,33 @@ class Planner:
             return self._next_step(state, pose, command, terrain)
         assert goal is not None
         return self._towards(goal, state, pose, terrain)
+
+    def _feel_ahead(self, state: ActuatorState, command: VelocityCommand, inbox: Inbox) -> "_Sent | None":
+        """The next step by touch alone: no map, and where the body is by the legs' odometry since it was last known."""
+        known = inbox.latest(topics.BODY_POSE)
+        if known is None:
+            return self._hold("waiting", "by touch: no pose from perception yet, so {world} is not known")
+        pose = replace(known, stamp_ns=state.stamp_ns, T_world_body=known.T_world_odom @ state.T_odom_body)
+        if state.phase < 1.0:
+            return None  # where its feet will meet ground is not known
+        if _is_still(command):
+            self._refusals.forget()
+            return self._hold("resting", "by touch: no velocity is commanded")
+        terrain = self._by_touch.terrain(state.stamp_ns, _feet_in_world(state, pose))
+        at = self._situation(state, pose, self._by_touch.asked(command))
+        if at is None:
+            return self._hold("waiting", _NOT_MINE)
+        nonsense = self._strides.objection(at.command)
+        if nonsense:
+            return self._hold("blocked", nonsense)
+        with self.stages("plan step"):
+            found = self._by_touch.plan(at if not self._refusals.passed_over else replace(at, swing=~at.swing), terrain)
+        if isinstance(found, Blocked):
+            self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
+            return self._hold("blocked", f"by touch: {found.reason}", found.leg)
+        self._state, self._blocked_leg = "stepping", -1
+        self._reason = "by touch: feet find the ground"
+        return self._send(state, pose, found, state.step + 1, 0, self._by_touch.duration)
 
     def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
         """The next step on the way to a goal; where one on the way does not go, walking without turning, or turning alone."""
@@ -244,8 +275,10 @@ class Planner:
             return None
         return self._send(state, pose, found, running.plan.step, running.way)
 
-    def _send(self, state: ActuatorState, pose: BodyPose, stride: Stride, number: int, way: int) -> "_Sent":
-        """A plan of a step, as the next revision of it."""
+    def _send(
+        self, state: ActuatorState, pose: BodyPose, stride: Stride, number: int, way: int, duration: float | None = None
+    ) -> "_Sent":
+        """A plan of a step, as the next revision of it; one with a duration of its own [s] ends at rest."""
         revision = 1 + max((s.plan.revision for s in self._sent if s.plan.step == number), default=0)
         plan = StepPlan(
             stamp_ns=state.stamp_ns,
@@ -256,8 +289,8 @@ class Planner:
             touchdown=stride.touchdown,
             clearance=stride.clearance,
             body_goal=stride.body_goal,
-            duration=self._settings.step_s,
-            stop=False,
+            duration=self._settings.step_s if duration is None else duration,
+            stop=duration is not None,
         )
         return _Sent(plan, stride, way)
 
@@ -296,6 +329,11 @@ class _Sent:
     plan: StepPlan
     stride: Stride
     way: int  # of taking the step, see `services.planner.refusals`
+
+
+def _is_still(command: VelocityCommand) -> bool:
+    """Whether no motion is asked for."""
+    return bool(np.abs(command.velocity).max() < _STILL and abs(command.yaw_rate) < _STILL)
 
 
 def _differ(a: VelocityCommand, b: VelocityCommand | None) -> bool:

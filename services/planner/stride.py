@@ -19,7 +19,7 @@ from shared.stability import support_margin
 
 SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
 _DESCENT = np.array([0.0, 0.0, 0.03])  # [m] over a foothold, from where a foot comes straight down
-_MAX_CLEARANCE = 0.11  # [m] over both ends that a leg can lift its foot
+MAX_CLEARANCE = 0.11  # [m] over both ends that a leg can lift its foot
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
 _LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # share of the ground's slope by which it may lean
 _REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may turn out to be lower than believed
@@ -79,8 +79,8 @@ class StridePlanner:
         low, high = self._profile.stance.body_height_range
         if not low <= command.body_height <= high:
             return f"a body height of {low:g} to {high:g} m expected, {command.body_height:g} m commanded"
-        if not 0.0 < command.lift <= _MAX_CLEARANCE:
-            return f"a lift of more than 0 and at most {_MAX_CLEARANCE:g} m expected, {command.lift:g} m commanded"
+        if not 0.0 < command.lift <= MAX_CLEARANCE:
+            return f"a lift of more than 0 and at most {MAX_CLEARANCE:g} m expected, {command.lift:g} m commanded"
         return ""
 
     def plan(self, at: Situation, terrain: Terrain, passed_over: int = 0) -> Stride | Blocked:
@@ -136,7 +136,7 @@ class StridePlanner:
         if problem:
             return Blocked(problem)
         clearance = self._clearance(at.feet, touchdown, at.command.lift, terrain)
-        too_high = np.flatnonzero(at.swing & (clearance > _MAX_CLEARANCE))
+        too_high = np.flatnonzero(at.swing & (clearance > MAX_CLEARANCE))
         if len(too_high):
             leg = int(too_high[0])
             return Blocked(f"{LEGS[leg]} leg: something on its way asks for {clearance[leg] * 100:.0f} cm of lift", leg)
@@ -182,7 +182,7 @@ class StridePlanner:
             spare = _REACH_SPARE if stoop > 0.0 or lean.any() else np.zeros(3)
             feet = np.where(at.swing[:, None], stance + self._foot_up, at.feet) - spare
             end, after = leaning(T_end, lean, stoop), leaning(T_after, lean, stoop)
-            reached = self._within_limits(feet, end) & (self._within_limits(feet, after) | ~at.swing)
+            reached = self.reached(feet, end) & (self.reached(feet, after) | ~at.swing)
             if reached[wanted].all():
                 return end, after
             if reached[~at.swing].all() and second_best[0] is T_end:
@@ -229,14 +229,14 @@ class StridePlanner:
         limits = profile.joint_limits[leg]
         return np.asarray(((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=1))  # NaN, out of reach, is in no limits
 
-    def _within_limits(self, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
+    def reached(self, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
         """Which legs (6,) have their feet (6, 3) [m] {world} in reach."""
         q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
         return np.asarray(within_limits(self._profile, q).all(axis=1))
 
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
         """Which leg would be overstretched at the end of the step, in words, or nothing."""
-        bad = np.flatnonzero(~self._within_limits(feet_world, T_world_body))
+        bad = np.flatnonzero(~self.reached(feet_world, T_world_body))
         return f"{LEGS[bad[0]]} leg: would be stretched beyond its limits at the end of the step" if len(bad) else ""
 
     def _unstable(self, feet: Array, T_world_body: Array, when: str) -> str:

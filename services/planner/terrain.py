@@ -131,18 +131,27 @@ class Terrain:
 
 
 def flat_terrain(stamp_ns: int, centre: Array, height: float, half_size: float = 1.0, resolution: float = 0.01) -> Terrain:
-    """Level ground around a point: what the blind baseline walks on.
+    """Level ground around a point: what the blind baseline walks on; arguments as of `plane_terrain`."""
+    return plane_terrain(stamp_ns, centre, height, np.zeros(2), half_size, resolution)
+
+
+def plane_terrain(
+    stamp_ns: int, centre: Array, height: float, slope: Array, half_size: float = 1.0, resolution: float = 0.01
+) -> Terrain:
+    """Even ground around a point, all of it good to stand on.
 
     Args:
         stamp_ns: [ns] of the map.
         centre: (2,) [m] {world}.
-        height: [m] {world} of the ground.
+        height: [m] {world} of the ground there.
+        slope: (2,) by which it rises along x and y.
         half_size: [m] how far it reaches.
         resolution: [m] cell edge.
     """
     n = round(2 * half_size / resolution)
-    layer = np.full((n, n), height, dtype=np.float32)
-    flat = TerrainMap(
+    off = resolution * np.arange(n) - half_size
+    layer = (height + slope[0] * off[:, None] + slope[1] * off).astype(np.float32)
+    even = TerrainMap(
         stamp_ns=stamp_ns,
         resolution=resolution,
         origin=np.asarray(centre - half_size, dtype=np.float64),
@@ -152,4 +161,4 @@ def flat_terrain(stamp_ns: int, centre: Array, height: float, half_size: float =
         assumed=np.ones((n, n), dtype=np.bool_),
         evaluation=np.full((n, n), _DEEP, dtype=np.int8),
     )
-    return Terrain(flat)
+    return Terrain(even)

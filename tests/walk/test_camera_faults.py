@@ -5,7 +5,8 @@ import pytest
 
 from shared import topics
 from shared.messages import Mode
-from shared.scenario import Fault
+from shared.scenario import Box, Fault, Goal, Plane, Scenario
+from shared.scenario import Walk as Options
 from tests.support.walks import Walk, flat, walk
 
 AT_S, FOR_S = 4.5, 5.0
@@ -54,3 +55,27 @@ def test_a_gap_of_a_fifth_of_a_second_is_nothing() -> None:
     assert all(state.mode is Mode.WALK for state in found.states(AT_S, AT_S + 2.0))
     assert all(pose.ok for pose in found.heard.of(topics.BODY_POSE, AT_S))
     assert_right_to_the_end(found)
+
+
+def test_a_camera_that_is_cut_lets_no_more_than_one_step_begin() -> None:
+    found = faulty("absent")
+    during = found.states(AT_S, AT_S + FOR_S)
+    assert during[-1].step - during[0].step <= 1
+    assert during[-1].mode is Mode.HOLD
+
+
+def test_on_request_it_goes_on_by_touch_over_what_it_has_never_seen() -> None:
+    blocks = tuple(Box((0.75 + 0.13 * i, y), (0.09, 0.12), 0.02 + 0.01 * (i % 3)) for i in range(2) for y in (-0.2, 0.2))
+    course = Scenario(
+        "dark",
+        (Plane(), *blocks),
+        Goal(0.7),
+        walk=Options(by_touch=True),
+        faults=(Fault(AT_S, "camera", "absent", for_s=1000.0),),
+    )
+    found = walk(course, 1000, wanted=HEARD)
+    assert found.report.success, found.report.reason
+    assert found.report.falls == 0
+    assert any("by touch" in status.reason for status in found.statuses())
+    stood = [status for status in found.statuses(AT_S, AT_S + 4.0) if status.state == "waiting"]
+    assert any(REASONS["absent"] in status.reason for status in stood), "it had stopped and said why before it was asked"

@@ -22,7 +22,7 @@ class Robot:
     def __init__(self, y=0.0, yaw=0.0, side_slip=0.0, scenario=SCENARIO):
         self.operator = Operator(load_profile(scenario.robot), scenario)
         self.goals = []
-        self.arrived = False
+        self.arrived = self.waits = False
         self.inbox = Inbox(self.operator.reads, self.operator.stages)
         self.now = 0
         self.T = from_xyz_rpy((0.0, y, 0.1), (0, 0, yaw))
@@ -67,7 +67,15 @@ class Robot:
         if self.pose_comes:
             self.hear(BodyPose(self.now, self.T, np.eye(4), np.eye(6), 1.0, True, "", np.zeros((0, 6))))
         state = (
-            "arrived" if self.arrived else "blocked" if self.blocked else "stepping" if self.mode is Mode.WALK else "resting"
+            "waiting"
+            if self.waits
+            else "arrived"
+            if self.arrived
+            else "blocked"
+            if self.blocked
+            else "stepping"
+            if self.mode is Mode.WALK
+            else "resting"
         )
         self.hear(PlannerStatus(self.now, state, self.blocked, 0, 0, -1))
         for made in self.operator.step(Tick(self.now), self.inbox):
@@ -233,3 +241,21 @@ def test_a_route_is_told_and_not_steered():
     robot.run(100)
     assert robot.operator.finished
     assert "at the goal" in robot.operator.reason
+
+
+@pytest.mark.parametrize("allowed", [True, False])
+def test_only_where_the_scenario_allows_it_a_robot_without_sight_is_asked_to_go_on_by_touch(allowed):
+    robot = Robot(scenario=replace(SCENARIO, walk=replace(SCENARIO.walk, by_touch=allowed)))
+    for _ in range(60):
+        robot.beat()
+    assert not robot.velocities[-1].by_touch
+    robot.pose_comes, robot.waits = False, True
+    began = robot.now
+    robot.run(160)
+    asked = [v.stamp_ns - began for v in robot.velocities if v.by_touch]
+    assert bool(asked) == allowed
+    if allowed:
+        assert min(asked) == pytest.approx(2e9, abs=4 * PERIOD_NS)
+        assert np.any(robot.velocities[-1].velocity)
+    else:
+        assert "no pose" in robot.operator.reason

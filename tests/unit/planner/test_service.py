@@ -554,3 +554,79 @@ def test_a_fresh_velocity_comes_before_a_goal_and_the_goal_after_it() -> None:
     rig.plans(60)
     assert rig.plans(20) == []
     assert rig.status().reason == "no fresh velocity command, and no goal"
+
+
+def by_touch() -> Rig:
+    """Nobody sees anything, and the operator asks to go on all the same."""
+    rig = Rig()
+    rig.cycle()
+    rig.pose = rig.terrain = None
+    assert rig.command is not None
+    rig.command = replace(rig.command, by_touch=True)
+    rig.now_ns += 5_000 * MS
+    return rig
+
+
+def test_by_touch_it_goes_on_without_pose_and_map_slowly_and_with_high_feet() -> None:
+    rig = by_touch()
+    (plan,) = rig.plans(10)[:1]
+    settings = Settings()
+    assert plan.stop
+    assert plan.duration == settings.touch_step_s
+    assert np.linalg.norm(plan.body_goal[:2, 3]) <= settings.touch_stride + 1e-9
+    low = plan.touchdown[plan.swing, 2] - PROFILE.foot.radius
+    assert low.max() <= -0.03, "feet are sent below the ground"
+    assert low.min() >= -0.05 - 1e-9
+    assert (plan.clearance[plan.swing] >= settings.touch_lift - 1e-9).all()
+    np.testing.assert_allclose(plan.touchdown[~plan.swing], apply(standing(), REST)[~plan.swing], atol=1e-9)
+    assert "by touch" in rig.status().reason
+
+
+def test_without_the_request_it_stays() -> None:
+    rig = by_touch()
+    assert rig.command is not None
+    rig.command = replace(rig.command, by_touch=False)
+    assert not rig.plans(20)
+    assert rig.status().state == "waiting"
+    assert "no fresh pose" in rig.status().reason
+
+
+def test_by_touch_the_next_step_waits_until_all_feet_stand() -> None:
+    rig = by_touch()
+    plan = rig.plans(10)[0]
+    rig.begin(plan)
+    assert not rig.plans(20, phase=0.5)
+    assert not rig.plans(20, phase=0.9)
+    rig.finish(plan)
+    following = rig.plans(20)[0]
+    assert following.step == plan.step + 1
+    np.testing.assert_array_equal(following.swing, ~plan.swing)
+
+
+def test_by_touch_the_ground_is_the_plane_of_the_feet() -> None:
+    """On a slope the feet are sent along it."""
+    rig = by_touch()
+    slope = np.tan(np.radians(6.0))
+    feet = REST.copy()
+    feet[:, 2] += slope * REST[:, 0]
+    plan = rig.plans(10, feet=feet)[0]
+    depth = plan.touchdown[:, 2] - PROFILE.foot.radius - slope * plan.touchdown[:, 0]
+    np.testing.assert_allclose(depth[plan.swing], depth[plan.swing][0], atol=2e-3)
+    assert -0.051 < depth[plan.swing][0] < -0.02
+
+
+def test_by_touch_without_any_pose_ever_it_does_not_move() -> None:
+    rig = Rig()
+    rig.pose = rig.terrain = None
+    assert rig.command is not None
+    rig.command = replace(rig.command, by_touch=True)
+    assert not rig.plans(20)
+    assert "no pose from perception yet" in rig.status().reason
+
+
+def test_by_touch_it_rests_when_nothing_is_commanded() -> None:
+    rig = by_touch()
+    assert rig.command is not None
+    rig.command = replace(rig.command, velocity=np.zeros(2))
+    assert not rig.plans(20)
+    assert rig.status().state == "resting"

@@ -1,0 +1,60 @@
+"""Walking without a map: the ground is taken for the plane of the feet, and every foot comes down until it touches.
+
+The actuator stops a foot where it meets ground. So a touchdown is planned lower than the ground is expected, as low as the leg
+reaches within reason, and higher ground stops the foot on its way. Nothing is known ahead: steps are short and slow, feet go
+high, and the next step is planned when all six feet stand and have been measured.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from services.planner.config import Settings
+from services.planner.stride import MAX_CLEARANCE, Blocked, Situation, Stride, StridePlanner
+from services.planner.terrain import Terrain, plane_terrain
+from shared.geometry import Array
+from shared.messages import VelocityCommand
+from shared.robot import RobotProfile
+
+_DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] below the plane at which a foot is sent, the first that its leg reaches
+_STEEPEST = np.tan(np.radians(12.0))  # of the plane: feet on stones are no steeper slope
+
+
+class ByTouch:
+    """Plans steps over ground that nobody sees."""
+
+    def __init__(self, profile: RobotProfile, settings: Settings):
+        """Plan for a robot."""
+        self._profile = profile
+        self._settings = settings
+        self.duration = settings.touch_step_s  # [s] of a step
+        slow = replace(settings, step_s=settings.touch_step_s, max_stride=settings.touch_stride)
+        self._strides = StridePlanner(profile, slow)
+
+    def asked(self, command: VelocityCommand) -> VelocityCommand:
+        """What can be walked of a command: feet go high."""
+        return replace(command, lift=max(command.lift, self._settings.touch_lift))
+
+    def terrain(self, stamp_ns: int, feet: Array) -> Terrain:
+        """The ground that feet (6, 3) [m] {world}, which all stand, let expect."""
+        xy = feet[:, :2].mean(axis=0)
+        A = np.column_stack([np.ones(6), feet[:, :2] - xy])
+        height, *slope = np.linalg.lstsq(A, feet[:, 2] - self._profile.foot.radius, rcond=None)[0]
+        steep = max(float(np.linalg.norm(slope)) / _STEEPEST, 1.0)
+        return plane_terrain(stamp_ns, xy, float(height), np.array(slope) / steep)
+
+    def plan(self, at: Situation, terrain: Terrain) -> Stride | Blocked:
+        """The next step, or why there is none."""
+        found = self._strides.plan(at, terrain)
+        return found if isinstance(found, Blocked) else self._lowered(found)
+
+    def _lowered(self, stride: Stride) -> Stride:
+        """The same step with its feet sent as far below the ground that is expected as their legs reach."""
+        touchdown = stride.touchdown.copy()
+        for depth in _DEPTHS:
+            lower = stride.touchdown - [0.0, 0.0, depth]
+            reached = self._strides.reached(lower, stride.body_goal) & stride.swing
+            fresh = reached & (touchdown[:, 2] == stride.touchdown[:, 2])
+            touchdown[fresh] = lower[fresh]
+        before, after = np.maximum(stride.start, stride.touchdown)[:, 2], np.maximum(stride.start, touchdown)[:, 2]
+        return replace(stride, touchdown=touchdown, clearance=np.minimum(stride.clearance + before - after, MAX_CLEARANCE))
