@@ -6,13 +6,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.published import TESTS, Measured, Published, side_by_side
 from deploy.report import Report
 from deploy.scorer import Trace
 from shared.robot import LEGS
 
 LEG_COLORS = ("#d55e00", "#0072b2", "#56b4e9", "#332288", "#cc79a7", "#e69f00")  # told apart by most colour-blind eyes
 _SIZE, _DPI = (16.0, 15.0), 100
+_TABLE = 2.2  # [in] more, for what the thesis says
 _TRUE, _REFERENCE, _GROUND = "#111111", "#7f7f7f", "#8c6d46"
+_THESIS = "#1a7f37"
 _ROLL, _PITCH = "#0072b2", "#d55e00"
 
 
@@ -20,7 +23,8 @@ def draw(path: Path, report: Report, trace: Trace) -> bool:
     """Draw the plots of a run.
 
     Args:
-        path: Of the picture, 1600 x 1500 pixels, in the format of its suffix.
+        path: Of the picture, 1600 x 1500 pixels, in the format of its suffix; taller for a test of the thesis, whose figures
+            then stand beside.
         report: What it came to.
         trace: How it went.
 
@@ -34,15 +38,20 @@ def draw(path: Path, report: Report, trace: Trace) -> bool:
     from matplotlib.figure import Figure
 
     with rc_context({"font.size": 13, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white", layout="constrained")
+        published = TESTS.get(report.scenario)
+        size = _SIZE if published is None else (_SIZE[0], _SIZE[1] + _TABLE)
+        ratios = (1.0, 1.0, 0.9, 1.5, 0.9) if published is None else (1.0, 1.0, 0.9, 1.5, 0.9, 0.9)
+        figure = Figure(figsize=size, dpi=_DPI, facecolor="white", layout="constrained")
         FigureCanvasAgg(figure)
-        height, tilt, foot, above, aside = figure.subplots(5, 1, height_ratios=(1.0, 1.0, 0.9, 1.5, 0.9)).tolist()
+        height, tilt, foot, above, aside, *below = figure.subplots(len(ratios), 1, height_ratios=ratios).tolist()
         walk = f"{report.scenario}, seed {report.seed}, {report.robot}, {report.gait}" + (", blind" if report.blind else "")
         figure.suptitle(f"{walk}: {report.reason}", size=15)
         _over_time(height, tilt, trace)
         _one_foot(foot, trace, steadiest_leg(trace))
         _from_above(above, trace)
         _from_aside(aside, trace)
+        if published is not None:
+            _as_published(height, tilt, below[0], trace, published)
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
     return True
@@ -73,6 +82,26 @@ def _over_time(height: Any, tilt: Any, trace: Trace) -> None:
     _zoom(height, 100 * np.concatenate([trace.p_true[trace.walking, 2], trace.height_reference[trace.walking]]), 2.0)
     both = np.concatenate([trace.attitude[trace.walking].ravel(), trace.attitude_reference[trace.walking].ravel()])
     _zoom(tilt, np.degrees(both), 2.0)
+
+
+def _as_published(height: Any, tilt: Any, table: Any, trace: Trace, published: Published) -> None:
+    """What the thesis says, as lines in the plots and as a table with what was measured."""
+    if published.height_error_m is not None:
+        level = 100 * (trace.height_reference + published.height_error_m)
+        height.plot(trace.t, level, color=_THESIS, lw=1.5, ls="--", label="with the thesis' constant error")
+        height.set_ylim(bottom=min(height.get_ylim()[0], float(np.nanmin(level)) - 0.5))
+    for limit, style in ((published.tilt_deg, "--"), (published.jumps_deg, ":")):
+        for sign in (-1, 1) if limit is not None else ():
+            label = "thesis, for the most part below" if style == "--" else "thesis, jumps"
+            tilt.axhline(sign * (limit or 0.0), color=_THESIS, lw=1.5, ls=style, label=label if sign > 0 else None)
+    for axes in (height, tilt):
+        axes.legend(loc="upper left", ncols=6, frameon=False, fontsize=11)
+    table.set_axis_off()
+    cells = [("", f"thesis, section {published.section}", "here"), *side_by_side(published, Measured.of(trace))]
+    drawn = table.table(cells, loc="center", cellLoc="left", edges="horizontal", colWidths=(0.4, 0.25, 0.25))
+    drawn.auto_set_font_size(False)
+    drawn.set_fontsize(13)
+    drawn.scale(1.0, 1.5)
 
 
 def _one_foot(axes: Any, trace: Trace, leg: int) -> None:

@@ -238,14 +238,19 @@ def load_profile(name_or_path: str) -> RobotProfile:
     """
     if name_or_path.endswith(".toml"):
         return _checked_stance(config.load(Path(name_or_path), RobotProfile), name_or_path)
-    known = {p.name.removesuffix(".toml"): p for p in resources.files("shared.profiles").iterdir() if p.name.endswith(".toml")}
+    known = profile_names()
     if name_or_path not in known:
         raise config.ConfigError(
-            "robot",
-            [f"no profile {name_or_path!r}; known: {', '.join(sorted(known))}; or give a path that ends in .toml"],
+            "robot", [f"no profile {name_or_path!r}; known: {', '.join(known)}; or give a path that ends in .toml"]
         )
-    with resources.as_file(known[name_or_path]) as path:
+    with resources.as_file(resources.files("shared.profiles") / f"{name_or_path}.toml") as path:
         return config.load(path, RobotProfile)
+
+
+def profile_names() -> list[str]:
+    """Names of the profiles that come with Sextant."""
+    files = resources.files("shared.profiles").iterdir()
+    return sorted(p.name.removesuffix(".toml") for p in files if p.name.endswith(".toml"))
 
 
 def _checked_stance(profile: RobotProfile, source: str) -> RobotProfile:

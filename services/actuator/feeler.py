@@ -10,6 +10,8 @@ from shared.geometry import Array
 from shared.robot import RobotProfile
 
 FEMUR = 1  # the joint that bears the ground's push; over the foot the tibia's arm is short
+# Of a robot of 2.5 kg; the pushes of one that is heavier, and what its legs make up themselves, are as much greater.
+_OF_KG = 2.5  # [kg]
 _TOUCH_N = 2.0  # [N] two readings in a row of as much are a touch: one is noise, or a foot that hops
 _HARD_N = 4.5  # [N] one of as much is a touch
 _BEARS_N = 1.0  # [N] what a foot that stands pushes at least; twice in a row, or
@@ -43,6 +45,7 @@ class Feeler:
         """Begin without a reading."""
         self._profile = profile
         self._inertia = _leg_inertia(profile)
+        self._heavier = profile.body.total_mass / _OF_KG
         self._speed = np.zeros(6)
         self._goal, self._told = np.zeros(6), np.zeros(6)  # [rad] what the femurs were told, and its last change
         self._jerk = np.zeros(6)  # [rad] by how much that was another change than the one before
@@ -85,12 +88,17 @@ class Feeler:
     @property
     def touches(self) -> NDArray[np.bool_]:
         """(6,) feet that have met something while they moved."""
-        return np.asarray((self._push > _TOUCH_N).all(axis=0) | (self._push[0] > _HARD_N))
+        return self._above(_TOUCH_N, _HARD_N)
 
     @property
     def bears(self) -> NDArray[np.bool_]:
         """(6,) feet that stand on something: those that share their load with five others may bear little of it."""
-        return np.asarray((self._push > _BEARS_N).all(axis=0) | (self._push[0] > _BEARS_HARD_N))
+        return self._above(_BEARS_N, _BEARS_HARD_N)
+
+    def _above(self, twice: float, once: float) -> NDArray[np.bool_]:
+        """Feet (6,) whose push is above one limit [N] in two readings, or above another in one."""
+        push = self._push / self._heavier
+        return np.asarray((push > twice).all(axis=0) | (push[0] > once))
 
 
 def _leg_inertia(profile: RobotProfile) -> float:

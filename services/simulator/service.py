@@ -16,7 +16,7 @@ from services.simulator.depth_camera import DepthCamera
 from services.simulator.imu import Imu as ImuSensor
 from services.simulator.imu import ImuNoise
 from services.simulator.render import Renderer
-from services.simulator.servos import AX_12A_MOTOR, RX_64_MOTOR, ServoBank
+from services.simulator.servos import AX_12A_MOTOR, RX_64_MOTOR, RX_64_SUPPLY, ServoBank, Supply
 from services.simulator.tcp_port import TcpBusServer
 from services.simulator.terrain import build_terrain
 from services.simulator.world import TIME_STEP_NS, Factors, World
@@ -30,6 +30,7 @@ from shared.scenario import Scenario, load_scenario
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 _MOTORS = {"AX-12A": AX_12A_MOTOR, "RX-64": RX_64_MOTOR}
+_SUPPLIES = {"AX-12A": Supply(), "RX-64": RX_64_SUPPLY}
 _MODELS = {model.name: model for model in dxl.MODELS}
 _MAX_LAG_NS = 1_000_000_000  # [ns] how far it may fall behind and catch up; goals written meanwhile take effect in their order
 _STALE_NS = 40_000_000  # [ns] by which a live simulation may be late before its servos fall silent
@@ -89,8 +90,10 @@ class Simulator:
         self.world.stand(q, scenario.start.xy, np.radians(scenario.start.yaw_deg))
         servo = profile.servo_angles(q).ravel()
         ids = profile.servo_ids.ravel().tolist()
-        bank = ServoBank(ids, _MODELS[profile.servo.model], _MOTORS[profile.servo.model], q=servo)
+        model = profile.servo.model
+        bank = ServoBank(ids, _MODELS[model], _MOTORS[model], supply=_SUPPLIES[model], q=servo)
         for row, angle in enumerate(servo):
+            bank.write(row, dxl.BAUD_RATE.address, dxl.BAUD_RATE.encode(dxl.BAUD_RATE.default))  # set up for a bus of 1 Mbit/s
             bank.write(row, dxl.CW_COMPLIANCE_SLOPE.address, bytes([profile.servo.compliance_slope] * 2))
             bank.write(row, dxl.GOAL_POSITION.address, dxl.GOAL_POSITION.encode(dxl.ticks_from_angle(angle)))
             bank.write(row, dxl.TORQUE_ENABLE.address, b"\x01")

@@ -59,6 +59,8 @@ class Supply:
 
 AX_12A_MOTOR = Motor()
 RX_64_MOTOR = Motor(stall_torque=5.3, stall_current=2.6, standby_current=0.05)  # at 18.5 V
+# What the RX-64 asks for and what its voltage limits leave room for (12 to 19 V): 18.5 V from a converter. Assumed.
+RX_64_SUPPLY = Supply(full_voltage=18.5, empty_voltage=18.5)
 
 _BUCKETS = 100  # of the sliding window of the mean duty
 _HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)

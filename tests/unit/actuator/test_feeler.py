@@ -1,5 +1,7 @@
 """What a femur's load says of the ground: nothing in free motion, a push soon after a foot has met something."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -63,6 +65,19 @@ def stroke(height: float, cycles: int) -> Array:
 def test_free_motion_is_no_touch(height: float, cycles: int, armature: float) -> None:
     touches, _ = swing(stroke(height, cycles), armature)
     assert not any(touches)
+
+
+def test_a_heavier_robot_asks_for_a_push_as_much_greater() -> None:
+    body = replace(PROFILE.body, mass=PROFILE.body.mass + PROFILE.body.total_mass)  # twice as heavy in all
+    for profile, felt in ((PROFILE, True), (replace(PROFILE, body=body), False)):
+        feeler = Feeler(profile)
+        for _ in range(3):
+            feeler.see(Q, Q)  # goals that do not change
+        held = link_torques(profile, Q)[LEG, FEMUR] - 3.0 * feeler._arm[LEG]
+        for cycle in range(3):
+            feeler.read(LEG, 0.0, held, cycle * PERIOD)
+        assert feeler.push[LEG] == pytest.approx(3.0)
+        assert feeler.touches[LEG] == felt
 
 
 @pytest.mark.parametrize("armature", [0.7, 1.0, 1.4])

@@ -10,9 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared import config
+from shared import dynamixel as dxl
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import apply
-from shared.robot import LEGS, Body, Foot, Leg, LegLinks, RobotProfile, Servo, Stance, load_profile
+from shared.kinematics import body_inverse, within_limits
+from shared.robot import LEGS, Body, Foot, Leg, LegLinks, RobotProfile, Servo, Stance, load_profile, profile_names
 
 PROFILE = load_profile("phantomx_mk2")
 TABLE = config.as_table(PROFILE)
@@ -36,6 +38,18 @@ def test_names_say_where_the_legs_are() -> None:
         assert (leg.mount_xyz[1] > 0) == (side == "left")
         assert np.sign(leg.mount_xyz[0]) == {"front": 1, "middle": 0, "rear": -1}[place]
         assert all(servo % 2 == (side == "left") for servo in leg.servo_ids)  # the platform numbers its left side odd
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_profiles_that_come_along_reach_their_stride(name: str) -> None:
+    """At rest and half a step of 9 cm to either side, down on the ground and lifted off it by 4 cm."""
+    profile = load_profile(name)
+    assert profile.name == name
+    for ahead, up in ((0.0, 0.0), (-0.045, 0.0), (0.045, 0.0), (0.0, 0.04)):
+        q = body_inverse(profile, profile.rest_feet() + np.array([ahead, 0.0, up]))
+        assert within_limits(profile, q).all(), (ahead, up)
+    stiffest = profile.servo.stall_torque / (profile.servo.compliance_slope * dxl.TICK_RAD)
+    assert profile.servo.stiffness == pytest.approx(stiffest, rel=0.01)
 
 
 def test_coxa_frames_look_along_the_neutral_legs() -> None:

@@ -8,6 +8,7 @@ import pytest
 from services.simulator.config import Settings
 from services.simulator.service import Simulator
 from services.simulator.world import TIME_STEP_NS
+from shared import dynamixel as dxl
 from shared import topics
 from shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
 from shared.robot import load_profile
@@ -105,6 +106,15 @@ def test_the_robot_stands_on_its_feet_with_torque_on() -> None:
     assert not last.shutdown.any()
     assert abs(last.T_world_body[2, 3] - FLAT.walk.body_height) < 0.02
     np.testing.assert_allclose(last.T_world_body[:2, 3], 0.0, atol=5e-3)
+
+
+@pytest.mark.parametrize("name", ["phantomx_mk2", "lotriet_rx64"])
+def test_servos_of_either_kind_are_set_up_for_the_actuators_bus(name: str) -> None:
+    profile = load_profile(name)
+    sim = Simulator(profile, Settings(seed=0), FLAT)
+    for servo in profile.servo_ids.ravel().tolist():
+        (answer,) = sim.bus.receive(dxl.read(servo, dxl.MODEL_NUMBER.address, 1), 1_000_000_000)
+        assert answer.data == dxl.status(servo, 0, bytes([{"AX-12A": 12, "RX-64": 64}[profile.servo.model]]))
 
 
 def test_stamps_are_those_of_whoever_paces_it() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.simulator.servos import AX_12A_MOTOR, Protection, ServoBank, ServoCommand, Supply
+from services.simulator.servos import AX_12A_MOTOR, RX_64_MOTOR, RX_64_SUPPLY, Protection, ServoBank, ServoCommand, Supply
 from shared import dynamixel as dxl
 from shared.dynamixel import Register, ServoError
 
@@ -190,6 +190,27 @@ def test_compliance_slope_is_stiffness(slope: int, stiffness: float) -> None:
     put(bank, dxl.CW_COMPLIANCE_SLOPE, slope)
     put(bank, dxl.CCW_COMPLIANCE_SLOPE, slope)
     assert step(bank).stiffness[0] == pytest.approx(stiffness, rel=0.01)
+
+
+def test_an_rx_64_is_as_stiff_as_its_stall_torque_says_and_its_supply_suits_it() -> None:
+    bank = powered(3, model=dxl.RX_64, motor=RX_64_MOTOR, supply=RX_64_SUPPLY)
+    command = step(bank)
+    np.testing.assert_allclose(command.stiffness, 5.3 / (32 * dxl.TICK_RAD), rtol=1e-3)
+    np.testing.assert_allclose(command.torque_limit, 5.3)
+    for torque in (0.0, 5.0):  # under load, too, the voltage is within the servo's own limits
+        step(bank, torque=torque)
+        assert bank.error(0) == 0
+
+
+def test_an_rx_64_shuts_down_at_the_duties_of_an_ax_12a() -> None:
+    """Shutdown goes by duty: of 5.3 N m stalls what of 1.5 N m does; heat trips later, since its limit is 80 deg C."""
+    bank = powered(model=dxl.RX_64, motor=RX_64_MOTOR, supply=RX_64_SUPPLY)
+    assert run_until(bank, 5.3, ServoError.OVERLOAD, 3.0) == pytest.approx(1.5, abs=2 * DT)
+    lasting = {
+        name: run_until(powered(model=model, motor=motor), 0.6 * motor.stall_torque, ServoError.OVERHEATING, 300.0, 0.05)
+        for name, model, motor in (("AX-12A", dxl.AX_12A, AX_12A_MOTOR), ("RX-64", dxl.RX_64, RX_64_MOTOR))
+    }
+    assert 140.0 < lasting["AX-12A"] < lasting["RX-64"] < 300.0
 
 
 def test_each_direction_has_its_own_compliance() -> None:

@@ -1,0 +1,27 @@
+"""The robot of the second thesis walks its tests: RX-64 servos behind the same actuator, its figures met or beaten."""
+
+import pytest
+
+from deploy.lockstep_run import assemble
+from deploy.published import TESTS, Measured
+from shared.robot import load_profile
+from shared.scenario import load_scenario
+
+_LOOK_NS = 500_000_000
+
+
+@pytest.mark.parametrize("name", TESTS)
+def test_it_walks_the_tests_of_the_thesis(name: str) -> None:
+    scenario = load_scenario(name)
+    run = assemble(scenario, 1000, load_profile(scenario.robot))
+    while not run.attendance.over():
+        run.run(run.now_ns() + _LOOK_NS)
+    report = run.attendance.judge(1.0, in_a_hurry=True)
+    assert report.success, report.reason
+    measured, published = Measured.of(run.attendance.scorer.trace), TESTS[name]
+    assert abs(measured.height_error_m) < abs(published.height_error_m or 0.0)
+    assert measured.off_command_deg < (published.tilt_deg or 0.0)
+    if published.oscillation_m is not None:
+        assert measured.oscillation_m < published.oscillation_m
+        assert measured.stride_m == pytest.approx(published.stride_m, abs=0.01)
+        assert measured.step_height_m == pytest.approx(published.step_height_m, abs=0.015)
