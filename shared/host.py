@@ -19,6 +19,7 @@ def end_with(parent: int) -> None:
 
 def spare_collector() -> None:
     """Have Python look for reference cycles rarely: messages and arrays make none, and looking costs some per cent."""
+    gc.unfreeze()  # what an earlier run of this process left behind goes
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 50, 50)
