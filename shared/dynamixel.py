@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag, StrEnum
 from types import MappingProxyType
+from typing import NamedTuple
 
 HEADER = b"\xff\xff"
 BROADCAST_ID = 0xFE
@@ -248,8 +249,7 @@ def error_words(error: int) -> str:
     return ", ".join(words for bit, words in _ERROR_WORDS.items() if error & bit)
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
+class Packet(NamedTuple):
     """One packet of the wire, instruction or status: they have the same shape."""
 
     servo_id: int
@@ -379,7 +379,7 @@ class PacketParser:
     def _parse(self) -> list[Packet]:
         buffer = self._buffer
         found: list[Packet] = []
-        while True:
+        while buffer:
             start = buffer.find(HEADER)
             if start:
                 # All noise; but a last FF may be the first half of a header.
@@ -408,6 +408,7 @@ class PacketParser:
                 parameters = bytes(buffer[5 : size - 1])
                 found.append(Packet(servo_id, buffer[4], parameters, self._offset + size, intact))
             self._drop(size if intact else 1)
+        return found
 
     def _skip(self, count: int) -> None:
         if count:

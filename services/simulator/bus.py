@@ -9,6 +9,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 from services.simulator.servos import ServoBank
 from shared import dynamixel as dxl
@@ -17,6 +18,9 @@ from shared.dynamixel import Access, Instruction, Packet, PacketParser, Register
 _SEC = 1_000_000_000
 _INTER_BYTE_NS = 100_000_000  # a servo gives a packet up when its next byte takes longer (AX-12 user's manual)
 _ANSWER_ALL, _ANSWER_READ = 2, 1  # status return levels
+# Baud rate, return delay and status level lie close: one read gives id, delay and level.
+_HEAD_START, _HEAD_SIZE = dxl.ID.address, dxl.STATUS_RETURN_LEVEL.address - dxl.ID.address + 1
+_HEAD_DELAY = dxl.RETURN_DELAY.address - dxl.ID.address
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +39,7 @@ class BusTiming:
         return count * dxl.BITS_PER_BYTE * _SEC // self.baud_rate
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(NamedTuple):
     """Bytes for the host, and when it can have them."""
 
     due_ns: int
@@ -289,14 +292,13 @@ class ServoBusEmulator:
         answers: dict[int, set[bytes]] = {}  # id -> what servos with it say, all at the same time
         delays: dict[int, int] = {}
         for row in rows:
-            # Baud rate, return delay and status level lie close: one read gives id, delay and level.
-            head = self._table(row, dxl.ID.address, dxl.STATUS_RETURN_LEVEL.address - dxl.ID.address + 1)
+            head = self._table(row, _HEAD_START, _HEAD_SIZE)
             if head[-1] < needed:
                 continue
             servo_id = head[0]
             data = self._table(row, *read) if read else b""
-            answers.setdefault(servo_id, set()).add(dxl.status(servo_id, error | self._bank.error(row), data))
-            delay = head[dxl.RETURN_DELAY.address - dxl.ID.address] * dxl.RETURN_DELAY_NS
+            answers.setdefault(servo_id, set()).add(dxl.status(servo_id, int(error) | self._bank.error(row), data))
+            delay = head[_HEAD_DELAY] * dxl.RETURN_DELAY_NS
             delays[servo_id] = max(delay, delays.get(servo_id, 0))
         replies: list[Reply] = []
         for servo_id, said in answers.items():
