@@ -60,8 +60,8 @@ class Renderer:
         self._plane = np.nan if terrain.plane is None else terrain.plane
         self._field = _FieldMesh(field, field_colour)
         self._camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
-        # Column numbers as floats: converting them in the inner loops would keep those from being vectorised.
-        self._ramp = np.arange(intrinsics.width, dtype=np.float64)
+        # Numbers of rows and columns as floats: converting them in the inner loops would keep those from being vectorised.
+        self._ramp = np.arange(max(intrinsics.width, intrinsics.height), dtype=np.float64)
         shape = intrinsics.height, intrinsics.width
         self._inverse_depth = np.zeros(shape, dtype=np.float32)
         self._rgb = np.zeros((*shape, 3), dtype=np.uint8)
@@ -229,6 +229,7 @@ def _draw_polygon(
     corners: Array,
     count: int,
     scratch: Array,
+    spans: NDArray[np.int32],
     nearer: NDArray[np.float32],
     colour: Array,
     light: Array,
@@ -271,7 +272,11 @@ def _draw_polygon(
     if first > last:
         return
     # 2. Edges: u where an edge crosses row zero, its slope; those that bound rows on the left, then those on the right.
-    # Seen from outside in an image whose v points down, the corners run counter-clockwise: left edges go down.
+    # Seen from outside in an image whose v points down, the corners run counter-clockwise: left edges go down. A side has
+    # four edges at most, a clipped face having five corners; those that are missing bound nothing but the image.
+    widest = columns - 1.0
+    for i in range(4):
+        scratch[i, 2], scratch[i, 3], scratch[i, 4], scratch[i, 5] = 0.0, 0.0, widest, 0.0
     lefts, rights = 0, 0
     for i in range(m):
         j = i + 1 if i + 1 < m else 0
@@ -285,35 +290,39 @@ def _draw_polygon(
             else:
                 scratch[rights, 4], scratch[rights, 5] = crossing + _EDGE, slope
                 rights += 1
+    # 3. Rows: the columns of each that the edges leave, without branches, so that it runs in vectors.
+    p0, p1, p2, p3 = scratch[0, 2], scratch[1, 2], scratch[2, 2], scratch[3, 2]
+    q0, q1, q2, q3 = scratch[0, 3], scratch[1, 3], scratch[2, 3], scratch[3, 3]
+    r0, r1, r2, r3 = scratch[0, 4], scratch[1, 4], scratch[2, 4], scratch[3, 4]
+    s0, s1, s2, s3 = scratch[0, 5], scratch[1, 5], scratch[2, 5], scratch[3, 5]
+    for k in range(last - first + 1):
+        v = ramp[first + k]
+        left = np.ceil(max(max(p0 + q0 * v, p1 + q1 * v), max(p2 + q2 * v, p3 + q3 * v), 0.0))
+        right = np.floor(min(min(r0 + s0 * v, r1 + s1 * v), min(r2 + s2 * v, r3 + s3 * v), widest))
+        spans[0, k], spans[1, k] = np.int32(left), np.int32(right - left) + np.int32(1)
+    # 4. Pixels.
     a, b = nx / (fx * d), ny / (fy * d)
     c = nz / d - a * cx - b * cy
     bright = _shade(nx, ny, nz, light) if rgb.shape[0] > 0 else 0.0
-    # 3. Rows.
-    for row in range(first, last + 1):
-        left, right = 0.0, columns - 1.0
-        for i in range(lefts):
-            left = max(left, scratch[i, 2] + scratch[i, 3] * row)
-        for i in range(rights):
-            right = min(right, scratch[i, 4] + scratch[i, 5] * row)
-        if not left <= right:
+    for k in range(last - first + 1):
+        if spans[1, k] <= 0:
             continue
-        begin, end = int(np.ceil(left)), int(np.floor(right)) + 1
+        row, begin, size = np.uint64(first + k), np.uint64(spans[0, k]), np.uint64(spans[1, k])
         start = b * row + c
         if rgb.shape[0] == 0:
-            line = w[row, begin:end]
             start += a * begin
-            for column in range(line.size):
-                value, old = np.float32(start + a * ramp[column]), line[column]
-                nearer[column] = value if value > old else old  # stored in place it would be a branch, and no vector
-            for column in range(line.size):
-                line[column] = nearer[column]
+            for n in range(size):
+                value, old = np.float32(start + a * ramp[n]), w[row, begin + n]
+                nearer[n] = value if value > old else old  # stored in place it would be a branch, and no vector
+            for n in range(size):
+                w[row, begin + n] = nearer[n]
         else:
-            for column in range(begin, end):
+            for column in range(begin, begin + size):
                 value = np.float32(start + a * column)
                 if value > w[row, column]:
                     w[row, column] = value
-                    for k in range(3):
-                        rgb[row, column, k] = np.uint8(colour[k] * bright)
+                    for channel in range(3):
+                        rgb[row, column, channel] = np.uint8(colour[channel] * bright)
 
 
 @compiled
@@ -328,7 +337,7 @@ def _draw_quads(
     light: Array,
 ) -> None:
     """Draw four-cornered faces (n, 4, 3) [m] {world}, T being T_camera_world."""
-    scratch, nearer = np.empty((12, 6)), np.empty(w.shape[1], np.float32)
+    scratch, spans, nearer = np.empty((12, 6)), np.empty((2, w.shape[0]), np.int32), np.empty(w.shape[1], np.float32)
     corners = np.empty((4, 3))
     for face in range(len(quads)):
         for i in range(4):
@@ -336,7 +345,7 @@ def _draw_quads(
                 corners[i, k] = (
                     T[k, 0] * quads[face, i, 0] + T[k, 1] * quads[face, i, 1] + T[k, 2] * quads[face, i, 2] + T[k, 3]
                 )
-        _draw_polygon(w, rgb, camera, ramp, corners, 4, scratch, nearer, colours[face], light)
+        _draw_polygon(w, rgb, camera, ramp, corners, 4, scratch, spans, nearer, colours[face], light)
 
 
 @compiled
@@ -368,7 +377,7 @@ def _draw_field(
     size = _BLOCK + 1
     xs, ys, zs = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
     us, vs = np.empty((size, size)), np.empty((size, size))
-    scratch, nearer = np.empty((12, 6)), np.empty(w.shape[1], np.float32)
+    scratch, spans, nearer = np.empty((12, 6)), np.empty((2, w.shape[0]), np.int32), np.empty(w.shape[1], np.float32)
     corners = np.empty((3, 3))
     for block in range(len(blocks)):
         seen = True
@@ -407,7 +416,7 @@ def _draw_field(
                         corners[0, 0], corners[0, 1], corners[0, 2] = px, py, pz
                         corners[1, 0], corners[1, 1], corners[1, 2] = qx, qy, qz
                         corners[2, 0], corners[2, 1], corners[2, 2] = rx, ry, rz
-                        _draw_polygon(w, rgb, camera, ramp, corners, 3, scratch, nearer, colour, light)
+                        _draw_polygon(w, rgb, camera, ramp, corners, 3, scratch, spans, nearer, colour, light)
                         continue
                     top = int(np.ceil(max(min(pv, qv, rv) - _EDGE, 0.0)))
                     bottom = int(np.floor(min(max(pv, qv, rv) + _EDGE, rows - 1.0)))
