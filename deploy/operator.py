@@ -157,7 +157,8 @@ class Operator:
                 velocity = speed * np.array([cos(direction), sin(direction)])
                 error = atan2(sin(yaw), cos(yaw))
                 yaw_rate = min(max(-_HEADING_GAIN * error, -_MAX_YAW_RATE), _MAX_YAW_RATE)
-        return VelocityCommand(now, velocity, yaw_rate, self._walk.body_height, self._walk.lift, self._by_touch)
+        walk = self._walk
+        return VelocityCommand(now, velocity, yaw_rate, walk.body_height, walk.lift, walk.gait, self._by_touch)
 
     def _watch_arrival(self, now: int, state: ActuatorState | None, status: PlannerStatus | None) -> None:
         if self.finished or self._arrived_ns is None or now - self._arrived_ns < _ORDER_NS:

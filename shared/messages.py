@@ -66,6 +66,7 @@ Vector3: TypeAlias = Annotated[NDArray[np.float64], Dims(3)]
 PerLeg: TypeAlias = Annotated[NDArray[np.float64], Dims(6)]
 PerJoint: TypeAlias = Annotated[NDArray[np.float64], Dims(6, 3)]
 LegFlags: TypeAlias = Annotated[NDArray[np.bool_], Dims(6)]
+GaitName: TypeAlias = Literal["tripod", "ripple", "wave"]
 _POINTS_WITHOUT_COLOR, _CELLS_WITHOUT_COLOR = np.zeros((0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8)
 _NO_SIGHTS = np.zeros((0, 3), dtype=np.int16)
 _NO_CELLS = np.zeros((0, 0), np.uint8)
@@ -314,6 +315,7 @@ class VelocityCommand(Message):
     yaw_rate: float  # [rad/s]
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
+    gait: GaitName = "tripod"  # from the next step on
     by_touch: bool = False  # True: no map is asked for; feet find the ground, slowly
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from shared import config
+from shared.messages import GaitName
 
 Color = tuple[int, int, int]  # R, G, B from 0 to 255
 _MOST_WAYPOINTS = 32  # of a route, its end included
@@ -336,7 +337,7 @@ class Goal:
 class Walk:
     """What the operator asks for."""
 
-    gait: Literal["tripod"] = "tripod"
+    gait: GaitName = "tripod"
     speed: float = 0.10  # [m/s]
     body_height: float = 0.10  # [m]
     lift: float = 0.04  # [m] clearance of a swinging foot over start and touchdown

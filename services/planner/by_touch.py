@@ -27,7 +27,6 @@ class ByTouch:
         """Plan for a robot."""
         self._profile = profile
         self._settings = settings
-        self.duration = settings.touch_step_s  # [s] of a step
         slow = replace(settings, step_s=settings.touch_step_s, max_stride=settings.touch_stride)
         self._strides = StridePlanner(profile, slow)
 

@@ -12,9 +12,9 @@ class Settings:
 
     blind: bool = False  # the baseline: no map is read, the ground is taken for the plane of the standing feet
     footholds: Literal["score", "evaluation"] = "score"  # the map's layer to walk on: Lotriet's or Masri's
-    step_s: float = 0.80  # [s] duration of a step
-    max_stride: float = 0.09  # [m] of the body in one step
-    max_turn_deg: float = 10.0  # [deg] of the body in one step
+    step_s: float = 0.80  # [s] duration of a tripod's step
+    max_stride: float = 0.09  # [m] and
+    max_turn_deg: float = 10.0  # [deg] of the body while a foot stands
     max_lean_deg: float = 12.0  # [deg] of the body with the ground, and
     max_tilt_deg: float = 8.0  # [deg] by which that changes in one step
     max_climb: float = 0.03  # [m] of the body's height in one step

@@ -1,13 +1,4 @@
-"""What is left to try when the actuator refuses the next step: once more the same, shorter, with the other legs, nothing."""
-
-from services.planner.stride import SHARES
-
-WAYS = 2 * len(SHARES)  # of taking a step: each share of the travel with the tripod whose turn it is, then with the other
-
-
-def way_of(share: float, other_tripod: bool) -> int:
-    """Number of a way, in the order in which they are tried."""
-    return SHARES.index(share) + len(SHARES) * other_tripod
+"""What is left to try when the actuator refuses the next step: once more the same, shorter, with other legs, nothing."""
 
 
 class Refusals:

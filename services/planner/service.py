@@ -1,16 +1,16 @@
 """The planner: Lotriet's state machine of resting and stepping, on the newest map and pose."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from services.planner.by_touch import ByTouch
 from services.planner.config import Settings
-from services.planner.gait import directions, swinging_tripod
+from services.planner.gait import GAITS, directions, swing_order
 from services.planner.pilot import Pilot
-from services.planner.refusals import WAYS, Refusals, way_of
+from services.planner.refusals import Refusals
 from services.planner.route import NoWay
 from services.planner.stride import SHARES, Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, flat_terrain
@@ -150,20 +150,20 @@ class Planner:
             self._refusals.forget()
             return self._hold("resting", "by touch: no velocity is commanded")
         terrain = self._by_touch.terrain(state.stamp_ns, _feet_in_world(state, pose))
-        at = self._situation(state, pose, self._by_touch.asked(command))
-        if at is None:
+        situations = self._situations(state, pose, self._by_touch.asked(command))
+        if not situations:
             return self._hold("waiting", _NOT_MINE)
-        nonsense = self._strides.objection(at.command)
+        nonsense = self._strides.objection(situations[0].command)
         if nonsense:
             return self._hold("blocked", nonsense)
         with self.stages("plan step"):
-            found = self._by_touch.plan(at if not self._refusals.passed_over else replace(at, swing=~at.swing), terrain)
+            found = self._by_touch.plan(situations[1 if self._refusals.passed_over else 0], terrain)
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
             return self._hold("blocked", f"by touch: {found.reason}", found.leg)
         self._state, self._blocked_leg = "stepping", -1
         self._reason = "by touch: feet find the ground"
-        return self._send(state, pose, found, state.step + 1, 0, self._by_touch.duration)
+        return self._send(state, pose, found, state.step + 1, 0, stop=True)
 
     def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
         """The next step on the way to a goal; where one on the way does not go, walking without turning, or turning alone."""
@@ -198,8 +198,8 @@ class Planner:
         return None if map_ is None else Terrain(map_, self._settings.footholds)
 
     def _next_step(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain) -> "_Sent | None":
-        at = self._situation(state, pose, command)
-        if at is None:
+        situations = self._situations(state, pose, command)
+        if not situations:
             return self._hold("waiting", _NOT_MINE)
         nonsense = self._strides.objection(command)
         if nonsense:
@@ -208,7 +208,7 @@ class Planner:
             self._refusals.forget()
             self._asked = command
         with self.stages("plan step"):
-            found, other_tripod = self._choose(at, terrain)
+            found, way = self._choose(situations, terrain)
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
             if self._refusals.count:
@@ -221,29 +221,36 @@ class Planner:
         else:
             self._state, self._blocked_leg = "stepping", -1
             shorter = "" if found.share == 1.0 else f" at {found.share:.0%} of the stride"
-            self._reason = f"{found.moved} of 3 footholds moved from their nominal place{shorter}"
-        return self._send(state, pose, found, state.step + 1, way_of(found.share, other_tripod))
+            slower = self._strides.short_of(command)
+            legs = int(found.swing.sum())
+            self._reason = f"{found.moved} of {legs} footholds moved from their nominal place{shorter}{slower}"
+        return self._send(state, pose, found, state.step + 1, way)
 
-    def _choose(self, at: Situation, terrain: Terrain) -> tuple[Stride | Blocked, bool]:
-        """The step to take and whether the other tripod takes it, which is for refused steps alone."""
-        passed_over, other = self._refusals.passed_over, replace(at, swing=~at.swing)
-        found: Stride | Blocked = Blocked("every step was refused")
-        if passed_over < len(SHARES):
+    def _choose(self, situations: list[Situation], terrain: Terrain) -> tuple[Stride | Blocked, int]:
+        """The step to take and the number of its way; where steps were refused, legs that are not due may take it."""
+        first = Blocked("every step was refused")
+        for turn, at in enumerate(situations):
+            passed_over = max(0, self._refusals.passed_over - turn * len(SHARES))
+            if passed_over >= len(SHARES):
+                continue
             found = self._strides.plan(at, terrain, passed_over)
-        if isinstance(found, Blocked) and self._refusals.count and passed_over < WAYS:
-            return self._strides.plan(other, terrain, max(0, passed_over - len(SHARES))), True
-        return found, False
+            if isinstance(found, Stride):
+                return found, turn * len(SHARES) + SHARES.index(found.share)
+            first = found if turn == 0 else first
+            if not self._refusals.count:
+                break
+        return first, 0
 
-    def _situation(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand) -> Situation | None:
-        """What the next step begins with; None where that is not known."""
+    def _situations(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand) -> list[Situation]:
+        """What the next step may begin with, for each group of legs, the most due first; none where that is not known."""
         standing = self._standing(state, pose)
         if standing is None:
-            return None
+            return []
         body, feet = standing
         rest = self._profile.rest_feet(command.body_height)
-        feet_body = apply(inverse(body), feet)
-        swing = swinging_tripod(directions(command.velocity, command.yaw_rate, rest), feet_body, rest)
-        return Situation(body, feet, swing, command)
+        along = directions(command.velocity, command.yaw_rate, rest)
+        order = swing_order(GAITS[command.gait], along, apply(inverse(body), feet), rest)
+        return [Situation(body, feet, swing, command) for swing in order]
 
     def _standing(self, state: ActuatorState, pose: BodyPose) -> tuple[Array, Array] | None:
         """The body (4, 4) and the feet (6, 3) [m] {world} when the running step is over; None where that is not known."""
@@ -253,7 +260,7 @@ class Planner:
         if state.phase < 1.0:
             running = self._running
             if running is None:
-                return None
+                return []
             plan = running.plan
             moved = T_world_odom @ inverse(plan.T_world_odom)  # the world as it is believed to be now
             body = moved @ plan.body_goal
@@ -276,9 +283,9 @@ class Planner:
         return self._send(state, pose, found, running.plan.step, running.way)
 
     def _send(
-        self, state: ActuatorState, pose: BodyPose, stride: Stride, number: int, way: int, duration: float | None = None
+        self, state: ActuatorState, pose: BodyPose, stride: Stride, number: int, way: int, stop: bool = False
     ) -> "_Sent":
-        """A plan of a step, as the next revision of it; one with a duration of its own [s] ends at rest."""
+        """A plan of a step, as the next revision of it."""
         revision = 1 + max((s.plan.revision for s in self._sent if s.plan.step == number), default=0)
         plan = StepPlan(
             stamp_ns=state.stamp_ns,
@@ -289,8 +296,8 @@ class Planner:
             touchdown=stride.touchdown,
             clearance=stride.clearance,
             body_goal=stride.body_goal,
-            duration=self._settings.step_s if duration is None else duration,
-            stop=duration is not None,
+            duration=stride.duration,
+            stop=stop,
         )
         return _Sent(plan, stride, way)
 
@@ -328,7 +335,7 @@ class _Sent:
 
     plan: StepPlan
     stride: Stride
-    way: int  # of taking the step, see `services.planner.refusals`
+    way: int  # of taking the step: for each group of legs, the most due first, each share of the travel
 
 
 def _is_still(command: VelocityCommand) -> bool:
@@ -341,4 +348,4 @@ def _differ(a: VelocityCommand, b: VelocityCommand | None) -> bool:
     if b is None:
         return True
     change = np.abs([*(a.velocity - b.velocity), a.yaw_rate - b.yaw_rate, a.body_height - b.body_height, a.lift - b.lift])
-    return bool((change > _NEW_COURSE).any())
+    return bool((change > _NEW_COURSE).any()) or a.gait != b.gait

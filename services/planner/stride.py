@@ -1,4 +1,4 @@
-"""One step of the walk: footholds for the swinging tripod and a place for the body, or the reason why there is none."""
+"""One step of the walk: footholds for the legs that swing and a place for the body, or the reason why there is none."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from services.planner.body import clear_of_ground, floor_height, leaning, slope_under
 from services.planner.config import Settings
 from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
-from services.planner.gait import nominal_touchdowns
+from services.planner.gait import GAITS, carried_on, directions, nominal_touchdowns, swing_order
 from services.planner.terrain import NONE, Terrain
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, rpy_from_rotation, yaw_of
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from shared.kinematics import body_inverse, leg_inverse, within_limits
 from shared.messages import VelocityCommand
 from shared.robot import LEGS, RobotProfile
@@ -47,6 +47,7 @@ class Stride:
     start: Array  # (6, 3) [m] {world} foot centres before it
     moved: int  # footholds away from their nominal place
     share: float  # of the commanded travel
+    duration: float  # [s]
 
     def moved_by(self, T: Array) -> "Stride":
         """The same step after a correction (4, 4) of where the world is believed to be."""
@@ -83,6 +84,18 @@ class StridePlanner:
             return f"a lift of more than 0 and at most {MAX_CLEARANCE:g} m expected, {command.lift:g} m commanded"
         return ""
 
+    def duration(self, command: VelocityCommand) -> float:
+        """How long [s] a step in the commanded gait takes."""
+        return self._settings.step_s * GAITS[command.gait].pace
+
+    def short_of(self, command: VelocityCommand) -> str:
+        """By how much legs that step as far as they reach are slower than commanded, in words, or nothing."""
+        asked = float(np.linalg.norm(command.velocity))
+        reached = float(np.linalg.norm(self._travel(command, 1.0)[0])) / self.duration(command)
+        if reached > asked - 1e-3:
+            return ""
+        return f", {reached * 100:.1f} of {asked * 100:.1f} cm/s: no more by the stride of the {command.gait} gait"
+
     def plan(self, at: Situation, terrain: Terrain, passed_over: int = 0) -> Stride | Blocked:
         """The longest step towards the command that the terrain allows, the longest few passed over."""
         first: Blocked | None = None
@@ -112,9 +125,14 @@ class StridePlanner:
 
     def _attempt(self, at: Situation, terrain: Terrain, share: float) -> Stride | Blocked:
         settings = self._settings
-        travel, T_end, T_after = self._body_way(at, share)
+        gait = GAITS[at.command.gait]
+        travel, turn = self._travel(at.command, share)
+        level = from_xyz_rpy(at.T_world_body[:3, 3], (0.0, 0.0, yaw_of(at.T_world_body)))
+        T_end, T_middle, T_after = (
+            carried_on(level, travel, turn, 1.0 + steps) for steps in (0.0, gait.stances / 2, float(gait.stances))
+        )
         rest = self._profile.rest_feet(at.command.body_height)
-        nominal = nominal_touchdowns(rest, T_end, travel)
+        nominal = nominal_touchdowns(rest, T_middle)
         T_end, T_after = self._raised(at, terrain, T_end, T_after, nominal)
 
         touchdown, moved = at.feet.copy(), 0
@@ -131,7 +149,7 @@ class StridePlanner:
             self._unreachable(touchdown, T_end)
             or self._unstable(at.feet[standing], at.T_world_body, "where it is")
             or self._unstable(at.feet[standing], T_end, "at the end of the step")
-            or self._unstable(touchdown[at.swing], T_end, "after the step")
+            or self._unstable(touchdown[self._standing_next(at.command, touchdown, T_end)], T_end, "after the step")
         )
         if problem:
             return Blocked(problem)
@@ -141,23 +159,24 @@ class StridePlanner:
             leg = int(too_high[0])
             return Blocked(f"{LEGS[leg]} leg: something on its way asks for {clearance[leg] * 100:.0f} cm of lift", leg)
         clearance = np.where(at.swing, clearance, settings.path_margin)
-        return Stride(at.swing, touchdown, nominal, clearance, T_end, at.feet, moved, share)
+        duration = self.duration(at.command)
+        return Stride(at.swing, touchdown, nominal, clearance, T_end, at.feet, moved, share, duration)
 
-    def _body_way(self, at: Situation, share: float) -> tuple[Array, Array, Array]:
-        """Travel (2,) [m] {body} of the step, and the body, level, at its end and one step later."""
-        settings = self._settings
-        duration = settings.step_s
-        travel = at.command.velocity * duration
-        travel = travel * (share * min(1.0, settings.max_stride / max(float(np.linalg.norm(travel)), 1e-9)))
-        limit = np.radians(settings.max_turn_deg)
-        turn = share * float(np.clip(at.command.yaw_rate * duration, -limit, limit))
-        poses = []
-        yaw, position = yaw_of(at.T_world_body), at.T_world_body[:3, 3].copy()
-        for _ in range(2):
-            position[:2] += rotation_z(yaw + turn / 2)[:2, :2] @ travel
-            yaw += turn
-            poses.append(from_xyz_rpy(position, (0.0, 0.0, yaw)))
-        return travel, poses[0], poses[1]
+    def _travel(self, command: VelocityCommand, share: float) -> tuple[Array, float]:
+        """What the body travels (2,) [m] {body} and turns [rad] in a step: as commanded, as far as legs reach."""
+        settings, gait = self._settings, GAITS[command.gait]
+        duration = self.duration(command)
+        travel = command.velocity * duration
+        longest = settings.max_stride / gait.stances
+        travel = travel * (share * min(1.0, longest / max(float(np.linalg.norm(travel)), 1e-9)))
+        limit = np.radians(settings.max_turn_deg) / gait.stances
+        return travel, share * float(np.clip(command.yaw_rate * duration, -limit, limit))
+
+    def _standing_next(self, command: VelocityCommand, feet: Array, T_world_body: Array) -> NDArray[np.bool_]:
+        """Legs (6,) that will stand in the step after one that ends with feet (6, 3) [m] and a body (4, 4), both {world}."""
+        rest = self._profile.rest_feet(command.body_height)
+        along = directions(command.velocity, command.yaw_rate, rest)
+        return ~swing_order(GAITS[command.gait], along, apply(inverse(T_world_body), feet), rest)[0]
 
     def _raised(self, at: Situation, terrain: Terrain, T_end: Array, T_after: Array, nominal: Array) -> tuple[Array, Array]:
         """The same poses at the height over the floor that is commanded, climbing no faster than the robot can.
