@@ -22,12 +22,14 @@ from deploy.walk_metrics import (
     angle_between,
     debounced,
     is_foothold,
+    rubbing,
     slip_per_step,
     stability_margin,
     touchdowns,
 )
 from shared import topics
 from shared.geometry import Array, apply, inverse, rotation_z, transform, yaw_of
+from shared.kinematics import leg_points
 from shared.messages import ActuatorState, BodyPose, GroundTruth, Message, Mode, PlannerStatus, StepPlan, TerrainMap
 from shared.robot import JOINTS, LEGS, RobotProfile
 from shared.scenario import Box, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
@@ -375,7 +377,7 @@ class Scorer:
         feet = self._feet()[..., :2]
         planted = self._contact() & ~self._swing() & walking[:, None]
         margin = stability_margin(feet[walking], self._carrying()[walking], trace.p_true[walking, :2])
-        slip = slip_per_step(feet, planted, stance_step)
+        slip = slip_per_step(rubbing(feet, self._shanks(), self._profile.foot.radius), planted, stance_step)
         downs = trace.touchdowns
         commanded = self._commanded_tilt()[walking]
         return replace(
@@ -478,6 +480,13 @@ class Scorer:
 
     def _feet(self) -> Array:
         return apply(self._T_start_sim, np.array([m.feet for m in self._truth]).reshape(-1, 6, 3))
+
+    def _shanks(self) -> Array:
+        """Unit vectors (n, 6, 3) {start} from the feet up the shanks."""
+        legs = leg_points(self._profile, np.array([m.q for m in self._truth]).reshape(-1, 6, 3))
+        R = self._T_start_sim[:3, :3] @ np.array([m.T_world_body[:3, :3] for m in self._truth]).reshape(-1, 3, 3)
+        shanks = (legs[:, :, 2] - legs[:, :, 3]) / self._profile.links.tibia
+        return np.asarray(np.einsum("nij,nkj->nki", R, shanks))
 
     def _contact(self) -> NDArray[np.bool_]:
         return debounced(np.array([m.contact for m in self._truth], dtype=bool).reshape(-1, 6), _DEBOUNCE)

@@ -83,11 +83,25 @@ def stability_margin(feet: Array, carrying: Flags, body: Array) -> Array:
     return np.where(count >= 2, margin, np.where(count == 1, alone, np.nan))
 
 
+def rubbing(feet: Array, shanks: Array, radius: float) -> Array:
+    """The path (n, legs, 2) [m] of spherical feet less what they roll: standing feet that only roll stay where they are.
+
+    Args:
+        feet: (n, legs, 2) [m] centres of the feet.
+        shanks: (n, legs, 3) unit vectors from there up the shanks, which turn little from one sample to the next.
+        radius: [m] of the feet.
+    """
+    before, after = shanks[:-1], shanks[1:]
+    # The cross product is the rotation vector of a small turn, without the spin about the shank; turn x up is the way.
+    rolled = radius * (before[..., 2:] * after[..., :2] - before[..., :2] * after[..., 2:])
+    return np.asarray(feet - np.concatenate([np.zeros_like(feet[:1]), np.cumsum(rolled, axis=0)]))
+
+
 def slip_per_step(feet: Array, planted: Flags, step: NDArray[np.int64]) -> Array:
     """How far each foot moved over the ground while planted, a value (m,) [m] per leg and step it was planted in.
 
     Args:
-        feet: (n, legs, 2) [m] foot centres.
+        feet: (n, legs, 2) [m] foot centres, less what they rolled.
         planted: (n, legs) in contact and in stance by plan.
         step: (n,) number of the step being walked.
     """

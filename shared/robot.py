@@ -118,18 +118,27 @@ class Foot:
 class Stance:
     """How the robot stands and walks when nothing else is asked."""
 
-    foot_radius_from_coxa: float  # [m] horizontal distance of a resting foot from its coxa axis
+    # [m] horizontal distance of a resting foot from its coxa axis, for front, middle and rear legs: in a tripod a middle leg
+    # stands alone on its side and carries the most, so it had better stand near.
+    foot_radius_from_coxa: tuple[float, float, float]
     body_height: float  # [m] body origin above the ground
     body_height_range: tuple[float, float]  # [m]
     max_speed: float  # [m/s]
+    step_s: float  # [s] duration of a tripod's step over level ground
+    stride: float  # [m] of the body while a foot stands, at most
+    foot_speed: float  # [m/s] of swinging feet, height counted twice: what asks for more takes longer, or the servos grow hot
 
     def __post_init__(self) -> None:
         low, high = self.body_height_range
         if not low <= self.body_height <= high:
             raise ValueError(f"body height within {low} to {high} m expected, found {self.body_height}")
-        if min(low, self.foot_radius_from_coxa, self.max_speed) <= 0:
+        if not 0.4 <= self.step_s <= 2.0:
+            raise ValueError(f"a step_s of 0.4 to 2 s expected, found {self.step_s}")
+        if min(self.stride, self.foot_speed) <= 0:
+            raise ValueError(f"a positive stride and foot_speed expected, found {self.stride} m and {self.foot_speed} m/s")
+        if min(low, *self.foot_radius_from_coxa, self.max_speed) <= 0:
             found = f"{low} m, {self.foot_radius_from_coxa} m, {self.max_speed} m/s"
-            raise ValueError(f"positive heights, foot radius and speed expected, found {found}")
+            raise ValueError(f"positive heights, foot radii and speed expected, found {found}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +212,12 @@ class RobotProfile:
         return np.sort(q, axis=-1)
 
     @cached_property
+    def foot_radii(self) -> Array:
+        """(6,) [m] horizontal distance of the resting feet from their coxa axes."""
+        front, middle, rear = self.stance.foot_radius_from_coxa
+        return np.array([front, front, middle, rear, rear, middle])
+
+    @cached_property
     def T_body_coxa(self) -> Array:
         """(6, 4, 4) coxa frames at joint angle zero: origin on the coxa axis, x outward along the neutral leg, z up."""
         yaw = np.radians([leg.neutral_yaw_deg for leg in self.legs])
@@ -217,7 +232,7 @@ class RobotProfile:
         """(6, 3) [m] {body} foot centres of the resting stance on flat ground, the body origin at its height [m]."""
         height = self.stance.body_height if body_height is None else body_height
         feet = np.zeros((6, 3))
-        feet[:, :2] = (self.T_body_coxa @ np.array([self.stance.foot_radius_from_coxa, 0.0, 0.0, 1.0]))[:, :2]
+        feet[:, :2] = self.T_body_coxa[:, :2, 3] + self.foot_radii[:, None] * self.T_body_coxa[:, :2, 0]
         feet[:, 2] = self.foot.radius - height
         return feet
 
@@ -262,15 +277,16 @@ def _checked_stance(profile: RobotProfile, source: str) -> RobotProfile:
     from shared.kinematics import body_inverse, within_limits  # which knows robots
 
     q = body_inverse(profile, profile.rest_feet())
-    bad = [LEGS[leg] for leg in np.flatnonzero(~within_limits(profile, q).all(axis=1))]
-    if not bad:
+    bad_legs = np.flatnonzero(~within_limits(profile, q).all(axis=1)).tolist()
+    if not bad_legs:
         return profile
+    bad = [LEGS[leg] for leg in bad_legs]
     out = [leg for leg, angles in zip(LEGS, q, strict=True) if not np.isfinite(angles).all()]
     why = "is out of the legs' reach" if out else "is beyond the servos' limits"
     raise config.ConfigError(
         source,
         [
-            f"stance: the resting stance ({profile.stance.foot_radius_from_coxa:g} m from the coxa, the body "
+            f"stance: the resting stance ({profile.foot_radii[bad_legs[0]]:g} m from the coxa, the body "
             f"{profile.stance.body_height:g} m high) {why} for {', '.join(bad)}; check links, limits and stance"
         ],
     )

@@ -338,9 +338,9 @@ class Walk:
     """What the operator asks for."""
 
     gait: GaitName = "tripod"
-    speed: float = 0.10  # [m/s]
-    body_height: float = 0.10  # [m]
-    lift: float = 0.04  # [m] clearance of a swinging foot over start and touchdown
+    speed: float = 0.11  # [m/s]
+    body_height: float = 0.11  # [m]
+    lift: float = 0.025  # [m] clearance of a swinging foot over start and touchdown; more over what the map shows
     blind: bool = False  # the baseline: the planner gets no map and walks as on flat ground
     footholds: Literal["score", "evaluation"] = "score"  # the layer of the map that says where: Lotriet's or Masri's
     by_touch: bool = False  # when the robot stands for want of sight, it is asked to go on by touch alone

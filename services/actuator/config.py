@@ -12,8 +12,8 @@ class Settings:
     port: str = "/dev/ttyUSB0"  # a serial device, or socket://host:port
     rate_hz: float = 50.0  # of the control cycle
     read_budget_ms: float = 6.5  # [ms] of each cycle spent on reading servos
-    unload_s: float = 0.08  # [s] before a swing in which its legs hand over their load
-    load_s: float = 0.12  # [s] at the end of a step in which landed legs take up theirs
+    unload_s: float = 0.05  # [s] before a swing in which its legs hand over their load
+    load_s: float = 0.10  # [s] at the end of a step in which landed legs take up theirs
     level_gain: float = 0.5  # [1/s] of the integrator that holds height, roll and pitch
     brake_s: float = 0.10  # [s] time constant in which the body stops when no plan follows
     stand_s: float = 2.5  # [s] for standing up

@@ -8,7 +8,7 @@ up and hand over their share gradually.
 import numpy as np
 
 from shared.geometry import Array
-from shared.kinematics import joint_torques
+from shared.kinematics import joint_torques, leg_points
 from shared.robot import RobotProfile
 
 GRAVITY = 9.81  # [m/s^2]
@@ -34,6 +34,16 @@ def foot_forces(feet: Array, share: Array, weight: float, p_com: Array) -> Array
     return np.asarray(np.maximum(forces, 0.0))
 
 
+def centre_of_mass(profile: RobotProfile, q: Array) -> Array:
+    """Centre of the robot's mass (3,) [m] {body} at joint angles q (6, 3) [rad], each link's taken to sit in its middle.
+
+    Legs are two fifths of a robot like the PhantomX: it moves by more than a centimetre as a tripod swings.
+    """
+    points = leg_points(profile, q)
+    middles = (points[:, :-1] + points[:, 1:]) / 2
+    return np.asarray(np.tensordot(profile.body.leg_link_masses, middles.sum(axis=0), 1) / profile.body.total_mass)
+
+
 def link_torques(profile: RobotProfile, q: Array) -> Array:
     """Motor torques (6, 3) [N m] that hold the legs' own links up, the body level, at joint angles q (6, 3) [rad].
 
@@ -45,6 +55,22 @@ def link_torques(profile: RobotProfile, q: Array) -> Array:
     torques[:, 2] = GRAVITY * tibia_mass * tibia / 2
     torques[:, 1] = torques[:, 2] + GRAVITY * (femur_mass / 2 + tibia_mass) * femur
     return torques
+
+
+def lag_feed_forward(profile: RobotProfile, q_rate: Array, held_s: float) -> Array:
+    """What to add to moving joints' angles so that the servos keep up with them, instead of following a few hundredths late.
+
+    Args:
+        profile: The robot.
+        q_rate: (6, 3) [rad/s] wanted joint speeds.
+        held_s: [s] for which a goal stands until the next one comes; in the mean it is half as old.
+
+    Returns:
+        (6, 3) [rad]: what a servo moves while a goal stands, and the error from which it draws the torque to move so fast.
+    """
+    servo = profile.servo
+    rate = np.minimum(np.maximum(q_rate, -servo.no_load_speed), servo.no_load_speed)
+    return np.asarray(rate * (servo.damping / servo.stiffness + held_s / 2))
 
 
 def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array, R_level_body: Array) -> Array:
@@ -63,7 +89,8 @@ def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array,
     # Where no leg may carry the whole of its load yet, as while it stands up, the belly lies on the ground for the rest.
     weight = profile.body.total_mass * GRAVITY * float(share.max())
     forces = np.zeros((6, 3))
-    forces[:, 2] = foot_forces(feet @ R_level_body.T, share, weight, np.zeros(3))
+    p_com = centre_of_mass(profile, q)
+    forces[:, 2] = foot_forces(feet @ R_level_body.T, share, weight, p_com @ R_level_body.T)
     torques = joint_torques(profile, q, forces @ R_level_body) + link_torques(profile, q)
     limit = profile.servo.stall_torque
     return np.asarray(np.minimum(np.maximum(torques, -limit), limit) / profile.servo.stiffness)

@@ -12,7 +12,7 @@ from services.actuator.config import Settings
 from services.actuator.contact import ContactEstimate
 from services.actuator.feeler import FEMUR, Feeler, Felt
 from services.actuator.guard import Guard
-from services.actuator.load import sag_feed_forward
+from services.actuator.load import lag_feed_forward, sag_feed_forward
 from services.actuator.odometry import LegOdometry
 from services.actuator.stand_up import StandUp
 from services.actuator.walker import Targets, Walker
@@ -72,6 +72,7 @@ class Actuator:
         self._q_goal = self._first_goals()
         self._q_wanted = self._q_goal.copy()  # goals less the feed-forward: where the joints are to come to rest
         self._q_wanted_when_read = self._q_wanted.copy()
+        self._q_last: Array | None = None  # where the joints were to be in the last cycle of one motion, to tell their speeds
         self._load = np.zeros((6, 3))
         self._voltage = np.full(18, np.nan)
         self._temperature = np.full(18, np.nan)
@@ -213,6 +214,7 @@ class Actuator:
                 self._write(self._q_goal)
                 self._bus.set_torque(True)
             self._stand_up = StandUp(self._profile, body_forward(self._profile, self._q_goal), self._settings.stand_s)
+            self._q_last = None
             self._mode, self._reason, self._may_walk = Mode.STAND, "standing up", False
         elif order.mode == "walk" and self._mode in (Mode.HOLD, Mode.STAND):
             self._may_walk = True
@@ -258,7 +260,10 @@ class Actuator:
         feet = nearest_reachable(self._profile, targets.feet)
         q = body_inverse(self._profile, feet)
         sag = sag_feed_forward(self._profile, np.nan_to_num(q), feet, targets.share, targets.R_level_body)
-        goal, self._warning = self._guard.safe_goals(q + sag, self._q_goal, dt)
+        before = q if self._q_last is None else self._q_last
+        lag = np.nan_to_num(lag_feed_forward(self._profile, (q - before) / dt, dt))
+        self._q_last = q
+        goal, self._warning = self._guard.safe_goals(q + sag + lag, self._q_goal, dt)
         self._q_wanted = np.where(np.isfinite(q), q, self._q_wanted)
         self._write(goal)
 

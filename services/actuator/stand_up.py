@@ -4,13 +4,20 @@ import numpy as np
 
 from services.actuator.walker import Targets
 from shared.geometry import Array
+from shared.kinematics import body_inverse, within_limits
 from shared.robot import RobotProfile
 
+_STANDS = 0.03  # [m] from the resting stance, within which the robot stands in it, about
+_WIDER = np.arange(0.0, 0.1, 0.005)  # [m] by which feet may stand further out than in the resting stance
 _BELLY_CLEARANCE = 0.005  # [m] of the feet over the ground on which the belly lies
 
 
 class StandUp:
-    """From any folded stance to the resting stance in a given time."""
+    """From any folded stance to standing in a given time.
+
+    Feet that bear cannot be drawn in. Where the resting stance is so narrow that folded legs do not reach its places, the robot
+    rises on wider ones, and the first steps of its walk bring the feet in.
+    """
 
     def __init__(self, profile: RobotProfile, feet: Array, duration_s: float):
         """Begin.
@@ -21,9 +28,8 @@ class StandUp:
             duration_s: [s] for the whole.
         """
         rest = profile.rest_feet()
-        lying = profile.rest_feet(profile.body.size[2] / 2 - _BELLY_CLEARANCE)
-        standing = np.abs(feet - rest).max() < 0.03
-        self._way = (feet, rest) if standing else (feet, lying, rest)
+        standing = np.abs(feet - rest).max() < _STANDS
+        self._way = (feet, rest) if standing else (feet, *_lying_and_risen(profile))
         self._duration = duration_s
         self._elapsed = 0.0
 
@@ -44,3 +50,20 @@ class StandUp:
         # From goals that hold a load already, too: those include its sag, which must not be added twice.
         carrying = s if leg == legs - 1 else 0.0
         return Targets(feet, np.full(6, carrying), np.eye(3))
+
+
+def _lying_and_risen(profile: RobotProfile) -> tuple[Array, Array]:
+    """Feet (6, 3) [m] {body} in the same places while the belly lies on the ground, and when the body has risen.
+
+    Each leg's are the nearest to its resting place from which it reaches both.
+    """
+    lying, risen = profile.rest_feet(profile.body.size[2] / 2 - _BELLY_CLEARANCE), profile.rest_feet()
+    outward = np.column_stack([profile.T_body_coxa[:, :2, 0], np.zeros(6)])
+    reached = [
+        within_limits(profile, body_inverse(profile, lying + wider * outward)).all(axis=1)
+        & within_limits(profile, body_inverse(profile, risen + wider * outward)).all(axis=1)
+        for wider in _WIDER
+    ]
+    # Where there is none, the servos go as far as they can, and the guard keeps them within their limits.
+    wider = np.where(np.any(reached, axis=0), _WIDER[np.argmax(reached, axis=0)], 0.0)[:, None] * outward
+    return lying + wider, risen + wider

@@ -27,8 +27,8 @@ class ByTouch:
         """Plan for a robot."""
         self._profile = profile
         self._settings = settings
-        slow = replace(settings, step_s=settings.touch_step_s, max_stride=settings.touch_stride)
-        self._strides = StridePlanner(profile, slow)
+        slow = replace(profile.stance, step_s=settings.touch_step_s, stride=settings.touch_stride)
+        self._strides = StridePlanner(replace(profile, stance=slow), settings)
 
     def asked(self, command: VelocityCommand) -> VelocityCommand:
         """What can be walked of a command: feet go high."""

@@ -12,8 +12,7 @@ class Settings:
 
     blind: bool = False  # the baseline: no map is read, the ground is taken for the plane of the standing feet
     footholds: Literal["score", "evaluation"] = "score"  # the map's layer to walk on: Lotriet's or Masri's
-    step_s: float = 0.80  # [s] duration of a tripod's step
-    max_stride: float = 0.09  # [m] and
+    handover_s: float = 0.15  # [s] of a step in which its feet stand
     max_turn_deg: float = 10.0  # [deg] of the body while a foot stands
     max_lean_deg: float = 12.0  # [deg] of the body with the ground, and
     max_tilt_deg: float = 8.0  # [deg] by which that changes in one step
@@ -35,14 +34,11 @@ class Settings:
     revise_s: float = 0.20  # [s] between revisions of a plan
 
     def __post_init__(self) -> None:
-        if not 0.4 <= self.step_s <= 2.0:
-            raise ValueError(f"step_s of 0.4 to 2 s expected, found {self.step_s}")
         if not self.retarget_until < self.plan_from:
             raise ValueError(f"retarget_until below plan_from expected, found {self.retarget_until} and {self.plan_from}")
         if not 0.8 <= self.touch_step_s <= 4.0:
             raise ValueError(f"touch_step_s of 0.8 to 4 s expected, found {self.touch_step_s}")
         positive = (
-            "max_stride",
             "max_climb",
             "search_radius",
             "pose_age_s",
@@ -54,6 +50,14 @@ class Settings:
         for name in positive:
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"a positive {name} expected, found {getattr(self, name)}")
-        for name in ("max_turn_deg", "max_lean_deg", "max_tilt_deg", "min_foot_distance", "min_margin", "path_margin"):
+        for name in (
+            "max_turn_deg",
+            "max_lean_deg",
+            "max_tilt_deg",
+            "handover_s",
+            "min_foot_distance",
+            "min_margin",
+            "path_margin",
+        ):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"a {name} of at least 0 expected, found {getattr(self, name)}")

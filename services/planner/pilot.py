@@ -74,10 +74,9 @@ class _Errand:
 class Pilot:
     """Leads to one goal at a time."""
 
-    def __init__(self, profile: RobotProfile, step_s: float):
+    def __init__(self, profile: RobotProfile):
         """Lead a robot whose steps take so long [s]."""
         self._profile = profile
-        self._step_s = step_s
         feet = profile.rest_feet()
         half = float(np.abs(feet[:, 1]).max()) + _SPARE
         self._size = Size(half, half + _LIKED)
@@ -183,7 +182,7 @@ class Pilot:
         error = _wrapped(atan2(facing[1], facing[0]) - yaw) if left > _LOOK_AHEAD else 0.0
         turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
         # No further in a step than to the end, nor around a corner.
-        speed = min(goal.speed, self._profile.stance.max_speed, _length(to) / self._step_s)
+        speed = min(goal.speed, self._profile.stance.max_speed, _length(to) / self._profile.stance.step_s)
         velocity = speed * np.array([cos(errand.course - yaw), sin(errand.course - yaw)])
         wanted = [(velocity, turn), (velocity, 0.0), (np.zeros(2), turn)]
         if abs(error) > _TURN_FIRST:

@@ -1,7 +1,7 @@
 """The planner: Lotriet's state machine of resting and stepping, on the newest map and pose."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -55,7 +55,7 @@ class Planner:
         self._settings = settings
         self._strides = StridePlanner(profile, settings)
         self._by_touch = ByTouch(profile, settings)
-        self._pilot = Pilot(profile, settings.step_s)
+        self._pilot = Pilot(profile)
         self._led = False  # whether a goal is what it walks by
         self._sent: list[_Sent] = []  # that may yet be walked, the newest last
         self._running: _Sent | None = None  # what is being walked, or was last
@@ -260,7 +260,7 @@ class Planner:
         if state.phase < 1.0:
             running = self._running
             if running is None:
-                return []
+                return None
             plan = running.plan
             moved = T_world_odom @ inverse(plan.T_world_odom)  # the world as it is believed to be now
             body = moved @ plan.body_goal
@@ -282,9 +282,7 @@ class Planner:
             return None
         return self._send(state, pose, found, running.plan.step, running.way)
 
-    def _send(
-        self, state: ActuatorState, pose: BodyPose, stride: Stride, number: int, way: int, stop: bool = False
-    ) -> "_Sent":
+    def _send(self, state: ActuatorState, pose: BodyPose, stride: Stride, number: int, way: int, stop: bool = False) -> "_Sent":
         """A plan of a step, as the next revision of it."""
         revision = 1 + max((s.plan.revision for s in self._sent if s.plan.step == number), default=0)
         plan = StepPlan(

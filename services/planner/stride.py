@@ -19,6 +19,7 @@ from shared.stability import support_margin
 
 SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
 _DESCENT = np.array([0.0, 0.0, 0.03])  # [m] over a foothold, from where a foot comes straight down
+_DEARER = 2.0  # than way is height: of a foot's way over the ground the body makes half
 MAX_CLEARANCE = 0.11  # [m] over both ends that a leg can lift its foot
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
 _LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # share of the ground's slope by which it may lean
@@ -85,8 +86,8 @@ class StridePlanner:
         return ""
 
     def duration(self, command: VelocityCommand) -> float:
-        """How long [s] a step in the commanded gait takes."""
-        return self._settings.step_s * GAITS[command.gait].pace
+        """How long [s] a step in the commanded gait takes where its feet need not be lifted far."""
+        return self._profile.stance.step_s * GAITS[command.gait].pace
 
     def short_of(self, command: VelocityCommand) -> str:
         """By how much legs that step as far as they reach are slower than commanded, in words, or nothing."""
@@ -159,7 +160,7 @@ class StridePlanner:
             leg = int(too_high[0])
             return Blocked(f"{LEGS[leg]} leg: something on its way asks for {clearance[leg] * 100:.0f} cm of lift", leg)
         clearance = np.where(at.swing, clearance, settings.path_margin)
-        duration = self.duration(at.command)
+        duration = max(self.duration(at.command), self._time_to_swing(at.feet, touchdown, clearance)[at.swing].max())
         return Stride(at.swing, touchdown, nominal, clearance, T_end, at.feet, moved, share, duration)
 
     def _travel(self, command: VelocityCommand, share: float) -> tuple[Array, float]:
@@ -167,7 +168,7 @@ class StridePlanner:
         settings, gait = self._settings, GAITS[command.gait]
         duration = self.duration(command)
         travel = command.velocity * duration
-        longest = settings.max_stride / gait.stances
+        longest = self._profile.stance.stride / gait.stances
         travel = travel * (share * min(1.0, longest / max(float(np.linalg.norm(travel)), 1e-9)))
         limit = np.radians(settings.max_turn_deg) / gait.stances
         return travel, share * float(np.clip(command.yaw_rate * duration, -limit, limit))
@@ -252,6 +253,12 @@ class StridePlanner:
         """Which legs (6,) have their feet (6, 3) [m] {world} in reach."""
         q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
         return np.asarray(within_limits(self._profile, q).all(axis=1))
+
+    def _time_to_swing(self, start: Array, end: Array, clearance: Array) -> Array:
+        """How long (6,) [s] a step takes in which feet go from start to end (6, 3) [m], no faster than servos can for long."""
+        up_and_down = 2.0 * clearance + np.abs(end[:, 2] - start[:, 2])
+        way = np.linalg.norm((end - start)[:, :2], axis=1) + _DEARER * up_and_down
+        return np.asarray(self._settings.handover_s + way / self._profile.stance.foot_speed)
 
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
         """Which leg would be overstretched at the end of the step, in words, or nothing."""

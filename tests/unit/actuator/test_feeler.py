@@ -15,7 +15,9 @@ from shared.robot import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 SERVO = PROFILE.servo
-Q = body_inverse(PROFILE, PROFILE.rest_feet())
+# Legs as far out as they are in the middle of most swings; nearer to the coxa a femur has less leverage, and feels less.
+OUT = np.column_stack([PROFILE.T_body_coxa[:, :2, 0], np.zeros(6)])
+Q = body_inverse(PROFILE, PROFILE.rest_feet() + (0.144 - PROFILE.foot_radii)[:, None] * OUT)
 LEG = 2
 PERIOD = 20_000_000
 STEPS = 20  # of the joint's own motion per cycle

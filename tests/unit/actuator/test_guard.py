@@ -87,7 +87,7 @@ FOUR = np.array([True, True, True, True, False, False])
         ({"swing": FOUR}, "only 2 legs would stand"),
         ({"body_goal": goal(0.15)}, "mm inside its standing feet at the end"),
         ({"touchdown": FAR}, "the touchdown of the left front leg is out of reach of its"),
-        ({"body_goal": goal(z=0.19), "touchdown": apply(goal(z=0.19), REST)}, "standing foot"),
+        ({"body_goal": goal(z=0.215), "touchdown": apply(goal(z=0.215), REST)}, "standing foot"),
     ],
 )
 def test_it_says_why_it_refuses(changes: dict[str, object], words: str) -> None:

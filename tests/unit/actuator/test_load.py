@@ -6,7 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.actuator.load import GRAVITY, foot_forces, link_torques, sag_feed_forward
+from services.actuator.load import (
+    GRAVITY,
+    centre_of_mass,
+    foot_forces,
+    lag_feed_forward,
+    link_torques,
+    sag_feed_forward,
+)
 from shared.geometry import Array, from_xyz_rpy
 from shared.kinematics import body_forward, body_inverse, leg_points
 from shared.robot import load_profile
@@ -94,7 +101,7 @@ def test_a_spring_comes_to_rest_where_it_is_wanted(seed: int) -> None:
     feet = REST + rng.uniform(-0.02, 0.02, (6, 3))
     q = body_inverse(PROFILE, feet)
     torque = PROFILE.servo.stiffness * sag_feed_forward(PROFILE, q, feet, np.ones(6), np.eye(3)) - link_torques(PROFILE, q)
-    forces = foot_forces(feet, np.ones(6), WEIGHT, np.zeros(3))
+    forces = foot_forces(feet, np.ones(6), WEIGHT, centre_of_mass(PROFILE, q))
     for joint in range(3):  # by virtual work, without the Jacobian: the motor's work lifts nothing but what the ground gives
         turned = q.copy()
         turned[:, joint] += 1e-6
@@ -120,3 +127,36 @@ def test_while_standing_up_the_load_is_taken_up_gradually(share: float) -> None:
     q = body_inverse(PROFILE, REST)
     none, whole, part = (sag_feed_forward(PROFILE, q, REST, np.full(6, s), np.eye(3)) for s in (0.0, 1.0, share))
     np.testing.assert_allclose(part - none, share * (whole - none), atol=1e-3)
+
+
+def test_what_holds_the_links_up_is_the_slope_of_their_potential() -> None:
+    """Turning a joint by a little lifts the centre of mass by the work of its torque over the weight."""
+    q = body_inverse(PROFILE, REST + np.random.default_rng(1).uniform(-0.03, 0.03, (6, 3)))
+    small = 1e-6
+    slopes = np.zeros((6, 3))
+    for index in np.ndindex(6, 3):
+        ends = []
+        for sign in (-1.0, 1.0):
+            turned = q.copy()
+            turned[index] += sign * small
+            ends.append(WEIGHT * centre_of_mass(PROFILE, turned)[2])
+        slopes[index] = (ends[1] - ends[0]) / (2 * small)
+    np.testing.assert_allclose(link_torques(PROFILE, q), slopes, atol=1e-7)
+
+
+def test_a_tripod_that_swings_forward_takes_the_centre_of_mass_along() -> None:
+    at_rest = centre_of_mass(PROFILE, body_inverse(PROFILE, REST))
+    np.testing.assert_allclose(at_rest[:2], 0.0, atol=1e-3)  # rear feet stand further out than front ones
+    ahead = REST + np.where(TRIPODS[0][:, None], [0.04, 0.0, 0.02], 0.0)
+    moved = centre_of_mass(PROFILE, body_inverse(PROFILE, ahead)) - at_rest
+    assert 0.002 < moved[0] < 0.02
+
+
+def test_a_servo_draws_the_torque_that_its_speed_costs_from_the_lead_of_its_goal() -> None:
+    rate = np.random.default_rng(0).uniform(-3.0, 3.0, (6, 3))
+    torque = PROFILE.servo.stiffness * lag_feed_forward(PROFILE, rate, 0.0)
+    np.testing.assert_allclose(torque, PROFILE.servo.damping * rate)
+    fastest = lag_feed_forward(PROFILE, np.full((6, 3), 100.0), 0.0)
+    np.testing.assert_allclose(PROFILE.servo.stiffness * fastest, PROFILE.servo.stall_torque)
+    lead = lag_feed_forward(PROFILE, rate, 0.02) - lag_feed_forward(PROFILE, rate, 0.0)
+    np.testing.assert_allclose(lead, 0.01 * rate)

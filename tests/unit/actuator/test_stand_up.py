@@ -5,11 +5,13 @@ import pytest
 
 from services.actuator.stand_up import StandUp
 from shared.geometry import Array
+from shared.kinematics import body_inverse, within_limits
 from shared.robot import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 REST = PROFILE.rest_feet()
-FOLDED = PROFILE.rest_feet(0.02) * [0.7, 0.7, 1.0]
+OUT = np.column_stack([PROFILE.T_body_coxa[:, :2, 0], np.zeros(6)])
+FOLDED = PROFILE.rest_feet(0.02) + 0.05 * OUT
 DURATION = 2.5
 
 
@@ -25,10 +27,20 @@ STARTS = [FOLDED, REST + np.array([0.01, -0.01, 0.005]), REST * [1.2, 1.2, 0.5]]
 
 
 @pytest.mark.parametrize("feet", STARTS)
-def test_it_ends_at_rest_under_full_load(feet: Array) -> None:
+def test_it_ends_standing_under_full_load(feet: Array) -> None:
     way, shares = stand_up(feet)
-    np.testing.assert_allclose(way[-1], REST, atol=1e-12)
+    np.testing.assert_allclose(way[-1][:, 2], REST[:, 2], atol=1e-12)
     np.testing.assert_array_equal(shares[-1], np.ones(6))
+    # In the resting stance, or as little further out as a leg that reaches both its lying and its standing place must be.
+    further = ((way[-1] - REST) * OUT).sum(axis=1)
+    np.testing.assert_allclose(way[-1] - REST, further[:, None] * OUT, atol=1e-12)
+    assert within_limits(PROFILE, body_inverse(PROFILE, way[-1])).all()
+    if np.abs(feet - REST).max() < 0.03:
+        np.testing.assert_allclose(further, 0.0, atol=1e-12)
+    for leg in np.flatnonzero(further > 0.006):
+        nearer = way[-1] - 0.006 * OUT
+        nearer[:, 2] = PROFILE.foot.radius - PROFILE.body.size[2] / 2 + 0.005
+        assert not within_limits(PROFILE, body_inverse(PROFILE, nearer))[leg].all()
 
 
 @pytest.mark.parametrize("feet", STARTS)
@@ -51,7 +63,8 @@ def test_a_lying_robot_places_its_feet_before_it_pushes() -> None:
     assert (way[placing][-1][:, 2] - PROFILE.foot.radius > ground - 1e-9).all()
     # While it rises the feet go straight down in the body's frame: they do not scrape.
     rising = way[~placing]
-    np.testing.assert_allclose(rising[..., :2], np.broadcast_to(REST[:, :2], rising[..., :2].shape), atol=1e-3)
+    np.testing.assert_allclose(rising[..., :2], np.broadcast_to(way[-1][:, :2], rising[..., :2].shape), atol=1e-3)
+    assert within_limits(PROFILE, np.array([body_inverse(PROFILE, feet) for feet in rising])).all()
 
 
 def test_a_standing_robot_does_not_lie_down_first() -> None:

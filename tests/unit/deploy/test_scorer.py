@@ -10,6 +10,7 @@ from deploy.walk_metrics import (
     angle_between,
     debounced,
     is_foothold,
+    rubbing,
     runs,
     slip_per_step,
     stability_margin,
@@ -256,6 +257,19 @@ def test_slip_counts_only_while_planted():
     step = np.repeat([1, 2], 10)
     np.testing.assert_allclose(slip_per_step(feet, planted, step), [0.004, 0.004])
     assert len(slip_per_step(feet[:1], planted[:1], step[:1])) == 0
+
+
+def test_a_foot_that_rolls_does_not_rub_and_one_that_slides_does():
+    """A wheel without slip moves by its radius times its turn; whatever it moves more than that is slip."""
+    radius, n = 0.01, 200
+    angle = np.linspace(0.3, -0.4, n)  # of the shank off the vertical, as the body passes over the foot
+    for heading in (0.0, 2.0):
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        shanks = np.column_stack([np.sin(angle)[:, None] * ahead, np.cos(angle)])[:, None]
+        rolled = radius * (angle - angle[0])[:, None] * ahead
+        slid = np.linspace(0.0, 0.003, n)[:, None] * [1.0, 0.0]
+        for slide in (np.zeros((n, 2)), slid):
+            np.testing.assert_allclose(rubbing((rolled + slide)[:, None], shanks, radius)[:, 0], slide, atol=1e-6)
 
 
 def test_footholds_end_at_edges_and_steep_ground():

@@ -30,7 +30,7 @@ from shared.robot import load_profile
 from shared.service import Inbox
 
 PROFILE = load_profile("phantomx_mk2")
-HEIGHT = 0.10
+HEIGHT = 0.11
 MS = 1_000_000
 REST = PROFILE.rest_feet(HEIGHT)
 FLAT = flat_terrain(0, np.zeros(2), 0.0, half_size=2.0).map
@@ -112,7 +112,7 @@ def test_with_everything_there_it_steps() -> None:
     assert plan.step == 1
     assert plan.stamp_ns == rig.state.stamp_ns
     assert plan.swing.sum() == 3
-    assert plan.body_goal[0, 3] == pytest.approx(0.06 * rig.planner._settings.step_s)
+    assert plan.body_goal[0, 3] == pytest.approx(0.06 * PROFILE.stance.step_s)
     status = rig.status()
     assert status.state == "stepping"
     assert rig.planner.doing().startswith("stepping")
@@ -229,7 +229,7 @@ def test_a_walk_alternates_and_advances() -> None:
         reached.append(plan.body_goal[0, 3])
     for before, after in pairwise(sets):
         np.testing.assert_array_equal(after, ~before)
-    np.testing.assert_allclose(np.diff(reached), 0.06 * rig.planner._settings.step_s, atol=1e-6)
+    np.testing.assert_allclose(np.diff(reached), 0.06 * PROFILE.stance.step_s, atol=1e-6)
 
 
 def test_the_next_step_is_planned_from_where_the_running_one_will_end() -> None:
@@ -293,7 +293,7 @@ def test_commands_beyond_the_robot_are_refused_by_name() -> None:
     assert rig.command is not None
     rig.command = replace(rig.command, body_height=0.25)
     assert rig.plans(3) == []
-    assert rig.status().reason == "a body height of 0.07 to 0.15 m expected, 0.25 m commanded"
+    assert rig.status().reason == "a body height of 0.08 to 0.15 m expected, 0.25 m commanded"
 
 
 @pytest.mark.parametrize(
@@ -457,7 +457,7 @@ def test_an_accepted_step_ends_the_caution() -> None:
     rig.begin(plan)
     rig.plans(1, phase=0.1, refused="")
     rig.finish(plan)
-    assert rig.plans(10)[-1].body_goal[0, 3] - plan.body_goal[0, 3] == pytest.approx(0.06 * Settings().step_s, abs=1e-6)
+    assert rig.plans(10)[-1].body_goal[0, 3] - plan.body_goal[0, 3] == pytest.approx(0.06 * PROFILE.stance.step_s, abs=1e-6)
 
 
 def test_a_refused_revision_is_not_taken_for_what_is_walked() -> None:

@@ -22,7 +22,7 @@ Flags = NDArray[np.bool_]
 PROFILE = load_profile("phantomx_mk2")
 SETTINGS = Settings()
 PLANNER = StridePlanner(PROFILE, SETTINGS)
-HEIGHT = 0.10
+HEIGHT = 0.11
 TRIPOD = np.arange(6) % 2 == 0
 FLAT = flat_terrain(0, np.zeros(2), 0.0)
 UP = np.array([0.0, 0.0, PROFILE.foot.radius])
@@ -74,10 +74,11 @@ def test_on_level_ground_it_does_what_is_commanded(vx: float, vy: float, yaw_rat
     found = stride(at)
     walkable(found, at)
     turn = (
-        float(np.clip(yaw_rate * SETTINGS.step_s, *np.radians([-SETTINGS.max_turn_deg, SETTINGS.max_turn_deg]))) * found.share
+        float(np.clip(yaw_rate * PROFILE.stance.step_s, *np.radians([-SETTINGS.max_turn_deg, SETTINGS.max_turn_deg])))
+        * found.share
     )
-    travel = np.array([vx, vy]) * SETTINGS.step_s
-    travel *= found.share * min(1.0, SETTINGS.max_stride / max(float(np.linalg.norm(travel)), 1e-9))
+    travel = np.array([vx, vy]) * PROFILE.stance.step_s
+    travel *= found.share * min(1.0, PROFILE.stance.stride / max(float(np.linalg.norm(travel)), 1e-9))
     assert rpy_from_rotation(found.body_goal[:3, :3])[2] == pytest.approx(turn, abs=0.01)
     assert np.linalg.norm(found.body_goal[:2, 3]) == pytest.approx(np.linalg.norm(travel), abs=1e-9)
     assert found.body_goal[2, 3] == pytest.approx(HEIGHT)
@@ -91,7 +92,7 @@ def test_moderate_commands_are_walked_whole() -> None:
 
 def test_a_step_is_never_longer_than_allowed() -> None:
     found = stride(standing(command(5.0, 0.0, 9.0)))
-    assert np.linalg.norm(found.body_goal[:2, 3]) <= SETTINGS.max_stride + 1e-9
+    assert np.linalg.norm(found.body_goal[:2, 3]) <= PROFILE.stance.stride + 1e-9
     assert rpy_from_rotation(found.body_goal[:3, :3])[2] <= np.radians(SETTINGS.max_turn_deg) + 1e-9
 
 
@@ -116,7 +117,7 @@ def test_it_shrinks_the_stride_before_it_gives_up(make_terrain: Maker) -> None:
     shares = []
     for edge in np.arange(0.34, 0.10, -0.01):
         ground = make_terrain(score=lambda x, y, edge=edge: np.where(x > edge, 9.0, 0.0))
-        found = PLANNER.plan(standing(command(0.10)), ground)
+        found = PLANNER.plan(standing(command(0.06)), ground)
         shares.append(found.share if isinstance(found, Stride) else 0.0)
     assert shares[0] == 1.0
     assert shares[-1] == 0.0
@@ -248,7 +249,7 @@ def test_footholds_are_searched_for_in_cells_of_the_map(make_terrain: Maker) -> 
 
 
 def test_commanded_height_is_approached() -> None:
-    found = stride(standing(command(0.0, height=0.12)))
+    found = stride(standing(command(0.0, height=HEIGHT + 0.02)))
     assert found.body_goal[2, 3] == pytest.approx(HEIGHT + min(0.02, SETTINGS.max_climb))
 
 
@@ -264,7 +265,7 @@ def test_a_foot_is_lifted_over_what_lies_on_its_way(make_terrain: Maker) -> None
 
 
 def test_what_no_foot_can_be_lifted_over_blocks(make_terrain: Maker) -> None:
-    at = standing(command(0.1))
+    at = standing(command(0.05))
     foot = at.feet[0, :2]
     # A wall around the foot, so near that no step is short enough to end before it, and feet are kept off it.
     ring = make_terrain(

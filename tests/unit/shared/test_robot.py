@@ -14,7 +14,7 @@ from shared import dynamixel as dxl
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import apply
 from shared.kinematics import body_inverse, within_limits
-from shared.robot import LEGS, Body, Foot, Leg, LegLinks, RobotProfile, Servo, Stance, load_profile, profile_names
+from shared.robot import LEGS, Body, Foot, Leg, LegLinks, RobotProfile, Servo, load_profile, profile_names
 
 PROFILE = load_profile("phantomx_mk2")
 TABLE = config.as_table(PROFILE)
@@ -42,10 +42,11 @@ def test_names_say_where_the_legs_are() -> None:
 
 @pytest.mark.parametrize("name", profile_names())
 def test_profiles_that_come_along_reach_their_stride(name: str) -> None:
-    """At rest and half a step of 9 cm to either side, down on the ground and lifted off it by 4 cm."""
+    """At rest and half a stride to either side, down on the ground and lifted off it by 2 cm."""
     profile = load_profile(name)
     assert profile.name == name
-    for ahead, up in ((0.0, 0.0), (-0.045, 0.0), (0.045, 0.0), (0.0, 0.04)):
+    half = profile.stance.stride / 2
+    for ahead, up in ((0.0, 0.0), (-half, 0.0), (half, 0.0), (0.0, 0.02)):
         q = body_inverse(profile, profile.rest_feet() + np.array([ahead, 0.0, up]))
         assert within_limits(profile, q).all(), (ahead, up)
     stiffest = profile.servo.stall_torque / (profile.servo.compliance_slope * dxl.TICK_RAD)
@@ -87,7 +88,8 @@ def test_resting_feet_touch_the_ground(height: float | None) -> None:
     np.testing.assert_allclose(feet[:, 2] - PROFILE.foot.radius, ground)
     mounts = np.array([leg.mount_xyz for leg in PROFILE.legs])
     distance = np.linalg.norm((feet - mounts)[:, :2], axis=1)
-    np.testing.assert_allclose(distance, PROFILE.stance.foot_radius_from_coxa)
+    by_leg = dict(zip(("front", "middle", "rear"), PROFILE.stance.foot_radius_from_coxa, strict=True))
+    np.testing.assert_allclose(distance, [by_leg[name.split()[1]] for name in LEGS])
     outward = (np.hypot(feet[:, 0], feet[:, 1]) - np.hypot(mounts[:, 0], mounts[:, 1])) > 0
     assert outward.all()
 
@@ -139,8 +141,8 @@ LEG = PROFILE.legs[0]
         (lambda: replace(LEG, servo_ids=(1, 2, 254)), "servo ids from 0 to 253"),
         (lambda: replace(PROFILE, legs=PROFILE.legs[::-1]), "legs in the order"),
         (lambda: replace(PROFILE, legs=(replace(LEG, servo_ids=(1, 2, 5)), *PROFILE.legs[1:])), r"found \[2\] twice"),
-        (lambda: Stance(0.14, 0.2, (0.07, 0.15), 0.1), "body height within"),
-        (lambda: Stance(0.14, 0.1, (0.07, 0.15), 0.0), "positive heights"),
+        (lambda: replace(PROFILE.stance, body_height=0.2), "body height within"),
+        (lambda: replace(PROFILE.stance, max_speed=0.0), "positive heights"),
         (lambda: Foot(0.0), "foot radius"),
         (lambda: Body((0.2, 0.1, 0.0), 1.0, (0.1, 0.1, 0.1)), "positive size and masses"),
         (lambda: replace(PROFILE.servo, no_load_speed=0.0), "positive torque"),
@@ -170,7 +172,7 @@ def test_a_profile_is_found_by_name_and_by_path(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("foot_radius_from_coxa = 0.14", "foot_radius_from_coxa = 0.6", "out of the legs' reach for left front"),
+        ("foot_radius_from_coxa = [0.11", "foot_radius_from_coxa = [0.6", "out of the legs' reach for left front"),
         ("pitch_down_deg = 30", "pitch_down_deg = -80", "camera: a pitch_down_deg from -45"),
     ],
 )
