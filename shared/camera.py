@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from shared import config
+
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
@@ -21,11 +23,13 @@ class Intrinsics:
     cx: float  # [px]
     cy: float  # [px]
 
+    checks = (
+        *config.each("width height", lambda pixels: pixels >= 1, "at least 1 pixel"),
+        *config.each("fx fy", lambda length: length > 0, "a focal length of more than 0 pixels"),
+    )
+
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"image of at least 1x1 pixels expected, found {self.width}x{self.height}")
-        if not (self.fx > 0 and self.fy > 0):
-            raise ValueError(f"positive focal lengths expected, found fx = {self.fx}, fy = {self.fy}")
+        config.verify(self)
 
     def check_raw(self, depth: NDArray[np.uint16]) -> None:
         """Refuse a raw depth image of another shape or type than (h, w) uint16.
@@ -60,11 +64,14 @@ class DepthSensor:
     disparity_step: float = 0.125  # [px] quantisation, 0 for none
     depth_scale: float = 1000.0  # raw units per metre: 1000 counts millimetres
 
+    checks = (
+        *config.each("rate_hz min_range max_range baseline depth_scale", lambda value: value > 0, "more than 0"),
+        *config.each("disparity_sigma disparity_step", lambda noise: noise >= 0, "at least 0 pixels"),
+        config.together("min_range max_range", lambda low, high: low < high, "min_range below max_range"),
+    )
+
     def __post_init__(self) -> None:
-        if not 0 < self.min_range < self.max_range:
-            raise ValueError(f"0 < min_range < max_range expected, found {self.min_range} and {self.max_range} m")
-        if min(self.rate_hz, self.baseline, self.depth_scale) <= 0 or min(self.disparity_sigma, self.disparity_step) < 0:
-            raise ValueError(f"positive rate, baseline and scale and no negative noise expected, found {self}")
+        config.verify(self)
 
     @property
     def raw_bounds(self) -> tuple[int, int]:

@@ -1,7 +1,8 @@
 """TOML -> frozen dataclasses: every key known, every type right, and all that is wrong said at once.
 
-A dataclass is its own schema: field types say what is expected, defaults say what may be left out, `__post_init__` refuses
-nonsense. Nothing is repaired. A union of dataclasses is told apart by the key `kind`, a Literal of each member.
+A dataclass is its own schema: field types say what is expected, defaults say what may be left out, its `checks` what must hold
+of the values, `__post_init__` refuses what is left of nonsense. Nothing is repaired. A union of dataclasses is told apart by
+the key `kind`, a Literal of each member.
 """
 
 import dataclasses
@@ -9,6 +10,8 @@ import difflib
 import math
 import tomllib
 import types
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -20,13 +23,71 @@ class ConfigError(ValueError):
 
     def __init__(self, source: str, problems: list[str]):
         self.problems = tuple(problems)
-        super().__init__(
-            f"{source}: " + ("; ".join(problems) if len(problems) == 1 else "".join(f"\n  - {p}" for p in problems))
-        )
+        listed = f" {problems[0]}" if len(problems) == 1 else "".join(f"\n  - {problem}" for problem in problems)
+        super().__init__(f"{source}:{listed}")
 
 
-def load(path: Path, schema: type[T]) -> T:
-    """Read a TOML file as a frozen dataclass.
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """A value that is not as it must be."""
+
+    place: str  # key below the table that is checked, as in "limits[1]"
+    expected: str  # in words
+    found: str  # in words
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What must hold of some of a table's values.
+
+    All checks of a schema are tried on what could be read, so that every mistake is told at once; one that needs a value which
+    could not be read, or which another check has found wrong already, is left out.
+    """
+
+    keys: tuple[str, ...]
+    finds: Callable[..., Iterable[Misfit]]  # takes the values of the keys
+
+
+def each(keys: str, holds: Callable[[Any], bool], expected: str) -> tuple[Check, ...]:
+    """Checks of the value of one key or, with spaces between, of several, and of every entry where a value is a list."""
+
+    def of(key: str) -> Check:
+        def finds(value: Any) -> Iterator[Misfit]:
+            entries = enumerate(value) if isinstance(value, tuple) else ((None, value),)
+            for index, entry in entries:
+                if _known(entry) and not holds(entry):
+                    yield Misfit(key if index is None else f"{key}[{index}]", expected, _shown(entry))
+
+        return Check((key,), finds)
+
+    return tuple(map(of, keys.split()))
+
+
+def together(keys: str, holds: Callable[..., bool], expected: str) -> Check:
+    """A check of what the values of some keys, with spaces between, have to do with each other; told at the first."""
+    names = keys.split()
+
+    def finds(*values: Any) -> Iterator[Misfit]:
+        if all(map(_known, values)) and not holds(*values):
+            yield Misfit(names[0], expected, ", ".join(f"{n} = {v!r}" for n, v in zip(names, values, strict=True)))
+
+    return Check(tuple(names), finds)
+
+
+def verify(made: Any) -> None:
+    """Refuse a dataclass whose `checks` do not hold, for its `__post_init__`.
+
+    Raises:
+        ValueError: All that is wrong.
+    """
+    values = {field.name: getattr(made, field.name) for field in dataclasses.fields(made)}
+    misfits = _misfits(type(made).checks, values)
+    if misfits:
+        raise ValueError("; ".join(map(_words, misfits)))
+
+
+def load(path: Path, schema: type[T], also: tuple[Check, ...] = ()) -> T:
+    """Read a TOML file as a frozen dataclass; `also` are further checks of its top level.
 
     Raises:
         ConfigError: The file is missing, is not TOML, or does not fit the schema; all misfits are listed.
@@ -39,13 +100,13 @@ def load(path: Path, schema: type[T]) -> T:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(str(path), [f"not a TOML file: {error}"]) from None
-    return build(table, schema, str(path))
+    return build(table, schema, str(path), also)
 
 
-def build(table: dict[str, Any], schema: type[T], source: str = "configuration") -> T:
+def build(table: dict[str, Any], schema: type[T], source: str = "configuration", also: tuple[Check, ...] = ()) -> T:
     """Make a frozen dataclass from a table of plain values; raises ConfigError that lists every misfit."""
     problems: list[str] = []
-    value = _build_dataclass(table, schema, "", problems)
+    value = _build_dataclass(table, schema, "", problems, also)
     if problems:
         raise ConfigError(source, problems)
     return cast(T, value)
@@ -66,7 +127,44 @@ def as_table(value: object) -> Any:
 _INVALID = object()
 
 
-def _build_dataclass(table: object, schema: type[Any], where: str, problems: list[str]) -> object:
+class _Partial:
+    """What is right of a table that is not right as a whole."""
+
+    def __init__(self, values: dict[str, object]):
+        self._values = values
+
+    def __getattr__(self, name: str) -> object:
+        value = self._values.get(name, _INVALID)
+        if not _known(value):
+            raise AttributeError(name)
+        return value
+
+
+def _known(value: object) -> bool:
+    """Whether a value could be read as a whole."""
+    if isinstance(value, tuple):
+        return all(map(_known, value))
+    return value is not _INVALID and not isinstance(value, _Partial)
+
+
+def _misfits(checks: Iterable[Check], values: dict[str, object]) -> list[Misfit]:
+    """What the checks find in the values that are there; those found wrong are taken out of them."""
+    found: list[Misfit] = []
+    for check in checks:
+        if all(values.get(key, _INVALID) is not _INVALID for key in check.keys):
+            misfits = list(check.finds(*(values[key] for key in check.keys)))
+            for misfit in misfits:
+                if "." not in misfit.place:  # else what is wrong lies within a table that is right as such
+                    values[misfit.place.split("[")[0]] = _INVALID
+            found += misfits
+    return found
+
+
+def _words(misfit: Misfit) -> str:
+    return f"{misfit.place}: {misfit.expected} expected, found {misfit.found}"
+
+
+def _build_dataclass(table: object, schema: type[Any], where: str, problems: list[str], also: tuple[Check, ...] = ()) -> object:
     if not isinstance(table, dict):
         problems.append(f"{where or 'top level'}: a table expected, found {_shown(table)}")
         return _INVALID
@@ -83,10 +181,13 @@ def _build_dataclass(table: object, schema: type[Any], where: str, problems: lis
             values[name] = _build_value(table[name], hints[name], _join(where, name), problems)
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             problems.append(f"{_join(where, name)}: missing; {_wanted(hints[name], name)} is needed")
+    given = dict(values)
+    misfits = _misfits((*getattr(schema, "checks", ()), *also), values)
+    problems += [_join(where, _words(misfit)) for misfit in misfits]
     if len(problems) > before:
-        return _INVALID
+        return _Partial(values)
     try:
-        return schema(**values)
+        return schema(**given)
     except ValueError as error:
         problems.append(f"{where or 'top level'}: {error}")
         return _INVALID
@@ -116,6 +217,7 @@ def _build_value(value: object, hint: Any, where: str, problems: list[str]) -> o
     if isinstance(hint, type) and isinstance(value, hint) and not (hint is int and isinstance(value, bool)):
         if isinstance(value, float) and not math.isfinite(value):
             problems.append(f"{where}: a finite number expected, found {value}")
+            return _INVALID
         return value
     problems.append(f"{where}: {_type_words(hint)} expected, found {_shown(value)}")
     return _INVALID

@@ -7,6 +7,7 @@ Joint angles q are (6, 3) [rad]: coxa about body z from the leg's neutral yaw, f
 femur's straight continuation, up positive. All zero is the leg straight out.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
@@ -32,9 +33,10 @@ class LegLinks:
     femur: float
     tibia: float
 
+    checks = (*config.each("coxa femur tibia", lambda length: length > 0, "a length of more than 0 m"),)
+
     def __post_init__(self) -> None:
-        if min(self.coxa, self.femur, self.tibia) <= 0:
-            raise ValueError(f"positive link lengths expected, found {self.coxa}, {self.femur}, {self.tibia} m")
+        config.verify(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,16 +51,19 @@ class Leg:
     servo_signs: tuple[int, int, int]
     servo_limits_deg: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
+    checks = (
+        *config.each("name", lambda name: name in LEGS, f"one of {', '.join(LEGS)}"),
+        *config.each("servo_ids", lambda servo: 0 <= servo <= 253, "a servo id from 0 to 253"),
+        *config.each("servo_signs", lambda sign: sign in (-1, 1), "a servo sign of 1 or -1"),
+        *config.each(
+            "servo_limits_deg",
+            lambda limits: -150.0 <= limits[0] < limits[1] <= 150.0,
+            "limits (coxa, femur, tibia) within -150 and 150 deg in rising order",
+        ),
+    )
+
     def __post_init__(self) -> None:
-        if self.name not in LEGS:
-            raise ValueError(f"leg name out of {', '.join(LEGS)} expected, found {self.name!r}")
-        if any(sign not in (-1, 1) for sign in self.servo_signs):
-            raise ValueError(f"servo signs of 1 or -1 expected, found {self.servo_signs}")
-        if not all(0 <= servo <= 253 for servo in self.servo_ids):
-            raise ValueError(f"servo ids from 0 to 253 expected, found {self.servo_ids}")
-        for joint, (low, high) in zip(JOINTS, self.servo_limits_deg, strict=True):
-            if not -150.0 <= low < high <= 150.0:
-                raise ValueError(f"{joint} limits within -150 and 150 deg in rising order expected, found {low}, {high}")
+        config.verify(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +78,14 @@ class Servo:
     armature: float  # [kg m^2] reflected rotor inertia; unknown for most servos, so it is varied in tests
     friction: float  # [N m] dry friction
 
+    checks = (
+        *config.each("stall_torque no_load_speed stiffness", lambda value: value > 0, "more than 0"),
+        *config.each("armature friction", lambda value: value >= 0, "at least 0"),
+        *config.each("compliance_slope", lambda slope: 1 <= slope <= 254, "a compliance slope from 1 to 254"),
+    )
+
     def __post_init__(self) -> None:
-        if min(self.stall_torque, self.no_load_speed, self.stiffness) <= 0 or min(self.armature, self.friction) < 0:
-            raise ValueError(f"positive torque, speed, stiffness and no negative armature or friction expected, found {self}")
-        if not 1 <= self.compliance_slope <= 254:
-            raise ValueError(f"a compliance slope from 1 to 254 expected, found {self.compliance_slope}")
+        config.verify(self)
 
     @property
     def damping(self) -> float:
@@ -93,9 +101,13 @@ class Body:
     mass: float  # [kg] everything but the legs
     leg_link_masses: tuple[float, float, float]  # [kg] coxa, femur, tibia link with the servos they carry
 
+    checks = (
+        *config.each("size", lambda edge: edge > 0, "an edge of more than 0 m"),
+        *config.each("mass leg_link_masses", lambda mass: mass > 0, "a mass of more than 0 kg"),
+    )
+
     def __post_init__(self) -> None:
-        if min(*self.size, self.mass, *self.leg_link_masses) <= 0:
-            raise ValueError(f"positive size and masses expected, found {self.size} m, {self.mass}, {self.leg_link_masses} kg")
+        config.verify(self)
 
     @property
     def total_mass(self) -> float:
@@ -109,9 +121,10 @@ class Foot:
 
     radius: float  # [m]
 
+    checks = (*config.each("radius", lambda radius: radius > 0, "a foot radius of more than 0 m"),)
+
     def __post_init__(self) -> None:
-        if self.radius <= 0:
-            raise ValueError(f"a positive foot radius expected, found {self.radius} m")
+        config.verify(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,17 +141,19 @@ class Stance:
     stride: float  # [m] of the body while a foot stands, at most
     foot_speed: float  # [m/s] of swinging feet, height counted twice: what asks for more takes longer, or the servos grow hot
 
+    checks = (
+        *config.each("foot_radius_from_coxa body_height body_height_range stride", lambda length: length > 0, "more than 0 m"),
+        *config.each("max_speed foot_speed", lambda speed: speed > 0, "more than 0 m/s"),
+        *config.each("step_s", lambda duration: 0.4 <= duration <= 2.0, "0.4 to 2 s"),
+        config.together(
+            "body_height body_height_range",
+            lambda height, bounds: bounds[0] <= height <= bounds[1],
+            "a body height within its range",
+        ),
+    )
+
     def __post_init__(self) -> None:
-        low, high = self.body_height_range
-        if not low <= self.body_height <= high:
-            raise ValueError(f"body height within {low} to {high} m expected, found {self.body_height}")
-        if not 0.4 <= self.step_s <= 2.0:
-            raise ValueError(f"a step_s of 0.4 to 2 s expected, found {self.step_s}")
-        if min(self.stride, self.foot_speed) <= 0:
-            raise ValueError(f"a positive stride and foot_speed expected, found {self.stride} m and {self.foot_speed} m/s")
-        if min(low, *self.foot_radius_from_coxa, self.max_speed) <= 0:
-            found = f"{low} m, {self.foot_radius_from_coxa} m, {self.max_speed} m/s"
-            raise ValueError(f"positive heights, foot radii and speed expected, found {found}")
+        config.verify(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,11 +168,15 @@ class Camera:
     # What the robot itself reads it by: "openni2", "realsense", the path of a recorded folder, or "none" for no driver.
     device: str = "none"
 
+    checks = (
+        *config.each("pitch_down_deg", lambda pitch: -45.0 <= pitch <= 90.0, "an angle from -45 (up) to 90 (straight down)"),
+        *config.each(
+            "device", lambda device: device.strip() != "", '"openni2", "realsense", "none" or the path of a recorded folder'
+        ),
+    )
+
     def __post_init__(self) -> None:
-        if not -45.0 <= self.pitch_down_deg <= 90.0:
-            raise ValueError(f"a pitch_down_deg from -45 (up) to 90 (straight down) expected, found {self.pitch_down_deg:g}")
-        if not self.device.strip():
-            raise ValueError('a device of "openni2", "realsense", "none" or the path of a recorded folder expected, found none')
+        config.verify(self)
 
     @property
     def T_body_camera(self) -> Array:
@@ -165,6 +184,25 @@ class Camera:
         look = from_xyz_rpy(self.mount_xyz, (0.0, np.radians(self.pitch_down_deg), 0.0))
         optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
         return np.asarray(look @ transform(optical, np.zeros(3)))
+
+
+def _out_of_order(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
+    """Legs whose names are not those of their places."""
+    for i, (leg, expected) in enumerate(zip(legs, LEGS, strict=False)):
+        found = getattr(leg, "name", expected)
+        if found != expected:
+            yield config.Misfit(f"legs[{i}].name", f"{expected!r}, as the legs go once around the body,", repr(found))
+
+
+def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
+    """Servos with the id of another."""
+    owners: dict[int, str] = {}
+    for i, leg in enumerate(legs):
+        for k, servo in enumerate(getattr(leg, "servo_ids", ())):
+            place = f"legs[{i}].servo_ids[{k}]"
+            if servo in owners:
+                yield config.Misfit(place, "18 different servo ids", f"{servo}, as {owners[servo]} has it")
+            owners.setdefault(servo, place)
 
 
 @dataclass(frozen=True)
@@ -181,13 +219,14 @@ class RobotProfile:
     legs: tuple[Leg, Leg, Leg, Leg, Leg, Leg]
     camera: Camera
 
+    checks = (
+        *config.each("name", lambda name: name.strip() != "", "a name"),
+        config.Check(("legs",), _out_of_order),
+        config.Check(("legs",), _ids_given_twice),
+    )
+
     def __post_init__(self) -> None:
-        names = tuple(leg.name for leg in self.legs)
-        if names != LEGS:
-            raise ValueError(f"legs in the order {', '.join(LEGS)} expected, found {', '.join(names)}")
-        ids = [i for leg in self.legs for i in leg.servo_ids]
-        if len(set(ids)) != len(ids):
-            raise ValueError(f"18 different servo ids expected, found {sorted(i for i in set(ids) if ids.count(i) > 1)} twice")
+        config.verify(self)
 
     @cached_property
     def servo_ids(self) -> NDArray[np.int64]:
@@ -252,7 +291,7 @@ def load_profile(name_or_path: str) -> RobotProfile:
         ConfigError: No such profile, or what is wrong in it, all at once.
     """
     if name_or_path.endswith(".toml"):
-        return _checked_stance(config.load(Path(name_or_path), RobotProfile), name_or_path)
+        return config.load(Path(name_or_path), RobotProfile, also=(_STANDS,))
     known = profile_names()
     if name_or_path not in known:
         raise config.ConfigError(
@@ -268,25 +307,34 @@ def profile_names() -> list[str]:
     return sorted(p.name.removesuffix(".toml") for p in files if p.name.endswith(".toml"))
 
 
-def _checked_stance(profile: RobotProfile, source: str) -> RobotProfile:
-    """A profile whose legs reach the ground in the resting stance.
+def _beyond_reach(
+    links: LegLinks, legs: tuple[Leg, ...], horns_deg: tuple[float, float, float], foot: Foot, stance: Stance
+) -> Iterator[config.Misfit]:
+    """Whether a leg does not reach the ground in the resting stance, where all that decides about it is known."""
+    from shared.kinematics import leg_inverse  # which knows robots
 
-    Raises:
-        ConfigError: One does not.
-    """
-    from shared.kinematics import body_inverse, within_limits  # which knows robots
+    try:
+        size = LegLinks(links.coxa, links.femur, links.tibia)
+        down, (front, middle, rear) = foot.radius - stance.body_height, stance.foot_radius_from_coxa
+    except AttributeError:  # told already
+        return
+    unreached, unturned = [], []
+    for leg, out in zip(legs, (front, front, middle, rear, rear, middle), strict=False):
+        if not all(hasattr(leg, name) for name in ("name", "mount_xyz", "servo_signs", "servo_limits_deg")):
+            continue
+        q = np.degrees(leg_inverse(np.array([out, 0.0, down - leg.mount_xyz[2]]), size))
+        servo = np.array(leg.servo_signs) * (q + horns_deg)
+        low, high = np.array(leg.servo_limits_deg).T
+        if not np.isfinite(q).all():
+            unreached.append(leg.name)
+        elif not ((low <= servo) & (servo <= high)).all():
+            unturned.append(leg.name)
+    where = f"feet {front:g}, {middle:g}, {rear:g} m from the coxa, the body {stance.body_height:g} m high"
+    for names, why in ((unreached, "out of the legs' reach"), (unturned, "beyond the servos' limits")):
+        if names:
+            yield config.Misfit(
+                "stance", "a resting stance that links and limits allow", f"one ({where}) {why} for {', '.join(names)}"
+            )
 
-    q = body_inverse(profile, profile.rest_feet())
-    bad_legs = np.flatnonzero(~within_limits(profile, q).all(axis=1)).tolist()
-    if not bad_legs:
-        return profile
-    bad = [LEGS[leg] for leg in bad_legs]
-    out = [leg for leg, angles in zip(LEGS, q, strict=True) if not np.isfinite(angles).all()]
-    why = "is out of the legs' reach" if out else "is beyond the servos' limits"
-    raise config.ConfigError(
-        source,
-        [
-            f"stance: the resting stance ({profile.foot_radii[bad_legs[0]]:g} m from the coxa, the body "
-            f"{profile.stance.body_height:g} m high) {why} for {', '.join(bad)}; check links, limits and stance"
-        ],
-    )
+
+_STANDS = config.Check(("links", "legs", "horn_offsets_deg", "foot", "stance"), _beyond_reach)

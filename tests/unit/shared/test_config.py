@@ -167,7 +167,7 @@ def test_everything_wrong_is_said_at_once() -> None:
     found = problems({"cuont": 1, "name": 7, "inner": {"sped": 1, "gait": 2}, "pair": [0]})
     assert sorted(p.partition(":")[0] for p in found) == ["count", "cuont", "inner.gait", "inner.sped", "name", "pair"]
     error = config.ConfigError("robot.toml", list(found))
-    assert str(error).startswith("robot.toml: \n  - ")
+    assert str(error).startswith("robot.toml:\n  - ")
     assert all(p in str(error) for p in found)
 
 

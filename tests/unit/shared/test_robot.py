@@ -1,5 +1,7 @@
 """Robot profiles: what the file says, what follows from it, and what is refused."""
 
+import copy
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -133,24 +135,33 @@ LEG = PROFILE.legs[0]
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: LegLinks(0.05, 0.0, 0.1), "positive link lengths"),
-        (lambda: replace(LEG, name="middle"), "leg name"),
-        (lambda: replace(LEG, servo_signs=(1, 0, 1)), "servo signs of 1 or -1"),
-        (lambda: replace(LEG, servo_limits_deg=((-80.0, 42.0), (10.0, 10.0), (-55.0, 101.0))), "femur limits"),
-        (lambda: replace(LEG, servo_limits_deg=((-80.0, 42.0), (-1.0, 1.0), (-55.0, 151.0))), "tibia limits"),
-        (lambda: replace(LEG, servo_ids=(1, 2, 254)), "servo ids from 0 to 253"),
-        (lambda: replace(PROFILE, legs=PROFILE.legs[::-1]), "legs in the order"),
-        (lambda: replace(PROFILE, legs=(replace(LEG, servo_ids=(1, 2, 5)), *PROFILE.legs[1:])), r"found \[2\] twice"),
-        (lambda: replace(PROFILE.stance, body_height=0.2), "body height within"),
-        (lambda: replace(PROFILE.stance, max_speed=0.0), "positive heights"),
-        (lambda: Foot(0.0), "foot radius"),
-        (lambda: Body((0.2, 0.1, 0.0), 1.0, (0.1, 0.1, 0.1)), "positive size and masses"),
-        (lambda: replace(PROFILE.servo, no_load_speed=0.0), "positive torque"),
+        (lambda: LegLinks(0.05, 0.0, 0.1), "femur: a length of more than 0 m"),
+        (lambda: replace(LEG, name="middle"), "name: one of left front"),
+        (lambda: replace(LEG, servo_signs=(1, 0, 1)), r"servo_signs\[1\]: a servo sign of 1 or -1"),
+        (
+            lambda: replace(LEG, servo_limits_deg=((-80.0, 42.0), (10.0, 10.0), (-55.0, 101.0))),
+            r"limits_deg\[1\]: limits",
+        ),
+        (lambda: replace(LEG, servo_limits_deg=((-80.0, 42.0), (-1.0, 1.0), (-55.0, 151.0))), r"limits_deg\[2\]: limits"),
+        (lambda: replace(LEG, servo_ids=(1, 2, 254)), r"servo_ids\[2\]: a servo id from 0 to 253 expected, found 254"),
+        (
+            lambda: replace(PROFILE, legs=PROFILE.legs[::-1]),
+            r"legs\[5\].name: 'left middle', as the legs",
+        ),
+        (
+            lambda: replace(PROFILE, legs=(replace(LEG, servo_ids=(1, 2, 5)), *PROFILE.legs[1:])),
+            "18 different servo ids",
+        ),
+        (lambda: replace(PROFILE.stance, body_height=0.2), "body_height: a body height within"),
+        (lambda: replace(PROFILE.stance, max_speed=0.0), "max_speed: more than 0 m/s"),
+        (lambda: Foot(0.0), "radius: a foot radius"),
+        (lambda: Body((0.2, 0.1, 0.0), 1.0, (0.1, 0.1, 0.1)), r"size\[2\]: an edge of more than 0 m"),
+        (lambda: replace(PROFILE.servo, no_load_speed=0.0), "no_load_speed: more than 0 expected"),
         (lambda: Servo("AX-12A", 1.5, 6.0, 9.0, 0, 0.0, 0.0), "compliance slope"),
-        (lambda: Intrinsics(0, 480, 585.0, 585.0, 1.0, 1.0), "at least 1x1"),
-        (lambda: Intrinsics(640, 480, 0.0, 585.0, 1.0, 1.0), "positive focal lengths"),
-        (lambda: DepthSensor(min_range=2.0, max_range=1.0), "min_range < max_range"),
-        (lambda: DepthSensor(baseline=0.0), "positive rate, baseline"),
+        (lambda: Intrinsics(0, 480, 585.0, 585.0, 1.0, 1.0), "width: at least 1 pixel"),
+        (lambda: Intrinsics(640, 480, 0.0, 585.0, 1.0, 1.0), "fx: a focal length of more than 0"),
+        (lambda: DepthSensor(min_range=2.0, max_range=1.0), "min_range below max_range"),
+        (lambda: DepthSensor(baseline=0.0), "baseline: more than 0 expected"),
     ],
 )
 def test_nonsense_is_refused(make: Any, words: str) -> None:
@@ -172,8 +183,8 @@ def test_a_profile_is_found_by_name_and_by_path(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("foot_radius_from_coxa = [0.11", "foot_radius_from_coxa = [0.6", "out of the legs' reach for left front"),
-        ("pitch_down_deg = 30", "pitch_down_deg = -80", "camera: a pitch_down_deg from -45"),
+        ("foot_radius_from_coxa = [0.110", "foot_radius_from_coxa = [0.610", "out of the legs' reach for left front"),
+        ("pitch_down_deg = 30", "pitch_down_deg = -80", "camera.pitch_down_deg: an angle from -45"),
     ],
 )
 def test_a_profile_that_cannot_stand_or_see_is_refused(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -183,6 +194,79 @@ def test_a_profile_that_cannot_stand_or_see_is_refused(tmp_path: Path, old: str,
     path.write_text(text.replace(old, new), encoding="utf-8")
     with pytest.raises(config.ConfigError, match=words):
         load_profile(str(path))
+
+
+def _at(table: Any, path: str) -> tuple[Any, Any]:
+    """The container and the key in it that a path like legs[0].servo_ids[1] leads to."""
+    *way, last = [int(key) if key.isdigit() else key for key in re.findall(r"\w+", path)]
+    for key in way:
+        table = table[key]
+    return table, last
+
+
+# Each is wrong by itself, whatever the others are: place in the table, a value that cannot be, what is said of it.
+MISTAKES: dict[str, tuple[Any, str]] = {
+    "servo.stall_torque": (-1.0, "servo.stall_torque: more than 0 expected, found -1.0"),
+    "servo.model": ("AX-18", "servo.model: one of 'AX-12A', 'RX-64' expected, found 'AX-18'"),
+    "servo.compliance_slope": (0, "servo.compliance_slope: a compliance slope from 1 to 254 expected, found 0"),
+    "servo.armature": ("little", "servo.armature: a number expected, found 'little'"),
+    "links.femur": (0.0, "links.femur: a length of more than 0 m expected, found 0.0"),
+    "links.tibia": (None, "links.tibia: missing"),
+    "links.shin": (0.1, "links.shin: unknown key"),
+    "body.size[2]": (-0.1, r"body.size[2]: an edge of more than 0 m expected, found -0.1"),
+    "body.leg_link_masses": ([0.1, 0.1], "body.leg_link_masses: a list of 3 values expected, found 2"),
+    "body.mass": (float("inf"), "body.mass: a finite number expected, found inf"),
+    "foot.radius": (-0.01, "foot.radius: a foot radius of more than 0 m expected, found -0.01"),
+    "stance.body_height": (0.5, "stance.body_height: a body height within its range expected, found body_height = 0.5"),
+    "stance.max_speed": (0.0, "stance.max_speed: more than 0 m/s expected, found 0.0"),
+    "camera.pitch_down_deg": (120.0, "camera.pitch_down_deg: an angle from -45 (up) to 90 (straight down) expected"),
+    "camera.intrinsics.width": (0, "camera.intrinsics.width: at least 1 pixel expected, found 0"),
+    "camera.sensor.min_range": (9.0, "camera.sensor.min_range: min_range below max_range expected"),
+    "legs[0].servo_ids[1]": (300, "legs[0].servo_ids[1]: a servo id from 0 to 253 expected, found 300"),
+    "legs[1].servo_signs[2]": (0, "legs[1].servo_signs[2]: a servo sign of 1 or -1 expected, found 0"),
+    "legs[2].servo_limits_deg[1]": ([50.0, 10.0], "legs[2].servo_limits_deg[1]: limits (coxa, femur, tibia) within"),
+    "legs[3].name": ("left front", "legs[3].name: 'right rear', as the legs go once around the body, expected"),
+    "legs[4].servo_ids[0]": (
+        17,
+        "legs[5].servo_ids[2]: 18 different servo ids expected, found 17, as legs[4].servo",
+    ),
+    "legs[5].mount_xyz": ("here", "legs[5].mount_xyz: a list expected, found 'here'"),
+    "name": ("", "name: a name expected, found ''"),
+}
+
+
+@given(st.sets(st.sampled_from(sorted(MISTAKES)), min_size=1))
+def test_as_many_mistakes_as_are_made_are_told_each_with_its_place(made: set[str]) -> None:
+    table = copy.deepcopy(TABLE)
+    for path in made:
+        holder, key = _at(table, path)
+        value = MISTAKES[path][0]
+        if value is None:
+            del holder[key]
+        else:
+            holder[key] = value
+    with pytest.raises(config.ConfigError) as refusal:
+        config.build(table, RobotProfile)
+    told = refusal.value.problems
+    assert len(told) == len(made), told
+    for path in made:
+        assert sum(problem.startswith(MISTAKES[path][1]) for problem in told) == 1, (path, told)
+
+
+def test_a_stance_out_of_reach_is_told_beside_other_mistakes(tmp_path: Path) -> None:
+    text = Path(__file__).parents[3].joinpath("shared/profiles/phantomx_mk2.toml").read_text(encoding="utf-8")
+    for old, new in (
+        ("foot_radius_from_coxa = [0.110", "foot_radius_from_coxa = [0.610"),
+        ("pitch_down_deg = 30", "pitch_down_deg = -80"),
+        ("servo_ids = [2, 4, 6]", "servo_ids = [2, 4]"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "my.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(config.ConfigError) as refusal:
+        load_profile(str(tmp_path / "my.toml"))
+    places = [problem.split(":")[0] for problem in refusal.value.problems]
+    assert sorted(places) == ["camera.pitch_down_deg", "legs[1].servo_ids", "stance"]
 
 
 def test_a_profile_with_five_legs_is_refused_in_words() -> None:
