@@ -468,7 +468,7 @@ def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
         if empty is not None and value.shape == empty:
             return ""
         if names:
-            problem = _shape_misfit(value.shape, expected, lengths) or _length_misfit(value.shape, dims)
+            problem = _shape_misfit(value.shape, dims, lengths)
             if problem:
                 return problem
         elif value.shape != expected:
@@ -483,19 +483,15 @@ def _array_check(dtype: np.dtype[Any], dims: Dims) -> Check:
     return check
 
 
-def _length_misfit(shape: tuple[int, ...], dims: Dims) -> str:
-    """What is wrong with the free lengths of an array, or nothing."""
+def _shape_misfit(shape: tuple[int, ...], dims: Dims, lengths: dict[str, int]) -> str:
+    """What is wrong with the shape of an array that has free lengths, or nothing; notes what they are."""
+    if len(shape) != len(dims.shape):
+        return f"shape {dims.shape} expected, found {shape}"
     low, high = dims.lengths or (0, MAX_LENGTH)
-    free = [found for name, found in zip(dims.shape, shape, strict=True) if isinstance(name, str)]
-    wrong = [found for found in free if not low <= found <= high]
-    return f"{low} to {high} of {dims.shape} expected, found {wrong[0]}" if wrong else ""
-
-
-def _shape_misfit(shape: tuple[int, ...], expected: tuple[int | str, ...], lengths: dict[str, int]) -> str:
-    if len(shape) != len(expected):
-        return f"shape {expected} expected, found {shape}"
-    for name, found in zip(expected, shape, strict=True):
+    for name, found in zip(dims.shape, shape, strict=True):
         known = lengths.setdefault(name, found) if isinstance(name, str) else name
-        if found != known or found > MAX_LENGTH:
-            return f"shape {expected} expected with {name} = {known}, found {shape}"
+        if found != known:
+            return f"shape {dims.shape} expected with {name} = {known}, found {shape}"
+        if isinstance(name, str) and not low <= found <= high:
+            return f"{low} to {high} of {dims.shape} expected, found {found}"
     return ""
