@@ -181,10 +181,7 @@ def nearest_reachable(profile: RobotProfile, feet_body: Array) -> Array:
     horizontal = np.maximum(np.hypot(p[:, 0], p[:, 1]), 1e-6)
     r, z = horizontal - links.coxa, p[:, 2]
     d = np.hypot(r, z)
-    folded, stretched = profile.joint_limits[:, 2, 0], np.minimum(profile.joint_limits[:, 2, 1], 0.0)
-    shortest, longest = (
-        np.sqrt(links.femur**2 + links.tibia**2 + 2.0 * links.femur * links.tibia * np.cos(q)) for q in (folded, stretched)
-    )
+    shortest, longest = profile.leg_reach.T
     near, far = d < shortest + _REACH_MARGIN, d > longest - _REACH_MARGIN
     if not (near | far).any():
         return feet_body
@@ -257,7 +254,7 @@ def leg_points(profile: RobotProfile, q: Array) -> Array:
     points[..., 2, 0], points[..., 2, 1], points[..., 2, 2] = (reach - shank_x) * c1, (reach - shank_x) * s1, z - shank_z
     points[..., 3, 0], points[..., 3, 1], points[..., 3, 2] = reach * c1, reach * s1, z
     R, p = profile.T_body_coxa[:, :3, :3], profile.T_body_coxa[:, :3, 3]
-    return np.asarray(points @ np.swapaxes(R, -1, -2) + p[:, None, :])
+    return np.asarray(points @ R.mT + p[:, None, :])
 
 
 def _planar(q: Array, links: LegLinks) -> tuple[Array, Array, Array, Array, Array, Array]:

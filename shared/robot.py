@@ -257,6 +257,14 @@ class RobotProfile:
         return np.array([front, front, middle, rear, rear, middle])
 
     @cached_property
+    def leg_reach(self) -> Array:
+        """(6, 2) [m] shortest and longest way from a femur's axis to its foot, by the limits of the tibia."""
+        femur, tibia = self.links.femur, self.links.tibia
+        folded, stretched = self.joint_limits[:, 2, 0], np.minimum(self.joint_limits[:, 2, 1], 0.0)
+        ways = [np.sqrt(femur**2 + tibia**2 + 2.0 * femur * tibia * np.cos(q)) for q in (folded, stretched)]
+        return np.column_stack(ways)
+
+    @cached_property
     def T_body_coxa(self) -> Array:
         """(6, 4, 4) coxa frames at joint angle zero: origin on the coxa axis, x outward along the neutral leg, z up."""
         yaw = np.radians([leg.neutral_yaw_deg for leg in self.legs])

@@ -1,6 +1,9 @@
 """Static stability: how far the centre of mass is inside its support polygon."""
 
+from functools import cache
+
 import numpy as np
+from numpy.typing import NDArray
 
 from shared.geometry import Array
 
@@ -23,7 +26,7 @@ def support_margin(feet: Array, centre: Array) -> float:
     middle = feet.mean(axis=0)
     offsets = feet - middle
     # Every edge of the hull is a pair with all feet on one side; six feet make fifteen pairs, so all are tried.
-    i, j = np.triu_indices(len(feet), 1)
+    i, j = _pairs(len(feet))
     edges = feet[j] - feet[i]
     length = np.hypot(edges[:, 0], edges[:, 1])
     long = length > 1e-9
@@ -36,3 +39,10 @@ def support_margin(feet: Array, centre: Array) -> float:
     # Feet on a line have no inside.
     distance = np.where(np.abs(sides).max(axis=1) <= 1e-9, -np.abs(distance), distance)
     return float(distance[hull].min()) if hull.any() else -float(np.linalg.norm(centre - middle))
+
+
+@cache
+def _pairs(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Every pair of n feet, once: the numbers of the first and of the second (n (n - 1) / 2,)."""
+    i, j = np.triu_indices(n, 1)
+    return i, j

@@ -5,7 +5,7 @@ pixel and is exact. Faces are drawn as convex polygons, the height field as its 
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from services.simulator.solids import Boxes, Capsules, HeightField
 from services.simulator.terrain import DEPTH, Terrain
@@ -45,7 +45,8 @@ class Renderer:
     def __init__(self, terrain: Terrain, intrinsics: Intrinsics):
         self.intrinsics = intrinsics
         look = terrain.look
-        quads, colours = _box_quads(terrain.boxes, _BOX_COLOUR)
+        quads = _box_quads(terrain.boxes)
+        colours = _colours(_BOX_COLOUR, len(quads))
         if look is not None:
             painted = np.repeat(look.boxes, 6, axis=0)
             colours = np.where(np.isfinite(painted), painted, colours)
@@ -54,9 +55,9 @@ class Renderer:
         field = terrain.height_field
         if field is not None:
             skirt = _skirt(field)
-            skirt_colours = np.tile(field_colour, (len(skirt), 1))
-            quads, colours = np.concatenate([quads, skirt]), np.concatenate([colours, skirt_colours])
+            quads, colours = np.concatenate([quads, skirt]), np.concatenate([colours, _colours(field_colour, len(skirt))])
         self._quads, self._colours = quads, colours
+        self._robot_colours = _colours(_ROBOT_COLOUR, len(_FACES))
         self._plane = np.nan if terrain.plane is None else terrain.plane
         self._field = _FieldMesh(field, field_colour)
         self._camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
@@ -110,10 +111,9 @@ class Renderer:
             _draw_field(w, rgb, camera, self._ramp, T_camera_world, mesh.heights, mesh.grid, mesh.blocks, mesh.colour, light)
         if robot is not None:
             boxes, capsules = robot
-            quads, colours = _box_quads(boxes, _ROBOT_COLOUR)
-            _draw_quads(w, rgb, camera, self._ramp, T_camera_world, quads, colours, light)
-            colour = np.array(_ROBOT_COLOUR, dtype=np.float64)
-            _draw_capsules(w, rgb, camera, T_camera_world, capsules.start, capsules.end, capsules.radius, colour, light)
+            colours = self._robot_colours
+            _draw_quads(w, rgb, camera, self._ramp, T_camera_world, _box_quads(boxes), colours, light)
+            _draw_capsules(w, rgb, camera, T_camera_world, capsules.start, capsules.end, capsules.radius, colours[0], light)
         return w
 
 
@@ -140,10 +140,15 @@ def _own_colour(own: Array | None, usual: tuple[int, int, int]) -> Array:
     return np.array(usual, dtype=np.float64) if own is None or np.isnan(own).any() else own
 
 
-def _box_quads(boxes: Boxes, colour: tuple[int, int, int]) -> tuple[Array, Array]:
-    """Faces (6 n, 4, 3) [m] {world} of boxes and their colours (6 n, 3)."""
+def _box_quads(boxes: Boxes) -> Array:
+    """Faces (6 n, 4, 3) [m] {world} of boxes."""
     corners = np.einsum("nij,fkj,nj->nfki", boxes.R, _FACES, boxes.half) + boxes.centre[:, None, None]
-    return corners.reshape(-1, 4, 3), np.tile(np.array(colour, dtype=np.float64), (6 * len(boxes), 1))
+    return np.asarray(corners.reshape(-1, 4, 3))
+
+
+def _colours(colour: ArrayLike, n: int) -> Array:
+    """One colour (n, 3) for n faces."""
+    return np.tile(np.asarray(colour, dtype=np.float64), (n, 1))
 
 
 def _skirt(field: HeightField) -> Array:
@@ -165,8 +170,7 @@ def _skirt(field: HeightField) -> Array:
         walls.append(np.stack([foot[:-1], foot[1:], top[1:], top[:-1]], axis=1))
     size = np.array([x[-1] - x[0], y[-1] - y[0], DEPTH])
     middle = np.array([(x[0] + x[-1]) / 2, (y[0] + y[-1]) / 2, low - DEPTH / 2])
-    base, _ = _box_quads(Boxes(middle[None], size[None] / 2, np.eye(3)[None]), _FIELD_COLOUR)
-    return np.concatenate([*walls, base])
+    return np.concatenate([*walls, _box_quads(Boxes(middle[None], size[None] / 2, np.eye(3)[None]))])
 
 
 @compiled

@@ -64,6 +64,7 @@ class Simulator:
         seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(5)]
         terrain = build_terrain(scenario, seeds[0])
         self.world = World(profile, terrain, Factors.draw(scenario.variation, seeds[1]), imu=scenario.variation.imu)
+        self._T_body_camera = profile.camera.T_body_camera
         self._renderer = Renderer(terrain, profile.camera.intrinsics)
         self._camera = DepthCamera(
             profile.camera.intrinsics,
@@ -197,7 +198,7 @@ class Simulator:
         return True
 
     def _camera_pose(self) -> Array:
-        return np.asarray(self.world.T_world_body @ self._profile.camera.T_body_camera)
+        return np.asarray(self.world.T_world_body @ self._T_body_camera)
 
     def _feel(self, now_ns: int) -> Imu:
         gyro, force = self._imu.update(*self.world.imu, 1.0 / topics.IMU.rate_hz)

@@ -396,5 +396,5 @@ class ServoBank:
         words = [self._words[:, r.address // 2] for r in (dxl.PRESENT_POSITION, dxl.PRESENT_SPEED, dxl.PRESENT_LOAD)]
         _measure(_UNITS, self._q, self._qd, self._load, *words)
         self._column(dxl.PRESENT_VOLTAGE)[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
-        self._column(dxl.PRESENT_TEMPERATURE)[:] = np.clip(np.rint(self.temperature), 0, 255).astype(np.uint8)
+        self._column(dxl.PRESENT_TEMPERATURE)[:] = np.minimum(np.maximum(np.rint(self.temperature), 0.0), 255.0)
         self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._limp

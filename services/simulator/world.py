@@ -204,7 +204,8 @@ class World:
         half = self.model.geom_size[trunk]
         boxes = Boxes(np.array(position[trunk])[None], np.array(half)[None], np.array(axes[trunk]).reshape(1, 3, 3))
         start, ends = self.data.xpos[self._link_bodies], position[feet]
-        return boxes, Capsules(np.vstack([start, ends]), np.vstack([2.0 * position[links] - start, ends]), self._radii)
+        tips = np.concatenate([2.0 * position[links] - start, ends])
+        return boxes, Capsules(np.concatenate([start, ends]), tips, self._radii)
 
     @property
     def foot_force(self) -> Array:
