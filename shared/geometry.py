@@ -87,8 +87,10 @@ def exp_so3(rotvec: ArrayLike) -> Array:
 
 def log_so3(R: Array) -> Array:
     """Rotation vector (..., 3) [rad] of (..., 3, 3) rotations, of length at most pi."""
-    if R.ndim == 2 and np.trace(R) > 0.0:  # turned by less than 120 deg
-        return _log_of_one(R)
+    if R.ndim == 2:
+        rows = R.tolist()
+        if rows[0][0] + rows[1][1] + rows[2][2] > 0.0:  # turned by less than 120 deg
+            return _log_of_one(rows)
     q = quaternion_from_rotation(R)
     norm = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(norm, q[..., :1])
@@ -107,12 +109,12 @@ def _exp_of_one(x: float, y: float, z: float) -> Array:
     return np.asarray(np.eye(3) + a * K + b * (K @ K))
 
 
-def _log_of_one(R: Array) -> Array:
-    """`log_so3` of one rotation by less than 120 deg."""
-    (_, xy, xz), (yx, _, yz), (zx, zy, _) = R.tolist()
+def _log_of_one(rows: list[list[float]]) -> Array:
+    """`log_so3` of one rotation by less than 120 deg, by its rows."""
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
     x, y, z = 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)
     sine = math.sqrt(x * x + y * y + z * z)
-    angle = math.atan2(sine, 0.5 * (float(np.trace(R)) - 1.0))
+    angle = math.atan2(sine, 0.5 * (xx + yy + zz - 1.0))
     scale = angle / sine if sine > _SMALL_ANGLE else 1.0
     return np.array([scale * x, scale * y, scale * z])
 
@@ -269,9 +271,15 @@ def align_rigid(source: Array, target: Array, weights: Array | None = None) -> A
     source_mean, target_mean = w @ source, w @ target
     u, _, vt = np.linalg.svd((source - source_mean).T @ (w[:, None] * (target - target_mean)))
     R = vt.T @ u.T
-    if np.linalg.det(R) < 0.0:  # a reflection: turn the direction that matters least
+    if _is_reflection(R):  # turn the direction that matters least
         R = (vt.T * [1.0, 1.0, -1.0]) @ u.T
     return transform(R, target_mean - R @ source_mean)
+
+
+def _is_reflection(R: Array) -> bool:
+    """Whether an orthogonal matrix (3, 3) mirrors."""
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    return bool(a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < 0.0)
 
 
 def _left_jacobian(rotvec: Array) -> Array:

@@ -60,7 +60,8 @@ class LegOdometry:
             self.travelled += math.hypot(*(self.T_odom_body[:2, 3] - previous[:2, 3]).tolist())
             self.turned += abs(math.remainder(yaw_of(self.T_odom_body) - yaw_of(previous), math.tau))
         fresh = standing & ~self._standing
-        self.anchors[fresh] = apply(self.T_odom_body, self.feet[fresh])
+        if fresh.any():
+            self.anchors[fresh] = apply(self.T_odom_body, self.feet[fresh])
         self._standing = standing.copy()
         return self.T_odom_body
 

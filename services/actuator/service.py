@@ -259,12 +259,14 @@ class Actuator:
         """Send the goals that bring the feet where they shall be, under their load."""
         feet = nearest_reachable(self._profile, targets.feet)
         q = body_inverse(self._profile, feet)
-        sag = sag_feed_forward(self._profile, np.nan_to_num(q), feet, targets.share, targets.R_level_body)
+        reached = np.isfinite(q)
+        sag = sag_feed_forward(self._profile, np.where(reached, q, 0.0), feet, targets.share, targets.R_level_body)
         before = q if self._q_last is None else self._q_last
-        lag = np.nan_to_num(lag_feed_forward(self._profile, (q - before) / dt, dt))
+        rates = np.where(reached & np.isfinite(before), (q - before) / dt, 0.0)
+        lag = lag_feed_forward(self._profile, rates, dt)
         self._q_last = q
         goal, self._warning = self._guard.safe_goals(q + sag + lag, self._q_goal, dt)
-        self._q_wanted = np.where(np.isfinite(q), q, self._q_wanted)
+        self._q_wanted = np.where(reached, q, self._q_wanted)
         self._write(goal)
 
     def _take_over(self, torque: bool) -> None:
