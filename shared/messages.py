@@ -23,7 +23,7 @@ MAX_TEXT = 2000  # characters of a text field
 MAX_ITEMS = 256  # entries of a tuple field
 _MAX_INT = 1 << 63
 UNKNOWN = 127  # of the evaluation function: never seen
-HAZARDS = ("", "water", "loose ground")  # by the numbers of TerrainMap.hazard
+HAZARDS = ("", "water", "loose ground", "no ground by touch")  # by the numbers of TerrainMap.hazard
 MAX_LENGTH = 4_000_000  # elements along an array
 MAX_WAYPOINTS = 32  # of a goal
 MAX_PATH = 64  # corners of a planned way
@@ -70,6 +70,7 @@ GaitName: TypeAlias = Literal["tripod", "ripple", "wave"]
 _POINTS_WITHOUT_COLOR, _CELLS_WITHOUT_COLOR = np.zeros((0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8)
 _NO_SIGHTS = np.zeros((0, 3), dtype=np.int16)
 _NO_CELLS = np.zeros((0, 0), np.uint8)
+_NEVER, _NOWHERE, _NONE = np.full(6, -1, dtype=np.int64), np.zeros((6, 3)), np.zeros(6, dtype=np.bool_)
 _NO_PATH = np.zeros((0, 2))
 
 
@@ -166,6 +167,13 @@ class ActuatorState(Message):
     voltage: float  # [V] lowest seen
     temperature: float  # [deg C] highest seen
     warnings: tuple[str, ...]  # in words: servos by leg and joint
+    # What each foot found when it last came down; it stays here until it comes down again.
+    touch_ns: Annotated[NDArray[np.int64], Dims(6)] = dataclasses.field(default_factory=lambda: _NEVER)  # -1 nothing yet
+    touch: PerJoint = dataclasses.field(
+        default_factory=lambda: _NOWHERE
+    )  # (6, 3) [m] {odom} underside of the foot: where it met ground, or the deepest that it looked for some
+    touch_carries: LegFlags = dataclasses.field(default_factory=lambda: _NONE)  # False: there is no ground
+    slip: float = 0.0  # [m] by which the standing feet have moved against each other, the worst of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +240,7 @@ class TerrainMap(Message):
     )  # R, G, B
     hazard: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True, most=len(HAZARDS) - 1)] = dataclasses.field(
         default_factory=lambda: _NO_CELLS
-    )  # 1 water, 2 loose ground under a foot here, which is then no foothold; 0 neither
+    )  # 1 water, 2 loose ground, 3 none at all under a foot here, which is then no foothold; 0 nothing of these
     confidence: Annotated[NDArray[np.uint8], Dims("nx", "ny", optional=True, most=100)] = dataclasses.field(
         default_factory=lambda: _NO_CELLS
     )  # [%] of the type of ground that is the most probable, 0 where nothing is known

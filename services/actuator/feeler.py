@@ -19,6 +19,7 @@ _BEARS_HARD_N = 3.0  # [N] once
 _NEAR_NS = 50_000_000  # [ns] between two readings that tell how the leg gathers speed
 _FRICTION = 2.5  # times the dry friction: goals come in steps, so at a reading the leg is always losing speed
 _DOUBT = 0.4  # of what speeds the leg up, for an armature is known no better, and of a jerk that the goal makes
+_SILENT_NS = 300_000_000  # [ns] without an answer of a servo, after which nobody knows what its leg feels
 _NEAREST_ARM = 0.03  # [m] of a foot beside its femur's axis, below which there is no leverage
 
 
@@ -27,6 +28,7 @@ class Felt:
     """What the legs feel in this cycle."""
 
     touches: NDArray[np.bool_]  # (6,) feet that have met something while they moved
+    bears: NDArray[np.bool_]  # (6,) feet that stand on something
     feet: Array  # (6, 3) [m] {odom} measured foot centres
 
 
@@ -99,6 +101,10 @@ class Feeler:
         """Feet (6,) whose push is above one limit [N] in two readings, or above another in one."""
         push = self._push / self._heavier
         return np.asarray((push > twice).all(axis=0) | (push[0] > once))
+
+    def silent(self, now_ns: int) -> NDArray[np.bool_]:
+        """(6,) legs whose servo has not answered for a while: of them nothing is known."""
+        return np.asarray(now_ns - self._stamp_ns > _SILENT_NS)
 
 
 def _leg_inertia(profile: RobotProfile) -> float:

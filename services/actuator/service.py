@@ -76,6 +76,9 @@ class Actuator:
         self._load = np.zeros((6, 3))
         self._voltage = np.full(18, np.nan)
         self._temperature = np.full(18, np.nan)
+        self._touch_ns = np.full(6, -1, dtype=np.int64)  # what feet have found, see ActuatorState
+        self._touch = np.zeros((6, 3))
+        self._touch_carries = np.zeros(6, dtype=np.bool_)
         self._last_ns = -1
         self._refused, self._refused_ns = "", -1
         self._warning = ""
@@ -115,6 +118,7 @@ class Actuator:
             self._consider(plan, tick.stamp_ns)
         if self._mode is not Mode.OFF:
             self._move(dt, T_odom_body)
+            self._note_findings(now_ns)
         yield self._odometry_message(now_ns)
         news = (self._mode, self._reason, self._refused, self._walker.plan_ns)
         if news != self._told or self._silent:  # every other cycle, and at once when there is something to tell
@@ -161,7 +165,8 @@ class Actuator:
         return np.asarray(self._q + (self._q_wanted - self._q_wanted_when_read))
 
     def _standing(self) -> NDArray[np.bool_]:
-        return np.asarray(~self._walker.swing | (self._walker.load_share > _STANDS))
+        walker = self._walker
+        return np.asarray((~walker.swing | (walker.load_share > _STANDS)) & ~walker.searching)
 
     def _set_up(self) -> None:
         """Set the bus up; servos that are silent at first get some time."""
@@ -225,6 +230,9 @@ class Actuator:
             self._refused = f"plan of step {plan.step} refused: the mode is {self._mode}, not ordered to walk"
             return
         walker = self._walker
+        if walker.searching.any():
+            self._refused = f"plan of step {plan.step} refused: {walker.trouble}"
+            return
         revises = plan.step == walker.step
         body, feet = (walker.body_ref, walker.feet_odom) if revises else walker.stance_at_end
         self._refused = self._guard.untimely(plan, now_ns, walker.step, walker.resting, walker.swing)
@@ -244,7 +252,9 @@ class Actuator:
         if self._stand_up is not None:
             targets = self._stand_up.update(dt)
         else:
-            felt = Felt(self._feeler.touches, apply(T_odom_body, self._odometry.feet))
+            # A leg whose servo is silent is taken to stand where the plan says.
+            stands = self._feeler.bears | self._feeler.silent(self._clock())
+            felt = Felt(self._feeler.touches, stands, apply(T_odom_body, self._odometry.feet))
             targets = self._walker.update(dt, T_odom_body, felt)
         self._reach_for(targets, dt)
         if self._stand_up is not None and self._stand_up.done:
@@ -253,7 +263,16 @@ class Actuator:
             if self._mode is Mode.STAND:  # a fault that came meanwhile stays one
                 self._mode, self._reason = Mode.HOLD, "standing"
         elif self._walker.resting and self._mode is Mode.WALK:
-            self._mode, self._reason = Mode.HOLD, "the last accepted step is finished and no new plan came"
+            ended = self._walker.trouble or "the last accepted step is finished and no new plan came"
+            self._mode, self._reason = Mode.HOLD, ended
+
+    def _note_findings(self, now_ns: int) -> None:
+        """Keep what feet have found for everybody, and the reason while something is not as planned."""
+        for found in self._walker.drain_findings():
+            self._touch_ns[found.leg], self._touch_carries[found.leg] = now_ns, found.carries
+            self._touch[found.leg] = found.p_odom - [0.0, 0.0, self._profile.foot.radius]
+        if self._mode is Mode.WALK:
+            self._reason = self._walker.trouble or "walking"
 
     def _reach_for(self, targets: Targets, dt: float) -> None:
         """Send the goals that bring the feet where they shall be, under their load."""
@@ -329,6 +348,9 @@ class Actuator:
             voltage=_known(np.fmin.reduce(self._voltage)),
             temperature=_known(np.fmax.reduce(self._temperature)),
             warnings=tuple(w for w in (self._warning,) if w),
+            touch_ns=self._touch_ns.copy(),
+            touch=self._touch.copy(),
+            touch_carries=self._touch_carries.copy(),
         )
 
 

@@ -31,6 +31,7 @@ from shared.geometry import (
     yaw_of,
 )
 from shared.messages import StepPlan
+from shared.robot import LEGS
 
 _LOWERING_S = 1.0  # [s]
 _FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
@@ -39,7 +40,28 @@ _LEVELLED = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of x, y, z, roll, pitch,
 _LISTEN_FROM, _STOP_FROM = 0.35, 0.45  # shares of a swing from which its feet are felt, and from which they may be stopped
 _EARLY = 0.006  # [m] over its target from which a touch stops a foot; lower, the leg gives way as much
 _SETTLE_S = 0.05  # [s] time constant in which a foot that was stopped is told to be where it is
+_REACH, _REACH_SPEED = 0.04, 0.04  # [m] by which a foot looks for ground below its target, and [m/s] how fast
+_FEEL_FROM_S = 0.03  # [s] before its legs are lifted from which a step wants to know that the others stand
+_WAIT_S = 0.07  # [s] for which it waits for them
+_BACK_S = 1.4  # [s] in which a step is taken back
 _CORRECTION_LIMIT = np.array([0.0, 0.0, 0.025, np.radians(4), np.radians(4), 0.0])  # [m] and [rad]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a foot found where it came down."""
+
+    leg: int
+    p_odom: Array  # (3,) [m] its centre: where it met ground, or the deepest that it looked for some
+    carries: bool  # False: there is none
+
+
+@dataclass(slots=True)
+class _Search:
+    """Feet that stand on nothing, on their way down."""
+
+    legs: NDArray[np.bool_]  # (6,) still looking
+    depth: float = 0.0  # [m] below where they were to stand
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +104,13 @@ class Walker:
         self._flight: Swing | None = None
         self._stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swung legs that met ground before their targets
         self._met = self._feet.copy()  # (6, 3) [m] {cmd} where
+        self._proven: NDArray[np.bool_] = np.ones(6, dtype=bool)  # legs that have borne something since they came down
+        self._search: _Search | None = None
+        self._way_back: StepPlan | None = None  # of the last step, {world} being {cmd}
+        self._waited = 0.0  # [s] before lift-off, for legs that have yet to prove that they stand
+        self._taking_back = False  # whether the last swing was none of a plan: there is no way back from it
+        self._findings: list[Finding] = []
+        self.trouble = ""  # what happened to the last step, in words; empty when it went as planned
 
     @property
     def body_ref(self) -> Array:
@@ -105,15 +134,32 @@ class Walker:
 
     @property
     def awaiting(self) -> NDArray[np.bool_]:
-        """(6,) legs that are coming down: they may meet ground in any cycle."""
+        """(6,) legs of which it matters in every cycle what they feel: they come down, or must prove that they stand."""
         plan = self._plan
-        coming = plan is not None and self._flight is not None and _LISTEN_FROM <= self._progress(plan, self._elapsed) < 1.0
+        if self._search is not None:
+            return self._search.legs.copy()
+        if plan is None:
+            return np.zeros(6, dtype=bool)
+        if self._flight is None:
+            soon = self._elapsed >= self._settings.unload_s - _FEEL_FROM_S - 1e-9
+            return np.asarray(~plan.swing & ~self._proven & soon)
+        coming = _LISTEN_FROM <= self._progress(plan, self._elapsed) < 1.0
         return np.asarray(self.swing & ~self._stopped & coming)
 
     @property
+    def searching(self) -> NDArray[np.bool_]:
+        """(6,) legs that look for ground below where they were to stand."""
+        return np.zeros(6, dtype=bool) if self._search is None else self._search.legs.copy()
+
+    def drain_findings(self) -> list[Finding]:
+        """What feet have found since this was last asked."""
+        found, self._findings = self._findings, []
+        return found
+
+    @property
     def resting(self) -> bool:
-        """Whether no step is going on."""
-        return self._plan is None
+        """Whether no step is going on, and no foot looks for ground."""
+        return self._plan is None and self._search is None
 
     @property
     def stance_at_end(self) -> tuple[Array, Array]:
@@ -147,12 +193,18 @@ class Walker:
         Returns:
             What the legs shall do.
         """
-        if self._plan is None and self._next is not None:
+        if self.resting and self._next is not None:
             self._begin(self._next)
+            self.trouble = ""
         self._follow(dt, T_odom_body)
         self._correct(dt, T_odom_body)
+        if felt is not None:
+            self._prove(felt)
         if self._plan is None:
             self._brake(dt)
+            self._share += np.clip(~self.searching - self._share, -dt / self._settings.load_s, dt / self._settings.load_s)
+            if self._search is not None and felt is not None:
+                self._feel_down(dt, self._search, felt)
         else:
             self._advance(dt, self._plan, felt)
         self._feet[self._stopped] += (1.0 - math.exp(-dt / _SETTLE_S)) * (self._met - self._feet)[self._stopped]
@@ -187,7 +239,7 @@ class Walker:
         self.plan_ns = plan.stamp_ns
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
         self._start_ref, self._start_velocity = self._ref.copy(), self._velocity.copy()
-        self._flight = None
+        self._flight, self._waited = None, 0.0
         self._stopped &= ~plan.swing
 
     def _advance(self, dt: float, plan: StepPlan, felt: Felt | None) -> None:
@@ -200,6 +252,15 @@ class Walker:
         end_velocity = np.zeros(6) if plan.stop else (goal - self._start_ref) / plan.duration
         way = (self._start_ref, self._start_velocity, goal, end_velocity)
         self._ref, self._velocity = _hermite(*way, plan.duration, self._elapsed)
+        if self._flight is None and self._elapsed > self._settings.unload_s:
+            unproven = ~plan.swing & ~self._proven
+            if felt is not None and unproven.any():
+                self._waited += self._elapsed - before
+                self._elapsed, self._velocity = before, np.zeros(6)  # time stands still
+                if self._waited > _WAIT_S:
+                    self._call_off(unproven)
+                return
+            self._lift_off(plan)
         self._swing_feet(before, plan, apply(T_cmd_world, plan.touchdown), felt)
         if self._elapsed >= plan.duration:
             self._land()
@@ -227,6 +288,59 @@ class Walker:
             self._feet[free] = feet[free]
             self._ground[free] = targets[free, 2]
 
+    def _lift_off(self, plan: StepPlan) -> None:
+        """Note how the robot stands before legs leave the ground: that is where it can go back to."""
+        self._way_back = replace(
+            plan,
+            stamp_ns=-1,
+            T_world_odom=np.eye(4),
+            touchdown=self._feet.copy(),
+            clearance=np.maximum(plan.clearance, 0.03),
+            body_goal=_pose(self._start_ref),
+            duration=_BACK_S,
+            stop=True,
+        )
+        self._proven[plan.swing] = False
+        self._taking_back = plan.stamp_ns < 0
+
+    def _prove(self, felt: Felt) -> None:
+        """Take note of feet that stand, now that others unload."""
+        flying = self.swing if self._flight is not None else np.zeros(6, dtype=bool)
+        proven = felt.bears & ~self._proven & ~flying & ~self.searching
+        self._proven |= proven
+        self._findings += [Finding(leg, felt.feet[leg].copy(), True) for leg in np.flatnonzero(proven).tolist()]
+
+    def _call_off(self, legs: NDArray[np.bool_]) -> None:
+        """Lift nothing: legs (6,) that were to carry stand on nothing. They look for ground while the others hold the body."""
+        self._plan = self._next = None
+        self.swing, self.phase = np.zeros(6, dtype=bool), 1.0
+        self._search = _Search(legs.copy())
+        self.trouble = f"no ground under the {_names(legs)} foot where it was expected; it reaches down"
+
+    def _feel_down(self, dt: float, search: _Search, felt: Felt) -> None:
+        """Lower feet that look for ground; they stay where they meet some, or the step that brought them is taken back."""
+        found = search.legs & felt.touches
+        self._stay(found, apply(inverse(self._T_odom_cmd), felt.feet), felt.feet)
+        search.legs &= ~found
+        if not search.legs.any():
+            self._search = None
+            self.trouble = f"ground found {search.depth * 100:.0f} cm lower than expected"
+            return
+        step = min(_REACH_SPEED * dt, _REACH - search.depth)
+        self._feet[search.legs, 2] -= step
+        search.depth += step
+        if search.depth < _REACH - 1e-9:
+            return
+        lost = search.legs
+        self._findings += [Finding(leg, felt.feet[leg].copy(), False) for leg in np.flatnonzero(lost).tolist()]
+        self._search, where = None, f"no ground under the {_names(lost)} foot down to {_REACH * 100:.0f} cm below its foothold"
+        back, self._proven[lost] = self._way_back, True  # it has been said
+        if back is None or self._taking_back:
+            self.trouble = f"{where}; it stays there"
+            return
+        self._begin(replace(back, step=self.step, T_world_odom=inverse(self._T_odom_cmd)))
+        self.trouble = f"{where}; the step is taken back"
+
     def _progress(self, plan: StepPlan, elapsed: float) -> float:
         """Share of the way through the air that is over, 0 to 1, at a time [s] in the step."""
         begin, end = self._settings.unload_s, plan.duration - self._settings.load_s
@@ -241,10 +355,15 @@ class Walker:
             feet: (6, 3) [m] {odom} where they are.
         """
         met = apply(inverse(self._T_odom_cmd), feet)
-        early = legs & (met[:, 2] > targets[:, 2] + _EARLY)
-        self._met[early] = met[early]
-        self._ground[early] = feet[early, 2]
-        self._stopped |= early
+        self._stay(legs & (met[:, 2] > targets[:, 2] + _EARLY), met, feet)
+
+    def _stay(self, legs: NDArray[np.bool_], met: Array, feet: Array) -> None:
+        """Let feet stay where they are: (6, 3) [m] {cmd} and {odom}."""
+        self._met[legs] = met[legs]
+        self._ground[legs] = feet[legs, 2]
+        self._stopped |= legs
+        self._proven |= legs
+        self._findings += [Finding(leg, feet[leg].copy(), True) for leg in np.flatnonzero(legs).tolist()]
 
     def _land(self) -> None:
         self._share[:] = 1.0
@@ -278,6 +397,10 @@ class Walker:
         level = rotation_from_rpy(self._ref[3:] * _LEVEL)
         feet = apply(inverse(_pose(self._ref + self._correction)), self._feet)
         return Targets(feet, self._share.copy(), level)
+
+
+def _names(legs: NDArray[np.bool_]) -> str:
+    return " and ".join(LEGS[leg] for leg in np.flatnonzero(legs).tolist())
 
 
 def _coordinates(T: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from services.planner.by_touch import ByTouch
 from services.planner.config import Settings
 from services.planner.gait import GAITS, directions, swing_order
+from services.planner.holes import Holes
 from services.planner.pilot import Pilot
 from services.planner.refusals import Refusals
 from services.planner.route import NoWay
@@ -55,6 +56,7 @@ class Planner:
         self._settings = settings
         self._strides = StridePlanner(profile, settings)
         self._by_touch = ByTouch(profile, settings)
+        self._holes = Holes()
         self._pilot = Pilot(profile)
         self._led = False  # whether a goal is what it walks by
         self._sent: list[_Sent] = []  # that may yet be walked, the newest last
@@ -76,6 +78,9 @@ class Planner:
     def step(self, state: ActuatorState, inbox: Inbox) -> Iterator[Message]:
         """Follow the legs; plan when it is time to."""
         self._follow(state)
+        known = inbox.latest(topics.BODY_POSE)
+        if known is not None:
+            self._holes.update(state, known.T_world_odom)
         if state.stamp_ns >= self._due_ns:
             sent = self._plan(state, inbox)
             if sent is not None:
@@ -149,7 +154,7 @@ class Planner:
         if _is_still(command):
             self._refusals.forget()
             return self._hold("resting", "by touch: no velocity is commanded")
-        terrain = self._by_touch.terrain(state.stamp_ns, _feet_in_world(state, pose))
+        terrain = self._holes.marked(self._by_touch.terrain(state.stamp_ns, _feet_in_world(state, pose)))
         situations = self._situations(state, pose, self._by_touch.asked(command))
         if not situations:
             return self._hold("waiting", _NOT_MINE)
@@ -195,7 +200,7 @@ class Planner:
             feet = _feet_in_world(state, pose)[~state.swing]
             return flat_terrain(state.stamp_ns, feet[:, :2].mean(axis=0), float(feet[:, 2].mean()) - self._profile.foot.radius)
         map_ = inbox.fresh(topics.TERRAIN, self._settings.map_age_s)
-        return None if map_ is None else Terrain(map_, self._settings.footholds)
+        return None if map_ is None else self._holes.marked(Terrain(map_, self._settings.footholds))
 
     def _next_step(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain) -> "_Sent | None":
         situations = self._situations(state, pose, command)
@@ -265,6 +270,8 @@ class Planner:
             moved = T_world_odom @ inverse(plan.T_world_odom)  # the world as it is believed to be now
             body = moved @ plan.body_goal
             feet[plan.swing] = apply(moved, plan.touchdown)[plan.swing]
+            met = plan.swing & state.touch_carries & (state.touch_ns > state.plan_ns)  # ground before their touchdowns
+            feet[met] = apply(T_world_odom, state.touch)[met] + [0.0, 0.0, self._profile.foot.radius]
         return body, feet
 
     def _retarget(self, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":

@@ -38,7 +38,8 @@ class Rig:
             self.bank.write(row, dxl.GOAL_POSITION.address, dxl.GOAL_POSITION.encode(dxl.ticks_from_angle(angle)))
             self.bank.write(row, dxl.TORQUE_ENABLE.address, bytes([torque]))
         self.bus = ServoBusEmulator(self.bank)
-        self.push = np.zeros((6, 3))  # [N] {body} of the ground on the feet, as the servos feel it
+        self.push = np.zeros((6, 3))  # [N] {body} on the feet, as the servos feel it, besides what the ground gives
+        self.ground = np.full(6, True)  # legs that stand on something when they are down
         self.order = 0
         self.state: ActuatorState | None = None
         self.start()
@@ -73,7 +74,9 @@ class Rig:
             self.now_ns = max(self.now_ns + PERIOD, self.port.now_ns())
             self.bus.advance(self.now_ns)
             q = self.goals if self.torque else PROFILE.joint_angles(self.bank._q.reshape(6, 3))
-            torque = PROFILE.servo_signs * joint_torques(PROFILE, q, self.push)
+            low = body_forward(PROFILE, q)[:, 2]
+            weight = 4.0 * (self.ground & (low < low[self.ground].min(initial=1.0) + 0.005))[:, None] * [0.0, 0.0, 1.0]
+            torque = PROFILE.servo_signs * joint_torques(PROFILE, q, weight + self.push)
             self.bank.step(PROFILE.servo_angles(q).ravel(), np.zeros(18), torque.ravel(), 0.02)
             self.inbox.now_ns = self.now_ns
             self.made = list(self.actuator.step(Tick(self.now_ns), self.inbox))
@@ -306,6 +309,7 @@ def test_a_fault_while_standing_up_is_not_forgotten() -> None:
 
 def test_contacts_and_loads_are_those_the_servos_feel() -> None:
     rig = Rig()
+    rig.ground[:] = False
     rig.push[TRIPOD, 2] = 8.0
     state = rig.cycle(40)
     np.testing.assert_array_equal(state.contact, TRIPOD)
@@ -349,3 +353,49 @@ def test_a_robot_without_servos_does_not_start() -> None:
 def test_nonsense_settings_are_refused(nonsense: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="expected"):
         Settings(**nonsense)  # type: ignore[arg-type]
+
+
+def stepped(rig: Rig, first: ActuatorState) -> tuple[ActuatorState, list[ActuatorState]]:
+    """Two steps, the second planned when the first is over; the state after, and all on the way."""
+    rig.hear(rig.plan(first))
+    states = [rig.cycle() for _ in range(40)]
+    rig.hear(rig.plan(states[-1]))
+    states += [rig.cycle() for _ in range(200)]
+    return states[-1], states
+
+
+def test_a_foot_without_ground_reaches_down_and_is_taken_back_and_everybody_hears_of_it() -> None:
+    rig = Rig()
+    first = rig.walking()
+    lost = int(np.flatnonzero(rig.plan(first).swing)[0])
+    stood = apply(first.T_odom_body, first.feet)
+    rig.ground[lost] = False
+    state, states = stepped(rig, first)
+    reasons = [s.reason for s in states]
+    assert any("it reaches down" in r for r in reasons)
+    assert state.mode is Mode.HOLD
+    assert "the step is taken back" in state.reason
+    assert state.touch_ns[lost] > 0
+    assert not state.touch_carries[lost]
+    assert state.touch[lost, 2] < -0.02, "it has looked below the ground"
+    others = [leg for leg in range(6) if leg != lost and state.touch_ns[leg] > 0]
+    assert others
+    assert state.touch_carries[others].all()
+    np.testing.assert_allclose(state.touch[others, 2], 0.0, atol=6e-3)
+    feet = apply(state.T_odom_body, state.feet)
+    np.testing.assert_allclose(feet[lost, :2], stood[lost, :2], atol=0.015)
+    assert not state.swing.any()
+
+
+def test_a_plan_that_comes_while_a_foot_looks_for_ground_is_refused_with_that_reason() -> None:
+    rig = Rig()
+    first = rig.walking()
+    rig.ground[int(np.flatnonzero(rig.plan(first).swing)[0])] = False
+    rig.hear(rig.plan(first))
+    rig.cycle(40)
+    assert rig.state is not None
+    rig.hear(rig.plan(rig.state))
+    while "it reaches down" not in rig.cycle().reason:
+        assert rig.now_ns < 10_000_000_000
+    rig.hear(rig.plan(rig.state))
+    assert "no ground under" in rig.cycle(2).refused

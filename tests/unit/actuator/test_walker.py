@@ -275,7 +275,7 @@ def test_the_stance_at_the_end_is_the_one_it_ends_in() -> None:
     np.testing.assert_allclose(feet, walker.feet_odom, atol=1e-9)
 
 
-NOTHING = np.zeros(6, dtype=bool)
+NOTHING, ALL = np.zeros(6, dtype=bool), np.ones(6, dtype=bool)
 
 
 def stepping(walker: Walker, ground: dict[int, float], plan: StepPlan) -> list[Targets]:
@@ -287,7 +287,7 @@ def stepping(walker: Walker, ground: dict[int, float], plan: StepPlan) -> list[T
         for leg, height in ground.items():
             touches[leg] = walker.awaiting[leg] and feet[leg, 2] <= height
             feet[leg, 2] = max(feet[leg, 2], height)
-        targets.append(walker.update(DT, walker.body_ref, Felt(touches, feet)))
+        targets.append(walker.update(DT, walker.body_ref, Felt(touches, ALL, feet)))
     return targets
 
 
@@ -324,7 +324,7 @@ def test_the_foot_that_stopped_is_where_the_stance_at_the_end_says() -> None:
     while not walker.resting:
         feet = walker.feet_odom
         touches = (np.arange(6) == 2) & walker.awaiting & (feet[:, 2] < low + 0.025)
-        walker.update(DT, walker.body_ref, Felt(touches, feet))
+        walker.update(DT, walker.body_ref, Felt(touches, ALL, feet))
         if touches.any():
             expected = feet[2]
         if expected is not None and not walker.resting:
@@ -341,7 +341,7 @@ def test_what_is_felt_on_the_way_up_or_at_the_target_stops_nothing() -> None:
         feet = walker.feet_odom
         near = feet[:, 2] < plan.touchdown[:, 2] + 0.004
         rising = np.full(6, walker.phase < 0.4)
-        walker.update(DT, walker.body_ref, Felt(TRIPOD & (near | rising), feet))
+        walker.update(DT, walker.body_ref, Felt(TRIPOD & (near | rising), ALL, feet))
     np.testing.assert_allclose(walker.feet_odom[TRIPOD], plan.touchdown[TRIPOD], atol=1e-9)
 
 
@@ -359,3 +359,69 @@ def test_legs_are_awaited_while_they_come_down_and_at_no_other_time() -> None:
     landed = int(np.argmin(np.abs(np.array(heights[10:]) - heights[-1]) > 1e-9)) + 10
     assert np.array(awaited)[int(np.argmax(heights)) + 1 : landed, TRIPOD].all()
     assert not np.array(awaited)[landed:].any()
+
+
+def over_holes(walker: Walker, holes: dict[int, float], plans: list[StepPlan]) -> tuple[list[Targets], list[list[str]]]:
+    """Steps and half a second of rest of legs that bear where they stand, but for those that miss ground by some metres."""
+    foothold = {leg: float(plans[0].touchdown[leg, 2]) for leg in holes}
+    waiting, targets, said, rest_s = list(plans), [], [], 0.5
+    while waiting or rest_s > 0:
+        if waiting and walker.resting:
+            walker.accept(waiting.pop(0))
+        rest_s -= DT if walker.resting and not waiting else 0.0
+        feet, bears = walker.feet_odom, ~walker.swing
+        touches = walker.searching
+        for leg, depth in holes.items():
+            stands = feet[leg, 2] <= foothold[leg] - depth
+            bears[leg] &= stands or feet[leg, 0] < plans[0].touchdown[leg, 0] - 0.02  # back where it came from
+            touches[leg] &= stands
+        targets.append(walker.update(DT, walker.body_ref, Felt(touches, bears, feet)))
+        said.append([walker.trouble])
+    return targets, said
+
+
+STEPS_2 = [plan_to(1, body_at(0.05)), plan_to(2, body_at(0.10))]
+
+
+def test_feet_that_bear_walk_as_the_plan_says() -> None:
+    plain, proven = new_walker(), new_walker()
+    by_plan, _ = walk(plain, STEPS_2[:1], rest_s=0.1)
+    felt, said = over_holes(proven, {}, STEPS_2[:1])
+    for a, b in zip(by_plan, felt, strict=False):
+        np.testing.assert_array_equal(a.feet, b.feet)
+        np.testing.assert_array_equal(a.share, b.share)
+    assert said[-1] == [""]
+
+
+@given(st.floats(0.004, 0.036), st.sampled_from([0, 2, 4]))
+@settings(max_examples=10)
+def test_a_foot_over_lower_ground_reaches_down_to_it_before_others_lift(depth: float, leg: int) -> None:
+    walker = new_walker()
+    targets, said = over_holes(walker, {leg: depth}, STEPS_2)
+    low = float(STEPS_2[0].touchdown[leg, 2])
+    assert walker.feet_odom[leg, 2] == pytest.approx(low - depth, abs=2e-3)
+    assert any("lower than expected" in words for (words,) in said)
+    assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
+    assert [f for f in walker.drain_findings() if f.leg == leg][-1].carries
+    np.testing.assert_array_equal(targets[-1].share, np.ones(6))
+    assert walker.resting
+    np.testing.assert_allclose(walker.feet_odom[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)  # nobody has lifted
+
+
+@given(st.sampled_from([0, 2, 4]))
+@settings(max_examples=3)
+def test_without_ground_the_step_is_taken_back(leg: int) -> None:
+    walker = new_walker()
+    stood = walker.feet_odom
+    targets, said = over_holes(walker, {leg: 1.0}, STEPS_2)
+    assert walker.resting
+    np.testing.assert_allclose(walker.feet_odom[:, :2], stood[:, :2], atol=1e-6)
+    np.testing.assert_allclose(walker.body_ref[:2, 3], START[:2, 3], atol=1e-6)
+    assert "no ground under" in said[-1][0]
+    assert "taken back" in said[-1][0]
+    (lost,) = [f for f in walker.drain_findings() if not f.carries]
+    assert lost.leg == leg
+    assert STEPS_2[0].touchdown[leg, 2] - 0.045 < lost.p_odom[2] < STEPS_2[0].touchdown[leg, 2] - 0.03
+    assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
+    assert min(t.feet[leg, 2] for t in targets) > REST[leg, 2] - 0.06, "it reaches down no further"
+    np.testing.assert_array_equal(targets[-1].share, np.ones(6))

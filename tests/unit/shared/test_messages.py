@@ -140,7 +140,7 @@ def test_what_is_optional_is_there_for_all_or_for_none() -> None:
             dataclasses.replace(scan, color=bad)  # type: ignore[call-arg]
 
 
-_MOST = [(m.TerrainMap, "hazard", 2), (m.TerrainMap, "confidence", 100), (m.Scan, "color", 63)]
+_MOST = [(m.TerrainMap, "hazard", 3), (m.TerrainMap, "confidence", 100), (m.Scan, "color", 63)]
 
 
 @pytest.mark.parametrize(("kind", "name", "most"), _MOST)
