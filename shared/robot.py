@@ -140,9 +140,21 @@ class Stance:
     step_s: float  # [s] duration of a tripod's step over level ground
     stride: float  # [m] of the body while a foot stands, at most
     foot_speed: float  # [m/s] of swinging feet, height counted twice: what asks for more takes longer, or the servos grow hot
+    # What goes with the robot's size, too; these are a PhantomX's.
+    search_radius: float = 0.06  # [m] around the nominal foothold in which another is looked for
+    foot_distance: float = 0.06  # [m] between feet, at least
+    support_margin: float = 0.02  # [m] of the body's centre inside each support polygon, at least
+    max_climb: float = 0.03  # [m] of the body's height in one step
+    rough_lift: float = 0.04  # [m] clearance at least, where the ground under a swing is uneven
+    max_lift: float = 0.11  # [m] over both ends of a swing that a leg can lift its foot
 
     checks = (
-        *config.each("foot_radius_from_coxa body_height body_height_range stride", lambda length: length > 0, "more than 0 m"),
+        *config.each(
+            "foot_radius_from_coxa body_height body_height_range stride search_radius max_climb rough_lift max_lift",
+            lambda length: length > 0,
+            "more than 0 m",
+        ),
+        *config.each("foot_distance support_margin", lambda length: length >= 0, "at least 0 m"),
         *config.each("max_speed foot_speed", lambda speed: speed > 0, "more than 0 m/s"),
         *config.each("step_s", lambda duration: 0.4 <= duration <= 2.0, "0.4 to 2 s"),
         config.together(

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from services.planner.config import Settings
-from services.planner.stride import MAX_CLEARANCE, Blocked, Situation, Stride, StridePlanner
+from services.planner.stride import Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, plane_terrain
 from shared.geometry import Array
 from shared.messages import VelocityCommand
@@ -56,4 +56,5 @@ class ByTouch:
             fresh = reached & (touchdown[:, 2] == stride.touchdown[:, 2])
             touchdown[fresh] = lower[fresh]
         before, after = np.maximum(stride.start, stride.touchdown)[:, 2], np.maximum(stride.start, touchdown)[:, 2]
-        return replace(stride, touchdown=touchdown, clearance=np.minimum(stride.clearance + before - after, MAX_CLEARANCE))
+        clearance = np.minimum(stride.clearance + before - after, self._profile.stance.max_lift)
+        return replace(stride, touchdown=touchdown, clearance=clearance)

@@ -16,14 +16,9 @@ class Settings:
     max_turn_deg: float = 10.0  # [deg] of the body while a foot stands
     max_lean_deg: float = 12.0  # [deg] of the body with the ground, and
     max_tilt_deg: float = 8.0  # [deg] by which that changes in one step
-    max_climb: float = 0.03  # [m] of the body's height in one step
     touch_step_s: float = 1.6  # [s] duration of a step by touch alone,
     touch_stride: float = 0.05  # [m] of the body in it, at most,
     touch_lift: float = 0.07  # [m] and clearance of its feet, at least
-    search_radius: float = 0.06  # [m] around the nominal foothold
-    min_foot_distance: float = 0.06  # [m] between feet
-    min_margin: float = 0.02  # [m] of the body's centre inside each support triangle
-    rough_lift: float = 0.04  # [m] clearance at least, where the map shows that the ground under a swing is uneven
     uneven: float = 0.008  # [m] of relief from which it is
     path_margin: float = 0.015  # [m] of a swinging foot over what lies under its way
     plan_from: float = 0.55  # phase of a step from which the next one is planned
@@ -39,8 +34,6 @@ class Settings:
         if not 0.8 <= self.touch_step_s <= 4.0:
             raise ValueError(f"touch_step_s of 0.8 to 4 s expected, found {self.touch_step_s}")
         positive = (
-            "max_climb",
-            "search_radius",
             "pose_age_s",
             "map_age_s",
             "revise_s",
@@ -55,8 +48,6 @@ class Settings:
             "max_lean_deg",
             "max_tilt_deg",
             "handover_s",
-            "min_foot_distance",
-            "min_margin",
             "path_margin",
         ):
             if not 0.0 <= getattr(self, name) < np.inf:

@@ -20,7 +20,6 @@ from shared.stability import support_margin
 SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
 _DESCENT = np.array([0.0, 0.0, 0.03])  # [m] over a foothold, from where a foot comes straight down
 _DEARER = 2.0  # than way is height: of a foot's way over the ground the body makes half
-MAX_CLEARANCE = 0.11  # [m] over both ends that a leg can lift its foot
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
 _LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # share of the ground's slope by which it may lean
 _REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may turn out to be lower than believed
@@ -81,8 +80,9 @@ class StridePlanner:
         low, high = self._profile.stance.body_height_range
         if not low <= command.body_height <= high:
             return f"a body height of {low:g} to {high:g} m expected, {command.body_height:g} m commanded"
-        if not 0.0 < command.lift <= MAX_CLEARANCE:
-            return f"a lift of more than 0 and at most {MAX_CLEARANCE:g} m expected, {command.lift:g} m commanded"
+        highest = self._profile.stance.max_lift
+        if not 0.0 < command.lift <= highest:
+            return f"a lift of more than 0 and at most {highest:g} m expected, {command.lift:g} m commanded"
         return ""
 
     def duration(self, command: VelocityCommand) -> float:
@@ -155,7 +155,7 @@ class StridePlanner:
         if problem:
             return Blocked(problem)
         clearance = self._clearance(at.feet, touchdown, at.command.lift, terrain)
-        too_high = np.flatnonzero(at.swing & (clearance > MAX_CLEARANCE))
+        too_high = np.flatnonzero(at.swing & (clearance > self._profile.stance.max_lift))
         if len(too_high):
             leg = int(too_high[0])
             return Blocked(f"{LEGS[leg]} leg: something on its way asks for {clearance[leg] * 100:.0f} cm of lift", leg)
@@ -189,7 +189,7 @@ class StridePlanner:
         ground = np.where(at.swing & np.isfinite(ahead), ahead, ground)
         floor = clear_of_ground(floor_height(ground), terrain, T_end, self._profile.body.size)
         now = at.T_world_body[2, 3]
-        climb = self._settings.max_climb
+        climb = self._profile.stance.max_climb
         height = float(np.clip(floor + at.command.body_height, now - climb, now + climb))
         T_end, T_after = T_end.copy(), T_after.copy()
         T_end[2, 3] = T_after[2, 3] = height
@@ -239,8 +239,8 @@ class StridePlanner:
 
         if terrain.map.resolution != self._offsets_resolution:
             self._offsets_resolution = terrain.map.resolution
-            self._offsets = offsets_by_distance(self._settings.search_radius, self._offsets_resolution)
-        return nearest_foothold(terrain, nominal, self._offsets, others, self._settings.min_foot_distance, reachable)
+            self._offsets = offsets_by_distance(self._profile.stance.search_radius, self._offsets_resolution)
+        return nearest_foothold(terrain, nominal, self._offsets, others, self._profile.stance.foot_distance, reachable)
 
     def _reaches(self, leg: int, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
         """Which of (n, 3) [m] {world} foot centres one leg reaches from a body pose."""
@@ -267,9 +267,10 @@ class StridePlanner:
 
     def _unstable(self, feet: Array, T_world_body: Array, when: str) -> str:
         margin = support_margin(feet[:, :2], T_world_body[:2, 3])
-        if margin >= self._settings.min_margin:
+        least = self._profile.stance.support_margin
+        if margin >= least:
             return ""
-        needed = f"{self._settings.min_margin * 100:.1f} cm needed"
+        needed = f"{least * 100:.1f} cm needed"
         return f"the body would be {margin * 100:.1f} cm inside its three feet {when}, {needed}"
 
     def _clearance(self, feet: Array, touchdown: Array, lift: float, terrain: Terrain) -> Array:
@@ -279,4 +280,5 @@ class StridePlanner:
         higher, lower = np.maximum(start, end), np.minimum(start, end)
         between = terrain.highest_along(feet[:, :2], touchdown[:, :2])
         rough = np.maximum(higher, between) - lower > settings.uneven
-        return np.maximum(np.where(rough, max(lift, settings.rough_lift), lift), between - higher + settings.path_margin)
+        lift_if_rough = max(lift, self._profile.stance.rough_lift)
+        return np.maximum(np.where(rough, lift_if_rough, lift), between - higher + settings.path_margin)

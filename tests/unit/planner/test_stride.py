@@ -57,12 +57,12 @@ def walkable(found: Stride, at: Situation) -> None:
     assert from_above[at.swing].all()  # nor does a foot come down from the side
     np.testing.assert_array_equal(found.touchdown[~at.swing], at.feet[~at.swing])
     for legs, body in ((~at.swing, at.T_world_body), (~at.swing, found.body_goal), (at.swing, found.body_goal)):
-        assert support_margin(found.touchdown[legs][:, :2], body[:2, 3]) >= SETTINGS.min_margin
+        assert support_margin(found.touchdown[legs][:, :2], body[:2, 3]) >= PROFILE.stance.support_margin
     apart = np.linalg.norm(found.touchdown[:, None, :2] - found.touchdown[None, :, :2], axis=2) + np.eye(6)
-    assert apart[np.ix_(at.swing, np.ones(6, dtype=bool))].min() >= SETTINGS.min_foot_distance
+    assert apart[np.ix_(at.swing, np.ones(6, dtype=bool))].min() >= PROFILE.stance.foot_distance
     assert (found.clearance >= 0).all()
     # Nor does the body climb, sink or tilt faster than it may.
-    assert abs(found.body_goal[2, 3] - at.T_world_body[2, 3]) <= SETTINGS.max_climb + 1e-9
+    assert abs(found.body_goal[2, 3] - at.T_world_body[2, 3]) <= PROFILE.stance.max_climb + 1e-9
     tilt = rpy_from_rotation(found.body_goal[:3, :3])[:2] - rpy_from_rotation(at.T_world_body[:3, :3])[:2]
     assert np.degrees(np.abs(tilt)).max() <= SETTINGS.max_tilt_deg + 1e-6
 
@@ -109,7 +109,7 @@ def test_on_patchy_ground_it_steps_on_what_carries_or_says_why(seed: int) -> Non
     walkable(found, at)
     landed = found.touchdown[at.swing, :2]
     assert (ground.scores(landed) <= ACCEPTABLE).all()
-    assert np.linalg.norm(landed - found.nominal[at.swing], axis=1).max() <= SETTINGS.search_radius + 0.01
+    assert np.linalg.norm(landed - found.nominal[at.swing], axis=1).max() <= PROFILE.stance.search_radius + 0.01
 
 
 def test_it_shrinks_the_stride_before_it_gives_up(make_terrain: Maker) -> None:
@@ -146,8 +146,8 @@ def test_a_body_off_its_feet_is_named() -> None:
 def test_the_body_follows_the_ground_no_faster_than_it_may(make_terrain: Maker, rise: float) -> None:
     ground = make_terrain(lambda x, y: np.full_like(x, rise))
     found = stride(standing(command(0.02)), ground)
-    allowed = np.clip(rise, -SETTINGS.max_climb, SETTINGS.max_climb)
-    assert abs(found.body_goal[2, 3] - HEIGHT) <= SETTINGS.max_climb + 1e-9
+    allowed = np.clip(rise, -PROFILE.stance.max_climb, PROFILE.stance.max_climb)
+    assert abs(found.body_goal[2, 3] - HEIGHT) <= PROFILE.stance.max_climb + 1e-9
     # The floor is the mean of the three highest: going up the swinging tripod's, going down the standing one's.
     assert found.body_goal[2, 3] - HEIGHT == pytest.approx(max(allowed, 0.0), abs=1e-6)
     np.testing.assert_allclose(found.touchdown[TRIPOD, 2], rise + PROFILE.foot.radius, atol=1e-6)
@@ -250,7 +250,7 @@ def test_footholds_are_searched_for_in_cells_of_the_map(make_terrain: Maker) -> 
 
 def test_commanded_height_is_approached() -> None:
     found = stride(standing(command(0.0, height=HEIGHT + 0.02)))
-    assert found.body_goal[2, 3] == pytest.approx(HEIGHT + min(0.02, SETTINGS.max_climb))
+    assert found.body_goal[2, 3] == pytest.approx(HEIGHT + min(0.02, PROFILE.stance.max_climb))
 
 
 def test_a_foot_is_lifted_over_what_lies_on_its_way(make_terrain: Maker) -> None:
