@@ -96,7 +96,7 @@ class Report:
     robot: str
     gait: str
     blind: bool  # the baseline without a map
-    success: bool  # goal truly reached, no fall, no servo shut down
+    success: bool  # goal truly reached, or refused where that is right; no fall, no servo shut down, on a route no collision
     reason: str  # in words
     distance_m: float  # true progress along the starting direction
     duration_s: float  # from the first step to the goal, or to the end of a run that did not reach it
@@ -114,6 +114,7 @@ class Report:
     body_height_oscillation_m: float = _NAN  # 5th to 95th percentile of the true height, telling on level ground only
     slip_m_per_step: Slip = Slip()
     missteps: int = 0  # touchdowns where there truly is no foothold
+    collisions: int = 0  # times a foot or the body ran into what is higher than a step, or a foot hung in a hole
     min_stability_margin_m: float = _NAN
     pose_error_m: PoseError = PoseError()
     map_error_m: MapError = MapError()

@@ -26,13 +26,14 @@ from deploy.walk_metrics import (
     slip_per_step,
     stability_margin,
     touchdowns,
+    walked_into,
 )
 from shared import topics
 from shared.geometry import Array, apply, inverse, rotation_z, transform, yaw_of
 from shared.kinematics import leg_points
 from shared.messages import ActuatorState, BodyPose, GroundTruth, Message, Mode, PlannerStatus, StepPlan, TerrainMap
 from shared.robot import JOINTS, LEGS, RobotProfile
-from shared.scenario import Box, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
+from shared.scenario import Box, Hole, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
 from shared.service import Inbox, Stages
 
 Counted = TypeVar("Counted", ActuatorState, StepPlan)
@@ -45,7 +46,11 @@ _REST_MOTION = 0.003  # [m] stillness
 _LOST_NS = 2_000_000_000  # [ns] a run goes on after a servo has shut down: a latched error stays
 _MAP_PERIOD_NS = 1_000_000_000  # [ns]
 _COURSE_MARGIN = 1.2  # [m] of map around the course that is kept
+_IN_THE_WAY = (Box, Hole, Rubble, Pillars, Puddle, Puddles)  # without which the ground is what blocks are raised over
 _PATH_MARGIN = 0.5  # [m] around the straight path where a fall is looked up on a grid
+_ROUTE_MARGIN = 2.0  # [m] likewise, where the planner finds the way
+_REFUSED_NS = 10_000_000_000  # [ns] that a robot must stand and say why, where that is right
+_COLLISION_SAMPLES = 5  # of truth, of which one is looked at for what was walked into
 _RAISED = 0.005  # [m]
 _DEBOUNCE = max(1, round(0.02 * topics.TRUTH.rate_hz))  # samples of truth, 20 ms
 _GROUNDED = 0.2  # [1] of a swing at its ends, in which a touching foot carries and does not brush
@@ -122,7 +127,7 @@ class Scorer:
         self.finished = False
         self._profile, self._scenario, self._seed = profile, scenario, seed
         self._terrain: Ground = build_terrain(scenario, np.random.default_rng([seed, 0])) if terrain is None else terrain
-        unblocked = tuple(part for part in scenario.terrain if not isinstance(part, Box | Rubble | Pillars | Puddle | Puddles))
+        unblocked = tuple(part for part in scenario.terrain if not isinstance(part, _IN_THE_WAY))
         bare = replace(scenario, terrain=unblocked or (Plane(),))
         self._unblocked: Ground = build_terrain(bare, np.random.default_rng([seed, 0]))
         self._truth: list[GroundTruth] = []
@@ -138,6 +143,8 @@ class Scorer:
         self._stood = False  # a robot that starts on its belly has not fallen
         self._fall = ""
         self._shutdown_ns: int | None = None
+        self._blocked_since_ns: int | None = None
+        self._refusal = ""  # why the robot does not go on, in the planner's words, once it has said so for long
         self._end = ""
         self._x = 0.0
         self._begin_ns = 0
@@ -206,7 +213,8 @@ class Scorer:
         self._T_start_sim = inverse(self._T_sim_start)
         self._maps = None  # what was laid over the old frame
         self._rows = self._T_start_sim[:3].tolist()
-        self._ground = GroundHeights(self._around(_PATH_MARGIN), self._T_start_sim, self._height_in_start)
+        margin = _ROUTE_MARGIN if self._scenario.goal.route else _PATH_MARGIN
+        self._ground = GroundHeights(self._around(margin), self._T_start_sim, self._height_in_start)
 
     def _anchor(self) -> None:
         """Lay {start} anew where the robot stands before its first step, so that truth and estimate agree there."""
@@ -241,6 +249,13 @@ class Scorer:
 
     def _note(self, status: PlannerStatus) -> None:
         self._moved[status.step + self._steps_before] = status.moved_footholds
+        if status.state != "blocked":
+            self._blocked_since_ns = None
+            return
+        if self._blocked_since_ns is None:
+            self._blocked_since_ns = status.stamp_ns
+        if status.stamp_ns - self._blocked_since_ns >= _REFUSED_NS:
+            self._refusal = status.reason
 
     def _judge(self, truth: GroundTruth) -> None:
         T, now = truth.T_world_body, truth.stamp_ns
@@ -276,6 +291,8 @@ class Scorer:
             self._end = "goal reached"
             if self._goal_ns is None:
                 self._end = f"passed the goal line {abs(y):.2f} m beside its middle; the corridor is {goal.corridor:.2f} m wide"
+        elif goal.expect == "refusal" and self._refusal and at_rest:
+            self._end = f"stood and said why: {self._refusal}"
         elif seconds >= self._scenario.time_limit_s:
             self._end = f"time limit of {self._scenario.time_limit_s:g} s, {x:.2f} of {goal.distance:.2f} m done"
         self.finished = bool(self._end)
@@ -323,7 +340,10 @@ class Scorer:
         """
         scenario, profile = self._scenario, self._profile
         shutdowns = int(self._truth[-1].shutdown.sum()) if self._truth else 0
-        success = self._goal_ns is not None and not self._fall and not shutdowns
+        refused = scenario.goal.expect == "refusal"
+        right = bool(self._refusal) and self._goal_ns is None if refused else self._goal_ns is not None
+        collisions = self._collisions() if len(self._truth) > 1 else 0
+        success = right and not self._fall and not shutdowns and not (scenario.goal.route and collisions)
         report = Report(
             scenario=scenario.name,
             seed=self._seed,
@@ -331,13 +351,14 @@ class Scorer:
             gait=scenario.walk.gait,
             blind=scenario.walk.blind,
             success=success,
-            reason="goal reached" if success else self._failure(shutdowns, reason),
+            reason=(self._end if refused else "goal reached") if success else self._failure(shutdowns, collisions, reason),
             distance_m=self._x,
             duration_s=0.0,
             speed_mps=0.0,
             falls=int(bool(self._fall)),
             shutdowns=shutdowns,
             steps=0,
+            collisions=collisions,
             real_time_factor=real_time_factor,
             stages_ms=dict(stages_ms or {}),
         )
@@ -345,13 +366,22 @@ class Scorer:
             return report
         return self._measured(report, in_a_hurry)
 
-    def _failure(self, shutdowns: int, reason: str) -> str:
+    def _collisions(self) -> int:
+        """How often a foot or the body ran into what is higher than a step, or a foot hung in a hole."""
+        some = self._truth[::_COLLISION_SAMPLES]
+        feet = np.array([m.feet for m in some])
+        bodies = np.array([m.T_world_body for m in some])
+        return walked_into(self._terrain.height_at, feet, bodies, self._profile.foot.radius, self._profile.body.size)
+
+    def _failure(self, shutdowns: int, collisions: int, reason: str) -> str:
         if not self._truth:
             return reason or "no ground truth came: is the simulator running?"
         if self._fall:
             return self._fall
         if shutdowns:
             return self._shutdown_words()
+        if collisions and self._scenario.goal.route:
+            return f"walked into something {collisions} times"
         stopped = f"stopped {self._x:.2f} of {self._scenario.goal.distance:.2f} m along"
         return self._end or (f"{reason} ({stopped})" if reason else stopped)
 

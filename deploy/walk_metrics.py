@@ -13,6 +13,9 @@ HeightAt = Callable[[Array], Array]  # (n, 2) [m] -> (n,) [m]
 _DISC_RADIUS = 0.010  # [m] what a foot may come to stand on around its centre
 _DISC_RANGE = 0.008  # [m] heights within that disc may differ by this
 _PLANE_MISFIT = 0.002  # [m] or more, when they lie on a plane this closely
+_HIGHER = 0.065  # [m] over a foot's underside, from which ground beside it is no step but a wall
+_TOUCHING = 0.003  # [m] between a foot and what it runs into
+_LOWER = 0.08  # [m] under the other feet, from which a foot hangs in a hole
 _MAX_SLOPE = np.tan(np.radians(35.0))  # that is no steeper than this
 
 
@@ -115,6 +118,32 @@ def slip_per_step(feet: Array, planted: Flags, step: NDArray[np.int64]) -> Array
     np.add.at(total, of_step, motion)
     np.add.at(samples, of_step, both)
     return np.asarray(np.linalg.norm(total, axis=-1)[samples > 0])
+
+
+def walked_into(height_at: HeightAt, feet: Array, bodies: Array, radius: float, size: tuple[float, float, float]) -> int:
+    """How often a foot or the body ran into what is higher than a step, or a foot hung in a hole: runs of samples.
+
+    Args:
+        height_at: The true ground.
+        feet: (n, 6, 3) [m] foot centres.
+        bodies: (n, 4, 4) poses of the body.
+        radius: [m] of the feet.
+        size: [m] of the body.
+    """
+    angle = np.arange(8) * np.pi / 4
+    ring = (radius + _TOUCHING) * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    around = feet[..., None, :2] + ring
+    ground = height_at(around.reshape(-1, 2)).reshape(around.shape[:-1])
+    underside = feet[..., 2] - radius
+    beside = np.asarray(ground > underside[..., None] + _HIGHER).any(axis=(1, 2))
+    hangs = underside < np.median(underside, axis=1, keepdims=True) - _LOWER
+    hanging = np.asarray(hangs).any(axis=1)
+    half = np.array(size) / 2
+    edge = np.array([(x, y, -1.0) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]) * half
+    corners = edge @ bodies[:, :3, :3].transpose(0, 2, 1) + bodies[:, None, :3, 3]
+    under = height_at(corners[..., :2].reshape(-1, 2)).reshape(corners.shape[:2])
+    bumped = np.asarray(under > corners[..., 2]).any(axis=1)
+    return len(runs(np.asarray(beside | hanging | bumped)))
 
 
 def angle_between(a: Array, b: Array) -> Array:

@@ -29,7 +29,10 @@ class Plane:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A block standing on the ground, its top level."""
+    """A block standing on the ground, its top level.
+
+    With spreads its place, size and height are drawn by the run's seed, evenly up to the spread more or less.
+    """
 
     xy: tuple[float, float]  # [m] centre
     size: tuple[float, float]  # [m] along its own x and y
@@ -38,6 +41,35 @@ class Box:
     yaw_deg: float = 0.0  # [deg]
     depth: float = 0.5  # [m] how far it reaches down from its top
     color: Color | None = None
+    xy_spread: tuple[float, float] = (0.0, 0.0)  # [m]
+    size_spread: tuple[float, float] = (0.0, 0.0)  # [m]
+    top_spread: float = 0.0  # [m]
+
+    def __post_init__(self) -> None:
+        least = min(*self.xy_spread, *self.size_spread, self.top_spread)
+        _expect(least >= 0, "spreads of at least 0 m", least)
+        for size, spread in zip(self.size, self.size_spread, strict=True):
+            _expect(spread == 0 or spread < size, "a size_spread smaller than the size", spread)
+
+
+@dataclass(frozen=True, slots=True)
+class Hole:
+    """A rectangle of the level ground, along its axes, that is deeper and looks so; by the run's seed as a box is."""
+
+    xy: tuple[float, float]  # [m] centre
+    size: tuple[float, float]  # [m] along x and y
+    depth: float  # [m] of its bottom below the level ground
+    kind: Literal["hole"] = "hole"
+    xy_spread: tuple[float, float] = (0.0, 0.0)  # [m]
+    size_spread: tuple[float, float] = (0.0, 0.0)  # [m]
+    color: Color | None = None
+
+    def __post_init__(self) -> None:
+        least = min(*self.xy_spread, *self.size_spread)
+        _expect(least >= 0, "spreads of at least 0 m", least)
+        _expect(min(*self.size, self.depth) > 0, "size and depth greater than 0 m", (*self.size, self.depth))
+        for size, spread in zip(self.size, self.size_spread, strict=True):
+            _expect(spread < size, "a size_spread smaller than the size", spread)
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,7 +332,7 @@ class Course:
             raise ValueError('at least one stretch expected, found none; add [[terrain.stretches]] with kind = "level"')
 
 
-Terrain = Plane | Box | Stairs | Pillars | Slope | Rubble | HeightMap | Puddle | Puddles | Course
+Terrain = Plane | Box | Hole | Stairs | Pillars | Slope | Rubble | HeightMap | Puddle | Puddles | Course
 
 
 def _expect(holds: bool, expected: str, found: object) -> None:

@@ -23,7 +23,7 @@ Layer = TypeVar("Layer", bound=NDArray[Any])
 EDGE = 0.05  # [m] of a cell
 _CELLS = 128  # of the window that is kept, either way
 MAX_STEP = 0.065  # [m] between the ground of neighbouring cells that legs can take
-_AGREE = 3  # cells of the map that must be as high, so that one wrong measurement makes no wall
+_AGREE = 2  # cells of the map that must be as high, so that one wrong measurement makes no wall
 _SEEN = 0.25  # [1] share of a cell that must be known
 _BARE = 0.8  # [1] share of a cell out of reach of every foothold, from which it is bare, and
 _NARROW = 2  # cells that bare ground must be wide to stop feet, and
@@ -32,7 +32,7 @@ _LOOKS = 4  # at a place that showed nothing, from which it is a hole
 _NEAREST, _FURTHEST = 1.15, 1.20  # of the camera's least range, and [m]: where what is there shows
 _FRAME = 0.84  # [1] share of the picture's width and height in which it does
 _SHADOW = 0.01  # [m] under the top of what stands before it, a place is hidden
-_BESIDE = 0.50  # [m] from the body, within which the camera sees nothing wherever it looks
+BESIDE = 0.55  # [m] from the body, within which the camera sees nothing wherever it looks
 
 OPEN, STEP, BARE, HOLE, STUCK, FAR = range(6)  # what stops a robot at a cell
 WORDS = (
@@ -54,7 +54,7 @@ class Prices:
     relief: float = 2.0  # where the ground changes by as much as legs can take
     near: float = 2.0  # right beside what cannot be crossed, falling to nothing at `wide`
     unseen: float = 1.0
-    beside: float = 6.0  # unseen and so near that it cannot be looked at
+    beside: float = 40.0  # unseen and so near that it cannot be looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +75,7 @@ class Crossing:
     room: Array  # (n, m) [m] to the nearest cell that cannot be crossed, at most the room it would like
     stops: NDArray[np.int8]  # (n, m) what cannot be crossed there, OPEN where the ground can
     unseen: Mask  # (n, m)
+    veiled: Array  # (n, m) [1] share of the ground under a robot there that is unseen
 
     def cell(self, xy: Array) -> tuple[int, int]:
         """The cell that holds a place (2,) [m] {world}, the nearest one if it lies outside."""
@@ -90,10 +91,10 @@ class Crossing:
         ij = np.floor(xy / self.edge).astype(np.int64) - self.first
         return bool(((ij >= 0) & (ij < self.cost.shape)).all())
 
-    def costs(self, xy: Array) -> Array:
-        """Costs (k,) of a metre at places (k, 2) [m] {world}."""
+    def at(self, layer: NDArray[Any], xy: Array) -> NDArray[Any]:
+        """A layer (k,) at places (k, 2) [m] {world}, of the nearest cell where they lie outside."""
         ij = np.clip(np.floor(xy / self.edge).astype(np.int64) - self.first, 0, np.array(self.cost.shape) - 1)
-        return np.asarray(self.cost[ij[:, 0], ij[:, 1]])
+        return np.asarray(layer[ij[:, 0], ij[:, 1]])
 
     def beside(self, start: Array, end: Array, most: float) -> "Crossing":
         """The same, closed further than so much [m] from the straight way between two places (2,) [m] {world}."""
@@ -168,7 +169,7 @@ class SeenGround:
             stops[(np.linalg.norm(centres - place, axis=2) < stuck_radius) & (stops == OPEN)] = STUCK
         room = _distance(stops != OPEN, size.wide / self._edge) * self._edge
         # 3. Where the body may be: prices over the ground that its feet stand on, and more where there is little room.
-        near = np.linalg.norm(centres - xy, axis=2) < _BESIDE
+        near = np.linalg.norm(centres - xy, axis=2) < BESIDE
         relief = np.clip(np.nan_to_num(rise) / MAX_STEP, 0.0, 1.0)
         ground_price = np.where(
             unseen,
@@ -176,9 +177,11 @@ class SeenGround:
             prices.rough * (1.0 - seen["footing"]) + prices.bare * seen["bare"] + prices.relief * relief**2,
         )
         beyond = np.clip((size.wide - room) / max(size.wide - size.half_width, 1e-9), 0.0, 1.0)
-        cost = 1.0 + _mean_around(ground_price, round(size.half_width / self._edge)) + prices.near * beyond**2
+        under = round(size.half_width / self._edge)
+        cost = 1.0 + _mean_around(ground_price, under) + prices.near * beyond**2
         cost[room < size.half_width] = np.inf
-        return Crossing(self._first.copy(), self._edge, cost, room, stops, unseen)
+        veiled = _mean_around(unseen.astype(np.float64), under)
+        return Crossing(self._first.copy(), self._edge, cost, room, stops, unseen, veiled)
 
     def _move_to(self, xy: Array) -> None:
         """Bring the window's middle to where the robot is, a quarter at a time; what it leaves is forgotten."""

@@ -11,7 +11,7 @@ from math import atan2, cos, hypot, pi, radians, sin
 
 import numpy as np
 
-from services.planner.crossing import Crossing, Prices, SeenGround, Size
+from services.planner.crossing import BESIDE, Crossing, Prices, SeenGround, Size
 from services.planner.route import NoWay, Way, cost_of, find_way
 from services.planner.terrain import Terrain
 from shared.geometry import Array, yaw_of
@@ -24,13 +24,18 @@ _DETOUR = 1.5  # [m] from the straight way between two waypoints, at most
 _REPLAN_NS = 400_000_000  # [ns] between two looks for a way
 _PASSED = 0.10  # [m] at least, from a waypoint that is not the last, within which it counts as passed
 _LOOK_AHEAD = 0.25  # [m] along the way, where the robot walks to
-_FACE = 0.45  # [m] along the way, where it looks
+_FACE = 0.45  # [m] along the way, where it looks where all the way is seen, and
+_FORESIGHT = 1.4  # [m] along the way, within which it looks at what it has not seen
+_VEILED = 0.02  # [1] share of the ground under it, from which a place on the way counts as not seen
+_HALT = 0.35  # [m] before such a place it turns before it walks
 _TURN_FIRST = radians(50.0)  # off the way, from which it turns before it walks
 _TURN_GAIN = 1.2  # [1/s]
 _TURN = 0.21  # [rad/s] at most
 _WORTH = 0.85  # [1] cost of another way, of that of the one being walked, from which it is taken
 _OFF_WAY = 0.20  # [m] from the way, from which another is taken whatever it costs
-_STUCK_NS = 2_500_000_000  # [ns] without a step until a place counts as one where it cannot go on
+_STUCK_NS = 4_000_000_000  # [ns] without getting on until a place counts as one where it cannot go on
+_GOT_ON = 0.05  # [m], or
+_TURNED = radians(8.0)  # by which the robot must move to get on
 _STUCK_AHEAD = 0.08  # [m] beyond its feet that such a place lies
 _STUCK_RADIUS = 0.08  # [m]
 _MOST_STUCK = 24  # places remembered
@@ -65,7 +70,9 @@ class _Errand:
     way: Way | None = None  # that is being walked
     stuck: list[Array] = field(default_factory=list)  # (2,) [m] {world} places where it could not go on
     stuck_reason: str = ""
-    still_since_ns: int | None = None  # since when there is no step
+    reason: str = ""  # why the newest command could not be walked, in words
+    since_ns: int | None = None  # since when it does not get on, at
+    place: Array = field(default_factory=lambda: np.zeros(3))  # (3,) [m, m, rad] {world}
     course: float = 0.0  # [rad] {world} of the newest command
     sides: list[float] | None = None  # [rad] {world} still to be looked to; None: it goes on
     looking_since_ns: int | None = None
@@ -118,7 +125,9 @@ class Pilot:
         if errand.arrived:
             errand.way = None
             return Heading((), f"at the goal ({target[0]:.1f}, {target[1]:.1f})")
-        # 3. The way, anew when the map has changed and some time has passed.
+        # 3. The way, anew when the map has changed and some time has passed, or the robot does not get on.
+        if errand.way is not None or errand.sides:
+            self._watch(errand, body, now_ns)
         changed = errand.map is not terrain.map and now_ns - errand.planned_ns >= _REPLAN_NS
         if errand.map is None or changed:
             errand.map, errand.planned_ns = terrain.map, now_ns
@@ -129,28 +138,27 @@ class Pilot:
         errand.sides = None
         return self._follow(errand, target, body, now_ns)
 
-    def steps(self) -> None:
-        """Note that the robot takes a step."""
+    def note(self, reason: str) -> None:
+        """Note why the robot stands, in words."""
         if self._errand is not None:
-            self._errand.still_since_ns = None
+            self._errand.reason = reason
 
-    def stands(self, body: Array, now_ns: int, reason: str) -> None:
-        """Note that the robot takes no step, and why; after a while the place ahead is one where it cannot go on."""
-        errand = self._errand
-        if errand is None:
+    def _watch(self, errand: _Errand, body: Array, now_ns: int) -> None:
+        """Where the robot has not got on for a while the place ahead is one where it cannot go on."""
+        place = np.array([body[0, 3], body[1, 3], yaw_of(body)])
+        got_on = _length(place - errand.place) > _GOT_ON or abs(_wrapped(place[2] - errand.place[2])) > _TURNED
+        if errand.since_ns is None or got_on:
+            errand.since_ns, errand.place = now_ns, place
+        if now_ns - errand.since_ns < _STUCK_NS:
             return
-        if errand.still_since_ns is None:
-            errand.still_since_ns = now_ns
-        if now_ns - errand.still_since_ns < _STUCK_NS:
-            return
-        errand.still_since_ns = None
+        errand.since_ns = None
         if errand.sides:
             errand.sides.pop(0)  # it cannot turn there
             return
         ahead = np.array([cos(errand.course), sin(errand.course)])
-        place = body[:2, 3] + (self._size.half_width + _STUCK_AHEAD) * ahead
-        errand.stuck = [*errand.stuck[-_MOST_STUCK + 1 :], place]
-        errand.stuck_reason = reason
+        stuck = body[:2, 3] + (self._size.half_width + _STUCK_AHEAD) * ahead
+        errand.stuck = [*errand.stuck[-_MOST_STUCK + 1 :], stuck]
+        errand.stuck_reason = errand.reason
         errand.map = None  # another way, now
 
     def _plan(self, errand: _Errand, xy: Array, target: Array) -> None:
@@ -177,18 +185,39 @@ class Pilot:
         goal, xy, yaw = errand.goal, body[:2, 3], yaw_of(body)
         way, _ = _rest(errand.way.corners, xy)
         left = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-        to, facing = _along(way, _LOOK_AHEAD) - xy, _along(way, _FACE) - xy
+        to = _along(way, _LOOK_AHEAD) - xy
         errand.course = atan2(to[1], to[0])
+        # Face what is not seen of the way yet, and stop before it; or face the way.
+        veiled_at, veiled = self._veiled(errand, way)
+        if veiled is not None:
+            facing, turn_first = veiled - xy, _FACED if veiled_at < _HALT else _TURN_FIRST
+        else:
+            facing, turn_first = _along(way, _FACE) - xy, _TURN_FIRST
         error = _wrapped(atan2(facing[1], facing[0]) - yaw) if left > _LOOK_AHEAD else 0.0
         turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
         # No further in a step than to the end, nor around a corner.
         speed = min(goal.speed, self._profile.stance.max_speed, _length(to) / self._profile.stance.step_s)
         velocity = speed * np.array([cos(errand.course - yaw), sin(errand.course - yaw)])
         wanted = [(velocity, turn), (velocity, 0.0), (np.zeros(2), turn)]
-        if abs(error) > _TURN_FIRST:
+        if abs(error) > turn_first:
             wanted = [(np.zeros(2), turn), (velocity, 0.0)]
         commands = tuple(_command(goal, now_ns, v, w) for v, w in wanted if _length(v) > 0.0 or w != 0.0)
         return Heading(commands, f"{left:.1f} m of way left to ({target[0]:.1f}, {target[1]:.1f})")
+
+    def _veiled(self, errand: _Errand, way: Array) -> tuple[float, Array | None]:
+        """How far [m] along a way (k, 2) ground begins that is not seen but could be from here, and its middle (2,) [m]."""
+        crossing = errand.crossing
+        assert crossing is not None
+        distance = np.arange(0.0, _FORESIGHT, crossing.edge)
+        places = np.array([_along(way, d) for d in distance])
+        reach = np.arange(-self._size.half_width, self._size.half_width + crossing.edge, crossing.edge)
+        under = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1).reshape(-1, 2)
+        for k in np.flatnonzero(crossing.at(crossing.veiled, places) > _VEILED):
+            ground = places[k] + under
+            hidden = crossing.at(crossing.unseen, ground) & (np.linalg.norm(ground - way[0], axis=1) > BESIDE)
+            if hidden.any():
+                return float(distance[k]), ground[hidden].mean(axis=0)
+        return np.inf, None
 
     def _look_round(self, errand: _Errand, no_way: NoWay, body: Array, now_ns: int) -> Heading | None:
         """Turn to where something is unseen before giving up; None while it looks, and once that is done."""
@@ -219,8 +248,7 @@ class Pilot:
             np.linspace(_SIDE_NEAR, _SIDE_FAR, 8), direction + np.linspace(-_SIDE_WIDTH, _SIDE_WIDTH, 9), indexing="ij"
         )
         places = xy + np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
-        cells = np.array([crossing.cell(place) for place in places])
-        return float(crossing.unseen[cells[:, 0], cells[:, 1]].mean())
+        return float(crossing.at(crossing.unseen, places).mean())
 
 
 def _command(goal: Goal, now_ns: int, velocity: Array, yaw_rate: float) -> VelocityCommand:

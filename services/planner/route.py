@@ -138,7 +138,7 @@ def cost_of(crossing: Crossing, corners: Array) -> float:
     for a, b in pairwise(corners):
         length = float(np.linalg.norm(b - a))
         count = max(2, int(np.ceil(2.0 * length / crossing.edge)) + 1)
-        costs = crossing.costs(a + np.linspace(0.0, 1.0, count)[:, None] * (b - a))
+        costs = crossing.at(crossing.cost, a + np.linspace(0.0, 1.0, count)[:, None] * (b - a))
         closed = np.isinf(costs)
         # Out of a place where it ought not to be it may go, but not back into one.
         if (closed[1:] & ~closed[:-1]).any() or (left and closed[0]):

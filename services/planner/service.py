@@ -101,7 +101,6 @@ class Planner:
             if self._running is not None and (running is None or running.plan.step != self._running.plan.step):
                 self._due_ns = 0  # a new step: its touchdowns may be looked at at once
                 self._refusals.forget()
-                self._pilot.steps()
         refused = next((s for s in self._sent if s.plan.stamp_ns == state.refused_ns), None)
         if refused is not None:
             self._sent.remove(refused)
@@ -188,9 +187,9 @@ class Planner:
             sent = self._next_step(state, pose, command, terrain)
             if sent is not None:
                 break
-        if state.phase >= 1.0 and self._state in ("stepping", "blocked"):
-            self._pilot.stands(body, state.stamp_ns, self._reason)
-        if sent is not None:
+        if sent is None:
+            self._pilot.note(self._reason)
+        else:
             self._reason = f"{found.words}; {self._reason}"
         return sent
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -23,6 +24,7 @@ from shared.scenario import (
     Flight,
     Gap,
     HeightMap,
+    Hole,
     Level,
     Pillars,
     Plane,
@@ -42,6 +44,7 @@ DEPTH = 0.5  # [m] how far rubble and height fields reach below the ground they 
 _BATCH = 256  # rubble candidates drawn at a time
 _BATCHES = 40  # tried for one block before the heap is begun anew
 _RESTARTS = 20
+Block = TypeVar("Block", Box, Hole)
 _FAR = 50.0  # [m] how far the level ground reaches where it has puddles
 
 
@@ -141,6 +144,7 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
     planes: list[Plane] = []
     fields: list[tuple[HeightField, Color | None]] = []
     puddles: list[Puddle] = []
+    holes: list[Hole] = []
     # Stairs and courses first: they are the same whether rubble lies on them or not.
     for part in [piece for whole in scenario.terrain for piece in _drawn(whole, rng)]:
         heap.paint = part.color
@@ -148,7 +152,10 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
             case Plane():
                 planes.append(part)
             case Box():
-                heap.add(part.xy, part.size, part.top, part.top - part.depth, np.radians(part.yaw_deg))
+                box = _drawn_block(part, rng)
+                heap.add(box.xy, box.size, box.top, box.top - box.depth, np.radians(box.yaw_deg))
+            case Hole():
+                holes.append(_drawn_block(part, rng))
             case Stairs():
                 _stairs(heap, part)
             case Pillars():
@@ -171,9 +178,17 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
             raise ValueError(f"at most one {name} in a terrain expected, found {count}; join them")
     if puddles and not planes:
         raise ValueError('puddles need level ground to lie in: add [[terrain]] with kind = "plane"')
+    if holes and (not planes or puddles):
+        raise ValueError('holes need level ground to lie in, and without puddles: add [[terrain]] with kind = "plane"')
+    if holes:
+        heap.paint = planes[0].color
+        low, high = (np.array([np.array(h.xy) + sign * np.array(h.size) / 2 for h in holes]) for sign in (-1, 1))
+        depth = np.array([h.depth for h in holes])
+        _surround(heap, Hollows(low, high, depth, np.zeros((len(holes), 3))), planes[0].height)
     field_, field_color = fields[0] if fields else (None, None)
     look = Look(_rgb(heap.color), _rgb([planes[0].color if planes else None])[0], _rgb([field_color])[0])
-    return Terrain(heap.boxes(), field_, planes[0].height if planes else None, _hollows(puddles), look)
+    level = planes[0].height if planes and not holes else None  # with holes it is made of boxes
+    return Terrain(heap.boxes(), field_, level, _hollows(puddles), look)
 
 
 def _rgb(colors: list[Color | None]) -> Array:
@@ -261,6 +276,18 @@ def _drawn_stairs(stairs: Stairs, rng: np.random.Generator) -> Stairs:
         return stairs
     riser, tread = rng.uniform(-1.0, 1.0, 2) * (stairs.riser_spread, stairs.tread_spread)
     return replace(stairs, riser=stairs.riser + riser, tread=stairs.tread + tread, riser_spread=0.0, tread_spread=0.0)
+
+
+def _drawn_block(block: Block, rng: np.random.Generator) -> Block:
+    """A box or a hole with its spreads drawn."""
+    top_spread = block.top_spread if isinstance(block, Box) else 0.0
+    if not any((*block.xy_spread, *block.size_spread, top_spread)):
+        return block
+    x, y, length, width, top = rng.uniform(-1.0, 1.0, 5) * (*block.xy_spread, *block.size_spread, top_spread)
+    xy, size = (block.xy[0] + x, block.xy[1] + y), (block.size[0] + length, block.size[1] + width)
+    if isinstance(block, Box):
+        return replace(block, xy=xy, size=size, top=block.top + top)
+    return replace(block, xy=xy, size=size)
 
 
 def _pieces(course: Course, rng: np.random.Generator) -> list[Primitive]:
