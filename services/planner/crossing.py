@@ -214,10 +214,12 @@ class SeenGround:
         upright = np.abs(lens.fy * y / z + lens.cy - lens.height / 2) < _FRAME * lens.height / 2
         shown = ahead & across & upright
         cells, places = cells[shown], places[shown]
-        s = np.linspace(0.1, 0.95, 24)[:, None, None]
+        s = np.linspace(0.1, 0.92, 24)[:, None, None]
         line = eye + s * (places - eye)
         ij = np.clip(np.floor(line[..., :2] / self._edge).astype(np.int64) - self._first, 0, _CELLS - 1)
-        hidden = (self._layers["high"][ij[..., 0], ij[..., 1]] > line[..., 2] - _SHADOW).any(axis=0)
+        high = self._layers["high"]
+        top = _over_square(np.where(np.isnan(high), -np.inf, high), 1, 1, np.maximum, -np.inf)
+        hidden = (top[ij[..., 0], ij[..., 1]] > line[..., 2] - _SHADOW).any(axis=0)
         cells = cells[~hidden]
         self._layers["looks"][cells[:, 0], cells[:, 1]] += 1
 

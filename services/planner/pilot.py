@@ -21,7 +21,7 @@ from shared.robot import RobotProfile
 _SPARE = 0.015  # [m] between the feet and what they must keep away from
 _LIKED = 0.15  # [m] that the robot would like to have beyond that
 _DETOUR = 1.5  # [m] from the straight way between two waypoints, at most
-_REPLAN_NS = 400_000_000  # [ns] between two looks for a way
+_REPLAN_NS = 500_000_000  # [ns] between two looks for a way
 _PASSED = 0.10  # [m] at least, from a waypoint that is not the last, within which it counts as passed
 _LOOK_AHEAD = 0.25  # [m] along the way, where the robot walks to
 _FACE = 0.45  # [m] along the way, where it looks where all the way is seen, and

@@ -11,7 +11,9 @@ from services.planner.crossing import FAR, OPEN, WORDS, Crossing
 from shared.geometry import Array
 
 _ESCAPE = 8.0  # price of a metre out of a place where the robot ought not to be
-_STEPS = [(i, j, float(np.hypot(i, j))) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+_AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+_DIAGONAL = 0.41421356  # by which a diagonal is longer than a straight step, at most
+_MISSES = 4  # cells in turn to which there is no straight way, beyond which none is looked for
 _FLAT = 0.20  # [m] of a region's width up to which it is a line
 
 
@@ -73,59 +75,61 @@ def cheapest_cells(
     Returns:
         The cells (k, 2), or None; and which cells (n, m) were looked at.
     """
+    # Cells are numbered row by row, with a closed border around them.
     n, m = cost.shape
-    price: list[list[float]] = cost.tolist()
-    space: list[list[float]] = room.tolist()
-    closed = float("inf")
-    best: dict[tuple[int, int], float] = {start: 0.0}
-    before: dict[tuple[int, int], tuple[int, int]] = {}
-    done: set[tuple[int, int]] = set()
-    heap = [(_octile(start, end), start)]
+    row, closed = m + 2, float("inf")
+    price: list[float] = np.pad(cost, 1, constant_values=np.inf).ravel().tolist()
+    space: list[float] = np.pad(room, 1, constant_values=-1.0).ravel().tolist()
+    first, last = ((i + 1) * row + j + 1 for i, j in (start, end))
+    steps = [(i * row + j, i * row if i and j else 0, j if i and j else 0, float(np.hypot(i, j))) for i, j in _AROUND]
+    best, before, done = [closed] * len(price), [first] * len(price), bytearray(len(price))
+    best[first] = 0.0
+    heap = [(0.0, first)]
     while heap:
-        _, cell = heappop(heap)
-        if cell in done:
+        cell = heappop(heap)[1]
+        if done[cell]:
             continue
-        done.add(cell)
-        if cell == end:
+        done[cell] = 1
+        if cell == last:
             break
-        i, j = cell
-        here, free = price[i][j], price[i][j] < closed
-        for di, dj, length in _STEPS:
-            a, b = i + di, j + dj
-            if not (0 <= a < n and 0 <= b < m):
-                continue
-            there = price[a][b]
-            if free:
-                if there == closed or (di and dj and (price[a][j] == closed or price[i][b] == closed)):
+        here, so_far = price[cell], best[cell]
+        for step, down, across, length in steps:
+            to = cell + step
+            there = price[to]
+            if here < closed:
+                # No corner of what is closed is cut: of a diagonal both cells beside it must be open.
+                if there == closed or price[cell + down] == closed or price[cell + across] == closed:
                     continue
-                step = length * (here + there) / 2
-            elif there < closed or space[a][b] > space[i][j] or space[a][b] == space[i][j] > 0.0:
-                step = length * _ESCAPE
+                total = so_far + length * (here + there) / 2
+            elif there < closed or space[to] > space[cell] or space[to] == space[cell] > 0.0:
+                total = so_far + length * _ESCAPE
             else:
                 continue
-            total = best[cell] + step
-            if total < best.get((a, b), closed):
-                best[a, b] = total
-                before[a, b] = cell
-                heappush(heap, (total + _octile((a, b), end), (a, b)))
-    reached = np.zeros((n, m), dtype=np.bool_)
-    reached[tuple(np.array(sorted(done)).T)] = True
-    if end not in done:
+            if total < best[to]:
+                best[to], before[to] = total, cell
+                i, j = abs(to // row - 1 - end[0]), abs(to % row - 1 - end[1])
+                heappush(heap, (total + max(i, j) + _DIAGONAL * min(i, j), to))
+    reached = np.frombuffer(done, dtype=np.bool_).reshape(n + 2, row)[1:-1, 1:-1].copy()
+    if not done[last]:
         return None, reached
-    cells = [end]
-    while cells[-1] != start:
+    cells = [last]
+    while cells[-1] != first:
         cells.append(before[cells[-1]])
-    return np.array(cells[::-1], dtype=np.int64), reached
+    return np.stack(np.divmod(np.array(cells[::-1]), row), axis=1) - 1, reached
 
 
 def straightened(crossing: Crossing, points: Array) -> Array:
     """The corners (k, 2) [m] of a way (n, 2) [m] whose straight stretches cost no more than what they leave out."""
+    so_far = np.concatenate([[0.0], np.cumsum([cost_of(crossing, points[k : k + 2]) for k in range(len(points) - 1)])])
     corners, at = [0], 0
     while at < len(points) - 1:
-        far = at + 1
-        for to in range(len(points) - 1, at + 1, -1):
-            if cost_of(crossing, points[[at, to]]) <= cost_of(crossing, points[at : to + 1]) * (1.0 + 1e-9):
-                far = to
+        far, misses = at + 1, 0
+        for to in range(at + 2, len(points)):
+            if cost_of(crossing, points[[at, to]]) <= (so_far[to] - so_far[at]) * (1.0 + 1e-9):
+                far, misses = to, 0
+            else:
+                misses += 1
+            if misses > _MISSES:
                 break
         corners.append(far)
         at = far
@@ -212,9 +216,3 @@ def _nearest_free(crossing: Crossing, cell: tuple[int, int], within: float) -> t
     off = np.linalg.norm(free - cell, axis=1) * crossing.edge
     k = int(np.argmin(off))
     return (int(free[k, 0]), int(free[k, 1])) if off[k] <= within else None
-
-
-def _octile(a: tuple[int, int], b: tuple[int, int]) -> float:
-    """Length of the shortest way between two cells where all is open, at most."""
-    i, j = abs(a[0] - b[0]), abs(a[1] - b[1])
-    return max(i, j) + 0.41421356237 * min(i, j)

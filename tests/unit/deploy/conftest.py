@@ -44,6 +44,7 @@ class Story:
     flicker: bool = False  # contact drops out for one sample in ten
     tail_s: float = 1.0  # [s] after the last step
     moved_leg: int = -1  # the planner moves this leg's touchdowns by 2 cm
+    refusal: str = ""  # the planner says once it stands
 
     def __post_init__(self) -> None:
         profile = load_profile(self.scenario.robot)
@@ -72,7 +73,8 @@ class Story:
                 yield self.plan(ms, step)
             if ms % 100 == 0:
                 moved = int(self.moved_leg >= 0 and self.swing(step)[self.moved_leg])
-                yield PlannerStatus(ms * _MS, "stepping", "", step, moved, -1)
+                stands = bool(self.refusal) and step == self.steps and phase == 1.0
+                yield PlannerStatus(ms * _MS, "blocked" if stands else "stepping", self.refusal, step, moved, -1)
             if ms % 520 == 0:
                 yield self.map(ms)
             yield self.truth(ms)

@@ -15,10 +15,13 @@ from deploy.walk_metrics import (
     slip_per_step,
     stability_margin,
     touchdowns,
+    walked_into,
 )
 from services.simulator.terrain import build_terrain
+from shared.geometry import from_xyz_rpy
 from shared.messages import TerrainMap
-from shared.scenario import Box, Goal, Plane, Scenario, Slope, Stairs
+from shared.robot import load_profile
+from shared.scenario import Box, Goal, Hole, Plane, Scenario, Slope, Stairs
 
 STEPS = Scenario(
     "blocks",
@@ -164,6 +167,62 @@ def test_a_stop_before_the_goal_is_no_success_and_the_reason_given_is_kept(story
     assert not result.success
     assert "blocked for 20 s" in result.reason
     assert f"{scorer.trace.p_true[-1, 0]:.2f} of 0.50 m" in result.reason
+
+
+REFUSED = Scenario("refused", (Plane(),), Goal(0.5, route=True, expect="refusal"))
+
+
+def test_a_refusal_with_its_reason_is_a_success_where_it_is_right(story):
+    scorer = story(scenario=REFUSED, beyond=-0.2, refusal="a wall", tail_s=14.0).judged()
+    assert scorer.finished
+    assert scorer.result().success
+    assert scorer.result().reason == "stood and said why: a wall"
+
+
+@pytest.mark.parametrize(
+    "otherwise",
+    [
+        {"refusal": ""},  # it stood and did not say why
+        {"tail_s": 3.0},  # it has hardly stood yet
+        {"beyond": 0.06},  # it went there all the same
+        {"topple_s": 8.0},
+        {"shutdown_s": 3.0},
+        {"scenario": replace(REFUSED, goal=Goal(0.5, route=True))},
+    ],
+)
+def test_a_refusal_is_none_without_its_reason_or_where_it_is_wrong(story, otherwise):
+    wrong = {"scenario": REFUSED, "beyond": -0.2, "refusal": "a wall", "tail_s": 14.0} | otherwise
+    assert not story(**wrong).judged().result().success
+
+
+def test_on_a_route_it_is_no_success_to_walk_into_something(story):
+    wall = (Plane(), Box(xy=(0.52, 0.35), size=(0.1, 0.2), top=0.3))
+    result = story(scenario=Scenario("wall", wall, Goal(0.5, route=True))).judged().result()
+    assert not result.success
+    assert result.collisions > 0
+    assert result.reason == f"walked into something {result.collisions} times"
+
+
+def test_what_is_walked_into_is_counted_and_a_step_is_not():
+    profile = load_profile("phantomx_mk2")
+    feet = profile.rest_feet() + np.array([0.0, 0.0, profile.stance.body_height])
+
+    def times(terrain, x):
+        ground = build_terrain(Scenario("s", terrain, Goal(1.0)), np.random.default_rng(0))
+        T = np.array([from_xyz_rpy((at, 0.0, profile.stance.body_height), np.zeros(3)) for at in x])
+        moved = feet + T[:, None, :3, 3] * [1.0, 1.0, 0.0]
+        return walked_into(ground.height_at, moved, T, profile.foot.radius, profile.body.size)
+
+    reach = feet[:, 0].max() + profile.foot.radius
+    there_and_back = [0.0, 0.5, 0.5 - reach + 0.002, 0.5 - reach - 0.01, 0.0, 0.5 - reach + 0.002, 0.0]
+    assert times((Plane(), Box((1.0, 0.0), (1.0, 2.0), 0.3)), there_and_back) == 2
+    assert times((Plane(), Box((1.0, 0.0), (1.0, 2.0), 0.05)), there_and_back) == 0
+    assert times((Plane(), Box((0.2, 0.0), (0.1, 0.1), 0.2)), [0.0, 0.1, 0.5]) == 1, "the body goes no higher than it is"
+    hanging = feet - [[0.0, 0.0, 0.1]] + 0.1 * (np.arange(6) > 0)[:, None] * [0.0, 0.0, 1.0]
+    body = from_xyz_rpy((0.0, 0.0, profile.stance.body_height), np.zeros(3))
+    ground = build_terrain(Scenario("h", (Plane(), Hole((0.22, 0.16), (0.1, 0.1), 0.3)), Goal(1.0)), np.random.default_rng(0))
+    assert walked_into(ground.height_at, hanging[None], body[None], profile.foot.radius, profile.body.size) == 1
+    assert walked_into(ground.height_at, feet[None], body[None], profile.foot.radius, profile.body.size) == 0
 
 
 def test_touchdowns_on_blocks_and_stairs_are_counted(story):

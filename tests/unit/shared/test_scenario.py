@@ -7,7 +7,20 @@ import pytest
 
 from shared import config
 from shared.robot import load_profile
-from shared.scenario import Box, Course, Fault, Goal, Level, Plane, Rubble, Scenario, Stairs, load_scenario, scenario_names
+from shared.scenario import (
+    Box,
+    Course,
+    Fault,
+    Goal,
+    Hole,
+    Level,
+    Plane,
+    Rubble,
+    Scenario,
+    Stairs,
+    load_scenario,
+    scenario_names,
+)
 
 STAIRS = {"kind": "stairs", "xy": [0.0, 0.0], "riser": 0.04, "tread": 0.3, "count": 3, "width": 1.0}
 COURSE = {"kind": "course", "width": 1.0}
@@ -37,8 +50,12 @@ def test_every_course_begins_with_flat_ground() -> None:
         for piece in load_scenario(name).terrain:
             if isinstance(piece, Rubble):
                 assert piece.x[0] >= 0.8
-            if isinstance(piece, Box | Stairs):
+            if isinstance(piece, Stairs):
                 assert piece.xy[0] >= 0.8
+            if isinstance(piece, Box | Hole):  # or stand at the side
+                extents = zip(piece.size, piece.size_spread, piece.xy_spread, strict=True)
+                length, width = ((size + more) / 2 + aside for size, more, aside in extents)
+                assert piece.xy[0] - length >= 0.8 or abs(piece.xy[1]) - width >= 0.45
             if isinstance(piece, Course):
                 first = piece.stretches[0]
                 assert isinstance(first, Level)

@@ -20,6 +20,7 @@ from shared.scenario import (
     Gap,
     Goal,
     HeightMap,
+    Hole,
     Level,
     Pillars,
     Plane,
@@ -388,3 +389,39 @@ def test_surfaces_keep_their_colours() -> None:
     assert look is not None
     np.testing.assert_array_equal(look.boxes, [[1, 2, 3], [np.nan] * 3])
     assert np.isnan(look.plane).all()
+
+
+def test_a_hole_is_as_deep_as_it_looks_and_the_ground_around_it_level() -> None:
+    terrain = build(Plane(), Hole((1.0, 0.5), (0.4, 0.6), 0.3))
+    xy = np.random.default_rng(0).uniform((0.5, 0.0), (1.5, 1.0), (500, 2))
+    inside = (np.abs(xy - (1.0, 0.5)) < (0.2, 0.3)).all(axis=1)
+    np.testing.assert_allclose(terrain.height_at(xy), np.where(inside, -0.3, 0.0), atol=1e-9)
+    np.testing.assert_allclose(heights_by_rays(terrain, xy), terrain.height_at(xy), atol=1e-6)
+    assert not terrain.sink_at(xy).any()
+
+
+def test_boxes_and_holes_are_drawn_by_the_seed_within_their_spread() -> None:
+    box = Box((1.0, 0.0), (0.2, 1.0), 0.3, xy_spread=(0.1, 0.2), size_spread=(0.05, 0.5), top_spread=0.1)
+    found = [build(box, seed=seed).boxes for seed in range(40)]
+    centre, half = (np.array([getattr(boxes, name)[0] for boxes in found]) for name in ("centre", "half"))
+    top = centre[:, 2] + half[:, 2]
+    for values, middle, spread in (
+        (centre[:, 0], 1.0, 0.1),
+        (centre[:, 1], 0.0, 0.2),
+        (2 * half[:, 0], 0.2, 0.05),
+        (2 * half[:, 1], 1.0, 0.5),
+        (top, 0.3, 0.1),
+    ):
+        assert np.abs(values - middle).max() <= spread
+        assert np.ptp(values) > spread
+    np.testing.assert_array_equal(build(box, seed=3).boxes.centre, build(box, seed=3).boxes.centre)
+    hole = Hole((1.0, 0.0), (0.4, 0.4), 0.3, xy_spread=(0.3, 0.3), size_spread=(0.1, 0.1))
+    assert len({build(Plane(), hole, seed=seed).raster(0.5, -0.5, 101, 101, 0.01).sum() for seed in range(5)}) == 5
+
+
+def test_holes_need_level_ground() -> None:
+    with pytest.raises(ConfigError, match="holes need level ground"):
+        build(Hole((1.0, 0.0), (0.4, 0.4), 0.3), Box((0.0, 0.0), (1.0, 1.0), 0.0))
+    for bad in ({"depth": 0.0}, {"size": (0.0, 1.0)}, {"size_spread": (0.5, 0.0)}, {"xy_spread": (-0.1, 0.0)}):
+        with pytest.raises(ValueError, match="expected"):
+            Hole(**({"xy": (1.0, 0.0), "size": (0.4, 0.4), "depth": 0.3} | bad))
