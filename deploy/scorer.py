@@ -98,6 +98,7 @@ class Trace:
     p_estimate: Array  # (m, 3) [m] {start} body as perception has it
     touchdowns: Touchdowns
     mosaic: Mosaic | None
+    routes: tuple[Array, ...]  # (k, 2) [m] {start} corners of the ways to a goal that the planner took, each from the robot on
     blocks: Array  # (b, 4, 2) [m] {start} corners of the boxes of the true terrain
     goal_distance: float  # [m]
     corridor: float  # [m]
@@ -136,6 +137,7 @@ class Scorer:
         self._states: list[ActuatorState] = []
         self._newest_step = self._steps_before = 0  # of the actuator as it counts, and of those before it
         self._plans: dict[int, StepPlan] = {}  # the newest revision of each step
+        self._routes: list[Array] = []
         self._moved: dict[int, int] = {}  # footholds moved in each step, by the planner's word
         self._first_step_ns: int | None = None
         self._goal_ns: int | None = None
@@ -249,6 +251,8 @@ class Scorer:
 
     def _note(self, status: PlannerStatus) -> None:
         self._moved[status.step + self._steps_before] = status.moved_footholds
+        if len(status.path) and not any(_goes_on(status.path, known) for known in self._routes[-1:]):
+            self._routes.append(status.path)
         if status.state != "blocked":
             self._blocked_since_ns = None
             return
@@ -475,6 +479,7 @@ class Scorer:
             p_estimate=np.array([p.T_world_body[:3, 3] for p in self._poses]).reshape(-1, 3),
             touchdowns=self._touchdowns(t_ns * 1e-9),
             mosaic=self._maps.mosaic() if self._maps is not None else None,
+            routes=tuple(self._routes),
             blocks=self._block_corners(),
             goal_distance=self._scenario.goal.distance,
             corridor=self._scenario.goal.corridor,
@@ -624,6 +629,12 @@ def _flat(T: Array) -> Array:
 def _lean(up: Array) -> Array:
     """Roll and pitch (n, 2) [rad] of bodies that have the vertical at (n, 3) {body}."""
     return np.stack([np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1.0, 1.0))], axis=1)
+
+
+def _goes_on(path: Array, known: Array) -> bool:
+    """Whether a way (k, 2) is what is left of a known one."""
+    rest = path[1:]
+    return len(rest) < len(known) and np.array_equal(rest, known[len(known) - len(rest) :])
 
 
 def _spread(values: Array) -> Spread:

@@ -19,7 +19,7 @@ _SIZE = (16.0, 12.0)  # [in]
 _DPI = 100
 _FONT = 13  # [pt]
 _GOOD, _BAD = "#1a7f37", "#b3261e"
-_TRUE, _ESTIMATE, _REFERENCE = "#111111", "#d01c8b", "#7f7f7f"
+_TRUE, _ESTIMATE, _REFERENCE, _ROUTE = "#111111", "#d01c8b", "#7f7f7f", "#1f5fd0"
 _NO_FOOTHOLD, _HATCH = (0.70, 0.10, 0.08, 0.5), "#00000045"
 _SIDE = 0.62  # [m] least of the map shown to both sides of the line
 _BEFORE, _AFTER = 0.45, 0.45  # [m] of the map shown before the start and after the goal
@@ -59,9 +59,10 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
 
 def _title(figure: Any, report: Report) -> None:
     walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {report.gait}" + (" · blind" if report.blind else "")
-    verdict = "Goal reached" if report.success else "Failed"
-    words = "" if report.success else f": {report.reason}"
-    facts = f" in {report.duration_s:.1f} s at {100 * report.speed_mps:.1f} cm/s" if report.success else ""
+    arrived = report.success and report.reason == "goal reached"
+    verdict = "Goal reached" if arrived else "Rightly refused" if report.success else "Failed"
+    words = "" if arrived else f": {report.reason}"
+    facts = f" in {report.duration_s:.1f} s at {100 * report.speed_mps:.1f} cm/s" if arrived else ""
     lines = textwrap.wrap(verdict + words + facts, 100, max_lines=2, placeholder=" …")
     color = _GOOD if report.success else _BAD
     figure.text(0.055, 0.975, "\n".join(lines), size=20 if len(lines) == 1 else 17, weight="bold", color=color, va="top")
@@ -86,7 +87,7 @@ def _draw_map(figure: Any, axes: Any, report: Report, trace: Trace) -> None:
     axes.set_xlabel("ahead [m]", labelpad=1)
     axes.set_ylabel("left [m]")
     figure.legend(
-        handles=_legend(report),
+        handles=_legend(report, trace),
         loc="upper left",
         bbox_to_anchor=(0.045, 0.468),
         ncols=7,
@@ -185,6 +186,8 @@ def _draw_footholds(axes: Any, trace: Trace) -> None:
 
 
 def _draw_paths(axes: Any, trace: Trace, report: Report) -> None:
+    for corners in trace.routes:
+        axes.plot(corners[:, 0], corners[:, 1], color=_ROUTE, lw=1.1, alpha=0.8, zorder=3)
     axes.plot(trace.p_estimate[:, 0], trace.p_estimate[:, 1], color=_ESTIMATE, lw=1.6, ls=(0, (4, 2)), zorder=5)
     axes.plot(trace.p_true[:, 0], trace.p_true[:, 1], color=_TRUE, lw=2.0, zorder=4)
     if len(trace.t):
@@ -193,7 +196,7 @@ def _draw_paths(axes: Any, trace: Trace, report: Report) -> None:
         axes.plot(end[0], end[1], marker="o" if report.success else "X", ms=13, mfc=color, mec="white", mew=1.5, zorder=8)
 
 
-def _legend(report: Report) -> list[Any]:
+def _legend(report: Report, trace: Trace) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -214,6 +217,8 @@ def _legend(report: Report) -> list[Any]:
         Line2D([], [], color=_TRUE, lw=2, label="true path"),
         Line2D([], [], color=_ESTIMATE, lw=1.6, ls=(0, (4, 2)), label="estimated path"),
     ]
+    if trace.routes:
+        paths.append(Line2D([], [], color=_ROUTE, lw=1.1, label="planned ways"))
     # A legend fills its columns first; these are its two rows.
     return paths + [handle for pair in zip(legs, rest, strict=True) for handle in pair]
 

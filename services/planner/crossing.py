@@ -31,6 +31,9 @@ _BRIDGED = 5  # cells of low ground up to which it may be narrow, and stepped ov
 _LOOKS = 4  # at a place that showed nothing, from which it is a hole
 _NEAREST, _FURTHEST = 1.15, 1.20  # of the camera's least range, and [m]: where what is there shows
 _FRAME = 0.84  # [1] share of the picture's width and height in which it does
+_FURTHEST_WALL = 1.5  # [m] from the camera, as far as its scans go
+_CUT = 0.02  # [m] under the upper edge of the picture, within which what is seen goes on beyond it, if it is
+_FOOT_OF_WALL = 0.03  # [m] over the robot's ground at least
 _SHADOW = 0.01  # [m] under the top of what stands before it, a place is hidden
 BESIDE = 0.55  # [m] from the body, within which the camera sees nothing wherever it looks
 
@@ -52,7 +55,8 @@ class Prices:
     rough: float = 1.5  # where no cell carries a foot, of a footprint; less where some do
     bare: float = 6.0  # where no foothold is in reach
     relief: float = 2.0  # where the ground changes by as much as legs can take
-    near: float = 2.0  # right beside what cannot be crossed, falling to nothing at `wide`
+    tall: float = 30.0  # where it rises out of the picture, as walls do from afar, and stairs too
+    near: float = 3.0  # right beside what cannot be crossed, falling to nothing at `wide`
     unseen: float = 1.0
     beside: float = 40.0  # unseen and so near that it cannot be looked at
 
@@ -142,7 +146,9 @@ class SeenGround:
         anew = found.layers["known"][there] > 0
         for name, layer in found.layers.items():
             self._layers[name][here][anew] = layer[there][anew]
-        self._look(T_world_body @ camera.T_body_camera, camera, floor)
+        eye = T_world_body @ camera.T_body_camera
+        self._look(eye, camera, floor)
+        self._look_up(eye, camera, floor)
 
     def crossing(self, size: Size, prices: Prices, xy: Array, stuck: Array, stuck_radius: float) -> Crossing:
         """What it costs to cross, and where one cannot.
@@ -176,6 +182,7 @@ class SeenGround:
             np.where(near, prices.beside, prices.unseen),
             prices.rough * (1.0 - seen["footing"]) + prices.bare * seen["bare"] + prices.relief * relief**2,
         )
+        ground_price = ground_price + prices.tall * seen["tall"]
         beyond = np.clip((size.wide - room) / max(size.wide - size.half_width, 1e-9), 0.0, 1.0)
         under = round(size.half_width / self._edge)
         cost = 1.0 + _mean_around(ground_price, under) + prices.near * beyond**2
@@ -223,6 +230,23 @@ class SeenGround:
         cells = cells[~hidden]
         self._layers["looks"][cells[:, 0], cells[:, 1]] += 1
 
+    def _look_up(self, T_world_camera: Array, camera: Camera, floor: float) -> None:
+        """Tell what rises out of the picture: from afar little of a wall is in view, and it is as high as it is."""
+        seen, lens = self._layers, camera.intrinsics
+        cells = np.argwhere(seen["known"] > 0)
+        high = seen["high"][cells[:, 0], cells[:, 1]]
+        places = np.column_stack([(cells + self._first + 0.5) * self._edge, high])
+        near = np.linalg.norm(places[:, :2] - T_world_camera[:2, 3], axis=1) < _FURTHEST_WALL
+        cells, places = cells[near], places[near]
+        x, y, z = apply(inverse(T_world_camera), places).T
+        shown = z > camera.sensor.min_range
+        z = np.where(shown, z, 1.0)
+        shown &= np.abs(lens.fx * x / z + lens.cx - lens.width / 2) < _FRAME * lens.width / 2
+        left_above = lens.fy * y / z + lens.cy  # [px]
+        cut = (left_above * z / lens.fy < _CUT) & (places[:, 2] > floor + _FOOT_OF_WALL)
+        cells, cut = cells[shown], cut[shown]
+        seen["tall"][cells[:, 0], cells[:, 1]] = cut
+
 
 def _nothing() -> dict[str, Array]:
     """Layers of ground never seen."""
@@ -233,13 +257,14 @@ def _nothing() -> dict[str, Array]:
         "high": np.nan,  # [m] {world}
         "low": np.nan,  # [m] {world}
         "looks": 0.0,  # at the cell, in which nothing showed
+        "tall": 0.0,  # 1 where it rises out of the picture
     }
     return {name: np.full((_CELLS, _CELLS), value) for name, value in blank.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class _Coarse:
-    """A map in coarse cells, from the cell `first` (2,) of the world's grid on; layers as of `_nothing`, but for looks."""
+    """A map in coarse cells, from the cell `first` (2,) of the world's grid on; those of `_nothing` but for looks."""
 
     first: NDArray[np.int64]
     layers: dict[str, Array]

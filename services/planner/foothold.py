@@ -31,6 +31,7 @@ class NoFoothold:
     """Why there is none, in words."""
 
     reason: str
+    unseen: bool = False  # most of the cells that were tried have not been seen
 
 
 def offsets_by_distance(radius: float, resolution: float) -> Array:
@@ -101,4 +102,5 @@ def _search(
     )
     words = ", ".join(f"{n} {what}" for what, n in counts.most_common() if n)
     radius = 0.0 if nominal is None else float(np.linalg.norm(xy[-1] - nominal))
-    return NoFoothold(f"no foothold within {radius * 100:.0f} cm of its place: of {len(xy)} cells {words}")
+    reason = f"no foothold within {radius * 100:.0f} cm of its place: of {len(xy)} cells {words}"
+    return NoFoothold(reason, unseen=2 * int(unknown.sum()) > len(xy))

@@ -18,8 +18,8 @@ from shared.geometry import Array, yaw_of
 from shared.messages import MAX_PATH, Goal, TerrainMap, VelocityCommand
 from shared.robot import RobotProfile
 
-_SPARE = 0.015  # [m] between the feet and what they must keep away from
-_LIKED = 0.15  # [m] that the robot would like to have beyond that
+_SPARE = 0.025  # [m] between the feet and what they must keep away from
+_LIKED = 0.20  # [m] that the robot would like to have beyond that
 _DETOUR = 1.5  # [m] from the straight way between two waypoints, at most
 _REPLAN_NS = 500_000_000  # [ns] between two looks for a way
 _PASSED = 0.10  # [m] at least, from a waypoint that is not the last, within which it counts as passed
@@ -85,7 +85,7 @@ class Pilot:
         """Lead a robot whose steps take so long [s]."""
         self._profile = profile
         feet = profile.rest_feet()
-        half = float(np.abs(feet[:, 1]).max()) + _SPARE
+        half = float(np.linalg.norm(feet[:, :2], axis=1).max()) + _SPARE  # it must be able to turn
         self._size = Size(half, half + _LIKED)
         self._prices = Prices()
         self._ground = SeenGround()

@@ -1,5 +1,6 @@
 """The planner: Lotriet's state machine of resting and stepping, on the newest map and pose."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -112,6 +113,8 @@ class Planner:
         """The plan to send now, or none and the reason in the status."""
         pose = inbox.fresh(topics.BODY_POSE, self._settings.pose_age_s)
         command = inbox.fresh(topics.VELOCITY)
+        goal = inbox.fresh(topics.GOAL) if command is None else None
+        self._led = goal is not None
         if state.mode not in (Mode.WALK, Mode.HOLD):
             self._refusals.forget()
             return self._hold("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
@@ -119,8 +122,6 @@ class Planner:
             return self._feel_ahead(state, command, inbox)
         if pose is None:
             return self._hold("waiting", f"no fresh pose from perception{_blamed_on_camera(inbox)}")
-        goal = inbox.fresh(topics.GOAL) if command is None else None
-        self._led = goal is not None
         if command is None and goal is None:
             return self._hold("resting", "no fresh velocity command, and no goal")
         terrain = self._terrain(state, pose, inbox)
@@ -219,7 +220,7 @@ class Planner:
                 self._refusals.give_up()
                 self._due_ns = state.stamp_ns + _TRY_AGAIN_NS
                 return self._hold("blocked", self._refusals.words())
-            return self._hold("blocked", found.reason, found.leg)
+            return self._hold("blocked", found.reason + self._where_to_look(found, command), found.leg)
         if self._refusals.given_up:
             self._state, self._reason = "blocked", self._refusals.words()
         else:
@@ -229,6 +230,15 @@ class Planner:
             legs = int(found.swing.sum())
             self._reason = f"{found.moved} of {legs} footholds moved from their nominal place{shorter}{slower}"
         return self._send(state, pose, found, state.step + 1, way)
+
+    def _where_to_look(self, found: Blocked, command: VelocityCommand) -> str:
+        """What to do first where the ground that is walked to was never in view, in words; a goal's pilot does it by itself."""
+        lens = self._profile.camera.intrinsics
+        direction = math.atan2(command.velocity[1], command.velocity[0])
+        in_view = abs(direction) < math.atan2(lens.width / 2, lens.fx) or not command.velocity.any()
+        if self._led or in_view or not found.unseen:
+            return ""
+        return f"; the ground there is unseen: turn {'left' if direction > 0 else 'right'} first to look at it"
 
     def _choose(self, situations: list[Situation], terrain: Terrain) -> tuple[Stride | Blocked, int]:
         """The step to take and the number of its way; where steps were refused, legs that are not due may take it."""

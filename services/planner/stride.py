@@ -62,6 +62,7 @@ class Blocked:
 
     reason: str
     leg: int = -1  # the leg it fails for, -1 for the whole robot
+    unseen: bool = False  # for it the ground has not been seen
 
 
 class StridePlanner:
@@ -141,7 +142,7 @@ class StridePlanner:
         for leg in np.flatnonzero(at.swing).tolist():
             found = self._foothold(leg, nominal[leg], touchdown, T_end, T_after, terrain)
             if isinstance(found, NoFoothold):
-                return Blocked(f"{LEGS[leg]} leg: {found.reason}", leg)
+                return Blocked(f"{LEGS[leg]} leg: {found.reason}", leg, found.unseen)
             touchdown[leg] = found.p_world + self._foot_up
             moved += found.moved > terrain.map.resolution
 

@@ -13,7 +13,7 @@ from services.planner.service import Planner
 from services.planner.stride import SHARES
 from services.planner.terrain import Terrain, flat_terrain
 from shared import codec, topics
-from shared.geometry import Array, apply, from_xyz_rpy, inverse
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, yaw_of
 from shared.messages import (
     ActuatorState,
     BodyPose,
@@ -628,3 +628,34 @@ def test_by_touch_it_rests_when_nothing_is_commanded() -> None:
     rig.command = replace(rig.command, velocity=np.zeros(2))
     assert not rig.plans(20)
     assert rig.status().state == "resting"
+
+
+@pytest.mark.parametrize(("velocity", "side"), [((0.0, 0.06), "left"), ((0.0, -0.06), "right"), ((-0.06, -0.01), "right")])
+def test_into_ground_that_was_never_in_view_it_does_not_walk_and_says_to_look_first(
+    velocity: tuple[float, float], side: str, make_terrain: Maker
+) -> None:
+    rig = Rig()
+
+    def lane(x: Array, y: Array) -> Array:
+        return np.where((np.abs(y) < 0.28) & (np.abs(x) < 0.28), 0.0, np.nan)
+
+    rig.terrain = make_terrain(lane, lane).map
+    rig.command = VelocityCommand(0, np.array(velocity), 0.0, HEIGHT, 0.04)
+    take_steps(rig, 10)
+    assert rig.status().state == "blocked"
+    assert rig.status().reason.endswith(f"; the ground there is unseen: turn {side} first to look at it")
+    rig.command = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
+    take_steps(rig, 10)
+    assert rig.status().state == "blocked"
+    assert "not seen" in rig.status().reason
+    assert "to look at it" not in rig.status().reason, "it is in view"
+
+
+def test_on_mapped_ground_it_turns_on_the_spot() -> None:
+    rig = Rig()
+    rig.command = VelocityCommand(0, np.zeros(2), 0.2, HEIGHT, 0.04)
+    reached = take_steps(rig, 40)
+    assert len(reached) == 40
+    assert np.abs(np.array(reached)[:, :2]).max() < 1e-6
+    assert rig.pose is not None
+    assert yaw_of(rig.pose.T_world_body) == pytest.approx((40 * 0.2 * Settings().step_s + np.pi) % (2 * np.pi) - np.pi)
