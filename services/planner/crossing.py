@@ -28,12 +28,11 @@ _SEEN = 0.25  # [1] share of a cell that must be known
 _BARE = 0.8  # [1] share of a cell out of reach of every foothold, from which it is bare, and
 _NARROW = 2  # cells that bare ground must be wide to stop feet, and
 _BRIDGED = 5  # cells of low ground up to which it may be narrow, and stepped over
-_LOOKS = 4  # at a place that showed nothing, from which it is a hole
-_NEAREST, _FURTHEST = 1.15, 1.20  # of the camera's least range, and [m]: where what is there shows
+_LOOKS = 3  # at a place that showed nothing, or showed a wall, from which it is a hole, or a wall
+_FORGET = 0.98  # share of a look that is left by the next
+_FOOT_OF_WALL = 0.015  # [m] of it that show at least
+_NEAREST, _FURTHEST = 1.15, 1.10  # of the camera's least range, and [m]: where what is there shows
 _FRAME = 0.84  # [1] share of the picture's width and height in which it does
-_FURTHEST_WALL = 1.5  # [m] from the camera, as far as its scans go
-_CUT = 0.02  # [m] under the upper edge of the picture, within which what is seen goes on beyond it, if it is
-_FOOT_OF_WALL = 0.03  # [m] over the robot's ground at least
 _SHADOW = 0.01  # [m] under the top of what stands before it, a place is hidden
 BESIDE = 0.55  # [m] from the body, within which the camera sees nothing wherever it looks
 
@@ -55,7 +54,6 @@ class Prices:
     rough: float = 1.5  # where no cell carries a foot, of a footprint; less where some do
     bare: float = 6.0  # where no foothold is in reach
     relief: float = 2.0  # where the ground changes by as much as legs can take
-    tall: float = 30.0  # where it rises out of the picture, as walls do from afar, and stairs too
     near: float = 3.0  # right beside what cannot be crossed, falling to nothing at `wide`
     unseen: float = 1.0
     beside: float = 40.0  # unseen and so near that it cannot be looked at
@@ -140,15 +138,19 @@ class SeenGround:
         low = np.maximum(offset, 0)
         high = np.minimum(offset + found.layers["known"].shape, _CELLS)
         if (low >= high).any():
-            return
+            return  # a map of elsewhere
         here = np.s_[low[0] : high[0], low[1] : high[1]]
         there = np.s_[low[0] - offset[0] : high[0] - offset[0], low[1] - offset[1] : high[1] - offset[1]]
         anew = found.layers["known"][there] > 0
         for name, layer in found.layers.items():
             self._layers[name][here][anew] = layer[there][anew]
+        # Narrow low ground is stepped over. A wall whose top is out of the picture is mapped as low as the middle of what
+        # shows of it, and now and then as nothing at all: it is kept in mind.
+        mind = self._layers
+        mind["rise"] = mind["high"] - _lowest_around(_closed(mind["low"], _BRIDGED))
+        mind["walls"] = _FORGET * mind["walls"] + (mind["rise"] > MAX_STEP)
         eye = T_world_body @ camera.T_body_camera
-        self._look(eye, camera, floor)
-        self._look_up(eye, camera, floor)
+        self._look(eye, camera, floor, low, high)
 
     def crossing(self, size: Size, prices: Prices, xy: Array, stuck: Array, stuck_radius: float) -> Crossing:
         """What it costs to cross, and where one cannot.
@@ -163,9 +165,9 @@ class SeenGround:
         seen = self._layers
         unseen = seen["known"] < _SEEN
         stops = np.zeros(unseen.shape, dtype=np.int8)
-        # 1. Ground that rises or falls by more than legs can take: its upper edge. Narrow low ground is stepped over.
-        ground = _closed(seen["low"], _BRIDGED)
-        rise = seen["high"] - _lowest_around(ground)
+        # 1. Ground that rises or falls by more than legs can take: its upper edge.
+        rise = seen["rise"]
+        stops[seen["walls"] >= _LOOKS] = np.where(rise > _FOOT_OF_WALL, STEP, HOLE)[seen["walls"] >= _LOOKS]
         stops[rise > MAX_STEP] = STEP
         # 2. Ground without a foothold in reach, and ground that does not show, unless feet can step across.
         stops[_wide(~unseen & (seen["bare"] > _BARE), _NARROW) & (stops == OPEN)] = BARE
@@ -182,7 +184,6 @@ class SeenGround:
             np.where(near, prices.beside, prices.unseen),
             prices.rough * (1.0 - seen["footing"]) + prices.bare * seen["bare"] + prices.relief * relief**2,
         )
-        ground_price = ground_price + prices.tall * seen["tall"]
         beyond = np.clip((size.wide - room) / max(size.wide - size.half_width, 1e-9), 0.0, 1.0)
         under = round(size.half_width / self._edge)
         cost = 1.0 + _mean_around(ground_price, under) + prices.near * beyond**2
@@ -206,9 +207,12 @@ class SeenGround:
             for name, layer in self._layers.items():
                 layer[new] = kept[name][old]
 
-    def _look(self, T_world_camera: Array, camera: Camera, floor: float) -> None:
-        """Count the look at cells that would show if there were ground as high as the robot's, and do not."""
-        cells = np.argwhere((self._layers["known"] < _SEEN) & (self._layers["looks"] < _LOOKS))
+    def _look(
+        self, T_world_camera: Array, camera: Camera, floor: float, low: NDArray[np.int64], high: NDArray[np.int64]
+    ) -> None:
+        """Count the look at cells of the map, from low to high, that would show if there were ground as high as the robot's."""
+        cells = np.argwhere(self._layers["known"] < _SEEN)
+        cells = cells[((cells >= low) & (cells < high)).all(axis=1)]
         places = np.column_stack([(cells + self._first + 0.5) * self._edge, np.full(len(cells), floor)])
         eye = T_world_camera[:3, 3]
         reach = np.linalg.norm(places[:, :2] - eye[:2], axis=1) < _FURTHEST
@@ -223,29 +227,20 @@ class SeenGround:
         cells, places = cells[shown], places[shown]
         s = np.linspace(0.1, 0.92, 24)[:, None, None]
         line = eye + s * (places - eye)
-        ij = np.clip(np.floor(line[..., :2] / self._edge).astype(np.int64) - self._first, 0, _CELLS - 1)
-        high = self._layers["high"]
-        top = _over_square(np.where(np.isnan(high), -np.inf, high), 1, 1, np.maximum, -np.inf)
-        hidden = (top[ij[..., 0], ij[..., 1]] > line[..., 2] - _SHADOW).any(axis=0)
-        cells = cells[~hidden]
+        i, j = np.moveaxis(np.clip(np.floor(line[..., :2] / self._edge).astype(np.int64) - self._first, 0, _CELLS - 1), -1, 0)
+        tops = self._layers["high"]
+        top = _over_square(np.where(np.isnan(tops), -np.inf, tops), 1, 1, np.maximum, -np.inf)
+        shown = ~(top[i, j] > line[..., 2] - _SHADOW).any(axis=0)
+        cells, i, j, z = cells[shown], i[:, shown], j[:, shown], line[:, shown, 2]
         self._layers["looks"][cells[:, 0], cells[:, 1]] += 1
-
-    def _look_up(self, T_world_camera: Array, camera: Camera, floor: float) -> None:
-        """Tell what rises out of the picture: from afar little of a wall is in view, and it is as high as it is."""
-        seen, lens = self._layers, camera.intrinsics
-        cells = np.argwhere(seen["known"] > 0)
-        high = seen["high"][cells[:, 0], cells[:, 1]]
-        places = np.column_stack([(cells + self._first + 0.5) * self._edge, high])
-        near = np.linalg.norm(places[:, :2] - T_world_camera[:2, 3], axis=1) < _FURTHEST_WALL
-        cells, places = cells[near], places[near]
-        x, y, z = apply(inverse(T_world_camera), places).T
-        shown = z > camera.sensor.min_range
-        z = np.where(shown, z, 1.0)
-        shown &= np.abs(lens.fx * x / z + lens.cx - lens.width / 2) < _FRAME * lens.width / 2
-        left_above = lens.fy * y / z + lens.cy  # [px]
-        cut = (left_above * z / lens.fy < _CUT) & (places[:, 2] > floor + _FOOT_OF_WALL)
-        cells, cut = cells[shown], cut[shown]
-        seen["tall"][cells[:, 0], cells[:, 1]] = cut
+        # What hides it, or ends before it, is the last that shows on the way to it.
+        known = self._layers["known"][i, j] >= _SEEN
+        last = len(known) - 1 - np.argmax(known[::-1], axis=0)
+        ray = np.arange(len(cells))
+        high = known.any(axis=0) & (z[last, ray] > floor + MAX_STEP) if len(cells) else np.zeros(0, dtype=bool)
+        before = np.zeros_like(known, shape=tops.shape)
+        before[i[last[high], ray[high]], j[last[high], ray[high]]] = True
+        self._layers["walls"] += before
 
 
 def _nothing() -> dict[str, Array]:
@@ -257,14 +252,15 @@ def _nothing() -> dict[str, Array]:
         "high": np.nan,  # [m] {world}
         "low": np.nan,  # [m] {world}
         "looks": 0.0,  # at the cell, in which nothing showed
-        "tall": 0.0,  # 1 where it rises out of the picture
+        "rise": 0.0,  # [m] over the lowest ground around
+        "walls": 0.0,  # looks that found a wall there, the old ones counting less
     }
     return {name: np.full((_CELLS, _CELLS), value) for name, value in blank.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class _Coarse:
-    """A map in coarse cells, from the cell `first` (2,) of the world's grid on; those of `_nothing` but for looks."""
+    """A map in coarse cells, from the cell `first` (2,) of the world's grid on; layers of `_nothing` that a map tells."""
 
     first: NDArray[np.int64]
     layers: dict[str, Array]

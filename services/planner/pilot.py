@@ -18,7 +18,7 @@ from shared.geometry import Array, yaw_of
 from shared.messages import MAX_PATH, Goal, TerrainMap, VelocityCommand
 from shared.robot import RobotProfile
 
-_SPARE = 0.025  # [m] between the feet and what they must keep away from
+_SPARE = 0.045  # [m] between the feet and what they must keep away from
 _LIKED = 0.20  # [m] that the robot would like to have beyond that
 _DETOUR = 1.5  # [m] from the straight way between two waypoints, at most
 _REPLAN_NS = 500_000_000  # [ns] between two looks for a way

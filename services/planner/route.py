@@ -52,9 +52,8 @@ def find_way(crossing: Crossing, start: Array, goal: Array, nearby: float) -> Wa
         return NoWay(f"no way to {_place(goal)}: {enclosure(crossing, reached)}")
     # 3. Its corners.
     points = crossing.centres(cells)
-    points[0] = start
-    if aim is goal and crossing.cell(goal) == end:
-        points[-1] = goal
+    last = goal if aim is goal and crossing.cell(goal) == end else points[-1]
+    points = np.vstack([start, points[1:-1], last])
     corners = straightened(crossing, points)
     return Way(corners, cost_of(crossing, corners))
 

@@ -114,6 +114,13 @@ def test_over_open_ground_it_is_straight_and_ends_at_the_goal() -> None:
     assert way.cost == pytest.approx(float(np.linalg.norm(goal - start)))
 
 
+def test_within_a_cell_it_is_straight_too() -> None:
+    start, goal = np.array([0.11, 0.12]), np.array([0.14, 0.12])
+    way = find_way(crossing(np.ones((40, 20))), start, goal, 0.03)
+    assert isinstance(way, Way)
+    np.testing.assert_array_equal(way.corners, [start, goal])
+
+
 def test_what_is_dear_is_gone_around_if_that_is_cheaper() -> None:
     cost = np.ones((40, 40))
     cost[18:22, 5:35] = 30.0

@@ -1,0 +1,168 @@
+"""Leading to a goal: the way is followed and faced, what is unseen is looked at, and a way that does not go on is left."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from services.planner.pilot import Heading, Pilot
+from services.planner.route import NoWay
+from services.planner.terrain import Terrain
+from shared.geometry import Array, from_xyz_rpy, rotation_z, yaw_of
+from shared.messages import Goal, VelocityCommand
+from shared.robot import load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+STEP_S = 0.8
+S = 1_000_000_000
+Maker = Callable[..., Terrain]
+
+
+def goal(*waypoints: tuple[float, float]) -> Goal:
+    return Goal(0, np.array(waypoints), 0.03, 0.10, 0.10, 0.04)
+
+
+class Robot:
+    """Does what it is told, on ground that is known as a map tells, unless it is held."""
+
+    def __init__(self, terrain: Terrain, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> None:
+        self.pilot = Pilot(PROFILE, STEP_S)
+        self.terrain = terrain
+        self.T = from_xyz_rpy((x, y, 0.1), (0.0, 0.0, yaw))
+        self.now_ns = 0
+        self.held = False
+        self.track: list[Array] = []
+        self.words: list[str] = []
+
+    def step(self, to: Goal) -> Heading | NoWay:
+        self.now_ns += round(STEP_S * S)
+        self.terrain = Terrain(self.terrain.map.__class__(**{**_fields(self.terrain), "stamp_ns": self.now_ns}))
+        found = self.pilot.lead(to, self.terrain, self.T, self.T, self.now_ns)
+        if isinstance(found, Heading):
+            self.words.append(found.words)
+            if found.commands and not self.held:
+                self.move(found.commands[0])
+        else:
+            self.words.append(found.reason)
+        self.track.append(self.T[:3, 3].copy())
+        return found
+
+    def move(self, command: VelocityCommand) -> None:
+        self.T = self.T.copy()
+        self.T[:2, 3] += STEP_S * (self.T[:2, :2] @ command.velocity)
+        self.T[:3, :3] = self.T[:3, :3] @ rotation_z(STEP_S * command.yaw_rate)
+
+    def walk(self, to: Goal, steps: int = 150) -> "Robot":
+        for _ in range(steps):
+            found = self.step(to)
+            if isinstance(found, Heading) and not found.commands:
+                break
+        return self
+
+
+def _fields(terrain: Terrain) -> dict[str, object]:
+    return {name: getattr(terrain.map, name) for name in terrain.map.__dataclass_fields__}
+
+
+def walled(x: Array, y: Array) -> Array:
+    """A wall across at x = 0.8 m, from y = -0.9 to 0.3 m."""
+    return np.where((np.abs(x - 0.8) < 0.1) & (y > -0.9) & (y < 0.3), 0.3, 0.0)
+
+
+def beside_edges(height: Callable[[Array, Array], Array]) -> Callable[[Array, Array], Array]:
+    def score(x: Array, y: Array) -> Array:
+        around = np.array([height(x + dx, y + dy) for dx in (-0.02, 0.02) for dy in (-0.02, 0.02)])
+        return np.where(np.ptp(around, axis=0) > 0.01, 9.0, 0.0)
+
+    return score
+
+
+def test_it_walks_straight_and_ends_within_the_tolerance(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(half=1.28)).walk(goal((0.7, 0.3)))
+    assert robot.words[-1] == "at the goal (0.7, 0.3)"
+    assert np.linalg.norm(robot.T[:2, 3] - (0.7, 0.3)) <= 0.03
+    line = np.array([0.7, 0.3]) / np.hypot(0.7, 0.3)
+    off = np.array(robot.track)[:, :2] @ [-line[1], line[0]]
+    assert np.abs(off).max() < 0.02
+    assert not len(robot.pilot.path)
+
+
+def test_it_stays_where_it_has_arrived(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(half=1.28)).walk(goal((0.3, 0.0)))
+    robot.T[:2, 3] += (0.02, 0.01)  # its estimate moves a little
+    assert robot.step(goal((0.3, 0.0))).commands == ()  # type: ignore[union-attr]
+    robot.walk(goal((0.6, 0.0)))
+    assert robot.words[-1] == "at the goal (0.6, 0.0)"
+
+
+def test_around_a_wall_it_goes_with_room_to_spare_and_faces_its_way(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(walled, beside_edges(walled), half=1.6)).walk(goal((1.4, 0.0)))
+    assert robot.words[-1].startswith("at the goal")
+    track = np.array(robot.track)[:, :2]
+    reach = np.linalg.norm(PROFILE.rest_feet()[:, :2], axis=1).max()
+    nearest = np.maximum(np.abs(track - (0.8, -0.3)) - (0.1, 0.6), 0.0)
+    assert np.linalg.norm(nearest, axis=1).min() > reach
+    moves = np.diff(track, axis=0)
+    assert (moves[:, 1] > 0).any(), "it went the short way around"
+
+
+def test_where_there_is_no_way_it_looks_to_both_sides_first_and_then_says_why(make_terrain: Maker) -> None:
+    def pen(x: Array, y: Array) -> Array:
+        inside = (np.abs(x) < 0.8) & (np.abs(y) < 0.8)
+        beside = (np.hypot(x, y) > 0.5) & (np.abs(np.arctan2(y, x)) > 0.6) & (np.abs(np.arctan2(y, x)) < 1.6)
+        return np.where(inside, np.where(beside, np.nan, 0.0), 0.3)
+
+    robot = Robot(make_terrain(pen, half=1.28))
+    yaws = []
+    for _ in range(60):
+        robot.step(goal((2.0, 0.0)))
+        yaws.append(yaw_of(robot.T))
+    assert max(yaws) > np.radians(40.0)
+    assert min(yaws) < -np.radians(40.0)
+    assert any(words.startswith("turning left to look for a way: no way to (2.0, 0.0)") for words in robot.words)
+    assert robot.words[-1].startswith("no way to (2.0, 0.0): a step of more than 6 cm")
+    assert np.abs(robot.T[:2, 3]).max() < 1e-9
+    found = robot.step(goal((2.0, 0.0)))
+    assert isinstance(found, NoWay), "once is enough"
+    robot.terrain = make_terrain(half=1.28)
+    robot.walk(goal((0.9, 0.0)))
+    assert robot.words[-1].startswith("at the goal"), "it tries again when the map changes"
+
+
+def test_where_it_does_not_get_on_it_takes_another_way(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(half=1.28))
+    robot.walk(goal((1.2, 0.0)), steps=3)
+    robot.held = True
+    for _ in range(8):
+        robot.step(goal((1.2, 0.0)))
+        robot.pilot.note("left front leg: it does not like it there")
+    robot.held = False
+    at = robot.T[0, 3]
+    robot.walk(goal((1.2, 0.0)))
+    assert robot.words[-1].startswith("at the goal")
+    passing = [p[1] for p in robot.track if at + 0.3 < p[0] < at + 0.5]
+    assert min(np.abs(passing)) > 0.2
+
+
+def test_before_what_it_has_not_seen_it_turns_to_face_it(make_terrain: Maker) -> None:
+    def seen(x: Array, y: Array) -> Array:
+        return np.where(np.hypot(x, y) < 0.75, 0.0, np.nan)
+
+    robot = Robot(make_terrain(seen, half=1.28), yaw=np.radians(-90.0))
+    found = robot.step(goal((1.2, 0.0)))
+    assert isinstance(found, Heading)
+    assert not found.commands[0].velocity.any()
+    assert found.commands[0].yaw_rate > 0
+    yaws = [yaw_of(robot.walk(goal((1.2, 0.0)), steps=1).T) for _ in range(5)]
+    assert (np.diff(yaws) > 0.1).all()
+    assert np.linalg.norm(robot.T[:2, 3]) < 0.1
+
+
+@pytest.mark.parametrize("speed", [0.03, 0.5])
+def test_it_walks_no_faster_than_asked_nor_than_the_robot_can(speed: float, make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(half=1.28))
+    to = Goal(0, np.array([[1.0, 0.0]]), 0.03, speed, 0.10, 0.04)
+    found = robot.step(to)
+    assert isinstance(found, Heading)
+    fastest = max(float(np.linalg.norm(command.velocity)) for command in found.commands)
+    assert fastest == pytest.approx(min(speed, PROFILE.stance.max_speed))
