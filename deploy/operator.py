@@ -90,7 +90,7 @@ class Operator:
                 yield self._steer(now, pose.T_world_body if pose is not None and known else None)
             elif not self.finished and now >= self._goal_due_ns:
                 self._goal_due_ns = now + _GOAL_NS
-                yield Goal(now, self._route, _TOLERANCE, self._speed, self._walk.body_height, self._walk.lift)
+                yield Goal(now, self._route, _TOLERANCE, self._speed, self._walk.body_height, self._walk.lift, self._walk.gait)
             if self._route is not None and status is not None and status.state == "arrived" and self._arrived_ns is None:
                 self._arrived_ns = now
             self._watch_arrival(now, state, status)

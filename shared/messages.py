@@ -336,6 +336,7 @@ class Goal(Message):
     speed: float  # [m/s] at most
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
+    gait: GaitName = "tripod"
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from math import atan2, cos, hypot, pi, radians, sin
 import numpy as np
 
 from services.planner.crossing import BESIDE, Crossing, Prices, SeenGround, Size
+from services.planner.gait import GAITS
 from services.planner.route import NoWay, Way, cost_of, find_way
 from services.planner.terrain import Terrain
 from shared.geometry import Array, yaw_of
@@ -138,6 +139,9 @@ class Pilot:
         errand.sides = None
         return self._follow(errand, target, body, now_ns)
 
+    def _step_s(self, goal: Goal) -> float:
+        return self._profile.stance.step_s * GAITS[goal.gait].pace
+
     def note(self, reason: str) -> None:
         """Note why the robot stands, in words."""
         if self._errand is not None:
@@ -196,7 +200,7 @@ class Pilot:
         error = _wrapped(atan2(facing[1], facing[0]) - yaw) if left > _LOOK_AHEAD else 0.0
         turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
         # No further in a step than to the end, nor around a corner.
-        speed = min(goal.speed, self._profile.stance.max_speed, _length(to) / self._profile.stance.step_s)
+        speed = min(goal.speed, self._profile.stance.max_speed, _length(to) / self._step_s(goal))
         velocity = speed * np.array([cos(errand.course - yaw), sin(errand.course - yaw)])
         wanted = [(velocity, turn), (velocity, 0.0), (np.zeros(2), turn)]
         if abs(error) > turn_first:
@@ -252,7 +256,7 @@ class Pilot:
 
 
 def _command(goal: Goal, now_ns: int, velocity: Array, yaw_rate: float) -> VelocityCommand:
-    return VelocityCommand(now_ns, velocity, yaw_rate, goal.body_height, goal.lift)
+    return VelocityCommand(now_ns, velocity, yaw_rate, goal.body_height, goal.lift, goal.gait)
 
 
 def _same(a: Goal, b: Goal) -> bool:
