@@ -13,7 +13,7 @@ from shared.messages import Goal, VelocityCommand
 from shared.robot import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
-STEP_S = 0.8
+STEP_S = PROFILE.stance.step_s
 S = 1_000_000_000
 Maker = Callable[..., Terrain]
 
@@ -26,7 +26,7 @@ class Robot:
     """Does what it is told, on ground that is known as a map tells, unless it is held."""
 
     def __init__(self, terrain: Terrain, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> None:
-        self.pilot = Pilot(PROFILE, STEP_S)
+        self.pilot = Pilot(PROFILE)
         self.terrain = terrain
         self.T = from_xyz_rpy((x, y, 0.1), (0.0, 0.0, yaw))
         self.now_ns = 0
@@ -108,17 +108,16 @@ def test_around_a_wall_it_goes_with_room_to_spare_and_faces_its_way(make_terrain
 
 def test_where_there_is_no_way_it_looks_to_both_sides_first_and_then_says_why(make_terrain: Maker) -> None:
     def pen(x: Array, y: Array) -> Array:
-        inside = (np.abs(x) < 0.8) & (np.abs(y) < 0.8)
-        beside = (np.hypot(x, y) > 0.5) & (np.abs(np.arctan2(y, x)) > 0.6) & (np.abs(np.arctan2(y, x)) < 1.6)
-        return np.where(inside, np.where(beside, np.nan, 0.0), 0.3)
+        off = np.maximum(np.abs(x), np.abs(y))
+        return np.where(off < 0.8, 0.0, np.where(off < 0.9, 0.3, np.nan))
 
     robot = Robot(make_terrain(pen, half=1.28))
     yaws = []
     for _ in range(60):
         robot.step(goal((2.0, 0.0)))
         yaws.append(yaw_of(robot.T))
-    assert max(yaws) > np.radians(40.0)
-    assert min(yaws) < -np.radians(40.0)
+    assert max(yaws) > np.radians(60.0)
+    assert min(yaws) < -np.radians(60.0)
     assert any(words.startswith("turning left to look for a way: no way to (2.0, 0.0)") for words in robot.words)
     assert robot.words[-1].startswith("no way to (2.0, 0.0): a step of more than 6 cm")
     assert np.abs(robot.T[:2, 3]).max() < 1e-9
@@ -153,9 +152,9 @@ def test_before_what_it_has_not_seen_it_turns_to_face_it(make_terrain: Maker) ->
     assert isinstance(found, Heading)
     assert not found.commands[0].velocity.any()
     assert found.commands[0].yaw_rate > 0
-    yaws = [yaw_of(robot.walk(goal((1.2, 0.0)), steps=1).T) for _ in range(5)]
+    yaws = [yaw_of(robot.walk(goal((1.2, 0.0)), steps=1).T) for _ in range(3)]
     assert (np.diff(yaws) > 0.1).all()
-    assert np.linalg.norm(robot.T[:2, 3]) < 0.1
+    assert not robot.T[:2, 3].any()
 
 
 @pytest.mark.parametrize("speed", [0.03, 0.5])

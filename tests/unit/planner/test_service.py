@@ -658,4 +658,5 @@ def test_on_mapped_ground_it_turns_on_the_spot() -> None:
     assert len(reached) == 40
     assert np.abs(np.array(reached)[:, :2]).max() < 1e-6
     assert rig.pose is not None
-    assert yaw_of(rig.pose.T_world_body) == pytest.approx((40 * 0.2 * Settings().step_s + np.pi) % (2 * np.pi) - np.pi)
+    a_step = np.radians(Settings().max_turn_deg)
+    assert yaw_of(rig.pose.T_world_body) == pytest.approx((40 * a_step + np.pi) % (2 * np.pi) - np.pi)
