@@ -196,7 +196,8 @@ def test_a_refusal_is_none_without_its_reason_or_where_it_is_wrong(story, otherw
 
 
 def test_on_a_route_it_is_no_success_to_walk_into_something(story):
-    wall = (Plane(), Box(xy=(0.52, 0.35), size=(0.1, 0.2), top=0.3))
+    reach = float(load_profile("phantomx_mk2").rest_feet()[:, 1].max())
+    wall = (Plane(), Box(xy=(0.52, reach + 0.1), size=(0.1, 0.2), top=0.3))
     result = story(scenario=Scenario("wall", wall, Goal(0.5, route=True))).judged().result()
     assert not result.success
     assert result.collisions > 0
