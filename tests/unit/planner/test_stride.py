@@ -1,6 +1,8 @@
 """One step: it can be walked, it is as long as the ground allows, and otherwise it says why there is none."""
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +11,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from services.planner.config import Settings
+from services.planner.gait import GAITS, directions, swing_order
 from services.planner.stride import Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from shared.kinematics import body_inverse, within_limits
-from shared.messages import VelocityCommand
+from shared.messages import GaitName, VelocityCommand
 from shared.robot import load_profile
 from shared.stability import support_margin
 
@@ -338,3 +341,52 @@ def test_a_step_moved_by_a_correction_is_the_same_seen_from_the_body() -> None:
         was, now = getattr(found, name), getattr(moved, name)
         np.testing.assert_allclose(apply(inverse(moved.body_goal), now), apply(inverse(found.body_goal), was), atol=1e-12)
     np.testing.assert_allclose(moved.nominal, apply(T, np.column_stack([found.nominal, np.zeros(6)]))[:, :2], atol=1e-9)
+
+
+# ---- gaits
+
+
+@pytest.mark.parametrize("gait", GAITS)
+@pytest.mark.parametrize(
+    ("velocity", "yaw_rate"),
+    [((1.0, 0.0), 0.0), ((-1.0, 0.0), 0.0), ((0.0, 1.0), 0.0), ((0.7, -0.7), 0.0), ((0.0, 0.0), 0.15), ((0.8, 0.0), -0.1)],
+)
+def test_every_gait_goes_on_in_any_direction_and_on_the_spot(
+    gait: GaitName, velocity: tuple[float, float], yaw_rate: float
+) -> None:
+    """Step upon step on level ground: each stands on enough legs before, while and after, and the body goes where it shall."""
+    rhythm = GAITS[gait]
+    speed = 0.06 / rhythm.stances / rhythm.pace / PROFILE.stance.step_s  # [m/s] at which a foot moves by 6 cm while it stands
+    asked = replace(command(speed * velocity[0], speed * velocity[1], yaw_rate / rhythm.stances, lift=0.025), gait=gait)
+    rest = PROFILE.rest_feet(HEIGHT)
+    along = directions(asked.velocity, asked.yaw_rate, rest)
+    body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    feet, shares = apply(body, rest), []
+    for _ in range(4 * len(rhythm.groups)):
+        swing = swing_order(rhythm, along, apply(inverse(body), feet), rest)[0]
+        found = stride(Situation(body, feet, swing, asked))
+        for T in (body, found.body_goal):
+            assert support_margin(feet[~swing][:, :2], T[:2, 3]) >= SETTINGS.min_margin
+        assert within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(found.body_goal), found.touchdown))).all()
+        assert found.duration >= PLANNER.duration(asked)
+        body, feet = found.body_goal, found.touchdown
+        shares.append(found.share)
+    assert np.mean(shares) > 0.9
+    way = PLANNER.duration(asked) * np.sum(shares)
+    turned = asked.yaw_rate * way
+    assert rpy_from_rotation(body[:3, :3])[2] == pytest.approx(turned, abs=1e-6)
+    assert np.linalg.norm(body[:2, 3]) <= np.linalg.norm(asked.velocity) * way + 1e-9
+
+
+def test_a_gait_that_is_slower_than_commanded_says_so() -> None:
+    assert PLANNER.short_of(command(0.05)) == ""
+    words = PLANNER.short_of(replace(command(0.10), gait="wave"))
+    assert re.fullmatch(r", \d\.\d of 10\.0 cm/s: no more by the stride of the wave gait", words)
+
+
+def test_a_foot_that_is_lifted_higher_gets_more_time(make_terrain: Maker) -> None:
+    low, high = (stride(standing(command(0.05, lift=lift))) for lift in (0.02, 0.08))
+    assert low.duration == PROFILE.stance.step_s
+    assert high.duration > low.duration
+    way = np.linalg.norm((high.touchdown - high.start)[high.swing], axis=1).max() + 4 * 0.08
+    assert way / (high.duration - SETTINGS.handover_s) == pytest.approx(PROFILE.stance.foot_speed)
