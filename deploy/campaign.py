@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +64,7 @@ def run_campaign(
     jobs: int,
     out: Path,
     blind: bool = False,
-    robot: str = "",
+    asked: Callable[[Scenario], Scenario] = lambda scenario: scenario,
     say: Callable[[str], None] = lambda _: None,
     run: Run | None = None,
 ) -> Campaign:
@@ -76,15 +76,14 @@ def run_campaign(
         jobs: How many at a time.
         out: Folder; each terrain has one of its own in it, the first seed's run with its pictures inside.
         blind: Run the baseline without a map, too.
-        robot: Profile in place of the scenarios' own, empty for theirs.
+        asked: Makes of a scenario what is walked in its place: by another robot, in another gait.
         say: Hears a line per seed.
         run: What runs one seed, in lockstep by default.
     """
     wanted = sorted(set(seeds))
     entries, left_out = [], []
     for name in names:
-        scenario = load_scenario(name)
-        scenario = replace(scenario, robot=robot) if robot else scenario
+        scenario = asked(load_scenario(name))
         lacking = _lacking(scenario)
         if lacking:
             left_out.append(f"{name}: {lacking}")

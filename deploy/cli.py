@@ -11,7 +11,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def demo(arguments: argparse.Namespace) -> int:
     """`sextant demo`: the course of low steps over Zenoh, from a cold start."""
-    arguments.scenario, arguments.robot = "steps", ""
+    arguments.scenario, arguments.robot, arguments.gait = "steps", "", ""
     arguments.lockstep, arguments.connect, arguments.json = False, None, False
     _say("A six-legged robot sees a field of low blocks and two stairs through its depth camera, maps it, chooses where each")
     _say("foot goes, and walks across. Five processes talk over Zenoh; the simulator is only a camera and a servo bus to them.")
@@ -99,10 +99,10 @@ def _campaign(arguments: argparse.Namespace) -> int:
     """`sextant trials all`: the table of all terrains."""
     from deploy import campaign as campaigns
 
-    robot = _robot(arguments)
+    asked = _asked(arguments)
     out = _out(arguments, "trials-all")
     say = _progress(arguments.json).say
-    found = campaigns.run_campaign(campaigns.WALKED, arguments.seeds, arguments.jobs, out, arguments.blind, robot, say)
+    found = campaigns.run_campaign(campaigns.WALKED, arguments.seeds, arguments.jobs, out, arguments.blind, asked, say)
     campaigns.write(found, out)
     if arguments.json:
         sys.stdout.write(campaigns.to_json(found))
@@ -248,12 +248,28 @@ def compose(arguments: argparse.Namespace) -> int:
 
 
 def _scenario(arguments: argparse.Namespace) -> "Scenario":
-    """The scenario that is asked for, walked by the robot that is asked for."""
+    """The scenario that is asked for, walked as is asked for."""
     from shared.scenario import load_scenario
 
-    scenario = load_scenario(arguments.scenario)
+    return _asked(arguments)(load_scenario(arguments.scenario))
+
+
+def _asked(arguments: argparse.Namespace) -> Callable[["Scenario"], "Scenario"]:
+    """Makes of a scenario what is walked in its place: by the robot and in the gait that are asked for."""
+    from services.planner.gait import GAITS
+
     robot = _robot(arguments)
-    return replace(scenario, robot=robot) if robot else scenario
+
+    def asked(scenario: "Scenario") -> "Scenario":
+        if robot:
+            scenario = replace(scenario, robot=robot)
+        if arguments.gait:
+            slower = GAITS[arguments.gait].slowness / GAITS[scenario.walk.gait].slowness
+            walk = replace(scenario.walk, gait=arguments.gait)
+            scenario = replace(scenario, walk=walk, time_limit_s=scenario.time_limit_s * max(slower, 1.0))
+        return scenario
+
+    return asked
 
 
 def _robot(arguments: argparse.Namespace) -> str:
@@ -481,7 +497,7 @@ def _parser() -> argparse.ArgumentParser:
 
     one = add("run", run, "run a scenario and write a folder with report.json, summary.png, walk.png and recording.mcap")
     one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
-    _add_robot(one)
+    _add_robot_and_gait(one)
     one.add_argument("--lockstep", action="store_true", help="in one process on simulated time, as fast as the machine allows")
     one.add_argument("--json", action="store_true", help="print report.json; progress goes to stderr")
     one.add_argument("--record-depth", metavar="DIR", help="also write the depth frames for `sextant replay` (with --lockstep)")
@@ -492,7 +508,7 @@ def _parser() -> argparse.ArgumentParser:
 
     one = add("trials", trials, "run a scenario in lockstep with many seeds: success rate with its 95 %% interval")
     one.add_argument("scenario", help="name of a scenario that comes with sextant, path of a TOML file, or all that are walked")
-    _add_robot(one)
+    _add_robot_and_gait(one)
     one.add_argument("--seeds", type=_seeds, required=True, metavar="A:B", help="from A up to, not including, B")
     one.add_argument("--blind", action="store_true", help="also run the baseline, without a map, and compare")
     one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
@@ -557,8 +573,10 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
 
 
-def _add_robot(parser: argparse.ArgumentParser) -> None:
+def _add_robot_and_gait(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", default="", help="profile by name, or path of a TOML file, in place of the scenario's")
+    gaits = ("tripod", "ripple", "wave")
+    parser.add_argument("--gait", default="", choices=gaits, help="in place of the scenario's, with more time for slower ones")
 
 
 def _add_seed_and_out(parser: argparse.ArgumentParser) -> None:

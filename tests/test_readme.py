@@ -22,6 +22,7 @@ RUN_BY = {
     "demo": "tests/unit/deploy/test_cli.py::test_a_live_run_and_the_demo_end_as_the_walk_does",
     "run": "tests/live/test_live_walk.py::test_a_course_of_ones_own_is_walked_over_zenoh",
     "run --lockstep": "tests/walk/test_walks.py::test_over_low_blocks_and_two_stairs",
+    "run --lockstep --gait": "tests/walk/test_gaits.py::test_the_slow_gaits_climb",
     "run --connect": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "trials": "tests/walk/test_walks.py::test_trials_of_several_seeds_at_a_time",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_tell_the_rate_and_the_baseline_beside_it",
@@ -53,7 +54,7 @@ def commands(text: str) -> Iterator[list[str]]:
 def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
     group = words[:2] if words[0] in ("topics", "bench") or words[:2] == ["trials", "all"] else words[:1]
-    ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera")]
+    ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait")]
     files = ["FILE"] if words[-1].endswith(".mcap") else []
     return " ".join(group + files + ways)
 

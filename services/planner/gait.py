@@ -30,6 +30,11 @@ class Gait:
         return len(self.groups) - 1
 
     @property
+    def slowness(self) -> float:
+        """Time that a way takes by strides of one length, of the tripod's."""
+        return self.stances * self.pace
+
+    @property
     def duty(self) -> float:
         """Share of a cycle for which a leg stands."""
         return self.stances / len(self.groups)

@@ -1,6 +1,7 @@
 """The table of all terrains, from made-up runs."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -86,7 +87,9 @@ def test_a_terrain_whose_files_are_elsewhere_is_left_out_and_said(tmp_path, monk
 
 def test_another_robot_walks_every_terrain(tmp_path):
     runner = Runner()
-    campaign.run_campaign(("flat", "stairs"), range(1), 1, tmp_path, robot="phantomx_mk2_rgbd", run=runner)
+    campaign.run_campaign(
+        ("flat", "stairs"), range(1), 1, tmp_path, asked=lambda s: replace(s, robot="phantomx_mk2_rgbd"), run=runner
+    )
     assert {robot for _, _, robot, _ in runner.ran} == {"phantomx_mk2_rgbd"}
 
 

@@ -248,15 +248,17 @@ def test_trials_of_all_terrains_print_one_table(
     assert left == [tmp_path / name / f"seed-5{way}" for name in walked for way in ("", "-blind")]
 
 
-def test_another_robot_walks_in_place_of_the_scenarios(
+def test_another_robot_and_gait_walk_in_place_of_the_scenarios(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from deploy import lockstep_run
 
     walked: list[str] = []
+    ways: list[tuple[str, float]] = []
 
     def run(scenario: Scenario, seed: int) -> Report:
         walked.append(scenario.robot)
+        ways.append((scenario.walk.gait, scenario.time_limit_s))
         return report(True, seed)
 
     monkeypatch.setattr(lockstep_run, "run_lockstep", run)
@@ -264,6 +266,10 @@ def test_another_robot_walks_in_place_of_the_scenarios(
     assert cli.main([*words, "--out", str(tmp_path / "its-own")]) == 0
     assert cli.main([*words, "--robot", "phantomx_mk2", "--out", str(tmp_path / "another")]) == 0
     assert walked == ["phantomx_mk2_rgbd", "phantomx_mk2"]
+    assert cli.main([*words, "--gait", "wave", "--out", str(tmp_path / "wave")]) == 0
+    (gait, before), *_, (slow_gait, after) = ways
+    assert (gait, slow_gait) == ("tripod", "wave")
+    assert after > 3 * before  # five strides of a sixth of the legs take their time
     assert cli.main([*words, "--robot", "nobody", "--out", str(tmp_path / "nobody")]) == 2
     assert "no profile 'nobody'" in capsys.readouterr().err
 

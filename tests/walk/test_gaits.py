@@ -1,0 +1,30 @@
+"""Ripple and wave in lockstep: slower, on more legs."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+from deploy.lockstep_run import run_lockstep
+from shared.scenario import Goal, load_scenario
+
+
+def test_the_slow_gaits_climb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["run", "stairs", "--lockstep", "--seed", "1001", "--gait", "ripple", "--out", str(tmp_path), "--json"]
+    assert cli.main(words) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert (table["gait"], table["success"], table["falls"], table["shutdowns"]) == ("ripple", True, 0, 0)
+    assert table["min_stability_margin_m"] >= 0.03
+    assert table["torque_nm"]["rms_worst_joint"] < 0.5
+
+
+def test_a_wave_keeps_five_feet_on_the_ground() -> None:
+    scenario = replace(load_scenario("flat"), goal=Goal(0.3))
+    tripod = run_lockstep(scenario, 1000)
+    wave = run_lockstep(replace(scenario, walk=replace(scenario.walk, gait="wave")), 1000)
+    assert tripod.success, tripod.reason
+    assert wave.success, wave.reason
+    assert wave.speed_mps < tripod.speed_mps
+    assert wave.min_stability_margin_m > tripod.min_stability_margin_m
