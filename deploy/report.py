@@ -12,6 +12,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 _NAN = float("nan")
 _DIGITS = 6
+ARRIVED = "goal reached"  # the reason of a run that is a success by arriving
 
 
 @dataclass(frozen=True, slots=True)

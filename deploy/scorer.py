@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
-from deploy.report import CourseMap, HeightError, MapError, PoseError, Report, Slip, Spread, StageTime, Torque
+from deploy.report import ARRIVED, CourseMap, HeightError, MapError, PoseError, Report, Slip, Spread, StageTime, Torque
 from deploy.walk_metrics import (
     angle_between,
     debounced,
@@ -292,7 +292,7 @@ class Scorer:
         elif self._shutdown_ns is not None and now - self._shutdown_ns >= _LOST_NS:
             self._end = self._shutdown_words()
         elif x >= goal.distance and at_rest:
-            self._end = "goal reached"
+            self._end = ARRIVED
             if self._goal_ns is None:
                 self._end = f"passed the goal line {abs(y):.2f} m beside its middle; the corridor is {goal.corridor:.2f} m wide"
         elif goal.expect == "refusal" and self._refusal and at_rest:
@@ -355,7 +355,7 @@ class Scorer:
             gait=scenario.walk.gait,
             blind=scenario.walk.blind,
             success=success,
-            reason=(self._end if refused else "goal reached") if success else self._failure(shutdowns, collisions, reason),
+            reason=(self._end if refused else ARRIVED) if success else self._failure(shutdowns, collisions, reason),
             distance_m=self._x,
             duration_s=0.0,
             speed_mps=0.0,

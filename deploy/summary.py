@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from deploy.layers_picture import UNSEEN, ground_colors
 from deploy.map_metrics import Mosaic
 from deploy.relief import shaded
-from deploy.report import Report
+from deploy.report import ARRIVED, Report
 from deploy.scorer import Trace
 from deploy.walk_picture import LEG_COLORS
 from shared.robot import LEGS
@@ -59,7 +59,7 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
 
 def _title(figure: Any, report: Report) -> None:
     walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {report.gait}" + (" · blind" if report.blind else "")
-    arrived = report.success and report.reason == "goal reached"
+    arrived = report.success and report.reason == ARRIVED
     verdict = "Goal reached" if arrived else "Rightly refused" if report.success else "Failed"
     words = "" if arrived else f": {report.reason}"
     facts = f" in {report.duration_s:.1f} s at {100 * report.speed_mps:.1f} cm/s" if arrived else ""

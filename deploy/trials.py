@@ -44,6 +44,8 @@ class Trials:
     scenario: str
     blind: bool
     success: Rate
+    refusals: int  # runs that are a success because the robot stood and said why
+    collisions: int  # runs in which it walked into something
     falls: int
     runs_with_shutdown: int
     mean_speed_mps: float  # of the successful runs
@@ -133,6 +135,8 @@ def summarise(name: str, blind: bool, tables: list[dict[str, Any]], made: Made) 
         scenario=name,
         blind=blind,
         success=wilson(len(good), len(tables)),
+        refusals=sum(t["reason"] != reports.ARRIVED for t in good),
+        collisions=sum(t.get("collisions", 0) > 0 for t in tables),
         falls=sum(t["falls"] > 0 for t in tables),
         runs_with_shutdown=sum(t["shutdowns"] > 0 for t in tables),
         mean_speed_mps=_over(np.mean, [t["speed_mps"] for t in good]),
@@ -172,8 +176,8 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
     """A batch in a few lines for people."""
     lines = [_rate_words(trials)]
     lines.append(
-        f"  mean speed {_speed(trials.mean_speed_mps)}, falls {trials.falls}, with a servo shut down "
-        f"{trials.runs_with_shutdown}"
+        f"  mean speed {_speed(trials.mean_speed_mps)}, falls {trials.falls}, walked into something {trials.collisions}, "
+        f"with a servo shut down {trials.runs_with_shutdown}"
     )
     figures = (
         ("touchdowns on blocks", trials.block_touchdowns, 1.0, ".0f", ""),
@@ -273,8 +277,9 @@ def _read(path: Path, mark: str) -> dict[int, dict[str, Any]]:
 
 
 def _line(report: Report, done: int, wanted: int, successes: int) -> str:
-    verdict = "goal" if report.success else "FAIL"
-    tail = f"{report.duration_s:5.1f} s  {100 * report.speed_mps:4.1f} cm/s" if report.success else report.reason
+    arrived = report.success and report.reason == reports.ARRIVED
+    verdict = "goal" if arrived else "good" if report.success else "FAIL"
+    tail = f"{report.duration_s:5.1f} s  {100 * report.speed_mps:4.1f} cm/s" if arrived else report.reason
     return f"[{done:3d}/{wanted}] seed {report.seed:3d}  {verdict}  {tail}  ({successes} of {done})"
 
 
@@ -282,7 +287,8 @@ def _rate_words(trials: Trials) -> str:
     r = trials.success
     what = f"{trials.scenario}, blind" if trials.blind else trials.scenario
     interval = f"95 %: {100 * r.low:.0f} to {100 * r.high:.0f} %"
-    return f"{what}: {r.successes} of {r.n} reached the goal, {100 * r.rate:.0f} % ({interval})"
+    did = "rightly refused" if trials.refusals else "reached the goal"
+    return f"{what}: {r.successes} of {r.n} {did}, {100 * r.rate:.0f} % ({interval})"
 
 
 def _without_figures(reason: str) -> str:

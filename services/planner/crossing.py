@@ -271,7 +271,7 @@ def _coarse(terrain: Terrain, block: int) -> _Coarse:
     first_fine = np.floor(terrain.map.origin / terrain.map.resolution + 1e-6).astype(np.int64)
     first = -(-first_fine // block)
     skip = first * block - first_fine
-    n, m = (np.array(terrain.map.elevation.shape) - skip) // block
+    n, m = np.maximum(np.array(terrain.map.elevation.shape) - skip, 0) // block
     cut = np.s_[skip[0] : skip[0] + n * block, skip[1] : skip[1] + m * block]
 
     def blocks(layer: Layer) -> Layer:

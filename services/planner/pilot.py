@@ -22,6 +22,7 @@ from shared.robot import RobotProfile
 _SPARE = 0.045  # [m] between the feet and what they must keep away from
 _LIKED = 0.20  # [m] that the robot would like to have beyond that
 _DETOUR = 1.5  # [m] from the straight way between two waypoints, at most
+_FURTHEST = 1e4  # [m]
 _REPLAN_NS = 500_000_000  # [ns] between two looks for a way
 _PASSED = 0.10  # [m] at least, from a waypoint that is not the last, within which it counts as passed
 _LOOK_AHEAD = 0.25  # [m] along the way, where the robot walks to
@@ -108,6 +109,9 @@ class Pilot:
             body: (4, 4) {world} where it will be when the next step begins.
             now_ns: [ns]
         """
+        nonsense = objection(goal)
+        if nonsense:
+            return NoWay(nonsense)
         xy = body[:2, 3]
         # 1. Another goal: what was found on the way to the old one does not count.
         if self._errand is None or not _same(goal, self._errand.goal):
@@ -126,6 +130,8 @@ class Pilot:
         if errand.arrived:
             errand.way = None
             return Heading((), f"at the goal ({target[0]:.1f}, {target[1]:.1f})")
+        if _off(errand.begin, target, xy) > _DETOUR:
+            errand.begin = xy.copy()  # somebody else has led it away
         # 3. The way, anew when the map has changed and some time has passed, or the robot does not get on.
         if errand.way is not None or errand.sides:
             self._watch(errand, body, now_ns)
@@ -253,6 +259,20 @@ class Pilot:
         )
         places = xy + np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
         return float(crossing.at(crossing.unseen, places).mean())
+
+
+def objection(goal: Goal) -> str:
+    """Why a goal is none for anybody, in words, or nothing."""
+    if not (goal.tolerance > 0.0 and goal.speed > 0.0):
+        return f"a goal's tolerance and speed greater than 0 expected, found {goal.tolerance:g} m and {goal.speed:g} m/s"
+    if np.abs(goal.waypoints).max() > _FURTHEST:
+        return f"waypoints within {_FURTHEST:g} m of the world's origin expected, found {goal.waypoints.tolist()}"
+    return ""
+
+
+def _off(start: Array, end: Array, xy: Array) -> float:
+    """Distance [m] of a place (2,) from the straight way between two others."""
+    return _rest(np.stack([start, end]), xy)[1]
 
 
 def _command(goal: Goal, now_ns: int, velocity: Array, yaw_rate: float) -> VelocityCommand:

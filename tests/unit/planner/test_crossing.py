@@ -1,6 +1,7 @@
 """What can be crossed: steps that legs take but no walls, gaps that feet step over but no holes, and what is not seen."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -133,3 +134,12 @@ def test_what_was_seen_is_kept_when_the_map_moves_on(make_terrain: Maker) -> Non
     assert found.stops[found.cell(np.array([0.52, 0.0]))] == STEP
     assert not found.unseen[found.cell(np.array([-0.8, 0.5]))]
     assert found.unseen[found.cell(np.array([2.0, 1.5]))]
+
+
+@pytest.mark.parametrize("cells", [1, 2, 7])
+@pytest.mark.parametrize("at", [0.0, 0.013, -1.0])
+def test_maps_of_a_few_cells_tell_little_and_break_nothing(cells: int, at: float, make_terrain: Maker) -> None:
+    whole = make_terrain(half=0.1, origin=(at, at)).map
+    names = ("elevation", "variance", "score", "assumed", "evaluation")
+    found = crossed(Terrain(replace(whole, **{name: getattr(whole, name)[:cells, :cells] for name in names})))
+    assert found.unseen.mean() > 0.99

@@ -1,6 +1,8 @@
 """Leading to a goal: the way is followed and faced, what is unseen is looked at, and a way that does not go on is left."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -165,3 +167,24 @@ def test_it_walks_no_faster_than_asked_nor_than_the_robot_can(speed: float, make
     assert isinstance(found, Heading)
     fastest = max(float(np.linalg.norm(command.velocity)) for command in found.commands)
     assert fastest == pytest.approx(min(speed, PROFILE.stance.max_speed))
+
+
+@pytest.mark.parametrize(
+    ("odd", "words"),
+    [({"tolerance": 0.0}, "tolerance"), ({"speed": -0.1}, "speed"), ({"waypoints": np.full((1, 2), 1e300)}, "within")],
+)
+def test_a_goal_that_makes_no_sense_is_refused_in_words(odd: dict[str, Any], words: str, make_terrain: Maker) -> None:
+    found = Robot(make_terrain(half=1.28)).step(replace(goal((0.5, 0.0)), **odd))
+    assert isinstance(found, NoWay)
+    assert words in found.reason
+    assert "expected, found" in found.reason
+
+
+def test_led_away_by_somebody_else_it_finds_its_way_from_there(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(half=1.28))
+    robot.step(goal((1.0, 0.0)))
+    robot.T = from_xyz_rpy((0.0, 5.0, 0.1), np.zeros(3))
+    robot.terrain = make_terrain(half=1.28, origin=(0.0, 5.0))
+    found = robot.step(goal((1.0, 0.0)))
+    assert isinstance(found, Heading)
+    assert found.commands
