@@ -20,7 +20,7 @@ _NEAR_NS = 50_000_000  # [ns] between two readings that tell how the leg gathers
 _FRICTION = 2.5  # times the dry friction: goals come in steps, so at a reading the leg is always losing speed
 _DOUBT = 0.4  # of what speeds the leg up, for an armature is known no better, and of a jerk that the goal makes
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo, after which nobody knows what its leg feels
-_NEAREST_ARM = 0.03  # [m] of a foot beside its femur's axis, below which there is no leverage
+_NEAREST_ARM = 0.06  # [m] of a foot beside its femur's axis: nearer ones have too little leverage to tell a push from noise
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,3 +111,15 @@ def test_readings_far_apart_say_nothing() -> None:
         feeler.see(Q, Q)
         feeler.read(LEG, 0.0, -1.5, cycle * 4 * PERIOD)
         assert feeler.push[LEG] == 0.0
+
+
+def test_noise_of_a_servo_is_no_touch_where_it_has_no_leverage() -> None:
+    """0.14 N m once, which free swings give now and then, would be 5 N on a foot that is 3 cm beside its femur's axis."""
+    feeler = Feeler(PROFILE)
+    near = body_inverse(PROFILE, PROFILE.rest_feet(0.13) + (PROFILE.links.coxa + 0.03 - PROFILE.foot_radii)[:, None] * OUT)
+    held = link_torques(PROFILE, near)
+    for cycle, noise in enumerate((0.0, 0.0, 0.14)):
+        feeler.see(near, near)
+        for leg in range(6):
+            feeler.read(leg, 0.0, float(held[leg, FEMUR]) - noise, cycle * PERIOD)
+        assert not feeler.touches.any()
