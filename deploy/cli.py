@@ -463,6 +463,19 @@ def _seeds(text: str) -> range:
     return range(int(found[1]), int(found[2]))
 
 
+def _any_seeds(text: str) -> Sequence[int]:
+    """Seeds from A to B, or as many as are wanted that the commit gives."""
+    drawn = re.fullmatch(r"commit:([1-9]\d*)", text)
+    if drawn is None:
+        return _seeds(text)
+    from deploy.provenance import seeds_of_commit
+
+    try:
+        return seeds_of_commit(int(drawn[1]))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
 def _natural(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"a whole number of at least 0 expected, found {text!r}")
@@ -509,7 +522,8 @@ def _parser() -> argparse.ArgumentParser:
     one = add("trials", trials, "run a scenario in lockstep with many seeds: success rate with its 95 %% interval")
     one.add_argument("scenario", help="name of a scenario that comes with sextant, path of a TOML file, or all that are walked")
     _add_robot_and_gait(one)
-    one.add_argument("--seeds", type=_seeds, required=True, metavar="A:B", help="from A up to, not including, B")
+    words = "from A up to, not including, B; or commit:N, N that the hash of the commit gives, so that nobody has chosen them"
+    one.add_argument("--seeds", type=_any_seeds, required=True, metavar="A:B", help=words)
     one.add_argument("--blind", action="store_true", help="also run the baseline, without a map, and compare")
     one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
     one.add_argument("--out", metavar="DIR", help="folder to write to; seeds that it has already are not run again")

@@ -1,10 +1,15 @@
 """Which program made a result, and when: what a table of results is worth nothing without."""
 
 import datetime
+import hashlib
 import importlib.metadata
+import itertools
+import re
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
+
+_ROOT = Path(__file__).parent.parent
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +38,30 @@ class Made:
 
 def commit() -> str:
     """The commit of this program's checkout, with a plus where files have changed since; without one, its version."""
-    root = Path(__file__).parent.parent
     try:
-        head = _git(root, "rev-parse", "--short=7", "HEAD")
-        changed = _git(root, "status", "--porcelain", "--untracked-files=no")
+        head = _git(_ROOT, "rev-parse", "--short=7", "HEAD")
+        changed = _git(_ROOT, "status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.CalledProcessError):  # no git, or no checkout
         return _version()
     return head + ("+" if changed else "")
+
+
+def seeds_of_commit(count: int) -> list[int]:
+    """Seeds that nobody chose, different ones for each commit: of seven to nine digits, from the hash of the checkout's commit.
+
+    Raises:
+        ValueError: There is no checkout, or files have changed since its commit.
+    """
+    made_by = commit()
+    if not re.fullmatch(r"[0-9a-f]{7,}", made_by):
+        raise ValueError(f"a checkout without changes expected, its commit is to give the seeds; found {made_by or 'none'}")
+    head = _git(_ROOT, "rev-parse", "HEAD")
+    found: set[int] = set()
+    numbers = itertools.count()
+    while len(found) < count:
+        digest = hashlib.blake2s(f"{head} {next(numbers)}".encode()).digest()
+        found.add(1_000_000 + int.from_bytes(digest[:8], "big") % 999_000_000)
+    return sorted(found)
 
 
 def now() -> str:

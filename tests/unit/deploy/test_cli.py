@@ -224,6 +224,18 @@ def test_trials_tell_the_rate_and_the_baseline_beside_it(
     assert "without a map" in printed.err
 
 
+def test_the_commit_gives_seeds_that_nobody_chose(monkeypatch: pytest.MonkeyPatch) -> None:
+    from deploy import provenance
+
+    words = ["trials", "all", "--seeds", "commit:7"]
+    monkeypatch.setattr(provenance, "seeds_of_commit", lambda count: list(range(count)))
+    assert cli._parser().parse_args(words).seeds == list(range(7))
+    monkeypatch.undo()
+    monkeypatch.setattr(provenance, "commit", lambda: "abcdef0+")
+    with pytest.raises(SystemExit):
+        cli._parser().parse_args(words)
+
+
 def test_trials_of_all_terrains_print_one_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,15 +23,23 @@ def test_a_checkout_says_its_commit_and_whether_files_have_changed(tmp_path, mon
     git("init")
     git("add", ".")
     git("commit", "-m", "one")
-    monkeypatch.setattr(provenance, "__file__", str(module))
+    monkeypatch.setattr(provenance, "_ROOT", tmp_path)
     head = git("rev-parse", "HEAD")
     assert provenance.commit() == head[:7]
+    seeds = provenance.seeds_of_commit(100)
+    assert len(set(seeds)) == 100
+    assert seeds == provenance.seeds_of_commit(100)
+    assert 1_000_000 <= min(seeds) < max(seeds) < 2**31
     module.write_text("two")
     assert provenance.commit() == head[:7] + "+"
+    with pytest.raises(ValueError, match="a checkout without changes expected"):
+        provenance.seeds_of_commit(100)
+    git("commit", "-am", "two")
+    assert not set(seeds) & set(provenance.seeds_of_commit(100))
 
 
 def test_without_a_checkout_the_version_counts(tmp_path, monkeypatch):
-    monkeypatch.setattr(provenance, "__file__", str(tmp_path / "deploy" / "provenance.py"))
+    monkeypatch.setattr(provenance, "_ROOT", tmp_path)
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     assert provenance.commit() in ("", provenance._version())
 
