@@ -366,7 +366,7 @@ def test_every_gait_goes_on_in_any_direction_and_on_the_spot(
         swing = swing_order(rhythm, along, apply(inverse(body), feet), rest)[0]
         found = stride(Situation(body, feet, swing, asked))
         for T in (body, found.body_goal):
-            assert support_margin(feet[~swing][:, :2], T[:2, 3]) >= SETTINGS.min_margin
+            assert support_margin(feet[~swing][:, :2], T[:2, 3]) >= PROFILE.stance.support_margin
         assert within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(found.body_goal), found.touchdown))).all()
         assert found.duration >= PLANNER.duration(asked)
         body, feet = found.body_goal, found.touchdown
