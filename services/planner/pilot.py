@@ -211,6 +211,8 @@ class Pilot:
         wanted = [(velocity, turn), (velocity, 0.0), (np.zeros(2), turn)]
         if abs(error) > turn_first:
             wanted = [(np.zeros(2), turn), (velocity, 0.0)]
+        # Ground too near to be seen shows from further back.
+        wanted.append((-0.5 * speed * np.array([cos(errand.course - yaw), sin(errand.course - yaw)]), 0.0))
         commands = tuple(_command(goal, now_ns, v, w) for v, w in wanted if _length(v) > 0.0 or w != 0.0)
         return Heading(commands, f"{left:.1f} m of way left to ({target[0]:.1f}, {target[1]:.1f})")
 
