@@ -31,6 +31,7 @@ class LegOdometry:
         self.travelled = 0.0  # [m]
         self.turned = 0.0  # [rad]
         self.reliable = True
+        self.slip = np.zeros(6)  # [m] by which each standing foot has moved over the ground against the others
         self._profile = profile
         self._standing = np.ones(6, dtype=bool)
         self._shanks = self._shanks_in_odom(q)
@@ -58,6 +59,8 @@ class LegOdometry:
             previous = self.T_odom_body
             self.T_odom_body = align_rigid(self.feet[held], self.anchors[held])
             self.travelled += math.hypot(*(self.T_odom_body[:2, 3] - previous[:2, 3]).tolist())
+            off = apply(self.T_odom_body, self.feet)[:, :2] - self.anchors[:, :2]
+            self.slip = np.where(held, np.sqrt(np.vecdot(off, off)), 0.0)
             self.turned += abs(math.remainder(yaw_of(self.T_odom_body) - yaw_of(previous), math.tau))
         fresh = standing & ~self._standing
         if fresh.any():

@@ -27,6 +27,7 @@ from shared.service import AnyTopic, Every, Inbox, Stages
 _MODELS = {model.name: model for model in dxl.MODELS}
 _SETUP_PATIENCE_NS = 3_000_000_000  # [ns] that servos may take to answer: a simulation that begins is late, a hub wakes up
 _STANDS = 0.5  # share of its load from which a leg counts as standing
+_SLIPS = 0.01  # [m] against the others from which a standing foot is said to slip; rolling and looseness are some millimetres
 _LIFTED = 0.01  # [m] over the standing feet from which a foot without load is in the air
 _ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
 
@@ -326,6 +327,11 @@ class Actuator:
             reliable=odometry.reliable,
         )
 
+    def _slipping(self) -> str:
+        """Which feet have slipped, in words, or nothing: those that stand have moved against each other."""
+        feet = [LEGS[leg] for leg in np.flatnonzero(self._odometry.slip > _SLIPS)]
+        return f"slipping: {', '.join(feet)}" if feet else ""
+
     def _state_message(self, stamp_ns: int) -> ActuatorState:
         walker = self._walker
         return ActuatorState(
@@ -347,10 +353,11 @@ class Actuator:
             T_world_odom=self._T_world_odom.copy(),
             voltage=_known(np.fmin.reduce(self._voltage)),
             temperature=_known(np.fmax.reduce(self._temperature)),
-            warnings=tuple(w for w in (self._warning,) if w),
+            warnings=tuple(w for w in (self._warning, self._slipping()) if w),
             touch_ns=self._touch_ns.copy(),
             touch=self._touch.copy(),
             touch_carries=self._touch_carries.copy(),
+            slip=float(self._odometry.slip.max()),
         )
 
 

@@ -42,6 +42,7 @@ _EARLY = 0.006  # [m] over its target from which a touch stops a foot; lower, th
 _SETTLE_S = 0.05  # [s] time constant in which a foot that was stopped is told to be where it is
 _REACH, _REACH_SPEED = 0.04, 0.04  # [m] by which a foot looks for ground below its target, and [m/s] how fast
 _FEEL_FROM_S = 0.03  # [s] before its legs are lifted from which a step wants to know that the others stand
+_SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is measured at rest
 _WAIT_S = 0.07  # [s] for which it waits for them
 _BACK_S = 1.4  # [s] in which a step is taken back
 _CORRECTION_LIMIT = np.array([0.0, 0.0, 0.025, np.radians(4), np.radians(4), 0.0])  # [m] and [rad]
@@ -105,6 +106,7 @@ class Walker:
         self._stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swung legs that met ground before their targets
         self._met = self._feet.copy()  # (6, 3) [m] {cmd} where
         self._proven: NDArray[np.bool_] = np.ones(6, dtype=bool)  # legs that have borne something since they came down
+        self._landed: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # legs that have swung last
         self._search: _Search | None = None
         self._way_back: StepPlan | None = None  # of the last step, {world} being {cmd}
         self._waited = 0.0  # [s] before lift-off, for legs that have yet to prove that they stand
@@ -205,6 +207,8 @@ class Walker:
             self._share += np.clip(~self.searching - self._share, -dt / self._settings.load_s, dt / self._settings.load_s)
             if self._search is not None and felt is not None:
                 self._feel_down(dt, self._search, felt)
+            elif felt is not None:
+                self._survey(dt, felt)
         else:
             self._advance(dt, self._plan, felt)
         self._feet[self._stopped] += (1.0 - math.exp(-dt / _SETTLE_S)) * (self._met - self._feet)[self._stopped]
@@ -301,6 +305,7 @@ class Walker:
             stop=True,
         )
         self._proven[plan.swing] = False
+        self._landed = plan.swing.copy()
         self._taking_back = plan.stamp_ns < 0
 
     def _prove(self, felt: Felt) -> None:
@@ -309,6 +314,16 @@ class Walker:
         proven = felt.bears & ~self._proven & ~flying & ~self.searching
         self._proven |= proven
         self._findings += [Finding(leg, felt.feet[leg].copy(), True) for leg in np.flatnonzero(proven).tolist()]
+
+    def _survey(self, dt: float, felt: Felt) -> None:
+        """At rest, see how high the feet truly stand that have just met ground: they were measured while they moved.
+
+        Those that have stood before say where the body is. With all six in the fit each look sees about half of the error.
+        """
+        fresh = self._stopped & self._landed & ~self.searching
+        gap = min(dt / _SURVEY_S, 1.0) * (felt.feet[:, 2] - self._ground)[fresh]
+        self._ground[fresh] += gap
+        self._met[fresh, 2] += gap
 
     def _call_off(self, legs: NDArray[np.bool_]) -> None:
         """Lift nothing: legs (6,) that were to carry stand on nothing. They look for ground while the others hold the body."""

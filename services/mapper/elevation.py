@@ -162,6 +162,42 @@ class ElevationGrid:
         self._sights.scanned()
         return FusionCount(updated, disputed, replaced, len(scan.points) - inside, cleared)
 
+    def touch(self, p_world: ArrayLike, sigma: float, radius: float) -> int:
+        """Take in that a foot has found ground at a place, or none above it; the cells changed under its sole.
+
+        Nothing that was seen outweighs it: where it is off by more than both let expect, it counts for as many scans as it
+        takes.
+
+        Args:
+            p_world: (3,) [m] underside of the foot.
+            sigma: [m] standard deviation of its height.
+            radius: [m] of the sole.
+        """
+        p = np.asarray(p_world, dtype=np.float64)
+        if p.shape != (3,) or not np.isfinite(p).all():
+            raise ValueError(f"a finite point (3,) expected, found {p_world!r}")
+        n = math.ceil(radius / self.resolution)
+        i, j = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1), indexing="ij")
+        off = self.resolution * np.column_stack([i.ravel(), j.ravel()])
+        sole = p[:2] + off[(off**2).sum(axis=1) <= radius**2]
+        inside = _cell_indices(sole, self.resolution, int(self._low[0]), int(self._low[1]), *self.shape)
+        known = np.unique(inside[inside >= 0])
+        z, noise, none = np.array([p[2] - self._drift.value]), np.array([sigma**2]), np.zeros(1)
+        cells, changed = self._cells, 0
+        for cell in known.reshape(-1, 1):
+            for _ in range(self.model.patience + 1):
+                updated, _, replaced = update_cells(
+                    cell, z, none, noise,
+                    cells.height.ravel(), cells.variance.ravel(), cells.support.ravel(), cells.assumed.ravel(),
+                    cells.rival.ravel(), cells.rival_variance.ravel(), cells.votes.ravel(),
+                    cells.first.ravel(), cells.through.ravel(), cells.fell.ravel(),
+                    self.model.gate, self.model.patience, ESTABLISHED, SETTLED, WELL_BELOW,
+                )  # fmt: skip
+                if updated or replaced:
+                    changed += 1
+                    break
+        return changed
+
     def seed_plane(self, polygon: ArrayLike, plane: ArrayLike, sigma: float = 0.02) -> int:
         """Fill the unseen cells of a region with a plane, marked as assumed; the first measurement replaces each.
 

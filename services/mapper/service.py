@@ -36,6 +36,7 @@ _BOX = 10  # cells of the box around a passage that lies askew, to those it may 
 _FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
 _NEAR = 1.2  # of the camera's least range, up to which a line of sight without a return says nothing
 _REACH = 0.30  # [m] between a foot and the map under it, beyond which pose and map have nothing to do with each other
+_TOUCH_SIGMA = 0.005  # [m] of the ground's height by a foot: joints, and a sphere that rests beside its lowest point
 _WORST_COVARIANCE = 1e4  # [m^2] and [rad^2] beyond which a pose is none
 _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
 
@@ -61,6 +62,7 @@ class Mapper:
         )
         self._type: TerrainType | None = None  # from the first scan in colour on
         self._hazards: tuple[NDArray[np.uint8], Array] | None = None  # of the newest map, and the centre of its cell (0, 0)
+        self._touch_ns = np.full(6, -1, dtype=np.int64)  # newest findings of the feet that are in the map
         self._touches = TouchWatch(profile.foot.radius)
         self._stands = False  # whether it is known what the ground looks like that the robot came from
         self._seeded = False
@@ -105,6 +107,8 @@ class Mapper:
             self._grid.move_to(centre[:2])
             self._grid.fuse(checked)
         self._newest_ns = scan.stamp_ns
+        if pose is not None and legs is not None:
+            self._feel(pose, legs)
         if not self._seeded and pose is not None and legs is not None and _stand(legs):
             self._assume_ground(pose, legs)
             self._seeded = True
@@ -219,6 +223,14 @@ class Mapper:
         if off > _FROM_CAMERA:
             return f"its points count from {off:.3g} m beside its camera"
         return ""
+
+    def _feel(self, pose: BodyPose, legs: ActuatorState) -> None:
+        """Correct the map where feet have found ground since the last scan, or have found none."""
+        new = np.flatnonzero(legs.touch_ns > self._touch_ns)
+        self._touch_ns = legs.touch_ns.copy()
+        for p in apply(pose.T_world_odom, legs.touch[new]):
+            if abs(float(self._grid.heights(p[:2])) - p[2]) <= _REACH:  # and not NaN
+                self._grid.touch(p, _TOUCH_SIGMA, self._profile.foot.radius)
 
     def _learn(self, scan: Scan, pose: BodyPose | None, legs: ActuatorState | None) -> None:
         """Colours of a scan, and what feet have found since the last."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from services.planner.config import Settings
-from services.planner.stride import Blocked, Situation, Stride, StridePlanner
+from services.planner.stride import SHARES, Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, plane_terrain
 from shared.geometry import Array
 from shared.messages import VelocityCommand
@@ -42,10 +42,24 @@ class ByTouch:
         steep = max(float(np.linalg.norm(slope)) / _STEEPEST, 1.0)
         return plane_terrain(stamp_ns, xy, float(height), np.array(slope) / steep)
 
-    def plan(self, at: Situation, terrain: Terrain) -> Stride | Blocked:
-        """The next step, or why there is none."""
-        found = self._strides.plan(at, terrain)
-        return found if isinstance(found, Blocked) else self._lowered(found)
+    def choose(self, situations: list[Situation], terrain: Terrain, passed_over: int = 0) -> tuple[Stride | Blocked, int]:
+        """The next step and the number of its way, or why there is none: legs that are not due may take it, too.
+
+        Args:
+            situations: What it may begin with, the legs most due first.
+            terrain: The ground that is expected.
+            passed_over: Ways that have been refused.
+        """
+        first = Blocked("every step was refused")
+        for turn, at in enumerate(situations):
+            skipped = max(0, passed_over - turn * len(SHARES))
+            if skipped >= len(SHARES):
+                continue
+            found = self._strides.plan(at, terrain, skipped)
+            if isinstance(found, Stride):
+                return self._lowered(found), turn * len(SHARES) + SHARES.index(found.share)
+            first = found if turn == 0 else first
+        return first, 0
 
     def _lowered(self, stride: Stride) -> Stride:
         """The same step with its feet sent as far below the ground that is expected as their legs reach."""

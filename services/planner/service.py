@@ -36,6 +36,7 @@ State = Literal["waiting", "resting", "stepping", "blocked", "arrived"]
 
 _STATUS_PERIOD_NS = 100_000_000
 _TRY_AGAIN_NS = 2_000_000_000  # [ns] after every way of taking a step was refused
+_MEASURED_NS = 300_000_000  # [ns] of rest in which feet are measured that have met ground somewhere
 _KEPT = 15  # plans remembered besides the newest
 _NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] by which a command must differ to be another one
 _STILL = 1e-3  # [m/s] and [rad/s]
@@ -66,6 +67,7 @@ class Planner:
         self._asked: VelocityCommand | None = None  # what was commanded when they began
         self._looked_at: tuple[Stride, TerrainMap] | None = None  # for the last retargeting
         self._due_ns = 0
+        self._moved_ns = 0  # when legs last moved, by touch
         self._status_due_ns = 0
         self._state: State = "waiting"
         self._reason = "starting"
@@ -150,7 +152,10 @@ class Planner:
             return self._hold("waiting", "by touch: no pose from perception yet, so {world} is not known")
         pose = replace(known, stamp_ns=state.stamp_ns, T_world_body=known.T_world_odom @ state.T_odom_body)
         if state.phase < 1.0:
+            self._moved_ns = state.stamp_ns
             return None  # where its feet will meet ground is not known
+        if state.stamp_ns - self._moved_ns < _MEASURED_NS:
+            return None
         if _is_still(command):
             self._refusals.forget()
             return self._hold("resting", "by touch: no velocity is commanded")
@@ -162,13 +167,16 @@ class Planner:
         if nonsense:
             return self._hold("blocked", nonsense)
         with self.stages("plan step"):
-            found = self._by_touch.plan(situations[1 if self._refusals.passed_over else 0], terrain)
+            found, way = self._by_touch.choose(situations, terrain, self._refusals.passed_over)
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
+            if self._refusals.count:
+                self._refusals.give_up()
+                return self._hold("blocked", f"by touch: {self._refusals.words()}")
             return self._hold("blocked", f"by touch: {found.reason}", found.leg)
         self._state, self._blocked_leg = "stepping", -1
         self._reason = "by touch: feet find the ground"
-        return self._send(state, pose, found, state.step + 1, 0, stop=True)
+        return self._send(state, pose, found, state.step + 1, way, stop=True)
 
     def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
         """The next step on the way to a goal; where one on the way does not go, walking without turning, or turning alone."""

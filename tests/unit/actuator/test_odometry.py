@@ -159,3 +159,17 @@ def test_the_pose_stays_a_rigid_transform() -> None:
         T[:3, :3] = exp_so3(rng.uniform(-0.05, 0.05, 3))
         R = odometry.update(standing_joints(PROFILE, T, feet), ALL, feet[:, 2])[:3, :3]
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+
+
+def test_a_foot_that_slips_is_noticed_and_the_others_are_not_blamed() -> None:
+    T = START
+    feet = apply(T, PROFILE.rest_feet())
+    odometry = LegOdometry(PROFILE, standing_joints(PROFILE, T, feet), T)
+    ground = feet[:, 2]
+    odometry.update(standing_joints(PROFILE, T, feet), np.ones(6, dtype=bool), ground)
+    assert odometry.slip.max() < 1e-6
+    feet[2, 0] += 0.03
+    odometry.update(standing_joints(PROFILE, T, feet), np.ones(6, dtype=bool), ground)
+    assert odometry.slip.argmax() == 2
+    assert odometry.slip[2] > 0.012
+    assert np.delete(odometry.slip, 2).max() < 0.01

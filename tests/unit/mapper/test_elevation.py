@@ -858,3 +858,32 @@ def test_a_finer_map_than_the_scan_has_holes_and_no_guesses() -> None:
     xy = np.stack(np.mgrid[-10:10, -10:10], axis=-1).reshape(-1, 2) * 0.01 + 0.0051
     scan(grid, xy, 0.03)
     assert np.isfinite(grid.snapshot().elevation).sum() == len(xy)
+
+
+@pytest.mark.parametrize("seen", [0.0, 0.02, -0.03])
+def test_what_a_foot_finds_outweighs_what_was_seen_there_and_nowhere_else(seen: float) -> None:
+    grid = ElevationGrid(32, 0.01)
+    xy = centres(grid).reshape(-1, 2)
+    for _ in range(10):
+        scan(grid, xy, np.full(len(xy), seen))
+    before = grid.snapshot().elevation
+    assert grid.touch((0.055, 0.055, 0.0), 0.005, 0.01) == 5
+    after = grid.snapshot().elevation
+    found = abs(float(grid.heights((0.055, 0.055))))
+    assert found <= abs(seen)
+    assert found < 0.011, "by more than can be noise, and the map gives way"
+    far = np.hypot(*(centres(grid) - 0.055).T).T.reshape(before.shape) > 0.012
+    np.testing.assert_array_equal(after[far], before[far])
+
+
+def test_ground_that_nobody_saw_is_known_by_the_foot_that_stands_there() -> None:
+    grid = ElevationGrid(32, 0.01)
+    grid.touch((0.055, 0.055, 0.03), 0.005, 0.01)
+    assert float(grid.heights((0.055, 0.055))) == pytest.approx(0.03)
+    assert np.isfinite(grid.snapshot().elevation).sum() == 5
+    assert grid.touch((5.0, 0.0, 0.0), 0.005, 0.01) == 0
+
+
+def test_a_touch_that_is_no_place_is_refused() -> None:
+    with pytest.raises(ValueError, match="a finite point"):
+        ElevationGrid(32, 0.01).touch((0.0, 0.0, np.nan), 0.005, 0.01)
