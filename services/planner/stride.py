@@ -230,25 +230,27 @@ class StridePlanner:
         self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain
     ) -> Foothold | NoFoothold:
         """The nearest foothold of one leg, given where the other feet (6, 3) [m] {world} are, NaN where not known yet."""
-        others = np.delete(feet, leg, axis=0)[:, :2]
-        others = others[np.isfinite(others[:, 0])]
+        known = np.isfinite(feet[:, 0])
+        known[leg] = False
+        others = feet[known, :2]
 
         def reachable(points: Array) -> NDArray[np.bool_]:
-            feet_world = points + self._foot_up
-            from_above = self._reaches(leg, feet_world + _DESCENT, T_end)  # a folded leg comes down further out
-            return from_above & self._reaches(leg, feet_world, T_end) & self._reaches(leg, feet_world, T_after)
+            at = points + self._foot_up
+            above = at + _DESCENT  # a folded leg comes down further out
+            return self._reaches(leg, (above, T_end), (at, T_end), *([(at, T_after)] if T_after is not T_end else []))
 
         if terrain.map.resolution != self._offsets_resolution:
             self._offsets_resolution = terrain.map.resolution
             self._offsets = offsets_by_distance(self._profile.stance.search_radius, self._offsets_resolution)
         return nearest_foothold(terrain, nominal, self._offsets, others, self._profile.stance.foot_distance, reachable)
 
-    def _reaches(self, leg: int, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
-        """Which of (n, 3) [m] {world} foot centres one leg reaches from a body pose."""
+    def _reaches(self, leg: int, *ways: tuple[Array, Array]) -> NDArray[np.bool_]:
+        """Which (n,) of foot centres (n, 3) [m] {world} one leg reaches from a body pose, in each of some pairs of the two."""
         profile = self._profile
-        q = leg_inverse(apply(profile.T_coxa_body[leg] @ inverse(T_world_body), feet_world), profile.links)
+        feet = np.stack([apply(profile.T_coxa_body[leg] @ inverse(T), feet_world) for feet_world, T in ways])
+        q = leg_inverse(feet, profile.links)
         limits = profile.joint_limits[leg]
-        return np.asarray(((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=1))  # NaN, out of reach, is in no limits
+        return np.asarray(((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=(0, 2)))  # NaN, out of reach, is in no limits
 
     def reached(self, feet_world: Array, T_world_body: Array) -> NDArray[np.bool_]:
         """Which legs (6,) have their feet (6, 3) [m] {world} in reach."""

@@ -15,7 +15,7 @@ FIRM = 0.03  # [m] from the end of accessible ground, beyond which Masri's evalu
 NONE, POOR, GOOD = 0.0, 1.0, 2.0  # a place as a foothold
 Layer = Literal["score", "evaluation"]
 
-_AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+_AROUND = np.array([[(i, j)] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])  # (8, 1, 2)
 _DEEP = -100  # [cells] of level ground without an end
 
 _RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest cells that make sense under a foot
@@ -41,19 +41,19 @@ class Terrain:
         return ""
 
     def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Indices (n, 2) of the cells of (n, 2) [m] {world} points, clipped, and which of them are in the map."""
+        """Indices (..., 2) of the cells of (..., 2) [m] {world} points, clipped, and which (...) of them are in the map."""
         ij = np.rint((xy - self.map.origin) / self.map.resolution).astype(np.int64)
-        shape = np.array(self.map.elevation.shape)
-        inside = np.asarray(((ij >= 0) & (ij < shape)).all(axis=-1))
-        return np.minimum(np.maximum(ij, 0), shape - 1), inside
+        clipped = np.minimum(np.maximum(ij, 0), np.array(self.map.elevation.shape) - 1)
+        same = clipped == ij
+        return clipped, np.asarray(same[..., 0] & same[..., 1])
 
     def heights(self, xy: Array) -> Array:
-        """Heights (n,) [m] {world} at (n, 2) points, NaN where unknown."""
+        """Heights (...) [m] {world} at (..., 2) points, NaN where unknown."""
         ij, inside = self.cells(xy)
         return np.where(inside, self.map.elevation[ij[..., 0], ij[..., 1]], np.nan)
 
     def scores(self, xy: Array) -> Array:
-        """Scores (n,) at (n, 2) [m] {world} points, NaN where unknown."""
+        """Scores (...) at (..., 2) [m] {world} points, NaN where unknown."""
         ij, inside = self.cells(xy)
         return np.where(inside, self.map.score[ij[..., 0], ij[..., 1]], np.nan)
 
@@ -65,12 +65,11 @@ class Terrain:
         where that is strongly negative or at a local minimum, poor where it is negative else.
         """
         if self.layer == "score":
-            scores = self.scores(xy)
-            around = np.max([self.scores(xy + ROOM * np.array(step)) for step in _AROUND], axis=0)
+            scores, around = self.scores(xy), self.scores(xy + ROOM * _AROUND).max(axis=0)
             carries = np.where(around <= ACCEPTABLE, GOOD, POOR)  # NaN, not seen, is poor, too
             return np.where(np.isnan(scores), np.nan, np.where(scores <= ACCEPTABLE, carries, NONE))
         here = self._evaluations(xy)
-        around = np.min([self._evaluations(xy + self.map.resolution * np.array(step)) for step in _AROUND], axis=0)
+        around = self._evaluations(xy + self.map.resolution * _AROUND).min(axis=0)
         good = here <= np.maximum(around, round(-FIRM / self.map.resolution))
         return np.where(here == UNKNOWN, np.nan, np.where(here >= 0, NONE, np.where(good, GOOD, POOR)))
 
@@ -81,7 +80,7 @@ class Terrain:
         return np.asarray(self.map.evaluation < 0)
 
     def _evaluations(self, xy: Array) -> NDArray[np.int64]:
-        """Evaluation function (n,) [cells] at (n, 2) [m] {world} points, UNKNOWN outside the map."""
+        """Evaluation function (...) [cells] at (..., 2) [m] {world} points, UNKNOWN outside the map."""
         ij, inside = self.cells(xy)
         return np.where(inside, self.map.evaluation[ij[..., 0], ij[..., 1]].astype(np.int64), UNKNOWN)
 
