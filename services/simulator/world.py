@@ -249,6 +249,7 @@ def _spec(profile: RobotProfile, terrain: Terrain, factors: Factors, imu: bool) 
     option.impratio = 10.0
     option.noslip_iterations = 3
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverged world says so; it does not begin anew
+    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND  # one robot is one island: looking for more costs and finds none
     spec.stat.extent = 1.0
     spec.memory = 64 << 20  # [bytes] a robot that lies on a fine height field touches it in hundreds of places
     friction = [_FRICTION[0] * factors.ground_friction, *_FRICTION[1:]]
