@@ -18,7 +18,7 @@ from shared.scenario import Scenario
 from shared.service import Every, Inbox, Stages
 
 _OVERSHOOT = 0.03  # [m] beyond the goal line, by the estimate, so that the true body is past it too
-_BY_TOUCH = 0.07  # [m] further for a robot that has counted its steps in the dark
+_BY_TOUCH = 0.15  # [m] further for a robot that has counted its steps in the dark
 _LATERAL_GAIN = 2.0  # [rad/m] course toward the line per metre beside it
 _MAX_COURSE = radians(25.0)  # off the line's direction
 _HEADING_GAIN = 0.5  # [1/s] turn per heading error

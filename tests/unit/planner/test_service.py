@@ -13,7 +13,7 @@ from services.planner.service import Planner
 from services.planner.stride import SHARES
 from services.planner.terrain import Terrain, flat_terrain
 from shared import codec, topics
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, yaw_of
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from shared.messages import (
     ActuatorState,
     BodyPose,
@@ -611,6 +611,8 @@ def test_by_touch_the_ground_is_the_plane_of_the_feet() -> None:
     depth = plan.touchdown[:, 2] - PROFILE.foot.radius - slope * plan.touchdown[:, 0]
     np.testing.assert_allclose(depth[plan.swing], depth[plan.swing][0], atol=2e-3)
     assert -0.051 < depth[plan.swing][0] < -0.02
+    nose_up = -rpy_from_rotation(plan.body_goal[:3, :3])[1]
+    assert 0.0 < nose_up < np.radians(6.0), "the body follows the ground, a part of the way in each step"
 
 
 def test_by_touch_without_any_pose_ever_it_does_not_move() -> None:
