@@ -65,11 +65,11 @@ class Terrain:
         where that is strongly negative or at a local minimum, poor where it is negative else.
         """
         if self.layer == "score":
-            scores, around = self.scores(xy), self.scores(xy + ROOM * _AROUND).max(axis=0)
+            scores, around = self.scores(xy), self.scores(self.centres(xy) + ROOM * _AROUND).max(axis=0)
             carries = np.where(around <= ACCEPTABLE, GOOD, POOR)  # NaN, not seen, is poor, too
             return np.where(np.isnan(scores), np.nan, np.where(scores <= ACCEPTABLE, carries, NONE))
         here = self._evaluations(xy)
-        around = self._evaluations(xy + self.map.resolution * _AROUND).min(axis=0)
+        around = self._evaluations(self.centres(xy) + self.map.resolution * _AROUND).min(axis=0)
         good = here <= np.maximum(around, round(-FIRM / self.map.resolution))
         return np.where(here == UNKNOWN, np.nan, np.where(here >= 0, NONE, np.where(good, GOOD, POOR)))
 

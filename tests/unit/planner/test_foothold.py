@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -53,6 +53,7 @@ def test_offsets_are_all_cells_within_the_radius_the_nearest_first() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.3, 0.8, 0.97]), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
+@example(7, 0.3, 0.005, -0.015)  # on the border of cells
 @settings(max_examples=60)
 def test_the_nearest_good_one_is_really_the_nearest_and_else_the_nearest_poor_one(
     seed: int, bad: float, x: float, y: float
