@@ -130,11 +130,11 @@ def test_the_six_picks(name: str, layer: Layer) -> None:
 
 @pytest.mark.parametrize("name", PICKS)
 def test_the_nearest_acceptable_cell_is_picked(name: str) -> None:
-    """Section 6.3 searches growing squares to find it; here no cell may be nearer."""
+    """Section 6.3 searches growing squares to find it; here no cell with room around it may be nearer."""
     _, maps = ridden("lotriet_scoring")
     terrain, nominal = Terrain(maps[-1]), np.array(PICKS[name].xy)
     cells = terrain.centres(nominal) + offsets_by_distance(SEARCH, R)
-    good = terrain.scores(cells) <= ACCEPTABLE
+    good = terrain.suitability(cells) == GOOD
     assert chosen(terrain, PICKS[name].xy).moved <= np.linalg.norm(cells[good] - nominal, axis=1).min() + 1e-9
 
 
