@@ -52,22 +52,16 @@ class ByTouch:
             terrain: The ground that is expected.
             passed_over: Ways that have been refused.
         """
-        first = Blocked("every step was refused")
-        for turn, at in enumerate(situations):
-            skipped = max(0, passed_over - turn * len(SHARES))
-            if skipped >= len(SHARES):
-                continue
-            found = self._strides.plan(at, terrain, skipped)
-            if isinstance(found, Stride):
-                return self._lowered(self._along(found, at)), turn * len(SHARES) + SHARES.index(found.share)
-            first = found if turn == 0 else first
-        return first, 0
+        found, way = self._strides.choose(situations, terrain, passed_over)
+        if isinstance(found, Blocked):
+            return found, way
+        return self._lowered(self._along(found, situations[way // len(SHARES)])), way
 
     def _along(self, stride: Stride, at: Situation) -> Stride:
         """The same step with the body along the plane of the feet, averaged over a few steps.
 
-        Nothing tells where down is: footholds are measured with an error of a fraction of a millimetre each, and a body that is
-        held level by them tilts by degrees in forty steps. Along its feet it lies as the ground does.
+        Nothing tells where down is: each foothold is measured with an error, and a body that is held level by them tilts by the
+        sum of those errors. Along its feet it lies as the ground does.
         """
         level = from_xyz_rpy(stride.body_goal[:3, 3], (0.0, 0.0, yaw_of(stride.body_goal)))
         slope = slope_under(at.feet, level)

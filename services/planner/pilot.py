@@ -84,7 +84,7 @@ class Pilot:
     """Leads to one goal at a time."""
 
     def __init__(self, profile: RobotProfile):
-        """Lead a robot whose steps take so long [s]."""
+        """Lead a robot."""
         self._profile = profile
         feet = profile.rest_feet()
         half = float(np.linalg.norm(feet[:, :2], axis=1).max()) + _SPARE  # it must be able to turn

@@ -14,7 +14,7 @@ from services.planner.holes import Holes
 from services.planner.pilot import Pilot
 from services.planner.refusals import Refusals
 from services.planner.route import NoWay
-from services.planner.stride import SHARES, Blocked, Situation, Stride, StridePlanner
+from services.planner.stride import Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, flat_terrain
 from shared import topics
 from shared.geometry import Array, apply, inverse
@@ -221,7 +221,9 @@ class Planner:
             self._refusals.forget()
             self._asked = command
         with self.stages("plan step"):
-            found, way = self._choose(situations, terrain)
+            # Where steps were refused legs that are not due may take it, too.
+            legs = situations if self._refusals.count else situations[:1]
+            found, way = self._strides.choose(legs, terrain, self._refusals.passed_over)
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
             if self._refusals.count:
@@ -235,8 +237,7 @@ class Planner:
             self._state, self._blocked_leg = "stepping", -1
             shorter = "" if found.share == 1.0 else f" at {found.share:.0%} of the stride"
             slower = self._strides.short_of(command)
-            legs = int(found.swing.sum())
-            self._reason = f"{found.moved} of {legs} footholds moved from their nominal place{shorter}{slower}"
+            self._reason = f"{found.moved} of {found.swing.sum()} footholds moved from their nominal place{shorter}{slower}"
         return self._send(state, pose, found, state.step + 1, way)
 
     def _where_to_look(self, found: Blocked, command: VelocityCommand) -> str:
@@ -247,21 +248,6 @@ class Planner:
         if self._led or in_view or not found.unseen:
             return ""
         return f"; the ground there is unseen: turn {'left' if direction > 0 else 'right'} first to look at it"
-
-    def _choose(self, situations: list[Situation], terrain: Terrain) -> tuple[Stride | Blocked, int]:
-        """The step to take and the number of its way; where steps were refused, legs that are not due may take it."""
-        first = Blocked("every step was refused")
-        for turn, at in enumerate(situations):
-            passed_over = max(0, self._refusals.passed_over - turn * len(SHARES))
-            if passed_over >= len(SHARES):
-                continue
-            found = self._strides.plan(at, terrain, passed_over)
-            if isinstance(found, Stride):
-                return found, turn * len(SHARES) + SHARES.index(found.share)
-            first = found if turn == 0 else first
-            if not self._refusals.count:
-                break
-        return first, 0
 
     def _situations(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand) -> list[Situation]:
         """What the next step may begin with, for each group of legs, the most due first; none where that is not known."""
@@ -357,7 +343,7 @@ class _Sent:
 
     plan: StepPlan
     stride: Stride
-    way: int  # of taking the step: for each group of legs, the most due first, each share of the travel
+    way: int  # of taking the step, see `StridePlanner.choose`
 
 
 def _is_still(command: VelocityCommand) -> bool:

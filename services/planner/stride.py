@@ -109,6 +109,27 @@ class StridePlanner:
         assert first is not None
         return first
 
+    def choose(self, situations: list[Situation], terrain: Terrain, passed_over: int = 0) -> tuple[Stride | Blocked, int]:
+        """The step to take and the number of its way, or why legs that are most due cannot take it.
+
+        Ways are counted through the situations, and in each through the shares of the travel.
+
+        Args:
+            situations: What it may begin with, the legs most due first.
+            terrain: The map.
+            passed_over: Ways that have been refused.
+        """
+        first: Blocked | None = None
+        for turn, at in enumerate(situations):
+            skipped = max(0, passed_over - turn * len(SHARES))
+            if skipped >= len(SHARES):
+                continue
+            found = self.plan(at, terrain, skipped)
+            if isinstance(found, Stride):
+                return found, turn * len(SHARES) + SHARES.index(found.share)
+            first = first or found
+        return first or Blocked("every step was refused"), 0
+
     def retarget(self, stride: Stride, terrain: Terrain) -> Stride:
         """The same step with its touchdowns chosen anew on a newer map; a leg that finds nothing better keeps its own.
 

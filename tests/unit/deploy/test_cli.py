@@ -4,11 +4,13 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from deploy import cli
 from deploy.report import Report
+from shared.messages import GaitName
 from shared.scenario import Scenario
 from shared.topics import TOPICS
 
@@ -284,6 +286,13 @@ def test_another_robot_and_gait_walk_in_place_of_the_scenarios(
     assert after > 3 * before  # five strides of a sixth of the legs take their time
     assert cli.main([*words, "--robot", "nobody", "--out", str(tmp_path / "nobody")]) == 2
     assert "no profile 'nobody'" in capsys.readouterr().err
+
+
+def test_every_gait_can_be_asked_for_and_no_other() -> None:
+    for gait in get_args(GaitName):
+        assert cli._parser().parse_args(["run", "flat", "--gait", gait]).gait == gait
+    with pytest.raises(SystemExit):
+        cli._parser().parse_args(["run", "flat", "--gait", "gallop"])
 
 
 def test_a_reader_that_has_had_enough_is_no_traceback() -> None:
