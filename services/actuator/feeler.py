@@ -39,8 +39,8 @@ class Feeler:
     the rest holds against the ground. Load and speed come in one reading, how the speed changes from the reading before, so
     a leg is read in every cycle while it matters.
 
-    Tests hold it to what it is for: free swings stay below the limits, a foot that is stopped exceeds them within three readings,
-    with armatures known to within a factor of 1.6.
+    Tests hold it to what it is for: free swings stay below the limits, and a foot that is stopped exceeds them within three
+    readings, with armatures known to within a factor of 1.6.
     """
 
     def __init__(self, profile: RobotProfile):
