@@ -28,7 +28,7 @@ SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status."""
-    arguments = _parser().parse_args(argv)
+    arguments = parse(sys.argv[1:] if argv is None else argv)
     try:
         return int(arguments.command(arguments))
     except KeyboardInterrupt:
@@ -40,6 +40,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except _refusals() as error:
         _complain(f"sextant {arguments.name}: {error}")
         return FAILED if _is_transport_error(error) else WRONG_INPUT
+
+
+def parse(argv: Sequence[str]) -> argparse.Namespace:
+    """The arguments of a command, which is among them; whoever is wrong about them is told, and the program ends."""
+    words = list(argv)
+    if words[:2] == ["trials", "table"]:  # a command of two words, the first of which is one by itself
+        words[:2] = ["trials table"]
+    return _parser().parse_args(words)
 
 
 class InputError(ValueError):
@@ -97,18 +105,32 @@ def trials(arguments: argparse.Namespace) -> int:
 
 def _campaign(arguments: argparse.Namespace) -> int:
     """`sextant trials all`: the table of all terrains."""
-    from deploy import campaign as campaigns
+    from deploy import campaign_table as tables
+    from deploy.campaign import run_campaign
 
     asked = _asked(arguments)
     out = _out(arguments, "trials-all")
     say = _progress(arguments.json).say
-    found = campaigns.run_campaign(campaigns.WALKED, arguments.seeds, arguments.jobs, out, arguments.blind, asked, say)
-    campaigns.write(found, out)
+    found = run_campaign(tables.WALKED, arguments.seeds, arguments.jobs, out, arguments.blind, asked, say)
+    tables.write(found, out)
     if arguments.json:
-        sys.stdout.write(campaigns.to_json(found))
+        sys.stdout.write(tables.to_json(found))
     else:
-        _say(campaigns.markdown(found))
-        _say(f"written to {out}: table.md, campaign.json, and a folder per terrain")
+        _say(tables.markdown(found))
+        _say(f"written to {out}: table.md, campaign.json, campaign.jsonl, and a folder per terrain")
+    return SUCCESS
+
+
+def table(arguments: argparse.Namespace) -> int:
+    """`sextant trials table`: a table of runs that were kept, nothing being run."""
+    from deploy import campaign_table as tables
+    from deploy import kept
+
+    files = kept.files([Path(place) for place in arguments.kept])
+    found = tables.of_runs(run for path in files for run in kept.read(path))
+    if not found.entries:
+        raise InputError(f"no finished run in {', '.join(map(str, files))}")
+    sys.stdout.write(tables.to_json(found) if arguments.json else tables.markdown(found, arguments.of))
     return SUCCESS
 
 
@@ -430,6 +452,8 @@ def _refusals() -> tuple[type[Exception], ...]:
         known.append(sys.modules["shared.transport"].TransportError)
     if "deploy.recording" in sys.modules:
         known.append(sys.modules["deploy.recording"].RecordingError)
+    if "deploy.kept" in sys.modules:
+        known.append(sys.modules["deploy.kept"].KeptError)
     if "deploy.replay" in sys.modules:
         known.append(sys.modules["deploy.replay"].ReplayError)
     return tuple(known)
@@ -498,9 +522,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="sextant", description="Six-legged walking where only some places carry a foot.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    def add(name: str, command: Any, words: str, to: Any = commands) -> argparse.ArgumentParser:
+    def add(name: str, command: Any, words: str, to: Any = commands, listed: bool = True) -> argparse.ArgumentParser:
+        about = {"help": words} if listed else {}
         made: argparse.ArgumentParser = to.add_parser(
-            name, help=words, description=words[0].upper() + words[1:].replace("%%", "%") + "."
+            name, description=words[0].upper() + words[1:].replace("%%", "%") + ".", **about
         )
         made.set_defaults(command=command, name=name)
         return made
@@ -524,10 +549,18 @@ def _parser() -> argparse.ArgumentParser:
     _add_robot_and_gait(one)
     words = "from A up to, not including, B; or commit:N, N that the hash of the commit gives, so that nobody has chosen them"
     one.add_argument("--seeds", type=_any_seeds, required=True, metavar="A:B", help=words)
+    one.epilog = "`sextant trials table --help`: print tables of trials that were kept, nothing being run."
     one.add_argument("--blind", action="store_true", help="also run the baseline, without a map, and compare")
     one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
     one.add_argument("--out", metavar="DIR", help="folder to write to; seeds that it has already are not run again")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
+
+    one = add("trials table", table, "print a table of trials that were kept, in Markdown, nothing being run", listed=False)
+    words = "folder that trials have left, or a campaign.jsonl of one; parts of a campaign are put together"
+    one.add_argument("kept", nargs="+", metavar="KEPT", help=words)
+    words = "walks, how often the goal was reached, missteps, or how right the maps were (default %(default)s)"
+    one.add_argument("--of", choices=("walks", "reached", "missteps", "maps"), default="walks", help=words)
+    one.add_argument("--json", action="store_true", help="print all of it as JSON")
 
     one = add("up", up, "start the processes of a role and keep them until Ctrl-C")
     one.add_argument(

@@ -131,7 +131,7 @@ def without_timing(report: Report) -> Report:
 
 def as_table(report: Report) -> dict[str, Any]:
     """Plain nested tables, rounded, stages in alphabetical order."""
-    table: dict[str, Any] = _plain(report)
+    table: dict[str, Any] = plain(report)
     table["stages_ms"] = dict(sorted(table["stages_ms"].items()))
     return table
 
@@ -149,18 +149,22 @@ def write(report: Report, folder: Path) -> None:
     part.replace(folder / "report.json")
 
 
-def check(table: object) -> list[str]:
-    """What a table lacks to be a report, in words and with its place; nothing when it is one. Further keys are allowed."""
+def check(table: object, kind: type = Report) -> list[str]:
+    """What a table lacks to be a report, or of another kind, in words and with its place; nothing when it is one.
+
+    Further keys are allowed.
+    """
     problems: list[str] = []
-    _check(table, Report, "", problems)
+    _check(table, kind, "", problems)
     return problems
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A value as JSON has it: tables of dataclasses, floats rounded, null for NaN."""
     if dataclasses.is_dataclass(value):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, float):
         return round(value, _DIGITS) + 0.0 if math.isfinite(value) else None  # adding zero takes the sign off -0.0
     return value

@@ -8,16 +8,17 @@ import hashlib
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deploy import provenance
+from deploy import kept, provenance
 from deploy import report as reports
+from deploy.kept import Run
 from deploy.provenance import Made
 from deploy.report import Report
 from deploy.statistics import Difference, Rate, difference, wilson
@@ -26,7 +27,7 @@ from shared import config
 from shared.scenario import HeightMap, Scenario
 
 _PACKAGES = ("shared", "services", "deploy")
-Run = Callable[[Scenario, int], Report]
+Runner = Callable[[Scenario, int], Report]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +43,8 @@ class Trials:
     """What a batch came to."""
 
     scenario: str
+    robot: str
+    gait: str
     blind: bool
     success: Rate
     refusals: int  # runs that are a success because the robot stood and said why
@@ -79,7 +82,8 @@ def run_trials(
     out: Path,
     blind: bool = False,
     say: Callable[[str], None] = lambda _: None,
-    run: Run | None = None,
+    run: Runner | None = None,
+    keep_in: Path | None = None,
 ) -> Trials:
     """Run every seed that has not been run yet, each in lockstep.
 
@@ -91,35 +95,35 @@ def run_trials(
         blind: Run the baseline without a map.
         say: Hears a line per seed.
         run: What runs one seed, `deploy.lockstep_run.run_lockstep` by default.
+        keep_in: A file that gets a short line of every run, too, and whose runs count as done; see `deploy.kept`.
 
     Raises:
-        ValueError: No seeds, no jobs, or a line of `trials.jsonl` that is none.
+        ValueError: No seeds, no jobs, or a line on file that is none.
     """
     wanted = sorted(set(seeds))
     if not wanted or jobs < 1:
         raise ValueError(f"at least one seed and one job expected, found {len(wanted)} seeds and {jobs} jobs")
     scenario = replace(scenario, walk=replace(scenario.walk, blind=scenario.walk.blind or blind))
     out.mkdir(parents=True, exist_ok=True)
-    path = out / "trials.jsonl"
-    mark = fingerprint(scenario)
-    done = {seed: entry for seed, entry in _read(path, mark).items() if seed in set(wanted)}
+    path, mark = out / "trials.jsonl", fingerprint(scenario)
+    done = _done(path, keep_in, mark, wanted)
     if done:
-        say(f"{len(done)} of {len(wanted)} seeds are done already; see {path}")
+        say(f"{len(done)} of {len(wanted)} seeds are done already; see {keep_in or path}")
     left = [seed for seed in wanted if seed not in done]
-    successes = sum(entry["report"]["success"] for entry in done.values())
+    successes = sum(one.success for one in done.values())
     made_by = provenance.commit()
     with path.open("a", encoding="utf-8") as lines:
         tasks = [(scenario, seed) for seed in left]
         for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
-            table = reports.as_table(report)
-            entry = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "report": table}
+            entry = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "report": reports.as_table(report)}
             lines.write(json.dumps(entry, ensure_ascii=False) + "\n")
             lines.flush()
-            done[report.seed] = entry
+            done[report.seed] = Run.read(entry)
+            if keep_in is not None:
+                kept.keep(keep_in, [done[report.seed]])
             successes += report.success
             say(_line(report, len(done), len(wanted), successes))
-    made = Made.of([(entry.get("commit", ""), entry.get("time", "")) for entry in done.values()])
-    return summarise(scenario.name, scenario.walk.blind, [done[seed]["report"] for seed in wanted], made)
+    return summarise([done[seed] for seed in wanted])
 
 
 def compare(seeing: Trials, blind: Trials) -> Difference:
@@ -127,48 +131,51 @@ def compare(seeing: Trials, blind: Trials) -> Difference:
     return difference(seeing.success, blind.success)
 
 
-def summarise(name: str, blind: bool, tables: list[dict[str, Any]], made: Made) -> Trials:
-    """What a batch came to, from its reports as tables, and what made them."""
-    good = [t for t in tables if t["success"]]
-    failures = Counter(_without_figures(t["reason"]) for t in tables if not t["success"])
+def summarise(runs: Sequence[Run]) -> Trials:
+    """What a batch came to, from its runs: one at least, all of one scenario, robot and gait, sighted or blind."""
+    good = [run for run in runs if run.success]
+    failures = Counter(_without_figures(run.reason) for run in runs if not run.success)
+    first = runs[0]
     return Trials(
-        scenario=name,
-        blind=blind,
-        success=wilson(len(good), len(tables)),
-        refusals=sum(t["reason"] != reports.ARRIVED for t in good),
-        collisions=sum(t.get("collisions", 0) > 0 for t in tables),
-        falls=sum(t["falls"] > 0 for t in tables),
-        runs_with_shutdown=sum(t["shutdowns"] > 0 for t in tables),
-        mean_speed_mps=_over(np.mean, [t["speed_mps"] for t in good]),
-        block_touchdowns=_figure([t["raised_block_touchdowns"] for t in tables], min),
-        missteps=_figure([t["missteps"] for t in tables]),
-        missteps_per_step=sum(t["missteps"] for t in tables) / max(sum(t["steps"] for t in tables), 1),
-        tilt_p95_deg=_figure([t["tilt_deg"]["p95"] for t in tables]),
-        commanded_tilt_p95_deg=_figure([t["commanded_tilt_deg"]["p95"] for t in tables]),
-        height_error_m=_figure([_size(t["body_height_error_m"]["mean"]) for t in tables]),
-        height_rms_m=_figure([t["body_height_error_m"]["rms"] for t in tables]),
-        slip_p50_m=_figure([t["slip_m_per_step"]["p50"] for t in tables]),
-        stability_margin_m=_figure([t["min_stability_margin_m"] for t in tables], min),
-        torque_rms_nm=_figure([t["torque_nm"]["rms_worst_joint"] for t in tables]),
-        height_oscillation_m=_figure([t["body_height_oscillation_m"] for t in tables]),
-        final_pose_error=_figure([_share(t["pose_error_m"]["final"], t["distance_m"]) for t in tables]),
-        map_rmse_m=_figure([t["course_map_m"]["rmse"] for t in tables]),
-        map_off_edges_m=_figure([t["course_map_m"]["off_edges"] for t in tables]),
-        map_bias_m=_figure([_size(t["course_map_m"]["bias"]) for t in tables]),
-        map_edge_m=_figure([t["course_map_m"]["edge"] for t in tables]),
-        map_coverage=_figure([t["course_map_m"]["coverage"] for t in tables], min),
-        real_time_factor=_figure([t["real_time_factor"] for t in tables], min),
+        scenario=first.scenario,
+        robot=first.robot,
+        gait=first.gait,
+        blind=first.blind,
+        success=wilson(len(good), len(runs)),
+        refusals=sum(run.reason != reports.ARRIVED for run in good),
+        collisions=sum(run.collisions > 0 for run in runs),
+        falls=sum(run.falls > 0 for run in runs),
+        runs_with_shutdown=sum(run.shutdowns > 0 for run in runs),
+        mean_speed_mps=_over(np.mean, [run.speed_mps for run in good]),
+        block_touchdowns=_figure([run.raised_block_touchdowns for run in runs], min),
+        missteps=_figure([run.missteps for run in runs]),
+        missteps_per_step=sum(run.missteps for run in runs) / max(sum(run.steps for run in runs), 1),
+        tilt_p95_deg=_figure([run.tilt_p95_deg for run in runs]),
+        commanded_tilt_p95_deg=_figure([run.commanded_tilt_p95_deg for run in runs]),
+        height_error_m=_figure([abs(run.height_mean_m) for run in runs]),
+        height_rms_m=_figure([run.height_rms_m for run in runs]),
+        slip_p50_m=_figure([run.slip_p50_m for run in runs]),
+        stability_margin_m=_figure([run.stability_margin_m for run in runs], min),
+        torque_rms_nm=_figure([run.torque_rms_nm for run in runs]),
+        height_oscillation_m=_figure([run.height_oscillation_m for run in runs]),
+        final_pose_error=_figure([_share(run.final_pose_error_m, run.distance_m) for run in runs]),
+        map_rmse_m=_figure([run.map_rmse_m for run in runs]),
+        map_off_edges_m=_figure([run.map_off_edges_m for run in runs]),
+        map_bias_m=_figure([abs(run.map_bias_m) for run in runs]),
+        map_edge_m=_figure([run.map_edge_m for run in runs]),
+        map_coverage=_figure([run.map_coverage for run in runs], min),
+        real_time_factor=_figure([run.real_time_factor for run in runs], min),
         failures=dict(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
-        failed_seeds=tuple(t["seed"] for t in tables if not t["success"]),
-        made=made,
+        failed_seeds=tuple(run.seed for run in runs if not run.success),
+        made=Made.of([(run.commit, run.time) for run in runs]),
     )
 
 
 def to_json(trials: Trials, baseline: Trials | None = None) -> str:
     """A batch as JSON text, beside its blind baseline and the difference of the two when there is one."""
-    table: dict[str, Any] = _plain(asdict(trials))
+    table: dict[str, Any] = reports.plain(trials)
     if baseline is not None:
-        table |= {"baseline": _plain(asdict(baseline)), "compared": _plain(asdict(compare(trials, baseline)))}
+        table |= {"baseline": reports.plain(baseline), "compared": reports.plain(compare(trials, baseline))}
     return json.dumps(table, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -254,26 +261,14 @@ def _run_lockstep(scenario: Scenario, seed: int) -> Report:
     return run_lockstep(scenario, seed)
 
 
-def _read(path: Path, mark: str) -> dict[int, dict[str, Any]]:
-    """Entries on file of one scenario, by seed: its report and what made it. A last line that was cut off counts as not run."""
-    if not path.exists():
-        return {}
-    data = path.read_bytes()
-    if data and not data.endswith(b"\n"):
-        data = data[: data.rfind(b"\n") + 1]
-        path.write_bytes(data)
-    found: dict[int, dict[str, Any]] = {}
-    for number, line in enumerate(data.split(b"\n")[:-1], 1):
-        try:
-            entry = json.loads(line)
-        except ValueError:  # no text, or no JSON
-            entry = None
-        ours = isinstance(entry, dict) and entry.get("fingerprint") == mark
-        if not isinstance(entry, dict) or "report" not in entry or (ours and reports.check(entry["report"])):
-            raise ValueError(f"{path}, line {number}: a finished seed as JSON expected, found {line[:60]!r}; remove the line")
-        if ours:
-            found[entry["report"]["seed"]] = entry
-    return found
+def _done(path: Path, keep_in: Path | None, mark: str, wanted: Iterable[int]) -> dict[int, Run]:
+    """Wanted runs on file, by seed; those that only a batch's own file has are kept with the others from now on."""
+    here = {run.seed: run for run in kept.read(path, mark)}
+    if keep_in is not None:
+        there = {run.seed: run for run in kept.read(keep_in, mark)}
+        kept.keep(keep_in, [run for seed, run in here.items() if seed not in there])
+        here |= there
+    return {seed: here[seed] for seed in wanted if seed in here}
 
 
 def _line(report: Report, done: int, wanted: int, successes: int) -> str:
@@ -299,29 +294,17 @@ def _without_figures(reason: str) -> str:
     return out
 
 
-def _figure(values: list[float | None], worst: Callable[[list[float]], float] = max) -> Figure:
+def _figure(values: Sequence[float], worst: Callable[[list[float]], float] = max) -> Figure:
     return Figure(_over(np.median, values), _over(worst, values))
 
 
-def _size(value: float | None) -> float | None:
-    return None if value is None else abs(value)
+def _share(error: float, way: float) -> float:
+    return error / abs(way) if way else float("nan")
 
 
-def _share(error: float | None, way: float | None) -> float | None:
-    return None if error is None or not way else error / abs(way)
-
-
-def _over(reduce: Callable[[list[float]], Any], values: list[float | None]) -> float:
-    known = [v for v in values if v is not None]
+def _over(reduce: Callable[[list[float]], Any], values: Sequence[float]) -> float:
+    known = [value for value in values if not math.isnan(value)]
     return float(reduce(known)) if known else float("nan")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, float):
-        return round(value, 6) + 0.0 if np.isfinite(value) else None
-    return list(value) if isinstance(value, tuple) else value
 
 
 def _speed(speed_mps: float) -> str:

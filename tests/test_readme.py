@@ -27,6 +27,7 @@ RUN_BY = {
     "trials": "tests/walk/test_walks.py::test_trials_of_several_seeds_at_a_time",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_tell_the_rate_and_the_baseline_beside_it",
     "trials all --blind": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
+    "trials table": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
     "replay FILE": "tests/unit/deploy/test_replay.py::"
     "test_the_command_replays_a_recording_and_the_folder_of_a_run_points_to_it",
@@ -53,7 +54,7 @@ def commands(text: str) -> Iterator[list[str]]:
 
 def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
-    group = words[:2] if words[0] in ("topics", "bench") or words[:2] == ["trials", "all"] else words[:1]
+    group = words[:2] if words[0] in ("topics", "bench") or words[:2] in (["trials", "all"], ["trials", "table"]) else words[:1]
     ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait")]
     files = ["FILE"] if words[-1].endswith(".mcap") else []
     return " ".join(group + files + ways)
@@ -74,7 +75,7 @@ def test_a_command_of_the_readme_is_run_by_a_test(words: list[str]) -> None:
             assert target in MAKE, f"no test knows `make {target}`"
             assert all(part in made for part in MAKE[target]), made
         case ["sextant", *rest]:
-            assert callable(cli._parser().parse_args(rest).command)
+            assert callable(cli.parse(rest).command)
             assert way_of_running(rest) in RUN_BY, f"no test runs `{' '.join(words)}`"
         case _:
             pytest.fail(f"no test runs `{' '.join(words)}`")
@@ -90,5 +91,5 @@ def test_scenarios_named_in_the_readme_come_with_sextant() -> None:
     from shared.scenario import load_scenario
 
     for words in README:
-        if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[1:3] != ["trials", "all"]:
+        if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[2] not in ("all", "table"):
             assert load_scenario(words[2]).name == words[2]

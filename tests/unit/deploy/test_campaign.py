@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from deploy import campaign
+from deploy import campaign, campaign_table, kept, trials
 from deploy.report import HeightError, Report, Slip, Spread, Torque
 from shared.scenario import load_scenario
 
@@ -49,7 +49,7 @@ class Runner:
 
 def test_one_table_has_a_row_per_terrain_and_its_blind_baseline_below(tmp_path):
     found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path, blind=True, run=Runner())
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in campaign.markdown(found).splitlines()[:6]]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in campaign_table.markdown(found).splitlines()[:6]]
     assert len({len(row) for row in rows}) == 1
     assert [row[0] for row in rows[2:]] == ["`flat`", "`flat`, blind", "`stairs`", "`stairs`, blind"]
     seeing, blind = (dict(zip(rows[0], row, strict=True)) for row in rows[2:4])
@@ -58,8 +58,8 @@ def test_one_table_has_a_row_per_terrain_and_its_blind_baseline_below(tmp_path):
     assert seeing["missteps of steps, %"] == "0.50"
     assert seeing["height rms, mm"] == "2.0 (2.0)"
     assert seeing["least margin, mm"] == "40 (40)"
-    assert "Together 8 of 8 (68 to 100 %) reached the goal" in campaign.markdown(found)
-    table = json.loads(campaign.to_json(found))
+    assert "Together 8 of 8 (68 to 100 %) reached the goal" in campaign_table.markdown(found)
+    table = json.loads(campaign_table.to_json(found))
     assert table["terrains"]["stairs"]["baseline"]["success"]["successes"] == 2
 
 
@@ -81,7 +81,7 @@ def test_a_terrain_whose_files_are_elsewhere_is_left_out_and_said(tmp_path, monk
     runner = Runner()
     found = campaign.run_campaign(("stair_map", "flat"), range(1), 1, tmp_path, run=runner)
     assert [name for name, *_ in runner.ran] == ["flat"]
-    assert "Left out: stair_map: height map" in campaign.markdown(found)
+    assert "Left out: stair_map: height map" in campaign_table.markdown(found)
     assert "SEXTANT_DATA expected" in found.left_out[0]
 
 
@@ -94,4 +94,71 @@ def test_another_robot_walks_every_terrain(tmp_path):
 
 
 def test_what_is_walked_comes_with_sextant():
-    assert [load_scenario(name).name for name in campaign.WALKED] == list(campaign.WALKED)
+    assert [load_scenario(name).name for name in campaign_table.WALKED] == list(campaign_table.WALKED)
+
+
+def _ways(ran):
+    return sorted((name, blind, seed) for name, blind, _, seed in ran)
+
+
+@pytest.mark.parametrize("table", campaign_table.TABLES)
+def test_the_table_is_printed_from_what_was_kept_as_it_was_when_it_was_run(tmp_path, table):
+    found = campaign.run_campaign(("stairs", "flat"), range(4), 1, tmp_path, blind=True, run=Runner())
+    again = campaign_table.of_runs(kept.read(tmp_path / "campaign.jsonl"))
+    printed, ran = (campaign_table.markdown(one, table).splitlines() for one in (again, found))
+    assert sorted(printed) == sorted(ran)
+    assert printed[2].startswith("| `flat`"), "in the public table's order"
+
+
+def test_parts_of_a_campaign_from_two_machines_make_one(tmp_path):
+    ways = ("flat", "stairs")
+    whole = campaign.run_campaign(ways, range(6), 1, tmp_path / "whole", blind=True, run=Runner())
+    for part, seeds in (("here", range(3)), ("there", range(2, 6))):
+        campaign.run_campaign(ways, seeds, 1, tmp_path / part, blind=True, run=Runner())
+    runs = [run for path in kept.files([tmp_path / "here", tmp_path / "there"]) for run in kept.read(path)]
+    together = campaign_table.of_runs(runs)
+    assert [entry.seeing.success.n for entry in together.entries] == [6, 6], "a seed of both counts once"
+    assert campaign_table.markdown(together) == campaign_table.markdown(whole)
+
+
+def test_a_campaign_goes_on_elsewhere_from_the_kept_file_alone(tmp_path):
+    first, second = Runner(until=5), Runner()
+    with pytest.raises(KeyboardInterrupt):
+        campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path / "here", blind=True, run=first)
+    (tmp_path / "there").mkdir()
+    lines = (tmp_path / "here" / "campaign.jsonl").read_text()
+    (tmp_path / "there" / "campaign.jsonl").write_text(lines + '{"cut o')
+    found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path / "there", blind=True, run=second)
+    assert _ways(first.ran + second.ran) == sorted(
+        (n, b, s) for n in ("flat", "stairs") for b in (False, True) for s in range(4)
+    )
+    again = campaign_table.of_runs(kept.read(tmp_path / "there" / "campaign.jsonl"))
+    assert campaign_table.markdown(again) == campaign_table.markdown(found)
+
+
+def test_what_an_earlier_program_made_is_left_out_of_the_table_and_said(tmp_path, monkeypatch):
+    for program, time, seeds in ((b"old", "2024-05-01T10:00:00+00:00", 5), (b"new", "2024-05-02T10:00:00+00:00", 3)):
+        monkeypatch.setattr(trials, "_program", lambda program=program: program)
+        monkeypatch.setattr(trials.provenance, "now", lambda time=time: time)
+        campaign.run_campaign(("flat",), range(seeds), 1, tmp_path, run=Runner())
+    found = campaign_table.of_runs(kept.read(tmp_path / "campaign.jsonl"))
+    assert found.entries[0].seeing.success.n == 3
+    assert "Left out: 5 runs of an earlier program." in campaign_table.markdown(found)
+
+
+def test_robots_are_told_apart_where_a_table_has_several(tmp_path):
+    for robot in ("phantomx_mk2", "phantomx_mk2_rgbd"):
+        campaign.run_campaign(
+            ("flat",), range(2), 1, tmp_path / robot, asked=lambda s, robot=robot: replace(s, robot=robot), run=Runner()
+        )
+    runs = [run for path in kept.files([tmp_path / "phantomx_mk2", tmp_path / "phantomx_mk2_rgbd"]) for run in kept.read(path)]
+    found = campaign_table.of_runs(runs)
+    rows = campaign_table.markdown(found, "missteps").splitlines()[2:4]
+    assert [row.split("|")[1].strip() for row in rows] == ["`flat`, phantomx_mk2", "`flat`, phantomx_mk2_rgbd"]
+    assert len(json.loads(campaign_table.to_json(found))["terrains"]) == 2
+
+
+def test_the_blind_baseline_stands_beside(tmp_path):
+    found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path, blind=True, run=Runner())
+    rows = campaign_table.markdown(found, "reached").splitlines()
+    assert rows[2] == "| `flat`: level ground | 4 of 4 (51 to 100 %) | 2 of 4 (15 to 85 %) |"

@@ -47,6 +47,7 @@ def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
         (["replay", "nowhere.txt"], "depth.txt"),
         (["compose", "--scenario", "stepz"], "known: "),
         (["trials", "stepz", "--seeds", "0:2"], "known: "),
+        (["trials", "table", "nowhere"], "campaign.jsonl or trials.jsonl, expected"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -71,6 +72,8 @@ def test_wrong_input_is_refused_with_its_cause_and_what_would_be_right(
         ["trials", "steps", "--seeds", "5:5"],
         ["trials", "steps", "--seeds", "5"],
         ["trials", "steps", "--seeds", "0:2", "--jobs", "0"],
+        ["trials", "table"],
+        ["trials", "table", "nowhere", "--of", "all"],
         ["up", "nobody"],
     ],
 )
@@ -127,7 +130,7 @@ def test_a_mistake_of_ours_is_not_passed_off_as_the_callers(monkeypatch: pytest.
 
 def test_a_run_gets_a_folder_of_its_own_or_the_one_that_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    parse = cli._parser().parse_args
+    parse = cli.parse
     named = cli._out(parse(["run", "steps", "--out", "here/there"]), "steps-3")
     assert named == Path("here/there")
     assert named.is_dir()
@@ -231,17 +234,17 @@ def test_the_commit_gives_seeds_that_nobody_chose(monkeypatch: pytest.MonkeyPatc
 
     words = ["trials", "all", "--seeds", "commit:7"]
     monkeypatch.setattr(provenance, "seeds_of_commit", lambda count: list(range(count)))
-    assert cli._parser().parse_args(words).seeds == list(range(7))
+    assert cli.parse(words).seeds == list(range(7))
     monkeypatch.undo()
     monkeypatch.setattr(provenance, "commit", lambda: "abcdef0+")
     with pytest.raises(SystemExit):
-        cli._parser().parse_args(words)
+        cli.parse(words)
 
 
 def test_trials_of_all_terrains_print_one_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy import campaign, lockstep_run
+    from deploy import campaign_table, lockstep_run
 
     left: list[Path] = []
 
@@ -254,10 +257,16 @@ def test_trials_of_all_terrains_print_one_table(
     monkeypatch.delenv("SEXTANT_DATA", raising=False)
     assert cli.main(["trials", "all", "--seeds", "5:7", "--blind", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
-    walked = [name for name in campaign.WALKED if name != "stair_map"]
+    walked = [name for name in campaign_table.WALKED if name != "stair_map"]
     assert all(f"| `{name}` | 2 of 2" in printed and f"| `{name}`, blind | 0 of 2" in printed for name in walked)
     assert "Left out: stair_map" in printed
     assert (tmp_path / "table.md").read_text() in printed
+    # It is printed again from what was kept, by the folder or by the file.
+    for kept in (tmp_path, tmp_path / "campaign.jsonl"):
+        assert cli.main(["trials", "table", "--of", "walks", str(kept)]) == 0
+        assert capsys.readouterr().out.splitlines()[:-2] == (tmp_path / "table.md").read_text().splitlines()[:-3]
+    assert cli.main(["trials", "table", str(tmp_path / "flat"), "--of", "reached"]) == 0
+    assert "| `flat`: level ground | 2 of 2 (34 to 100 %) | 0 of 2 (0 to 66 %) |" in capsys.readouterr().out
     # The first seed of each leaves its run behind, with its pictures.
     assert left == [tmp_path / name / f"seed-5{way}" for name in walked for way in ("", "-blind")]
 
@@ -290,9 +299,9 @@ def test_another_robot_and_gait_walk_in_place_of_the_scenarios(
 
 def test_every_gait_can_be_asked_for_and_no_other() -> None:
     for gait in get_args(GaitName):
-        assert cli._parser().parse_args(["run", "flat", "--gait", gait]).gait == gait
+        assert cli.parse(["run", "flat", "--gait", gait]).gait == gait
     with pytest.raises(SystemExit):
-        cli._parser().parse_args(["run", "flat", "--gait", "gallop"])
+        cli.parse(["run", "flat", "--gait", "gallop"])
 
 
 def test_a_reader_that_has_had_enough_is_no_traceback() -> None:

@@ -1,0 +1,186 @@
+"""Finished runs on file, a line of JSON each: what batches go on from and tables are told from, here or on another machine.
+
+A line holds the run's whole report (a batch's `trials.jsonl`), or, to be kept for long, only what a batch is summarised from (a
+campaign's `campaign.jsonl`); it says what made it and when, and by a fingerprint whether it still holds. Both are read alike.
+"""
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Self
+
+from deploy import report as reports
+
+
+class KeptError(ValueError):
+    """A file of runs that cannot be read, in words."""
+
+
+_MARKS = ("fingerprint", "commit", "time")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A finished run as far as a batch is summarised from it, in the words of `deploy.report`; NaN is what was not measured."""
+
+    fingerprint: str  # of all that decides about the run but its seed; see `deploy.trials.fingerprint`
+    commit: str
+    time: str  # UTC, ISO 8601
+    scenario: str
+    robot: str
+    gait: str
+    blind: bool
+    seed: int
+    success: bool
+    reason: str
+    falls: int
+    shutdowns: int
+    collisions: int
+    steps: int
+    missteps: int
+    raised_block_touchdowns: int
+    distance_m: float
+    speed_mps: float
+    tilt_p95_deg: float
+    commanded_tilt_p95_deg: float
+    height_mean_m: float
+    height_rms_m: float
+    height_oscillation_m: float
+    slip_p50_m: float
+    stability_margin_m: float
+    torque_rms_nm: float
+    final_pose_error_m: float
+    map_rmse_m: float
+    map_off_edges_m: float
+    map_bias_m: float
+    map_edge_m: float
+    map_coverage: float
+    real_time_factor: float
+
+    @classmethod
+    def of(cls, report: dict[str, Any], fingerprint: str, commit: str, time: str) -> Self:
+        """Of a report as a table."""
+        values = {name: _at(report, _PLACES.get(name, name)) for name in _NAMES if name not in _MARKS}
+        return cls._numbered({"fingerprint": fingerprint, "commit": commit, "time": time} | values)
+
+    @classmethod
+    def read(cls, entry: dict[str, Any]) -> Self:
+        """Of a line on file as a table.
+
+        Raises:
+            ValueError: It lacks something, or has something of another type.
+        """
+        report = entry.get("report")
+        problems = reports.check(entry, cls) if report is None else reports.check(report)
+        if problems:
+            raise ValueError("; ".join(problems))
+        if report is None:
+            return cls._numbered({name: entry[name] for name in _NAMES})
+        return cls.of(report, *(str(entry.get(name, "")) for name in _MARKS))
+
+    @classmethod
+    def _numbered(cls, values: dict[str, Any]) -> Self:
+        numbered: dict[str, Any] = {name: float("nan") if value is None else value for name, value in values.items()}
+        return cls(**numbered)
+
+
+_NAMES = tuple(field.name for field in fields(Run))
+_PLACES = {  # in a report, where that is another than the field's own name
+    "tilt_p95_deg": "tilt_deg.p95",
+    "commanded_tilt_p95_deg": "commanded_tilt_deg.p95",
+    "height_mean_m": "body_height_error_m.mean",
+    "height_rms_m": "body_height_error_m.rms",
+    "height_oscillation_m": "body_height_oscillation_m",
+    "slip_p50_m": "slip_m_per_step.p50",
+    "stability_margin_m": "min_stability_margin_m",
+    "torque_rms_nm": "torque_nm.rms_worst_joint",
+    "final_pose_error_m": "pose_error_m.final",
+    "map_rmse_m": "course_map_m.rmse",
+    "map_off_edges_m": "course_map_m.off_edges",
+    "map_bias_m": "course_map_m.bias",
+    "map_edge_m": "course_map_m.edge",
+    "map_coverage": "course_map_m.coverage",
+}
+
+
+def read(path: Path, fingerprint: str | None = None) -> list[Run]:
+    """Runs on file, those of one fingerprint if one is given; none where there is no file.
+
+    A last line that was cut off counts as not run, and is taken off the file.
+
+    Raises:
+        KeptError: A line is no finished run; it says which.
+    """
+    if not path.exists():
+        return []
+    data = path.read_bytes()
+    if data and not data.endswith(b"\n"):
+        data = data[: data.rfind(b"\n") + 1]
+        path.write_bytes(data)
+    found = []
+    for number, line in enumerate(data.split(b"\n")[:-1], 1):
+        try:
+            entry = _entry(line)
+            if fingerprint is None or entry.get("fingerprint") == fingerprint:
+                found.append(Run.read(entry))
+        except ValueError:
+            raise KeptError(
+                f"{path}, line {number}: a finished seed as JSON expected, found {line[:60]!r}; remove the line"
+            ) from None
+    return found
+
+
+def keep(path: Path, runs: Iterable[Run]) -> None:
+    """Append runs to a file, a short line each."""
+    lines = [json.dumps(reports.plain(asdict(run)), ensure_ascii=False, separators=(",", ":")) + "\n" for run in runs]
+    with path.open("a", encoding="utf-8") as file:
+        file.writelines(lines)
+
+
+def newest(runs: Iterable[Run]) -> tuple[list[list[Run]], int]:
+    """Batches - the runs of one scenario, robot and gait, sighted or blind - and how many runs were left out.
+
+    A batch is of one fingerprint, that of its last run; what an earlier program made, or an earlier form of the scenario, is
+    left out. A seed that is on file twice counts once.
+    """
+    batches: dict[tuple[str, str, str, bool], list[Run]] = {}
+    for run in runs:
+        batches.setdefault((run.scenario, run.robot, run.gait, run.blind), []).append(run)
+    found, older = [], 0
+    for batch in batches.values():
+        last = max(batch, key=lambda run: run.time).fingerprint
+        valid = {run.seed: run for run in batch if run.fingerprint == last}
+        older += sum(run.fingerprint != last for run in batch)
+        found.append([valid[seed] for seed in sorted(valid)])
+    return found, older
+
+
+def files(places: Sequence[Path]) -> list[Path]:
+    """The files of runs at places: files as they are, of a folder what a campaign keeps, or else a batch's.
+
+    Raises:
+        KeptError: There is none at one of them.
+    """
+    found = []
+    for place in places:
+        candidates = (place / "campaign.jsonl", place / "trials.jsonl") if place.is_dir() else (place,)
+        path = next((path for path in candidates if path.is_file()), None)
+        if path is None:
+            raise KeptError(f"{place}: a file of kept runs, or a folder with campaign.jsonl or trials.jsonl, expected")
+        found.append(path)
+    return found
+
+
+def _entry(line: bytes) -> dict[str, Any]:
+    entry = json.loads(line)
+    if not isinstance(entry, dict) or ("report" not in entry and "scenario" not in entry):
+        raise ValueError("no run")
+    return entry
+
+
+def _at(table: dict[str, Any], place: str) -> Any:
+    value: Any = table
+    for key in place.split("."):
+        value = value[key]
+    return value

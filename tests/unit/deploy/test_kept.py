@@ -1,0 +1,95 @@
+"""Runs on file: read as they were written, and no others."""
+
+import json
+import math
+from dataclasses import fields, replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy import kept
+from deploy import report as reports
+from deploy.kept import Run
+from deploy.report import CourseMap, HeightError, PoseError, Report, Slip, Spread, Torque
+
+REPORT = Report(
+    "steps",
+    7,
+    "phantomx_mk2",
+    "tripod",
+    False,
+    True,
+    "goal reached",
+    2.5,
+    25.0,
+    0.1,
+    0,
+    0,
+    33,
+    tilt_deg=Spread(0.25, 1.0),
+    commanded_tilt_deg=Spread(1.5, 2.0),
+    torque_nm=Torque(0.8, 1.4, 0.47),
+    raised_block_touchdowns=12,
+    body_height_error_m=HeightError(0.001, 0.002),
+    body_height_oscillation_m=0.003,
+    slip_m_per_step=Slip(0.0007, 0.004),
+    missteps=1,
+    collisions=2,
+    min_stability_margin_m=0.040,
+    pose_error_m=PoseError(0.01, 0.02),
+    course_map_m=CourseMap(0.004, 0.0008, 0.0002, 0.0075, 0.975),
+    real_time_factor=2.0,
+)
+
+
+def _entry(report=REPORT):
+    return {"fingerprint": "mark", "commit": "abc1234", "time": "2024-05-01T10:00:00+00:00", "report": reports.as_table(report)}
+
+
+def test_a_short_line_holds_what_the_whole_report_said(tmp_path):
+    run = Run.read(_entry())
+    kept.keep(tmp_path / "campaign.jsonl", [run])
+    assert kept.read(tmp_path / "campaign.jsonl") == [run]
+    assert (run.tilt_p95_deg, run.height_rms_m, run.torque_rms_nm, run.slip_p50_m) == (0.25, 0.002, 0.47, 0.0007)
+    assert (run.stability_margin_m, run.final_pose_error_m, run.map_coverage, run.seed) == (0.04, 0.02, 0.975, 7)
+    line = (tmp_path / "campaign.jsonl").read_text()
+    assert len(line) < len(json.dumps(_entry()))
+
+
+@given(st.dictionaries(st.sampled_from([f.name for f in fields(Run) if f.type is float]), st.floats(-1e3, 1e3) | st.none()))
+def test_any_figures_come_back_as_they_were_kept(tmp_path_factory, figures):
+    path = tmp_path_factory.mktemp("kept") / "campaign.jsonl"
+    given_run = replace(
+        Run.read(_entry()), **{name: math.nan if f is None else round(f, 6) + 0.0 for name, f in figures.items()}
+    )
+    kept.keep(path, [given_run])
+    assert repr(kept.read(path)) == repr([given_run]), "compared as text: what was not measured is NaN"
+
+
+def test_a_last_line_that_was_cut_off_is_no_run(tmp_path):
+    path = tmp_path / "campaign.jsonl"
+    kept.keep(path, [Run.read(_entry())])
+    path.write_text(path.read_text() + path.read_text()[:-9])
+    assert len(kept.read(path)) == 1
+    kept.keep(path, [Run.read(_entry(replace(REPORT, seed=8)))])
+    assert [run.seed for run in kept.read(path)] == [7, 8]
+
+
+@pytest.mark.parametrize("line", ["[]", "{}", "no JSON", '{"scenario": "flat", "seed": 3}', '{"report": {"seed": 3}}'])
+def test_a_line_that_is_no_run_is_named(tmp_path, line):
+    path = tmp_path / "campaign.jsonl"
+    kept.keep(path, [Run.read(_entry())])
+    path.write_text(path.read_text() + line + "\n")
+    with pytest.raises(kept.KeptError, match=r"line 2.*remove the line"):
+        kept.read(path)
+
+
+def test_a_folder_stands_for_what_it_keeps(tmp_path):
+    (tmp_path / "trials.jsonl").write_text(json.dumps(_entry()) + "\n")
+    assert kept.files([tmp_path]) == [tmp_path / "trials.jsonl"]
+    assert kept.read(tmp_path / "trials.jsonl") == [Run.read(_entry())]
+    kept.keep(tmp_path / "campaign.jsonl", [])
+    assert kept.files([tmp_path, tmp_path / "trials.jsonl"]) == [tmp_path / "campaign.jsonl", tmp_path / "trials.jsonl"]
+    with pytest.raises(kept.KeptError, match=r"campaign\.jsonl or trials\.jsonl, expected"):
+        kept.files([tmp_path / "nothing"])
