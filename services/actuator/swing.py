@@ -6,10 +6,11 @@ the gradient of the parabola through both points, eq. (5.23) with f_b = y/x - f_
     dy/ds = -y/x + (|v_h/x| + |S|) x = -y/x + v_h + |S| x,      s = progress towards the target
 
 Without S its solution is y = v_h x ln(L/x): it peaks at v_h L / e, where x = L/e, and comes down vertically. So v_h, the
-thesis' step height parameter, follows from a clearance h as e h / L. S goes from about -1 to 0 where y passes the level q
-(5.26); its constants shape a sigmoid only, the two lengths that make it one are chosen here. The level is that of the higher
-end of the step, so a foot rises beside a riser before it goes over it, and leaves an edge before it goes down behind it; in
-the last third of the way S fades, so that the foot does not hover and then plunge.
+thesis' step height parameter, follows from a clearance h as e h / L. S goes from -1 to 0 where y passes the level q (5.26); its
+constants shape a sigmoid only, and within a millimetre such a foot would turn from rising to arcing: at full speed, which asks
+the servos for all they have. Here it turns all the way from the height of the higher end up to the level, which lies over it,
+so a foot rises beside a riser before it goes over it, and leaves an edge before it goes down behind it; in the last third of
+the way S fades, so that the foot does not hover and then plunge.
 """
 
 import math
@@ -17,19 +18,20 @@ from itertools import pairwise
 
 from shared.geometry import Array
 
-_SIGMOID_UNIT = 0.0005  # [m] over which S turns
-_RISE_SLOPE = 6.0  # slope of the initial rise, however short the way
+_RISE_SLOPE, _RISE_WAY = 4.5, 0.25  # slope of the initial rise, and the share of the way that it takes at most
 _LEVEL_SHARE = 0.8  # of the clearance, over the higher end: from there on the foot arcs; what stands in its way may stand close
-_ARC_SHARE = 0.9  # of the clearance at which the arc would peak; the tail of S adds the rest
+_ARC_SHARE = 0.97  # of the clearance at which the arc would peak; the tail of S adds the rest
 _FADE = (0.15, 0.35)  # shares of the way left between which S fades
 _ARC_SHARES = [i / 8 for i in range(9)]  # of the way left, at which the arc is measured
 _ARC_LOGS = [s * math.log(s) if s else 0.0 for s in _ARC_SHARES]
+_DEARER = 2.0  # than way over the ground is height to the servos, and takes as much more time
+_START, _END, _END_SPEED = 0.08, 0.18, 0.35  # shares of the time to gather speed and to lose it, down to a share of it
 _SUBSTEPS = 4  # per cycle: the field turns within a centimetre
 _NEWTON_STEPS = 8
 _NEAR = 1e-3  # [m] horizontally at the target: straight down
 
 
-def flow_slope(x: float, y: float, v_h: float, level: float, rise: float = 1.0) -> float:
+def flow_slope(x: float, y: float, v_h: float, level: float, over: float, rise: float) -> float:
     """Slope dy/ds of a foot's path: how fast it rises per way towards the target.
 
     Args:
@@ -37,13 +39,13 @@ def flow_slope(x: float, y: float, v_h: float, level: float, rise: float = 1.0) 
         y: [m] height over the target.
         v_h: Step height parameter, see `clearance_parameter`.
         level: [m] height over the target from which the foot arcs rather than rises (the thesis' q).
-        rise: Weight of the initial rise S, 1 at first, 0 towards the end.
+        over: [m] by which the level is over the higher end: over so much height the foot turns.
+        rise: Slope of the initial rise S, 0 towards the end.
 
-    Source: Lotriet 2024, eq. (5.23)-(5.26), the latter read as 0.515 (y - q) / (1 + |y - q|) - 0.505.
+    Source: Lotriet 2024, eq. (5.23)-(5.26), S in place of the latter's sigmoid.
     """
-    above = (y - level) / _SIGMOID_UNIT
-    sigmoid = 0.515 * above / (1.0 + abs(above)) - 0.505
-    return -y / x + v_h + rise * abs(min(sigmoid, 0.0)) * _RISE_SLOPE
+    below = min(max((level - y) / over, 0.0), 1.0)
+    return -y / x + v_h + rise * _smooth(below)
 
 
 def clearance_parameter(top: float, x: float, y: float) -> float:
@@ -61,20 +63,20 @@ def clearance_parameter(top: float, x: float, y: float) -> float:
 
 
 def remaining_length(x: float, y: float, v_h: float, level: float, rise: float = 1.0) -> float:
-    """About how far [m] a foot still travels: up to the level, then along the arc; exact when it comes down."""
+    """About how far [m] a foot still travels, height counted as dear as it is: up to the level, then along the arc."""
     if x <= _NEAR:
-        return math.hypot(x, y)
+        return math.hypot(x, _DEARER * y)
     up = max(0.0, level - y) * rise
     top, u, along = y + up, v_h * x, x / (len(_ARC_SHARES) - 1)
-    arc = [s * top - u * s_log for s, s_log in zip(_ARC_SHARES, _ARC_LOGS, strict=True)]
-    return up + sum(math.hypot(along, b - a) for a, b in pairwise(arc))
+    arc = [_DEARER * (s * top - u * s_log) for s, s_log in zip(_ARC_SHARES, _ARC_LOGS, strict=True)]
+    return _DEARER * up + sum(math.hypot(along, b - a) for a, b in pairwise(arc))
 
 
 class Swing:
     """The feet that are in the air, each on its way to a target that may move.
 
     Feet travel the flow's path at a speed that ramps up and down and brings them to the target when the time is over,
-    wherever the target has gone meanwhile.
+    wherever the target has gone meanwhile: in each cycle they go a share of what is left.
     """
 
     def __init__(self, foot: Array, target: Array, clearance: Array):
@@ -117,6 +119,8 @@ class _Flight:
         self._rise_by = _LEVEL_SHARE * clearance  # [m] over the higher end
         self._length = max(math.hypot(target[0] - foot[0], target[1] - foot[1]), 0.02)
         higher = max(foot[2] - target[2], 0.0)
+        rise = self._rise_by + max(target[2] - foot[2], 0.0)
+        self._slope = max(_RISE_SLOPE, rise / (_RISE_WAY * self._length))
         self._v_h = clearance_parameter(higher + _ARC_SHARE * clearance, 0.85 * self._length, higher + self._rise_by)
 
     def moved(self, foot: list[float], target: list[float], share: float) -> tuple[float, float, float]:
@@ -131,21 +135,32 @@ class _Flight:
             if advance < 0.0:
                 advance = remaining_length(x, y, self._v_h, level, rise) * share / _SUBSTEPS
             if x > _NEAR:
-                slope = flow_slope(x, y, self._v_h, level, rise)
-                horizontal = advance / math.hypot(1.0, slope)
+                slope = flow_slope(x, y, self._v_h, level, self._rise_by, rise * self._slope)
+                horizontal = advance / math.hypot(1.0, _DEARER * slope)
                 ahead = min(horizontal, x) / x
                 x_foot, y_foot, z_foot = x_foot + x_way * ahead, y_foot + y_way * ahead, z_foot + slope * horizontal
             else:
-                z_foot -= min(max(y, -advance), advance)
+                down = advance / _DEARER
+                z_foot -= min(max(y, -down), down)
         return x_foot, y_foot, z_foot
 
 
 def _travelled(end: float, begin: float) -> float:
-    """Share of what is left at `begin` that is travelled until `end`, for a speed that ramps up and down smoothly."""
-    if end >= 1.0:
-        return 1.0
+    """Share of what is left at `begin` that is travelled until `end`, at a speed that ramps up and down smoothly."""
+    return 1.0 if end >= 1.0 else (_covered(end) - _covered(begin)) / (_covered(1.0) - _covered(begin))
 
-    def covered(u: float) -> float:  # integral of sin^2 blended with a constant: softer than a trapezoid, flatter than sin^2
-        return 0.5 * u + 0.5 * (u - math.sin(2 * math.pi * u) / (2 * math.pi))
 
-    return (covered(end) - covered(begin)) / (1.0 - covered(begin))
+def _covered(u: float) -> float:
+    """The way until a share of the time, in ways at cruising speed: as much time less what is lost in the ramps."""
+    start, end = min(u / _START, 1.0), max(0.0, (u - 1.0) / _END + 1.0)
+    gathering = _START * (start - _smooth_integral(start))
+    return u - gathering - (1.0 - _END_SPEED) * _END * _smooth_integral(end)
+
+
+def _smooth(s: float) -> float:
+    """From 0 to 1 with no slope at either end."""
+    return s * s * (3.0 - 2.0 * s)
+
+
+def _smooth_integral(s: float) -> float:
+    return s**3 * (1.0 - s / 2.0)

@@ -94,10 +94,18 @@ def test_behind_an_edge_it_comes_down_last(length: float) -> None:
     assert (way[way[:, 0] < 0.5 * length, 2] >= 0.0).all()
 
 
-def test_it_starts_and_ends_softly() -> None:
-    steps = steps_of(fly_to(0.1, 0.0, 0.04))
-    assert steps[0] < 0.6 * steps.max()
-    assert steps[-1] < 0.6 * steps.max()
+@pytest.mark.parametrize("length", [0.06, 0.10, 0.15, 0.20])
+@pytest.mark.parametrize("rise", [-0.04, 0.0, 0.04])
+@pytest.mark.parametrize("clearance", [0.025, 0.04])
+def test_it_starts_and_ends_softly_and_turns_no_corner(length: float, rise: float, clearance: float) -> None:
+    way = fly_to(length, rise, clearance)
+    steps = steps_of(way)
+    mean = steps.mean()
+    assert steps[0] < 0.2 * mean
+    assert steps[-1] < 0.45 * mean
+    assert steps.max() < 1.8 * mean  # nor is it much faster than it must be
+    changes = np.diff(way, axis=0, n=2)  # a corner at full speed changes it by more than the mean within a cycle
+    assert np.linalg.norm(changes, axis=1).max() < 0.9 * mean
 
 
 @WILD
