@@ -25,6 +25,10 @@ class Settings:
     settle_s: float = 0.4  # [s] for which the robot must stand still before {world} is laid
     tilt_s: float = 3.0  # [s] over which the tilt of the legs' frame is averaged
 
+    def frames_per_scan(self, rate_hz: float) -> int:
+        """Of how many frames of a camera of some rate one is used."""
+        return max(1, round(rate_hz / self.scan_rate_hz))
+
     def __post_init__(self) -> None:
         within = {
             "blocks_across": (8, 1280),

@@ -62,7 +62,7 @@ class Perception:
         self._frames = 0
         self._looks = 0  # scans whose lines of sight have been told
         self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest frame
-        self._every = max(1, round(profile.camera.sensor.rate_hz / settings.scan_rate_hz))  # frames per one that is used
+        self._every = settings.frames_per_scan(profile.camera.sensor.rate_hz)
         self._picture: tuple[NDArray[np.uint16], int, Motion | None] | None = None  # a sample, since when, and where
         self._words = "waiting for the first frame"
 

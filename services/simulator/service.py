@@ -74,6 +74,7 @@ class Simulator:
             dropouts=scenario.camera.dropouts,
         )
         self._last_depth: NDArray[np.uint16] | None = None
+        self._frames = 0
         self._color = ColorCamera(self._renderer, terrain, seeds[4]) if profile.camera.color else None
         self._imu = ImuSensor(ImuNoise(), seeds[3])
         self._signs = profile.servo_signs
@@ -144,7 +145,7 @@ class Simulator:
 
     def _observe(self, now_ns: int, inbox: Inbox) -> Iterator[Message]:
         """What the camera, the IMU and the scorer get at this instant."""
-        if self._due(topics.DEPTH, now_ns, self._profile.camera.sensor.rate_hz):
+        if self._due(topics.DEPTH, now_ns, self._profile.camera.sensor.rate_hz) and self._is_looked_at():
             depth = self._depth(self._camera_fault())
             if depth is not None:
                 yield DepthImage(now_ns, depth)
@@ -160,6 +161,14 @@ class Simulator:
             yield self._feel(now_ns)
         if self._due(topics.TRUTH, now_ns):
             yield self._truth(now_ns)
+
+    def _is_looked_at(self) -> bool:
+        """Whether somebody looks at the depth frame that is due; it counts as taken in any case."""
+        self._frames += 1
+        looked_at = self._frames % self._settings.frames_per_picture == 0
+        if not looked_at:
+            self._camera.pass_over()
+        return looked_at
 
     def _depth(self, fault: str) -> NDArray[np.uint16] | None:
         """The next raw picture (h, w), as the camera's fault makes it; None while there is no camera."""

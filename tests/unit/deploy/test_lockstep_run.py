@@ -1,4 +1,5 @@
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ FLAT = Scenario("short", (Plane(),), Goal(1.0), time_limit_s=1.5)
 PROFILE = load_profile("phantomx_mk2")
 
 
-def frames(seed: int, until_ns: int, scenario: Scenario = FLAT) -> list[tuple[str, bytes, int]]:
+def frames(seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: bool = True) -> list[tuple[str, bytes, int]]:
     """All that is said in a run but health, which holds how long things took."""
     heard: list[tuple[str, bytes, int]] = []
 
@@ -24,7 +25,7 @@ def frames(seed: int, until_ns: int, scenario: Scenario = FLAT) -> list[tuple[st
         if topic is not topics.HEALTH:
             heard.append((topic.key, frame, at_ns))
 
-    assemble(scenario, seed, PROFILE, tap).run(until_ns)
+    assemble(scenario, seed, PROFILE, tap, every_frame=every_frame).run(until_ns)
     return heard
 
 
@@ -32,6 +33,21 @@ def test_one_seed_makes_one_run_to_the_byte() -> None:
     first = frames(3, S)
     assert frames(3, S) == first
     assert frames(4, S) != first
+
+
+def test_depth_frames_that_nobody_looks_at_can_be_left_out_without_a_difference() -> None:
+    every, used = frames(3, 3 * S), frames(3, 3 * S, every_frame=False)
+    pictures = [{at_ns: frame for key, frame, at_ns in heard if key == topics.DEPTH.key} for heard in (every, used)]
+    assert len(pictures[1]) == len(pictures[0]) // 2
+    assert pictures[1].items() <= pictures[0].items()
+    others = [[frame for frame in heard if frame[0] != topics.DEPTH.key] for heard in (every, used)]
+    assert any(key == topics.SCAN.key for key, _, _ in others[0])
+    assert others[0] == others[1]
+
+
+def test_where_something_breaks_every_frame_is_made() -> None:
+    scenario = replace(FLAT, faults=(Fault(0.5, "mapper", "kill", for_s=0.1),))
+    assert frames(3, S, scenario, every_frame=False) == frames(3, S, scenario)
 
 
 def test_all_services_are_heard_at_their_rates() -> None:

@@ -46,6 +46,13 @@ def test_disparity_noise_is_normal_with_the_sensor_s_sigma() -> None:
         assert np.mean(np.abs(e) < level) == pytest.approx(share, abs=3e-3)
 
 
+def test_a_frame_does_not_depend_on_whether_those_before_it_were_made() -> None:
+    first, second = camera(dropouts=True), camera(dropouts=True)
+    first.measure(wall(1.0))
+    second.pass_over()
+    np.testing.assert_array_equal(first.measure(wall(2.0)), second.measure(wall(2.0)))
+
+
 def test_noise_is_white_in_the_picture_and_over_time() -> None:
     e = errors(6) / SENSOR.disparity_sigma
     bound = 5 / np.sqrt(e[0].size)

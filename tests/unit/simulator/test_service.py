@@ -172,7 +172,7 @@ def test_in_lockstep_it_makes_what_it_says_and_no_colour() -> None:
     assert heard[topics.COLOR.key] == 0
 
 
-@pytest.mark.parametrize("nonsense", [{"bus_port": 70_000}, {"seed": -1}])
+@pytest.mark.parametrize("nonsense", [{"bus_port": 70_000}, {"seed": -1}, {"frames_per_picture": 0}])
 def test_nonsense_settings_are_refused(nonsense: dict[str, int]) -> None:
     with pytest.raises(ValueError, match="expected"):
         Settings(**nonsense)  # type: ignore[arg-type]
