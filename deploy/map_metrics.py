@@ -1,6 +1,6 @@
 """Maps judged by the true ground: laid over each other, compared cell by cell, and asked how much of the way ahead they know.
 
-Frame: {start}, as in `deploy.scorer`.
+Frame: {start}, as in `deploy.course`.
 """
 
 from collections.abc import Iterable

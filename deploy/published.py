@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from deploy.scorer import Trace
+from deploy.trace import Trace
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from deploy.layers_picture import UNSEEN, ground_colors
 from deploy.map_metrics import Mosaic
 from deploy.relief import shaded
 from deploy.report import ARRIVED, Report
-from deploy.scorer import Trace
+from deploy.trace import Trace
 from deploy.walk_picture import LEG_COLORS
 from shared.robot import LEGS
 
