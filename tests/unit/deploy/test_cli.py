@@ -9,6 +9,7 @@ from typing import get_args
 import pytest
 
 from deploy import cli
+from deploy.commands.common import out_folder
 from deploy.report import Report
 from shared.messages import GaitName
 from shared.scenario import Scenario
@@ -131,10 +132,10 @@ def test_a_mistake_of_ours_is_not_passed_off_as_the_callers(monkeypatch: pytest.
 def test_a_run_gets_a_folder_of_its_own_or_the_one_that_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     parse = cli.parse
-    named = cli._out(parse(["run", "steps", "--out", "here/there"]), "steps-3")
+    named = out_folder(parse(["run", "steps", "--out", "here/there"]), "steps-3")
     assert named == Path("here/there")
     assert named.is_dir()
-    assert cli._out(parse(["run", "steps"]), "steps-3").parent == Path("runs")
+    assert out_folder(parse(["run", "steps"]), "steps-3").parent == Path("runs")
 
 
 def report(success: bool, seed: int = 3) -> Report:

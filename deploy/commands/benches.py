@@ -1,0 +1,66 @@
+"""`sextant bench` and `sextant replay`: what the stages are worth, on rebuilt scenes and on recordings."""
+
+import argparse
+import json
+from pathlib import Path
+
+from deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say
+
+
+def bench_accuracy(arguments: argparse.Namespace) -> int:
+    """`sextant bench accuracy`: how right pose and map are, on rebuilt scenes."""
+    from deploy.bench import accuracy
+
+    out = out_folder(arguments, "bench-accuracy")
+    rows = accuracy.tables(arguments.seeds, arguments.jobs, open_progress(arguments.json).say)
+    return _tell_bench(accuracy.in_words(rows), accuracy.to_json(rows), out / "accuracy.json", arguments.json)
+
+
+def bench_speed(arguments: argparse.Namespace) -> int:
+    """`sextant bench speed`: how fast registration is beside its peers."""
+    from deploy.bench import chart, speed, timing
+
+    out = out_folder(arguments, "bench-speed")
+    timings, missing = speed.registration(arguments.seeds, arguments.frames, open_progress(arguments.json).say)
+    chart.draw(out / "speed.png", "Registration beside its peers", timings, missing)
+    words, text = timing.in_words(timings, missing, speed.HEADINGS), timing.to_json(timings, missing)
+    return _tell_bench(words, text, out / "speed.json", arguments.json)
+
+
+def bench_stages(arguments: argparse.Namespace) -> int:
+    """`sextant bench stages`: how fast the stages of the map are beside their peers."""
+    from deploy.bench import chart, stages, timing
+
+    out = out_folder(arguments, "bench-stages")
+    found = stages.stages(arguments.seeds, arguments.frames, open_progress(arguments.json).say)
+    chart.draw(out / "stages.png", "The stages of the map beside their peers", found.timings, found.missing, found.parts_ms)
+    words = f"{timing.in_words(found.timings, found.missing, stages.HEADINGS)}\n{timing.parts_in_words(found.parts_ms)}"
+    text = timing.to_json(found.timings, found.missing, parts_ms=found.parts_ms)
+    return _tell_bench(words, text, out / "stages.json", arguments.json)
+
+
+def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:
+    path.write_text(text, encoding="utf-8")
+    say(text.rstrip() if as_json else f"{words}\nwritten to {path}")
+    return SUCCESS
+
+
+def replay(arguments: argparse.Namespace) -> int:
+    """`sextant replay`: a recorded depth sequence, or a recorded run."""
+    source = Path(arguments.source)
+    if not (source.is_dir() or (source.is_file() and source.suffix == ".mcap")):
+        raise InputError(f"{source}: a folder with depth.txt and camera.toml, or the recording.mcap of a run, expected")
+    from deploy import replay as replays
+
+    out = out_folder(arguments, f"replay-{source.stem}")
+    progress = open_progress(arguments.json)
+    if source.is_dir():
+        table = replays.replay_folder(source, out, progress)
+    else:
+        table = replays.replay_recording(source, out, progress)
+    text = json.dumps(table, indent=1)
+    (out / "replay.json").write_text(text + "\n", encoding="utf-8")
+    say(text if arguments.json else replays.in_words(table))
+    if not arguments.json:
+        say(f"written to {out}")
+    return SUCCESS

@@ -1,0 +1,85 @@
+"""What all commands share: how they end, how they speak, the folder they leave behind, and the walk that is asked for."""
+
+import argparse
+import datetime
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from deploy.progress import Progress
+    from shared.scenario import Scenario
+
+SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class InputError(ValueError):
+    """What the caller of a command got wrong, and what would be right."""
+
+
+def say(text: str) -> None:
+    """Print a line of the result."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def complain(text: str) -> None:
+    """Print a line of what went wrong."""
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
+def out_folder(arguments: argparse.Namespace, name: str) -> Path:
+    """The folder that the command leaves behind, made."""
+    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+    out = Path(arguments.out) if arguments.out else Path("runs") / f"{stamp}-{name}"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {out}: {error.strerror}; give another with --out") from None
+    return out
+
+
+def open_progress(as_json: bool) -> "Progress":
+    """Where progress goes: beside the result, which has stdout for itself where a script reads it."""
+    from deploy.progress import progress_for
+
+    return progress_for(sys.stderr if as_json else sys.stdout)
+
+
+def asked_scenario(arguments: argparse.Namespace) -> "Scenario":
+    """The scenario that is asked for, walked as is asked for."""
+    from shared.scenario import load_scenario
+
+    return as_asked(arguments)(load_scenario(arguments.scenario))
+
+
+def as_asked(arguments: argparse.Namespace) -> Callable[["Scenario"], "Scenario"]:
+    """Makes of a scenario what is walked in its place: by the robot and in the gait that are asked for."""
+    from services.planner.gait import GAITS
+
+    robot = asked_robot(arguments)
+
+    def asked(scenario: "Scenario") -> "Scenario":
+        if robot:
+            scenario = replace(scenario, robot=robot)
+        if arguments.gait:
+            slower = GAITS[arguments.gait].slowness / GAITS[scenario.walk.gait].slowness
+            walk = replace(scenario.walk, gait=arguments.gait)
+            scenario = replace(scenario, walk=walk, time_limit_s=scenario.time_limit_s * max(slower, 1.0))
+        return scenario
+
+    return asked
+
+
+def asked_robot(arguments: argparse.Namespace) -> str:
+    """The robot that is asked for in place of the scenario's, as scenarios name it; empty for none."""
+    from shared.robot import load_profile
+
+    if not arguments.robot:
+        return ""
+    robot = str(Path(arguments.robot).resolve()) if arguments.robot.endswith(".toml") else str(arguments.robot)
+    load_profile(robot)  # what is wrong with it is told before anything starts
+    return robot

@@ -1,0 +1,109 @@
+"""`sextant up`: the processes of a role, until Ctrl-C."""
+
+import argparse
+import difflib
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, say
+
+if TYPE_CHECKING:
+    from deploy.process_table import Choices, Process
+
+
+def up(arguments: argparse.Namespace) -> int:
+    """`sextant up`: the processes of a role until Ctrl-C."""
+    import contextlib
+    from dataclasses import replace
+
+    from deploy import process_table
+    from deploy.interrupts import Interrupts
+    from deploy.launcher import Launcher
+    from shared.transport import Endpoints, Router
+
+    rows = process_table.rows(arguments.role, simulated=arguments.scenario is not None)
+    chosen = _choices(arguments)
+    device = _camera(arguments, rows)
+    if device == "none":
+        rows = tuple(row for row in rows if row.side != "device")
+    chosen, extra = replace(chosen, camera=arguments.camera and device), _extra(arguments.set, rows)
+    with contextlib.ExitStack() as stack:
+        interrupts = stack.enter_context(Interrupts())
+        if arguments.connect:
+            endpoints = Endpoints(tuple(arguments.connect), namespace=arguments.namespace)
+        else:
+            stack.enter_context(Router((arguments.listen,)))
+            endpoints = Endpoints(
+                (re.sub(r"/(0\.0\.0\.0|\[::\]):", "/127.0.0.1:", arguments.listen),), namespace=arguments.namespace
+            )
+            say(
+                f"router on {arguments.listen}; others join with --connect {arguments.listen} --namespace {arguments.namespace}"
+            )
+        launcher = stack.enter_context(Launcher(process_table.commands(rows, chosen, endpoints, extra), hear=_pass_on))
+        say(f"starting {', '.join(row.name for row in rows)}; Ctrl-C ends them")
+        while not interrupts.asked():
+            for ended in launcher.wait(0.2):
+                complain(str(ended))
+                if not ended.restarted:
+                    complain("stopping the others; `sextant doctor` checks what a process needs")
+                    return FAILED
+        for name in launcher.stop(interrupts.insisted):
+            complain(f"{name} did not end when asked and was killed")
+    return INTERRUPTED
+
+
+def _choices(arguments: argparse.Namespace) -> "Choices":
+    from dataclasses import replace
+
+    from deploy.launcher import free_port
+    from deploy.process_table import Choices, choices
+    from shared.scenario import load_scenario
+
+    if arguments.scenario is None and arguments.role != "sim":
+        return Choices(robot=arguments.robot)
+    source = arguments.scenario or "steps"
+    if source.endswith(".toml"):
+        source = str(Path(source).resolve())
+    chosen = choices(load_scenario(source), source, arguments.seed)
+    # Where both ends of the simulated servo bus start here any free port will do, so two sets on one machine do not clash.
+    return replace(chosen, bus_port=free_port()) if arguments.role == "all" else chosen
+
+
+def _camera(arguments: argparse.Namespace, rows: "Sequence[Process]") -> str:
+    """The camera that is to be read, a folder by its whole path; "none" where no camera is started."""
+    from shared.robot import load_profile
+
+    if not any(row.side == "device" for row in rows):
+        if arguments.camera:
+            raise InputError("--camera: no camera is started here; leave --scenario out, and take the role all or onboard")
+        return "none"
+    device = str(arguments.camera or load_profile(arguments.robot).camera.device)
+    if device not in ("openni2", "realsense", "none"):
+        if not (Path(device) / "depth.txt").is_file():
+            raise InputError(f"--camera: openni2, realsense, none, or a folder with depth.txt expected, found {device!r}")
+        return str(Path(device).resolve())
+    if device == "none" and not arguments.camera:
+        say(f"no camera is started: the profile {arguments.robot} names none; give --camera openni2, realsense or a folder")
+    return device
+
+
+def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, tuple[str, ...]]:
+    names = [row.name for row in rows]
+    extra: dict[str, tuple[str, ...]] = {}
+    for text in assignments:
+        service, dot, rest = text.partition(".")
+        if not dot or "=" not in rest:
+            raise InputError(f"--set: SERVICE.KEY=VALUE expected, found {text!r}; for example actuator.port=/dev/ttyUSB0")
+        if service not in names:
+            near = difflib.get_close_matches(service, names, n=1)
+            raise InputError(
+                f"--set: no service {service!r} is started; {f'did you mean {near[0]!r}?' if near else ', '.join(names)}"
+            )
+        extra[service] = (*extra.get(service, ()), rest)
+    return extra
+
+
+def _pass_on(_name: str, line: str) -> None:
+    complain(line)

@@ -1,0 +1,115 @@
+"""`sextant run` and `sextant demo`: one walk, over Zenoh or in lockstep."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deploy.commands.common import (
+    FAILED,
+    INTERRUPTED,
+    SUCCESS,
+    InputError,
+    asked_scenario,
+    complain,
+    open_progress,
+    out_folder,
+    say,
+)
+
+if TYPE_CHECKING:
+    from deploy.report import Report
+    from shared.transport import Endpoints
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """`sextant run`: one scenario, over Zenoh or in lockstep."""
+    if arguments.lockstep and arguments.connect:
+        raise InputError("--lockstep runs in one process and meets nobody; leave --connect out")
+    if arguments.record_depth and not arguments.lockstep:
+        raise InputError("--record-depth writes the frames of a lockstep run; add --lockstep")
+    if arguments.lockstep:
+        return _run_lockstep(arguments)
+    return _run_live(arguments)
+
+
+def demo(arguments: argparse.Namespace) -> int:
+    """`sextant demo`: the course of low steps over Zenoh, from a cold start."""
+    arguments.scenario, arguments.robot, arguments.gait = "steps", "", ""
+    arguments.lockstep, arguments.connect, arguments.json = False, None, False
+    say("A six-legged robot sees a field of low blocks and two stairs through its depth camera, maps it, chooses where each")
+    say("foot goes, and walks across. Five processes talk over Zenoh; the simulator is only a camera and a servo bus to them.")
+    status = _run_live(arguments)
+    if status == SUCCESS:
+        say("The robot stands at its goal. summary.png shows the walk: map, path, footholds, height and tilt.")
+    return status
+
+
+def _run_lockstep(arguments: argparse.Namespace) -> int:
+    scenario = asked_scenario(arguments)
+    out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
+    import contextlib
+
+    from deploy.lockstep_run import run_lockstep
+    from deploy.tum_recording import DepthRecorder
+    from shared.robot import load_profile
+
+    with contextlib.ExitStack() as stack:
+        taps = []
+        if arguments.record_depth:
+            try:
+                recorder = DepthRecorder(Path(arguments.record_depth), load_profile(scenario.robot))
+            except FileExistsError as error:
+                raise InputError(f"--record-depth: {error}; name a new folder") from None
+            taps.append(stack.enter_context(recorder).tap)
+        report = run_lockstep(scenario, arguments.seed, out, open_progress(arguments.json), taps)
+    return _tell(report, out, arguments.json)
+
+
+def _run_live(arguments: argparse.Namespace) -> int:
+    scenario = asked_scenario(arguments)
+    if arguments.connect and not all(fault.of_camera for fault in scenario.faults):
+        raise InputError(f"{scenario.name} breaks services, which only who started them can; leave --connect out")
+    progress = open_progress(arguments.json)
+    out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
+    from deploy.interrupts import Interrupts
+    from shared.host import end_with
+
+    with Interrupts() as interrupts:
+        if getattr(arguments, "parent", None):
+            end_with(arguments.parent)
+        from deploy import live_run
+
+        attach = _attach(arguments)
+        problem = "" if attach else live_run.warm_up(progress, interrupts)
+        if problem:
+            complain(f"sextant {arguments.name}: {problem}; `sextant doctor` checks what the services need")
+            return FAILED
+        if interrupts.asked():
+            complain("stopped by the operator")
+            return INTERRUPTED
+        source = str(Path(arguments.scenario).resolve()) if arguments.scenario.endswith(".toml") else arguments.scenario
+        outcome = live_run.run_live_scenario(scenario, source, arguments.seed, out, progress, interrupts, attach)
+    status = _tell(outcome.report, out, arguments.json)
+    return INTERRUPTED if outcome.interrupted else status
+
+
+def _tell(report: "Report", out: Path, as_json: bool) -> int:
+    from deploy.report import to_json
+
+    if as_json:
+        sys.stdout.write(to_json(report))
+    else:
+        verdict = f"{'success' if report.success else 'failed'}: {report.reason}"
+        walked = f"{report.distance_m:.2f} m in {report.duration_s:.1f} s, {report.speed_mps:.3f} m/s"
+        say(f"{verdict}; {walked}, {report.steps} steps, {report.falls} falls")
+        say(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
+    return SUCCESS if report.success else FAILED
+
+
+def _attach(arguments: argparse.Namespace) -> "Endpoints | None":
+    if not arguments.connect:
+        return None
+    from shared.transport import Endpoints
+
+    return Endpoints(tuple(arguments.connect), namespace=arguments.namespace)
