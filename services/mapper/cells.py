@@ -23,6 +23,7 @@ class Cells:
     first: NDArray[np.float32]  # [m] the height as it was established, NaN before
     through: NDArray[np.uint8]  # scans that looked through the cell since it was last measured
     fell: NDArray[np.uint8]  # 1 where something stood that is gone
+    face: NDArray[np.uint8]  # 1 where a face was seen, which is at least so high
 
     @classmethod
     def unseen(cls, shape: tuple[int, int]) -> Self:

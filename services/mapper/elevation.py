@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from services.mapper.cells import ESTABLISHED, Cells
 from services.mapper.checked_scan import FAR, CheckedScan
+from services.mapper.faces import heed_faces
 from services.mapper.fusion import FusionModel, merge, update_cells
-from services.mapper.height_drift import HeightDrift
+from services.mapper.height_drift import HeightDrift, height_sigma
 from services.mapper.sight_lines import FOLLOWED, SETTLED, WELL_BELOW, SightLines
 from shared.compiled import compiled
 
@@ -33,7 +34,7 @@ class FusionCount:
     """What became of the points of one scan."""
 
     updated: int  # cells whose height took a measurement in
-    disputed: int  # cells whose measurement failed the gate and went to the rival
+    disputed: int  # cells whose measurement failed the gate and went to the rival, or says nothing against a wall
     replaced: int  # cells taken over by their rival
     outside: int  # points beyond the window
     cleared: int = 0  # cells that lines of sight have made unseen again
@@ -132,21 +133,26 @@ class ElevationGrid:
         3. Each cell: an unseen or assumed cell takes the measurement outright; one within the gate is filtered in,
            its variance never below the floor; one outside votes for the rival (see the module).
         4. Cells that stand in a line of sight become unseen again after a while.
-        Before 2, where well-known ground shows that the pose's height has drifted, that is taken out (`height_drift`).
+        Before 3, where well-known ground shows that the pose's height has drifted, that is taken out (`height_drift`),
+        and faces are heeded (`faces`): what is seen of a wall from near does not lower it.
         """
         cells = self._cells
         # 1. Where the points lie, and how far their heights may be off.
         touched, z, random, systematic, ray = self.model.measure(
             scan, cells.height, self.resolution, int(self._low[0]), int(self._low[1])
         )
-        inside = len(touched)
+        inside, silent = len(touched), 0
         # 2. One measurement for each cell, without what the pose has drifted in height.
         merged = merge(touched, z, random, systematic, self._slot, self.model.gate, self.model.step_in(self.resolution))
         touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]
         if inside:
             self._drift.follow(cells, touched, z, ray, scan.pose_covariance)
             z -= self._drift.value
+            sigma = height_sigma(ray, scan.pose_covariance)
+            merged = heed_faces(cells, touched, z, random, systematic, self._slot, sigma)
             self._sights.raised(float(z.max()))
+            silent = len(touched) - merged
+            touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]
         # 3. Into the filters.
         updated, disputed, replaced = update_cells(
             touched, z, random, systematic,
@@ -160,7 +166,7 @@ class ElevationGrid:
         cleared = self._sights.look(*at, scan.points, every=FOLLOWED)
         cleared += self._sights.look(*at, scan.sights, nearest=scan.nearest)
         self._sights.scanned()
-        return FusionCount(updated, disputed, replaced, len(scan.points) - inside, cleared)
+        return FusionCount(updated, disputed + silent, replaced, len(scan.points) - inside, cleared)
 
     def touch(self, p_world: ArrayLike, sigma: float, radius: float) -> int:
         """Take in that a foot has found ground at a place, or none above it; the cells changed under its sole.

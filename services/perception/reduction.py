@@ -20,6 +20,8 @@ JUMP = 0.015  # [m] depth step over two pixels, beyond noise and slope, that par
 SURFACE = 0.010  # [m] height, beyond noise, by which a point lies below the surface a foot would stand on
 NOISE = 3.0  # [sigma] of the depth noise on top of either
 CARRYING = 0.3  # share of a cell's pixels below which its upper surface is an edge of the cell beside it
+FACE = 0.03  # [m] from the lowest pixel to the mean of a lower surface, from which that is the face of something tall
+RIM = 3.0  # pixels that tell how high a face is
 _RECORD = 16  # numbers kept of a cell: a cache line
 
 
@@ -47,7 +49,9 @@ def reduce_scan(
     """Bin the pixels of a frame by world x and y; each cell keeps the mean of one surface.
 
     That is the upper one if it holds 30 % of the cell's pixels: a block that reaches a little into a cell, or noise
-    that carries its edge there, does not fill it. Otherwise it is the lower one.
+    that carries its edge there, does not fill it. Otherwise it is the lower one, unless that is a face, which rises to the
+    upper one with pixels all the way, and nothing beside it shows that to be its top: of a wall whose top is out of the
+    picture what is seen counts, and not the middle of that.
 
     Pixels between two surfaces are dropped first: on both sides of such a pixel, along a row or a column, depth
     jumps, one way in front and the other way behind, or there is no return.
@@ -251,9 +255,28 @@ def _bin(
             cell[10] += weight
     for k in range(n):
         cell = cells[k]
-        if cell[0] < np.float32(CARRYING) * cell[10]:
+        if cell[0] < np.float32(CARRYING) * cell[10] and not _is_wall(cells, cell_of, k, side):
             cell[0], cell[1], cell[2], cell[3] = cell[4], cell[5], cell[6], cell[7]
     return n
+
+
+@compiled
+def _is_wall(cells: Array, cell_of: Array, k: int, side: int) -> bool:
+    """Whether what a cell holds is a face, and no cell beside it level ground on top of that."""
+    cell = cells[k]
+    if cell[7] <= (cell[9] + np.float32(FACE)) * cell[4] or cell[0] < np.float32(RIM):
+        return False
+    a, b = int(cell[11]), int(cell[12])
+    for i in range(max(a - 1, 0), min(a + 2, side)):
+        for j in range(max(b - 1, 0), min(b + 2, side)):
+            beside = cell_of[i * side + j]
+            if beside < 0 or beside == k:
+                continue
+            other = cells[beside]
+            level = other[8] - other[9] < np.float32(FACE)
+            if level and other[3] >= (cell[8] - np.float32(2.0 * SURFACE)) * other[0]:
+                return False
+    return True
 
 
 @compiled

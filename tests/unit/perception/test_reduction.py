@@ -100,6 +100,20 @@ def test_edges_of_a_block_stay_where_they_are(world, height):
         assert np.percentile(front, 90) < 0.006
 
 
+@pytest.mark.parametrize("x", [0.1, 0.3, 0.5, 0.7])
+def test_a_wall_is_as_high_as_what_is_seen_of_it(world, x):
+    """Its top is out of the picture, and the pixels of its face outnumber the highest of them by far."""
+    T = world.camera_pose(x)
+    depth = world.depth_image(T, [[1.507, -2.0, 0.0, 1.6, 2.0, 0.5]], np.random.default_rng(4))
+    scan = reduced(world, depth, T, max_points=100_000)
+    p = positions(scan)
+    face = (np.floor(p[:, 0] / 0.01) == 150) & (np.abs(p[:, 1]) < 0.2)
+    assert face.sum() > 30
+    highest = T[2, 3] - np.tan(0.5236 - np.arctan(239.5 / 525.0)) * (1.507 - x)  # of the picture, at the wall
+    np.testing.assert_allclose(np.median(p[face, 2]), highest, atol=0.012)
+    assert (p[face, 2] > highest - 0.02).mean() > 0.9
+
+
 def test_a_few_pixels_do_not_raise_a_cell(world):
     T = world.camera_pose(0.2)
     depth = world.depth_image(T)
