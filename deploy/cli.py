@@ -149,7 +149,8 @@ def _parser() -> argparse.ArgumentParser:
         "role", choices=("all", "onboard", "offboard", "sim"), help="onboard: actuator, camera, perception; offboard: the rest"
     )
     one.add_argument("--scenario", help="simulate it in place of the hardware")
-    one.add_argument("--robot", default="phantomx_mk2", help="profile by name, or path of a TOML file (default %(default)s)")
+    words = "profile by name, or path of a TOML file (default: the scenario's, or phantomx_mk2)"
+    one.add_argument("--robot", default="", help=words)
     one.add_argument(
         "--camera", default="", metavar="DEVICE", help="openni2, realsense, none, or a recorded folder, over the profile"
     )

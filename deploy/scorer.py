@@ -84,6 +84,8 @@ class Scorer:
         self._walk = self._trace = None
         if len(heard.truth) == 1:
             self._lay_start(truth.T_world_body)
+            self._end = self._mistaken(truth)
+            self.finished = bool(self._end)
         if stood and heard.first_step_ns is not None:
             self._anchor()
         if truth.stamp_ns >= self._map_due_ns:
@@ -124,6 +126,17 @@ class Scorer:
         both = zip(nearest, poses, strict=True)
         mean = np.mean([_flat(heard.truth[k].T_world_body) @ inverse(_flat(p.T_world_body)) for k, p in both], axis=0)
         self._lay_start(transform(rotation_z(yaw_of(mean)), mean[:3, 3]))
+
+    def _mistaken(self, truth: GroundTruth) -> str:
+        """Why this is not the run that is to be judged, in words; empty where it is."""
+        wanted = (self._scenario.name, self._seed, self._profile.name)
+        found = (truth.scenario, truth.seed, truth.robot)
+        words = "{} with seed {} and robot {}"
+        if found == wanted:
+            return ""
+        return (
+            f"{words.format(*wanted)} expected, but the simulator runs {words.format(*found)}; ask for that, or start another"
+        )
 
     def _judge(self, truth: GroundTruth) -> None:
         now, goal = truth.stamp_ns, self._scenario.goal

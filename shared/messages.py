@@ -359,6 +359,9 @@ class GroundTruth(Message):
     shutdown: Annotated[NDArray[np.bool_], Dims(6, 3)]  # servos that have latched an error
     voltage: float  # [V]
     temperature: float  # [deg C] hottest servo
+    scenario: str  # name of what is simulated
+    seed: int  # and of everything random in it
+    robot: str  # name of the profile
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,8 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
     """Run one service until it is told to stop, with the settings of the command line.
 
     Returns:
-        Exit status: 0 when it was told to stop, 2 for what the caller got wrong; anything else ends in a traceback.
+        Exit status: 0 when it was told to stop, 1 without the device or port that it needs, 2 for what the caller got wrong;
+        anything else ends in a traceback.
     """
     arguments = _parser(name, make.__module__.rpartition(".")[0], schema).parse_args(argv)
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format=f"{name}: %(message)s")
@@ -65,6 +66,9 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
         except (ValueError, TransportError) as error:
             logging.error("%s", error)
             return 2
+        except OSError as error:  # a device or port that is not there; unlike the above it may come back
+            logging.error("%s", error)
+            return 1
         run_live(service, link, stop)  # a ValueError in here is a bug, and ends in a traceback
     return 0
 

@@ -4,10 +4,11 @@ import argparse
 import difflib
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, say
+from deploy.commands.common import FAILED, INTERRUPTED, InputError, asked_robot, complain, say
 
 if TYPE_CHECKING:
     from deploy.process_table import Choices, Process
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 def up(arguments: argparse.Namespace) -> int:
     """`sextant up`: the processes of a role until Ctrl-C."""
     import contextlib
-    from dataclasses import replace
 
     from deploy import process_table
     from deploy.interrupts import Interrupts
@@ -25,10 +25,12 @@ def up(arguments: argparse.Namespace) -> int:
 
     rows = process_table.rows(arguments.role, simulated=arguments.scenario is not None)
     chosen = _choices(arguments)
-    device = _camera(arguments, rows)
+    device = _camera(arguments.camera, chosen.robot, rows)
     if device == "none":
         rows = tuple(row for row in rows if row.side != "device")
     chosen, extra = replace(chosen, camera=arguments.camera and device), _extra(arguments.set, rows)
+    if any(row.name == "actuator" for row in rows) and not chosen.scenario:
+        _see_servo_port(extra.get("actuator", ()))
     with contextlib.ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
         if arguments.connect:
@@ -55,37 +57,37 @@ def up(arguments: argparse.Namespace) -> int:
 
 
 def _choices(arguments: argparse.Namespace) -> "Choices":
-    from dataclasses import replace
-
     from deploy.launcher import free_port
     from deploy.process_table import Choices, choices
     from shared.scenario import load_scenario
 
+    robot = asked_robot(arguments)
     if arguments.scenario is None and arguments.role != "sim":
-        return Choices(robot=arguments.robot)
+        return Choices(robot=robot) if robot else Choices()
     source = arguments.scenario or "steps"
     if source.endswith(".toml"):
         source = str(Path(source).resolve())
     chosen = choices(load_scenario(source), source, arguments.seed)
+    chosen = replace(chosen, robot=robot) if robot else chosen
     # Where both ends of the simulated servo bus start here any free port will do, so two sets on one machine do not clash.
     return replace(chosen, bus_port=free_port()) if arguments.role == "all" else chosen
 
 
-def _camera(arguments: argparse.Namespace, rows: "Sequence[Process]") -> str:
+def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
     """The camera that is to be read, a folder by its whole path; "none" where no camera is started."""
     from shared.robot import load_profile
 
     if not any(row.side == "device" for row in rows):
-        if arguments.camera:
+        if camera:
             raise InputError("--camera: no camera is started here; leave --scenario out, and take the role all or onboard")
         return "none"
-    device = str(arguments.camera or load_profile(arguments.robot).camera.device)
+    device = str(camera or load_profile(robot).camera.device)
     if device not in ("openni2", "realsense", "none"):
         if not (Path(device) / "depth.txt").is_file():
             raise InputError(f"--camera: openni2, realsense, none, or a folder with depth.txt expected, found {device!r}")
         return str(Path(device).resolve())
-    if device == "none" and not arguments.camera:
-        say(f"no camera is started: the profile {arguments.robot} names none; give --camera openni2, realsense or a folder")
+    if device == "none" and not camera:
+        say(f"no camera is started: the profile {robot} names none; give --camera openni2, realsense or a folder")
     return device
 
 
@@ -103,6 +105,19 @@ def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, t
             )
         extra[service] = (*extra.get(service, ()), rest)
     return extra
+
+
+def _see_servo_port(settings: Sequence[str]) -> None:
+    """Refuse a servo port that is not there, before anything starts."""
+    from services.actuator.config import Settings
+    from shared.process import load_settings
+
+    port = load_settings(Settings, None, settings).port
+    if "://" not in port and not Path(port).exists():
+        raise InputError(
+            f"no servo port {port}; plug in its adapter, or name another with --set actuator.port=/dev/ttyUSB1, or --scenario "
+            "simulates the robot; `sextant doctor --port` checks one"
+        )
 
 
 def _pass_on(_name: str, line: str) -> None:

@@ -225,4 +225,7 @@ class Simulator:
             shutdown=self._bank.shutdown.reshape(6, 3),
             voltage=float(self._bank.voltage),
             temperature=float(self._bank.temperature.max()),
+            scenario=self._scenario.name,
+            seed=self._settings.seed,
+            robot=self._profile.name,
         )

@@ -1,7 +1,9 @@
+import contextlib
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -10,7 +12,9 @@ import pytest
 
 from deploy import cli
 from deploy.commands.common import out_folder
+from deploy.process_table import Command
 from deploy.report import Report
+from shared import transport
 from shared.messages import GaitName
 from shared.scenario import Scenario
 from shared.topics import TOPICS
@@ -44,6 +48,8 @@ def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
         (["up", "onboard", "--camera", "nowhere"], "a folder with depth.txt expected, found 'nowhere'"),
         (["up", "all", "--scenario", "flat", "--camera", "realsense"], "leave --scenario out"),
         (["up", "onboard", "--set", "planner.blind=true"], "no service 'planner'"),
+        (["up", "onboard", "--camera", "none", "--set", "actuator.port=/dev/nowhere"], "no servo port /dev/nowhere; plug in"),
+        (["up", "all", "--scenario", "flat", "--robot", "nobody"], "no profile 'nobody'"),
         (["replay", "nowhere.mcap"], "recording.mcap of a run"),
         (["replay", "nowhere.txt"], "depth.txt"),
         (["compose", "--scenario", "stepz"], "known: "),
@@ -83,6 +89,29 @@ def test_arguments_that_make_no_sense_are_refused(words: list[str], capsys: pyte
         cli.main(words)
     assert refused.value.code == 2
     assert "usage: sextant" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "robot"), [([], "phantomx_mk2"), (["--robot", "lotriet_rx64"], "lotriet_rx64")], ids=["its own", "another"]
+)
+def test_what_is_up_is_the_robot_that_is_asked_for(
+    words: list[str], robot: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deploy import launcher
+
+    started: list[tuple[str, ...]] = []
+
+    class Launcher:
+        def __init__(self, commands: Sequence[Command], **_: object) -> None:
+            started.extend(command.arguments for command in commands)
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(launcher, "Launcher", Launcher)
+    monkeypatch.setattr(transport, "Router", lambda _: contextlib.nullcontext())
+    assert cli.main(["up", "all", "--scenario", "flat", *words]) == 130
+    capsys.readouterr()
+    assert len(started) == 5
+    assert all(arguments[arguments.index("--robot") + 1] == robot for arguments in started)
 
 
 def test_topics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

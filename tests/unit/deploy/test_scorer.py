@@ -7,6 +7,7 @@ from deploy import report as reports
 from shared.messages import TerrainMap
 from shared.robot import load_profile
 from shared.scenario import Box, Goal, Plane, Scenario, Stairs
+from shared.service import Inbox
 
 STEPS = Scenario(
     "blocks",
@@ -215,6 +216,17 @@ def test_one_story_makes_one_report(story):
     first, second = story(scenario=STEPS).judged().result(), story(scenario=STEPS).judge().result()
     assert reports.to_json(first) == reports.to_json(second)
     assert reports.check(reports.as_table(first)) == []
+
+
+@pytest.mark.parametrize("other", [{"scenario": "another"}, {"seed": 8}, {"robot": "lotriet_rx64"}])
+def test_a_simulator_that_runs_something_else_ends_it_at_once_and_is_named(story, other):
+    told = story()
+    scorer = told.scorer()
+    list(scorer.step(replace(told.truth(0), **other), Inbox([scorer.paced_by, *scorer.reads], scorer.stages)))
+    assert scorer.finished
+    assert not scorer.result().success
+    assert str(*other.values()) in scorer.result().reason
+    assert "start another" in scorer.result().reason
 
 
 def test_nothing_heard_is_a_failure_with_a_reason(story):

@@ -271,6 +271,15 @@ def test_no_network_is_status_2(monkeypatch: pytest.MonkeyPatch, caplog: pytest.
     assert "could not open Zenoh" in caplog.text
 
 
+def test_a_device_that_is_not_there_is_status_1_in_words(caplog: pytest.LogCaptureFixture) -> None:
+    def fail(*_: object) -> Beating:
+        raise ConnectionError("cannot open servo port /dev/ttyUSB0")
+
+    assert process.run("actuator", Settings, fail, CONNECT) == 1
+    assert "cannot open servo port" in caplog.text
+    assert "Traceback" not in caplog.text
+
+
 def test_a_bug_in_a_step_ends_in_a_traceback() -> None:
     def bug() -> None:
         raise ValueError("shapes do not match")
