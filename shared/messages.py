@@ -128,7 +128,7 @@ class CameraState(Message):
 
 @dataclass(frozen=True, slots=True)
 class Imu(Message):
-    """Angular rate and specific force; imu -> actuator, perception."""
+    """Angular rate and specific force; imu -> actuator."""
 
     gyro: Vector3  # [rad/s] {body}
     specific_force: Vector3  # [m/s^2] {body}, +g up at rest

@@ -397,7 +397,7 @@ class Variation:
 
     armature: float = 1.5
     friction: float = 1.15
-    imu: bool = False
+    imu: bool = False  # whether the robot has an inertial sensor
     registration: Literal["projective", "kiss-icp"] = "projective"
 
     def __post_init__(self) -> None:

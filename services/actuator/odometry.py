@@ -68,6 +68,12 @@ class LegOdometry:
         self._standing = standing.copy()
         return self.T_odom_body
 
+    def turn(self, T: Array) -> None:
+        """Turn {odom} by a transform (4, 4) about the body: body and feet were not quite where they were believed to be."""
+        self.T_odom_body = T @ self.T_odom_body
+        self.anchors = apply(T, self.anchors)
+        self._shanks = self._shanks @ T[:3, :3].T
+
     def _shanks_in_odom(self, q: Array) -> Array:
         """Unit vectors (6, 3) from the foot's centre up the shank; keeps the feet (6, 3) [m] {body} by the way."""
         points = leg_points(self._profile, q)

@@ -14,6 +14,7 @@ from services.actuator.feeler import FEMUR, Feeler, Felt
 from services.actuator.guard import Guard
 from services.actuator.load import lag_feed_forward, sag_feed_forward
 from services.actuator.odometry import LegOdometry
+from services.actuator.plumb import Plumb
 from services.actuator.stand_up import StandUp
 from services.actuator.walker import Targets, Walker
 from shared import dynamixel as dxl
@@ -36,7 +37,7 @@ class Actuator:
     """Owns the servos. Every cycle: read, see where the body is, take plans through the guard, move on, write."""
 
     name = "actuator"
-    reads: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.MODE)
+    reads: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.MODE, topics.IMU)
     writes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE)
 
     def __init__(
@@ -69,6 +70,9 @@ class Actuator:
         self._guard = Guard(profile, settings.plan_age_s)
         self._contact = ContactEstimate(profile)
         self._feeler = Feeler(profile)
+        self._plumb = Plumb()
+        self._imu_problem = ""
+        self._tipped = ""  # that the body leans too far to go on, in words
         self._q = self._read_all(dxl.PRESENT_POSITION)
         self._q_goal = self._first_goals()
         self._q_wanted = self._q_goal.copy()  # goals less the feed-forward: where the joints are to come to rest
@@ -112,13 +116,14 @@ class Actuator:
         with self.stages("bus read"):
             self._read()
         now_ns = self._clock()
-        T_odom_body = self._odometry.update(self._measured(), self._standing(), self._walker.ground)
+        self._odometry.update(self._measured(), self._standing(), self._walker.ground)
+        self._level(dt, tick.stamp_ns, inbox)
         for order in inbox.drain(topics.MODE):
             self._obey(order)
         for plan in inbox.drain(topics.STEP_PLAN):
             self._consider(plan, tick.stamp_ns)
         if self._mode is not Mode.OFF:
-            self._move(dt, T_odom_body)
+            self._move(dt, self._odometry.T_odom_body)
             self._note_findings(now_ns)
         yield self._odometry_message(now_ns)
         news = (self._mode, self._reason, self._refused, self._walker.plan_ns)
@@ -159,6 +164,19 @@ class Actuator:
             leg, joint = divmod(reading.index, 3)
             words = f"the {JOINTS[joint]} servo of the {LEGS[leg]} leg (id {reading.servo_id}) reports {reading.error.name}"
             self._mode, self._reason = Mode.FAULT, words.lower().replace("_", " ")
+            self._walker.halt()
+
+    def _level(self, dt: float, now_ns: int, inbox: Inbox) -> None:
+        """Where there is an inertial sensor {odom} is as level as that says, and a body that tips over does not walk on."""
+        for reading in inbox.drain(topics.IMU):
+            self._plumb.take(reading, now_ns)
+        turn = self._plumb.turn(self._odometry.T_odom_body, now_ns, dt)
+        if turn is not None:
+            self._odometry.turn(turn)
+            self._walker.turn(turn)
+        self._tipped = self._plumb.tipped(self._walker.body_ref, now_ns)
+        self._imu_problem = self._plumb.problem(now_ns)
+        if self._tipped and self._mode is Mode.WALK:
             self._walker.halt()
 
     def _measured(self) -> Array:
@@ -234,6 +252,9 @@ class Actuator:
         if walker.searching.any():
             self._refused = f"plan of step {plan.step} refused: {walker.trouble}"
             return
+        if self._tipped and plan.step != walker.step:
+            self._refused = f"plan of step {plan.step} refused: {self._tipped}"
+            return
         revises = plan.step == walker.step
         body, feet = (walker.body_ref, walker.feet_odom) if revises else walker.stance_at_end
         self._refused = self._guard.untimely(plan, now_ns, walker.step, walker.resting, walker.swing)
@@ -264,7 +285,7 @@ class Actuator:
             if self._mode is Mode.STAND:  # a fault that came meanwhile stays one
                 self._mode, self._reason = Mode.HOLD, "standing"
         elif self._walker.resting and self._mode is Mode.WALK:
-            ended = self._walker.trouble or "the last accepted step is finished and no new plan came"
+            ended = self._tipped or self._walker.trouble or "the last accepted step is finished and no new plan came"
             self._mode, self._reason = Mode.HOLD, ended
 
     def _note_findings(self, now_ns: int) -> None:
@@ -353,7 +374,7 @@ class Actuator:
             T_world_odom=self._T_world_odom.copy(),
             voltage=_known(np.fmin.reduce(self._voltage)),
             temperature=_known(np.fmax.reduce(self._temperature)),
-            warnings=tuple(w for w in (self._warning, self._slipping()) if w),
+            warnings=tuple(w for w in (self._warning, self._slipping(), self._imu_problem) if w),
             touch_ns=self._touch_ns.copy(),
             touch=self._touch.copy(),
             touch_carries=self._touch_carries.copy(),

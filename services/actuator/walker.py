@@ -234,6 +234,18 @@ class Walker:
             )
         )
 
+    def turn(self, T: Array) -> None:
+        """Turn the ground in {odom} by a transform (4, 4) about the body, feet and touchdowns with it.
+
+        Where the body should be stays as it is, so the feet bring it there.
+        """
+        T_cmd = inverse(self._T_odom_cmd) @ T @ self._T_odom_cmd
+        self._ground = apply(T, np.column_stack([self.feet_odom[:, :2], self._ground]))[:, 2]
+        self._feet, self._met = apply(T_cmd, self._feet), apply(T_cmd, self._met)
+        self._plan, self._next = (plan and _turned(plan, T) for plan in (self._plan, self._next))
+        if self._way_back is not None:
+            self._way_back = replace(self._way_back, touchdown=apply(T_cmd, self._way_back.touchdown))
+
     def halt(self) -> None:
         """Forget the plan that waits; the running step is finished, then the robot holds."""
         self._next = None
@@ -412,6 +424,11 @@ class Walker:
         level = rotation_from_rpy(self._ref[3:] * _LEVEL)
         feet = apply(inverse(_pose(self._ref + self._correction)), self._feet)
         return Targets(feet, self._share.copy(), level)
+
+
+def _turned(plan: StepPlan, T: Array) -> StepPlan:
+    """A plan whose touchdowns have turned by T (4, 4) {odom}."""
+    return replace(plan, touchdown=apply(plan.T_world_odom @ T @ inverse(plan.T_world_odom), plan.touchdown))
 
 
 def _names(legs: NDArray[np.bool_]) -> str:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from services.actuator.odometry import LegOdometry
-from shared.geometry import Array, apply, exp_so3, from_xyz_rpy, inverse, skew
+from shared.geometry import Array, apply, exp_so3, from_xyz_rpy, inverse, skew, transform
 from shared.kinematics import body_inverse, leg_points
 from shared.robot import Foot, RobotProfile, load_profile
 
@@ -173,3 +173,16 @@ def test_a_foot_that_slips_is_noticed_and_the_others_are_not_blamed() -> None:
     assert odometry.slip.argmax() == 2
     assert odometry.slip[2] > 0.012
     assert np.delete(odometry.slip, 2).max() < 0.01
+
+
+def test_when_its_frame_turns_body_and_feet_turn_and_nothing_has_moved() -> None:
+    T, feet = START, apply(START, PROFILE.rest_feet())
+    odometry = LegOdometry(PROFILE, standing_joints(PROFILE, T, feet), T)
+    R = exp_so3(np.array([0.05, -0.08, 0.0]))
+    turn = transform(R, T[:3, 3] - R @ T[:3, 3])
+    odometry.turn(turn)
+    feet = apply(turn, feet)
+    found = odometry.update(standing_joints(PROFILE, turn @ T, feet), ALL, feet[:, 2])
+    np.testing.assert_allclose(found, turn @ T, atol=1e-9)
+    assert odometry.slip.max() < 1e-9
+    assert odometry.travelled < 1e-9

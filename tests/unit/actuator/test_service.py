@@ -12,9 +12,9 @@ from services.simulator.bus import MemoryPort, ServoBusEmulator
 from services.simulator.servos import ServoBank
 from shared import codec, topics
 from shared import dynamixel as dxl
-from shared.geometry import Array, apply, from_xyz_rpy, inverse
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_from_rpy
 from shared.kinematics import body_forward, body_inverse, joint_torques
-from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StepPlan, Tick
+from shared.messages import ActuatorState, Imu, Message, Mode, ModeCommand, Odometry, StepPlan, Tick
 from shared.robot import load_profile
 from shared.service import Inbox
 
@@ -399,3 +399,60 @@ def test_a_plan_that_comes_while_a_foot_looks_for_ground_is_refused_with_that_re
         assert rig.now_ns < 10_000_000_000
     rig.hear(rig.plan(rig.state))
     assert "no ground under" in rig.cycle(2).refused
+
+
+def felt_by(rig: Rig, R_level_ground: Array) -> Array:
+    """Up {body} of a robot that stands with six feet on a plane."""
+    feet = body_forward(PROFILE, rig.goals)
+    ahead, aside, _ = np.linalg.lstsq(np.column_stack([feet[:, :2], np.ones(6)]), feet[:, 2], rcond=None)[0]
+    normal = np.array([-ahead, -aside, 1.0]) / np.linalg.norm([ahead, aside, 1.0])
+    x = np.array([normal[2], 0.0, -normal[0]]) / np.hypot(normal[0], normal[2])
+    R_ground_body = np.array([x, np.cross(normal, x), normal])
+    return np.asarray((R_level_ground @ R_ground_body)[2])
+
+
+def listen(rig: Rig, up: Array) -> ActuatorState:
+    """A cycle in which an inertial sensor says where up is (3,) {body}."""
+    rig.hear(Imu(rig.now_ns, np.zeros(3), 9.81 * up))
+    return rig.cycle()
+
+
+@pytest.mark.parametrize("slope", [(4.0, 0.0), (0.0, -5.0), (3.0, 3.0)])
+def test_on_a_slope_the_body_is_level_where_a_sensor_says_so(slope: tuple[float, float]) -> None:
+    rig, R = Rig(), rotation_from_rpy(np.radians([*slope, 0.0]))
+    rig.walking()
+    tilted = np.degrees(np.arccos(felt_by(rig, R)[2]))
+    for _ in range(900):
+        state = listen(rig, felt_by(rig, R))
+    up = felt_by(rig, R)
+    assert tilted > 3.5
+    assert np.degrees(np.arccos(up[2])) < 1.0
+    np.testing.assert_allclose(state.T_odom_body[2, :3], up, atol=np.radians(1.0))
+    assert rig.state is not None
+    assert rig.state.warnings == ()
+    later = rig.cycle(20)
+    assert any("no word from the IMU" in warning for warning in later.warnings)
+    np.testing.assert_allclose(later.T_odom_body[2, :3], up, atol=np.radians(1.0))
+
+
+def test_a_robot_that_tips_over_finishes_its_step_stops_and_says_so() -> None:
+    rig, upright = Rig(), np.array([0.0, 0.0, 1.0])
+    state = rig.walking()
+    for _ in range(500):
+        state = listen(rig, upright)
+    rig.hear(rig.plan(state))
+    for _ in range(10):
+        state = listen(rig, upright)
+    assert state.mode is Mode.WALK
+    for tilt in np.radians(np.arange(0.0, 35.0, 2.5)):
+        rig.hear(Imu(rig.now_ns, np.array([np.radians(125.0), 0.0, 0.0]), 9.81 * rotation_from_rpy((tilt, 0.0, 0.0))[2]))
+        state = rig.cycle()
+    running = state.step
+    while state.mode is Mode.WALK:
+        state = listen(rig, rotation_from_rpy((np.radians(35.0), 0.0, 0.0))[2])
+    assert state.mode is Mode.HOLD
+    assert state.step == running
+    assert "off what is commanded, by the IMU" in state.reason
+    rig.hear(rig.plan(state))
+    assert "by the IMU" in rig.cycle().refused
+    assert rig.torque

@@ -425,3 +425,30 @@ def test_without_ground_the_step_is_taken_back(leg: int) -> None:
     assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
     assert min(t.feet[leg, 2] for t in targets) > REST[leg, 2] - 0.06, "it reaches down no further"
     np.testing.assert_array_equal(targets[-1].share, np.ones(6))
+
+
+@pytest.mark.parametrize("at", [0.0, 0.2, 0.7])
+def test_when_the_ground_turns_feet_stand_and_land_on_it_and_the_body_goes_where_it_went(at: float) -> None:
+    """Once before the step and once in the middle of it, the waiting step's touchdowns, too."""
+    walker, plans = new_walker(), [plan_to(1, body_at(0.03)), plan_to(2, body_at(0.06), stop=True)]
+    walker.accept(plans[0])
+    while walker.phase < at or walker.resting:
+        cycle(walker)
+    if at > 0.5:
+        walker.accept(plans.pop())
+    turn = from_xyz_rpy((0.0, 0.0, 0.0), (0.03, -0.05, 0.0))
+    body, stance = walker.body_ref, walker.stance_at_end
+    standing = ~walker.swing
+    feet, ground = walker.feet_odom, walker.ground
+    walker.turn(turn)
+    np.testing.assert_allclose(walker.body_ref, body, atol=1e-12)
+    np.testing.assert_allclose(walker.feet_odom, apply(turn, feet), atol=1e-12)
+    np.testing.assert_allclose(walker.stance_at_end[1], apply(turn, stance[1]), atol=1e-12)
+    on_ground = apply(turn, np.column_stack([feet[:, :2], ground]))
+    np.testing.assert_allclose(walker.ground[standing], on_ground[standing, 2], atol=1e-12)
+    targets, _ = walk(walker, [])
+    assert largest_jump(targets) < 0.02
+    last = plan_to(2, body_at(0.06)) if at > 0.5 else plans[0]
+    np.testing.assert_allclose(walker.body_ref[:3, :3], last.body_goal[:3, :3], atol=1e-9)
+    landed = apply(turn, last.touchdown)
+    np.testing.assert_allclose(walker.feet_odom[last.swing], landed[last.swing], atol=2e-3)

@@ -46,7 +46,7 @@ def test_large_frames_stay_off_the_control_lane(topic: Topic[messages.Message]) 
 
 
 def test_what_counts_once_is_delivered_every_time() -> None:
-    for topic in (topics.MODE, topics.STEP_PLAN, topics.ODOMETRY, topics.HEALTH):
+    for topic in (topics.MODE, topics.STEP_PLAN, topics.ODOMETRY, topics.IMU, topics.HEALTH):
         assert topic.delivery is Delivery.EVERY
 
 

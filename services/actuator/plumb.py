@@ -1,0 +1,87 @@
+"""The plumb line of {odom}, which by legs alone is as level as the ground under the feet was believed to be.
+
+The legs see every motion at once, and nothing of where down is; an inertial sensor sees that, to within what it is off itself.
+So {odom} turns slowly about the body, as far as the sensor is sure, and what is held level in it is held level against gravity.
+"""
+
+import math
+
+import numpy as np
+
+from services.actuator.attitude import Attitude, AttitudeEstimator
+from shared.geometry import Array, exp_so3, transform
+from shared.messages import Imu
+
+TIPPED = np.radians(20.0)  # of the body against what is commanded, from which a robot must not go on
+_GAP_NS = 100_000_000  # [ns] without a reading from which nothing is known of how the body turned meanwhile
+_OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a reading may be late; further back it is of another clock
+_SURE = np.radians(3.0)  # of doubt up to which a sensor has a say
+_RATE, _FASTEST = 0.5, np.radians(3.0)  # [1/s] at which {odom} turns, and [rad/s] at most
+
+
+class Plumb:
+    """Follows an inertial sensor's readings, and says by how much {odom} leans."""
+
+    def __init__(self) -> None:
+        """Begin without a reading."""
+        self._estimator = AttitudeEstimator()
+        self._attitude: Attitude | None = None
+        self._stamp_ns = -1  # of the newest reading
+        self._heard_ns = -1  # when it came
+
+    def take(self, reading: Imu, now_ns: int) -> None:
+        """Take in a reading [ns] when it comes; one that was overtaken says nothing, and after a gap all begins anew."""
+        since_ns = reading.stamp_ns - self._stamp_ns if self._attitude is not None else 1
+        if -_OTHER_CLOCK_NS < since_ns <= 0:
+            return
+        if not 0 < since_ns <= _GAP_NS:
+            self._estimator = AttitudeEstimator(self._estimator.bias)
+        self._stamp_ns, self._heard_ns = reading.stamp_ns, now_ns
+        self._attitude = self._estimator.update(reading.gyro, reading.specific_force, max(since_ns, 1) * 1e-9)
+
+    def attitude(self, now_ns: int) -> Attitude | None:
+        """How the body lies; None while no reading comes, or none that can be relied upon."""
+        found = self._attitude
+        return None if found is None or found.doubt > _SURE or now_ns - self._heard_ns > _GAP_NS else found
+
+    def problem(self, now_ns: int) -> str:
+        """Why a sensor that was heard is not heeded, in words, or nothing."""
+        if self._attitude is None or self.attitude(now_ns) is not None:
+            return ""
+        silence_s = (now_ns - self._heard_ns) * 1e-9
+        if silence_s > _GAP_NS * 1e-9:
+            return f"no word from the IMU for {silence_s:.1f} s; level is what the feet say"
+        return f"the IMU's up is sure to {math.degrees(self._attitude.doubt):.0f} deg only; level is what the feet say"
+
+    def turn(self, T_odom_body: Array, now_ns: int, dt: float) -> Array | None:
+        """The turn (4, 4) of {odom} about the body that makes it a little more level, or None where nothing is to be done.
+
+        Args:
+            T_odom_body: (4, 4) where the body is by the legs.
+            now_ns: [ns] the time.
+            dt: [s] since this was last asked.
+        """
+        found = self.attitude(now_ns)
+        if found is None:
+            return None
+        x, y, z = (T_odom_body[:3, :3] @ found.up).tolist()  # up as {odom} has it
+        sine = math.hypot(x, y)
+        lean = math.atan2(sine, z)
+        beyond = lean - found.doubt
+        if beyond <= 0.0 or sine < 1e-9:
+            return None
+        angle = dt * min(_RATE * beyond, _FASTEST)
+        R = exp_so3(np.array([y, -x, 0.0]) * (angle / sine))
+        place = T_odom_body[:3, 3]
+        return transform(R, place - R @ place)
+
+    def tipped(self, T_odom_commanded: Array, now_ns: int) -> str:
+        """That the body leans too far against a commanded pose (4, 4), in words, or nothing."""
+        found = self.attitude(now_ns)
+        if found is None:
+            return ""
+        off = math.acos(min(max(float(found.up @ T_odom_commanded[2, :3]), -1.0), 1.0))
+        if off - found.doubt <= TIPPED:
+            return ""
+        most = f"at most {math.degrees(TIPPED):.0f} deg allowed"
+        return f"the body leans {math.degrees(off):.0f} deg off what is commanded, by the IMU; {most}"

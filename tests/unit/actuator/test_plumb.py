@@ -1,0 +1,106 @@
+"""The tilt of {odom} by an inertial sensor: it goes away, about the body, and nothing else moves; nonsense is not heeded."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.actuator.plumb import Plumb
+from shared.geometry import Array, from_xyz_rpy, is_rigid, log_so3, rotation_from_rpy, yaw_of
+from shared.messages import Imu
+
+G = np.array([0.0, 0.0, 9.81])
+MS = 1_000_000
+WILD = settings(max_examples=8, deadline=None)
+
+leans = st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
+
+
+def told(R_level_body: Array, for_s: float = 15.0) -> tuple[Plumb, int]:
+    """One that has heard a body at rest for a while, and the time [ns]."""
+    plumb, now_ns = Plumb(), 0
+    for now_ns in range(0, round(for_s * 1e9), 20 * MS):
+        plumb.take(Imu(now_ns, np.zeros(3), R_level_body.T @ G), now_ns)
+    return plumb, now_ns
+
+
+def lean(T: Array) -> float:
+    return float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
+
+
+@WILD
+@given(leans, st.floats(-3.0, 3.0), st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)))
+def test_the_legs_frame_becomes_level_about_the_body(tilt: tuple[float, float], yaw: float, at: tuple[float, float]) -> None:
+    """The body is level, and the legs say that it leans."""
+    plumb, now_ns = told(np.eye(3))
+    T = from_xyz_rpy([*at, 0.1], [*tilt, yaw])
+    place, before = T[:3, 3].copy(), lean(T)
+    for _ in range(2000):
+        turn = plumb.turn(T, now_ns, 0.02)
+        if turn is None:
+            break
+        assert is_rigid(turn)
+        assert abs(log_so3(turn[:3, :3])[2]) < 1e-9, "about a level axis"
+        T = turn @ T
+        assert lean(T) <= before + 1e-9
+        before = lean(T)
+    np.testing.assert_allclose(T[:3, 3], place, atol=1e-9)
+    assert lean(T) < np.radians(0.7)
+    assert abs(np.sin(yaw_of(T) - yaw)) < 0.05
+
+
+def test_what_the_sensor_is_not_sure_of_is_left_to_the_legs() -> None:
+    plumb, now_ns = told(np.eye(3))
+    assert plumb.turn(from_xyz_rpy(np.zeros(3), (np.radians(0.3), 0.0, 0.0)), now_ns, 0.02) is None
+    assert plumb.turn(from_xyz_rpy(np.zeros(3), (np.radians(2.0), 0.0, 0.0)), now_ns, 0.02) is not None
+
+
+def test_without_a_sensor_nothing_is_said() -> None:
+    plumb, leaning = Plumb(), from_xyz_rpy(np.zeros(3), (0.5, 0.0, 0.0))
+    assert plumb.turn(leaning, 0, 0.02) is None
+    assert plumb.tipped(leaning, 0) == ""
+    assert plumb.problem(0) == ""
+
+
+@pytest.mark.parametrize(("off_deg", "said"), [(15.0, False), (25.0, True), (180.0, True)])
+def test_a_body_that_tips_over_is_told(off_deg: float, said: bool) -> None:
+    plumb, now_ns = told(rotation_from_rpy((np.radians(off_deg), 0.0, 0.0)))
+    words = plumb.tipped(np.eye(4), now_ns)
+    assert bool(words) == said
+    assert not said or f"{off_deg:.0f} deg off" in words
+
+
+def test_a_sensor_that_falls_silent_has_no_say() -> None:
+    plumb, now_ns = told(rotation_from_rpy((0.6, 0.0, 0.0)))
+    later_ns = now_ns + 500 * MS
+    assert plumb.attitude(now_ns) is not None
+    assert plumb.attitude(later_ns) is None
+    assert plumb.tipped(np.eye(4), later_ns) == ""
+    assert "no word from the IMU for 0.5 s" in plumb.problem(later_ns)
+
+
+def test_after_a_gap_it_has_to_become_sure_again() -> None:
+    plumb, now_ns = told(np.eye(3))
+    later_ns = now_ns + 500 * MS
+    plumb.take(Imu(later_ns, np.zeros(3), G), later_ns)
+    assert plumb.attitude(later_ns) is None
+    assert "sure to" in plumb.problem(later_ns)
+
+
+def test_a_reading_that_was_overtaken_says_nothing() -> None:
+    plumb, now_ns = told(np.eye(3))
+    before = plumb.attitude(now_ns)
+    assert before is not None
+    plumb.take(Imu(now_ns - 50 * MS, np.ones(3), np.ones(3)), now_ns)
+    after = plumb.attitude(now_ns)
+    assert after is not None
+    np.testing.assert_array_equal(after.up, before.up)
+    assert after.doubt == before.doubt
+
+
+def test_a_sensor_that_counts_in_g_is_not_heeded_and_that_is_said() -> None:
+    plumb, now_ns = Plumb(), 0
+    for now_ns in range(0, 5_000 * MS, 10 * MS):
+        plumb.take(Imu(now_ns, np.zeros(3), np.array([0.0, 0.0, 1.0])), now_ns)
+    assert plumb.turn(from_xyz_rpy(np.zeros(3), (0.1, 0.0, 0.0)), now_ns, 0.02) is None
+    assert "sure to" in plumb.problem(now_ns)
