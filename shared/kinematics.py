@@ -176,19 +176,32 @@ def nearest_reachable(profile: RobotProfile, feet_body: Array) -> Array:
 
     Source: Masri 2016, section 5.4: the nearest reachable position in place of a point that is not.
     """
-    links, T = profile.links, profile.T_coxa_body
+    T = profile.T_coxa_body
     p = (T[:, :3, :3] @ feet_body[:, :, None])[..., 0] + T[:, :3, 3]
-    horizontal = np.maximum(np.hypot(p[:, 0], p[:, 1]), 1e-6)
-    r, z = horizontal - links.coxa, p[:, 2]
+    moved = leg_nearest_reachable(p, profile.leg_reach, profile.links)
+    return feet_body if moved is p else np.where((moved != p).any(axis=1)[:, None], _to_body(profile, moved), feet_body)
+
+
+def leg_nearest_reachable(p: Array, reach: Array, links: LegLinks) -> Array:
+    """Feet (..., 3) [m] {coxa} as `nearest_reachable` moves them; the same array where all stay.
+
+    Args:
+        p: (..., 3) [m] {coxa} wanted foot centres.
+        reach: (..., 2) [m] shortest and longest way from the femur's axis to the foot.
+        links: Coxa, femur and tibia lengths [m].
+    """
+    horizontal = np.maximum(np.hypot(p[..., 0], p[..., 1]), 1e-6)
+    r, z = horizontal - links.coxa, p[..., 2]
     d = np.hypot(r, z)
-    shortest, longest = profile.leg_reach.T
+    shortest, longest = reach[..., 0], reach[..., 1]
     near, far = d < shortest + _REACH_MARGIN, d > longest - _REACH_MARGIN
     if not (near | far).any():
-        return feet_body
+        return p
     scale = np.where(far, (longest - _REACH_MARGIN) / np.maximum(d, 1e-6), 1.0)
     r_new = np.where(near, np.sqrt(np.maximum((shortest + _REACH_MARGIN) ** 2 - z**2, 0.0)), r * scale)
-    moved = np.column_stack([p[:, :2] * ((links.coxa + r_new) / horizontal)[:, None], z * scale])
-    return np.where((near | far)[:, None], _to_body(profile, moved), feet_body)
+    outward = ((links.coxa + r_new) / horizontal)[..., None]
+    moved = np.concatenate([p[..., :2] * outward, (z * scale)[..., None]], axis=-1)
+    return np.where((near | far)[..., None], moved, p)
 
 
 def body_forward(profile: RobotProfile, q: Array) -> Array:

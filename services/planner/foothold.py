@@ -97,7 +97,7 @@ def _search(
             "too steep or too near an edge": int((rough & (hazards == 0)).sum()),
             **{name: int((hazards == number).sum()) for number, name in enumerate(HAZARDS) if number},
             "too near another foot": int((near & ~unknown & ~rough).sum()),
-            "out of reach": len(points),
+            "out of reach or too tight for the leg": len(points),
         }
     )
     words = ", ".join(f"{n} {what}" for what, n in counts.most_common() if n)

@@ -10,6 +10,7 @@ from services.planner.body import clear_of_ground, floor_height, leaning, slope_
 from services.planner.config import Settings
 from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
 from services.planner.gait import GAITS, carried_on, directions, nominal_touchdowns, swing_order
+from services.planner.leg_clearance import Touching, Way, cleared, stands_clear
 from services.planner.terrain import NONE, Terrain
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from shared.kinematics import body_inverse, leg_inverse, within_limits
@@ -181,6 +182,11 @@ class StridePlanner:
         if len(too_high):
             leg = int(too_high[0])
             return Blocked(f"{LEGS[leg]} leg: something on its way asks for {clearance[leg] * 100:.0f} cm of lift", leg)
+        way = Way(at.feet, touchdown, at.T_world_body, T_end, at.swing)
+        lifted = cleared(way, clearance, settings.leg_margin, self._profile.stance.max_lift, self._profile, terrain)
+        if isinstance(lifted, Touching):
+            return Blocked(lifted.reason, lifted.leg)
+        clearance = lifted
         clearance = np.where(at.swing, clearance, settings.path_margin)
         duration = max(self.duration(at.command), self._time_to_swing(at.feet, touchdown, clearance)[at.swing].max())
         return Stride(at.swing, touchdown, nominal, clearance, T_end, at.feet, moved, share, duration)
@@ -258,7 +264,8 @@ class StridePlanner:
         def reachable(points: Array) -> NDArray[np.bool_]:
             at = points + self._foot_up
             above = at + _DESCENT  # a folded leg comes down further out
-            return self._reaches(leg, (above, T_end), (at, T_end), *([(at, T_after)] if T_after is not T_end else []))
+            reached = self._reaches(leg, (above, T_end), (at, T_end), *([(at, T_after)] if T_after is not T_end else []))
+            return reached & stands_clear(leg, at, T_end, self._settings.leg_margin, self._profile, terrain)
 
         if terrain.map.resolution != self._offsets_resolution:
             self._offsets_resolution = terrain.map.resolution

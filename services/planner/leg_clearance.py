@@ -1,0 +1,146 @@
+"""Whether the whole of each leg, not its foot alone, stays clear of the ground that is known while a step is walked.
+
+Where a link would come too near, the foot is lifted higher, and so are knee and shank; where no lift helps there is no such
+step. Ground that has not been seen stands in nobody's way, and what a leg is too near to before the step cannot be helped.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.planner.terrain import Terrain
+from shared.geometry import Array
+from shared.kinematics import leg_inverse, leg_nearest_reachable
+from shared.robot import LEGS, LegLinks, RobotProfile
+
+# A swing as it is checked, at shares of its time: it passes below that of the feet.
+_TIME = np.array([0.0, 0.15, 0.32, 0.42, 0.50, 0.57, 0.68, 0.83, 1.0])
+_ALONG = np.array([0.0, 0.08, 0.25, 0.40, 0.50, 0.62, 0.75, 0.90, 1.0])  # share of the way over the ground
+_RISEN = np.array([0.0, 0.40, 0.90, 1.0, 1.0, 0.95, 0.85, 0.50, 0.0])  # share of the height over start, then over touchdown
+_LEVEL = 0.8  # of the clearance, over the higher end: there it flies
+_LIFTS = 4  # that are tried, up to the highest
+
+# Samples of a leg: shares of its femur, then of its tibia. What is nearer to the foot is judged as the foot's place.
+_FEMUR = np.array([0.4, 0.7, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+_TIBIA = np.array([0.0, 0.0, 0.0, 0.17, 0.34, 0.51, 0.68, 0.85])
+_WORSE = 0.01  # [m] by which a leg may come nearer to what it is too near to already
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """What legs and body do in a step."""
+
+    start: Array  # (6, 3) [m] {world} foot centres
+    end: Array  # (6, 3) [m] {world} likewise; a standing foot's is its start
+    T_start: Array  # (4, 4) body {world}
+    T_end: Array  # (4, 4)
+    swing: NDArray[np.bool_]  # (6,)
+
+
+@dataclass(frozen=True, slots=True)
+class Touching:
+    """A link that would touch the ground."""
+
+    leg: int
+    reason: str
+
+
+def cleared(
+    way: Way, clearance: Array, margin: float, highest: float, profile: RobotProfile, terrain: Terrain
+) -> Array | Touching:
+    """The clearances (6,) [m] by which the feet must pass over both ends so that the legs keep a margin to the ground.
+
+    Args:
+        way: The step.
+        clearance: (6,) [m] that the feet's own ways ask for.
+        margin: [m] of the links' middle lines over the ground.
+        highest: [m] of clearance that a leg can lift its foot by.
+        profile: The robot.
+        terrain: The map.
+    """
+    bad, gaps, points = _too_near(way, clearance, margin, profile, terrain)
+    if not bad.any():
+        return clearance
+    out = clearance.copy()
+    for lift in np.linspace(0.0, 1.0, _LIFTS + 1)[1:]:
+        legs = way.swing & bad.any(axis=(0, 2))
+        if not legs.any():
+            break
+        out[legs] = clearance[legs] + lift * np.maximum(highest - clearance[legs], 0.0)
+        bad, gaps, points = _too_near(way, out, margin, profile, terrain)
+    if not bad.any():
+        return out
+    worst = np.unravel_index(int(np.argmin(np.where(bad, gaps, np.inf))), bad.shape)
+    _, leg, sample = (int(i) for i in worst)
+    link = "tibia" if _TIBIA[sample] else "femur"
+    x, y, _ = points[worst]
+    return Touching(leg, f"{LEGS[leg]} leg: its {link} would touch the ground at ({x:.2f}, {y:.2f}) m")
+
+
+def stands_clear(
+    leg: int, feet: Array, T_world_body: Array, margin: float, profile: RobotProfile, terrain: Terrain
+) -> NDArray[np.bool_]:
+    """With which (n,) of foot centres (n, 3) [m] {world} one leg keeps a margin [m] to the ground, the body at (4, 4)."""
+    T = T_world_body @ profile.T_body_coxa[leg]
+    gaps, _ = _gaps(feet, T, profile.leg_reach[leg], profile.links, terrain)
+    return np.asarray((gaps >= margin).all(axis=-1))
+
+
+def swing_shape(start: Array, end: Array, clearance: Array) -> Array:
+    """Where feet pass at least, at `_TIME`: up beside the start, over both ends at a share of the clearance, and down.
+
+    Args:
+        start: (n, 3) [m] foot centres.
+        end: (n, 3) [m] likewise.
+        clearance: (n,) [m] over the higher end.
+
+    Returns:
+        (9, n, 3) [m].
+    """
+    level = np.maximum(start[:, 2], end[:, 2]) + _LEVEL * clearance
+    feet = start + _ALONG[:, None, None] * (end - start)
+    lower = np.where(_TIME[:, None] < 0.5, start[:, 2], end[:, 2])
+    feet[..., 2] = lower + _RISEN[:, None] * (level - lower)
+    return feet
+
+
+def links_at(q: Array, links: LegLinks) -> Array:
+    """Samples (..., 8, 3) [m] {coxa} along a leg's femur and tibia at joint angles q (..., 3) [rad]."""
+    femur, shank = q[..., 1:2], q[..., 1:2] + q[..., 2:3]
+    along, beyond = links.femur * _FEMUR, links.tibia * _TIBIA
+    reach = links.coxa + np.cos(femur) * along + np.cos(shank) * beyond
+    return np.stack(
+        [np.cos(q[..., :1]) * reach, np.sin(q[..., :1]) * reach, np.sin(femur) * along + np.sin(shank) * beyond], axis=-1
+    )
+
+
+def _too_near(
+    way: Way, clearance: Array, margin: float, profile: RobotProfile, terrain: Terrain
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Where links come nearer to the ground than a margin, or than they are to begin with: (9, 6, 8), with gaps and places."""
+    feet = np.where(way.swing[:, None], swing_shape(way.start, way.end, clearance), way.start)
+    # The body turns by a few degrees in a step: between two poses so near their mean is one, too.
+    T = way.T_start + _TIME[:, None, None] * (way.T_end - way.T_start)
+    gaps, points = _gaps(feet, T[:, None] @ profile.T_body_coxa, profile.leg_reach, profile.links, terrain)
+    return gaps < np.minimum(margin, gaps[0].min(axis=-1, keepdims=True) - _WORSE), gaps, points
+
+
+def _gaps(feet: Array, T_world_coxa: Array, reach: Array, links: LegLinks, terrain: Terrain) -> tuple[Array, Array]:
+    """How high (..., 8) [m] a leg's samples are over the ground, infinite where that is unknown, and where they are.
+
+    Args:
+        feet: (..., 3) [m] {world} foot centres.
+        T_world_coxa: (..., 4, 4) of the legs.
+        reach: (..., 2) [m] shortest and longest way from the femur's axis to the foot.
+        links: Coxa, femur and tibia lengths [m].
+        terrain: The map.
+    """
+    R, p = T_world_coxa[..., :3, :3], T_world_coxa[..., :3, 3]
+    feet_coxa = ((feet - p)[..., None, :] @ R)[..., 0, :]
+    q = leg_inverse(leg_nearest_reachable(feet_coxa, reach, links), links)
+    points = links_at(q, links) @ R.mT + p[..., None, :]
+    known = np.isfinite(points[..., 0])
+    ground = terrain.heights(np.where(known[..., None], points[..., :2], 0.0))
+    known &= np.isfinite(ground)
+    return np.where(known, points[..., 2] - np.where(known, ground, 0.0), np.inf), points
