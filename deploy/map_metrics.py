@@ -45,10 +45,9 @@ class Mosaic:
         shape = self.elevation.shape
         seen = np.zeros(shape, dtype=bool)
         for depth, T in views:
-            inside = np.zeros(depth.shape, dtype=bool)
             few = depth[::_SAMPLED, ::_SAMPLED]
-            inside[::_SAMPLED, ::_SAMPLED] = (few >= camera.sensor.min_range) & (few <= camera.sensor.max_range)
-            points = apply(T, camera.intrinsics.points(np.where(inside, depth, 1.0))[inside])
+            v, u = np.nonzero((few >= camera.sensor.min_range) & (few <= camera.sensor.max_range))
+            points = apply(T, camera.intrinsics.points_of(_SAMPLED * u, _SAMPLED * v, few[v, u]))
             points = points[np.linalg.norm(points[:, :2] - T[:2, 3], axis=1) <= _SEEN_RANGE]
             i, j = np.round((points[:, :2] - self.origin) / self.resolution).astype(int).T
             on_map = (i >= 0) & (j >= 0) & (i < shape[0]) & (j < shape[1])

@@ -44,9 +44,12 @@ class Intrinsics:
         """Points (h, w, 3) [m] {camera} of a depth image (h, w) [m]; NaN stays NaN (Lotriet 2024, eq. 4.6-4.8)."""
         if depth.shape != (self.height, self.width):
             raise ValueError(f"depth image {(self.height, self.width)} expected, found {depth.shape}")
-        u = (np.arange(self.width) - self.cx) / self.fx
-        v = (np.arange(self.height) - self.cy) / self.fy
-        return np.stack([depth * u, depth * v[:, None], depth], axis=-1)
+        return self.points_of(np.arange(self.width), np.arange(self.height)[:, None], depth)
+
+    def points_of(self, u: NDArray[np.integer], v: NDArray[np.integer], depth: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Points (..., 3) [m] {camera} of pixels u, v (...) of a depth (...) [m]."""
+        x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        return np.stack([depth * x, depth * y, depth], axis=-1, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)

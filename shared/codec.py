@@ -33,6 +33,7 @@ _PREFIX = struct.Struct("<I")
 _ALIGNMENT = 8
 _MAX_HEADER = 1 << 20  # [bytes]
 _INTEGER = frozenset([int])  # and not bool
+_HEADER = [str, int, int, list]
 _FEW = 256  # bytes: up to there an array is not worth making
 _TRUTH_VALUES = b"\0\1"
 _MAX_UNPACKED = 1 << 24  # [bytes] of a packed array
@@ -169,11 +170,10 @@ def _unpack_header(header: bytes, kind: type[Message]) -> tuple[str, int, int, l
         )
     except (ValueError, msgpack.UnpackException, RecursionError) as error:
         raise DecodeError(f"{kind.__name__}: header is not msgpack: {type(error).__name__}") from None
-    match unpacked:
-        case [str(found), int(began_ns), int(sent_ns), list(values)] if bool not in (type(began_ns), type(sent_ns)):
-            return found, began_ns, sent_ns, values
-        case _:
-            raise DecodeError(f"{kind.__name__}: header of schema, two times and fields expected")
+    if type(unpacked) is not list or [*map(type, unpacked)] != _HEADER:  # matching a pattern costs as much as unpacking
+        raise DecodeError(f"{kind.__name__}: header of schema, two times and fields expected")
+    found, began_ns, sent_ns, values = unpacked
+    return found, began_ns, sent_ns, values
 
 
 def _value_decoder(where: str, base: Any) -> _FieldDecoder:
@@ -256,7 +256,7 @@ def _packed(array: NDArray[Any]) -> bytes:
     steps.T[:] = array.reshape(steps.shape[::-1])
     steps[:, 1:] -= steps[:, :-1].copy()  # whole numbers wrap around, and back
     signed = steps.view(f"i{array.itemsize}")
-    numbers = (signed << 1) ^ (signed >> (8 * array.itemsize - 1))  # 0, -1, 1, -2, 2 ... become 0, 1, 2, 3, 4
+    numbers = (signed + signed) ^ (signed >> (8 * array.itemsize - 1))  # 0, -1, 1, -2, 2 ... become 0, 1, 2, 3, 4
     return _compress(numbers.view(np.uint8).reshape(numbers.size, array.itemsize).T.tobytes())
 
 
@@ -269,11 +269,15 @@ def _unpacked(where: str, data: bytes, shape: tuple[int, ...], dtype: np.dtype[A
         raise DecodeError(f"{where}: not a packed array") from None
     if len(planes) != size:
         raise DecodeError(f"{where}: {size} bytes expected when unpacked, found {len(planes)}")
-    numbers = np.zeros(size // dtype.itemsize, dtype=f"u{dtype.itemsize}")
-    for k, plane in enumerate(planes.reshape(dtype.itemsize, numbers.size)):
+    lowest, *others = planes.reshape(dtype.itemsize, size // dtype.itemsize)
+    numbers = lowest.astype(f"u{dtype.itemsize}")
+    for k, plane in enumerate(others, 1):
         numbers |= plane.astype(numbers.dtype) << (8 * k)
     steps = ((numbers >> 1) ^ -(numbers & 1)).view(dtype).reshape(prod(shape[1:]), shape[0])
-    out: NDArray[Any] = np.ascontiguousarray(np.cumsum(steps, axis=1, dtype=dtype).T).reshape(shape)
+    out: NDArray[Any] = np.empty((shape[0], len(steps)), dtype=dtype)
+    for column, values in enumerate(np.cumsum(steps, axis=1, dtype=dtype)):  # transposing takes several times as long
+        out[:, column] = values
+    out = out.reshape(shape)
     out.flags.writeable = False
     return out
 

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+_IDENTITY = np.eye(4)
+_FEW = 64  # points, up to which one loop over rows costs less than three over columns
 _SMALL_ANGLE = 1e-8  # [rad] below it the series replaces sin(x)/x
 
 
@@ -175,8 +177,11 @@ def quaternion_from_rotation(R: Array) -> Array:
 def transform(R: ArrayLike, p: ArrayLike) -> Array:
     """Rigid transform (..., 4, 4) of a rotation (..., 3, 3) and a translation (..., 3) [m]."""
     R, p = np.asarray(R, dtype=np.float64), np.asarray(p, dtype=np.float64)
-    single = R.ndim == 2 and p.ndim == 1
-    out = np.zeros((4, 4) if single else (*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
+    if R.ndim == 2 and p.ndim == 1:
+        one = _IDENTITY.copy()
+        one[:3, :3], one[:3, 3] = R, p
+        return one
+    out = np.zeros((*np.broadcast_shapes(R.shape[:-2], p.shape[:-1]), 4, 4))
     out[..., :3, :3] = R
     out[..., :3, 3] = p
     out[..., 3, 3] = 1.0
@@ -208,7 +213,7 @@ def inverse(T: Array) -> Array:
 
 def apply(T: Array, points: ArrayLike) -> Array:
     """Points (n, 3) [m] of one frame in the frame that a (4, 4) transform leads to; any shape (..., 3) is kept."""
-    return _offset(np.matmul(np.asarray(points, dtype=np.float64), T[:3, :3].T, dtype=np.float64), T[:3, 3])
+    return _offset(np.asarray(points, dtype=np.float64) @ T[:3, :3].T, T[:3, 3])
 
 
 def from_millimetres(points_mm: NDArray[np.integer], origin: Array) -> Array:
@@ -224,6 +229,9 @@ def to_millimetres(points: Array, origin: Array) -> NDArray[np.int16]:
 
 def _offset(points: Array, by: Array) -> Array:
     """Points (..., 3), moved in place: column by column, since NumPy's loops over rows of three are too short for vectors."""
+    if points.size <= 3 * _FEW:
+        points += by
+        return points
     for axis in range(3):
         points[..., axis] += by[axis]
     return points
