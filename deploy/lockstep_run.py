@@ -58,7 +58,7 @@ class LockstepRun:
         simulator = Simulator(profile, SimulatorSettings(seed=seed, frames_per_picture=frames_per_picture), scenario)
         makers: dict[str, Callable[[], Service]] = {
             "simulator": lambda: simulator,
-            "actuator": lambda: _actuator(profile, simulator, self.now_ns),
+            "actuator": lambda: _actuator(profile, scenario, simulator, self.now_ns),
             "perception": lambda: _perception(profile, looks, scenario, seed),
             "mapper": lambda: Mapper(profile, _map_settings(scenario)),
             "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind, footholds=scenario.walk.footholds)),
@@ -168,9 +168,9 @@ def _map_settings(scenario: Scenario) -> MapperSettings:
     return MapperSettings(scenario.map.cells, scenario.map.cells_y, scenario.map.resolution)
 
 
-def _actuator(profile: RobotProfile, simulator: Simulator, clock: Callable[[], int]) -> Actuator:
+def _actuator(profile: RobotProfile, scenario: Scenario, simulator: Simulator, clock: Callable[[], int]) -> Actuator:
     port = MemoryPort(simulator.bus, clock)
-    return Actuator(profile, ActuatorSettings(), port=port, clock=port.now_ns)
+    return Actuator(profile, ActuatorSettings(arc=scenario.walk.arc), port=port, clock=port.now_ns)
 
 
 def _outage(fault: Fault) -> Outage:

@@ -33,6 +33,7 @@ class Choices:
     bus_port: int = BUS_PORT  # TCP port of the simulated servo bus
     blind: bool = False
     footholds: str = "score"  # the map's layer that the planner walks on
+    arc: str = "flow"  # of swinging feet
     registration: str = "projective"
     pose_error: str = "none"  # of the scenario's; in simulation alone
     map: MapOptions = field(default_factory=MapOptions)
@@ -80,7 +81,8 @@ def _planner(choices: Choices) -> dict[str, Value]:
 
 
 def _actuator(choices: Choices) -> dict[str, Value]:
-    return {"port": f"socket://127.0.0.1:{choices.bus_port}"} if choices.scenario else {}
+    arc: dict[str, Value] = {} if choices.arc == "flow" else {"arc": choices.arc}
+    return {"port": f"socket://127.0.0.1:{choices.bus_port}", **arc} if choices.scenario else arc
 
 
 # A dead simulator takes its world with it, so that run has failed; every other process finds its way back from the wire.
@@ -115,6 +117,7 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
         bus_port=bus_port,
         blind=scenario.walk.blind,
         footholds=scenario.walk.footholds,
+        arc=scenario.walk.arc,
         registration=scenario.variation.registration,
         pose_error=scenario.pose_error,
         map=scenario.map,

@@ -375,6 +375,7 @@ class Walk:
     lift: float = 0.025  # [m] clearance of a swinging foot over start and touchdown; more over what the map shows
     blind: bool = False  # the baseline: the planner gets no map and walks as on flat ground
     footholds: Literal["score", "evaluation"] = "score"  # the layer of the map that says where: Lotriet's or Masri's
+    arc: Literal["flow", "sixth_order"] = "flow"  # of swinging feet: Lotriet's, or Erasmus' for reference
     by_touch: bool = False  # when the robot stands for want of sight, it is asked to go on by touch alone
 
     def __post_init__(self) -> None:

@@ -1,6 +1,7 @@
 """Settings of the actuator."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 SHORTEST_STEP_S = 0.3  # [s] shorter steps are refused
 
@@ -17,6 +18,7 @@ class Settings:
     level_gain: float = 0.5  # [1/s] of the integrator that holds height, roll and pitch
     brake_s: float = 0.10  # [s] time constant in which the body stops when no plan follows
     stand_s: float = 2.5  # [s] for standing up
+    arc: Literal["flow", "sixth_order"] = "flow"  # of swinging feet: Lotriet's, or Erasmus' for reference
     plan_age_s: float = 0.6  # [s] older plans are refused
 
     def __post_init__(self) -> None:

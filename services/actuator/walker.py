@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from services.actuator.config import Settings
 from services.actuator.feeler import Felt
+from services.actuator.sixth_order_arc import SixthOrderArc
 from services.actuator.swing import Swing
 from shared.geometry import (
     Array,
@@ -33,6 +34,7 @@ from shared.geometry import (
 from shared.messages import StepPlan
 from shared.robot import LEGS
 
+_ARCS: dict[str, type[Swing] | type[SixthOrderArc]] = {"flow": Swing, "sixth_order": SixthOrderArc}
 _LOWERING_S = 1.0  # [s]
 _FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
 _LEVEL = np.array([1.0, 1.0, 0.0])  # of x, y, z, or of roll, pitch, yaw
@@ -102,7 +104,7 @@ class Walker:
         self._next: StepPlan | None = None
         self._elapsed = 0.0
         self._start_ref, self._start_velocity = self._ref, self._velocity
-        self._flight: Swing | None = None
+        self._flight: Swing | SixthOrderArc | None = None
         self._stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swung legs that met ground before their targets
         self._met = self._feet.copy()  # (6, 3) [m] {cmd} where
         self._proven: NDArray[np.bool_] = np.ones(6, dtype=bool)  # legs that have borne something since they came down
@@ -289,7 +291,7 @@ class Walker:
             self._share[legs] = np.minimum(self._share[legs], 1.0 - self._elapsed / begin)
             return
         if self._flight is None:
-            self._flight = Swing(self._feet[legs], targets[legs], plan.clearance[legs])
+            self._flight = _ARCS[self._settings.arc](self._feet[legs], targets[legs], plan.clearance[legs])
         since, until = self._progress(plan, before), self._progress(plan, self._elapsed)
         if felt is not None and since >= _STOP_FROM:
             self._stop(legs & ~self._stopped & felt.touches, targets, felt.feet)

@@ -8,7 +8,8 @@ import pytest
 from deploy import cli
 from deploy.lockstep_run import run_lockstep
 from deploy.report import check
-from shared.scenario import load_scenario
+from shared.scenario import Walk, load_scenario
+from tests.support.walks import flat
 
 BODY_HEIGHT = 0.11  # [m] commanded
 
@@ -28,6 +29,12 @@ def test_on_flat_ground_the_body_goes_level_and_knows_where_it_is(tmp_path: Path
     assert report.pose_error_m.final <= 0.015 * report.distance_m
     assert report.distance_m >= scenario.goal.distance
     assert report.min_stability_margin_m >= 0.03
+
+
+def test_the_reference_arc_walks_too() -> None:
+    report = run_lockstep(flat(0.3, walk=Walk(arc="sixth_order")), 1000)
+    assert report.success, report.reason
+    assert (report.falls, report.shutdowns) == (0, 0)
 
 
 def test_over_low_blocks_and_two_stairs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -186,6 +186,17 @@ def test_a_revision_moves_the_touchdowns_and_nothing_else(
         np.testing.assert_allclose(revised.feet_odom[TRIPOD], wanted[TRIPOD], atol=1e-9)
 
 
+def test_feet_land_by_the_arc_that_is_chosen() -> None:
+    ways = {}
+    for arc in ("flow", "sixth_order"):
+        walker = Walker(replace(SETTINGS, arc=arc), REST.copy(), START)
+        targets, _ = walk(walker, [plan_to(1, body_at(0.05))])
+        np.testing.assert_allclose(walker.feet_odom[TRIPOD], landed(1, body_at(0.05)), atol=1e-9)
+        assert largest_jump(targets) < 0.02
+        ways[arc] = np.array([t.feet[0] for t in targets])
+    assert np.abs(ways["flow"] - ways["sixth_order"]).max() > 0.005
+
+
 def test_shares_are_shares_and_three_legs_always_carry_all() -> None:
     targets, _ = walk(new_walker(), [plan_to(n, body_at(0.05 * n)) for n in range(1, 5)], rest_s=0.2)
     shares = np.array([t.share for t in targets])

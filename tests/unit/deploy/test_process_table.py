@@ -76,7 +76,7 @@ def test_a_scenario_reaches_the_processes() -> None:
         "wild",
         (Plane(),),
         Goal(1.0),
-        walk=Walk(blind=True, footholds="evaluation"),
+        walk=Walk(blind=True, footholds="evaluation", arc="sixth_order"),
         variation=Variation(registration="kiss-icp"),
     )
     made = {
@@ -84,7 +84,7 @@ def test_a_scenario_reaches_the_processes() -> None:
         for c in commands(rows("all", True), choices(scenario, "/a/wild.toml", 7, 7450), ENDPOINTS)
     }
     assert "--set scenario=/a/wild.toml --set seed=7 --set bus_port=7450" in made["simulator"]
-    assert "--set port=socket://127.0.0.1:7450" in made["actuator"]
+    assert "--set port=socket://127.0.0.1:7450 --set arc=sixth_order" in made["actuator"]
     assert "--set method=kiss-icp" in made["perception"]
     assert "--set blind=true --set footholds=evaluation" in made["planner"]
     assert all("--connect tcp/127.0.0.1:7447 --namespace test" in line for line in made.values())
