@@ -22,7 +22,7 @@ Flags = NDArray[np.bool_]
 DEBOUNCE = max(1, round(0.02 * topics.TRUTH.rate_hz))  # samples of truth, 20 ms
 _STALE_NS = 250_000_000  # [ns] an actuator that has been silent for longer is not walking
 _GROUNDED = 0.2  # [1] of a swing at its ends, in which a touching foot carries and does not brush
-_HANGING = 0.003  # [m] a standing foot over its ground catches the body after a degree of tilt
+_HANGING = 0.003  # [m] a foot so far over its ground catches the body after a degree of tilt
 
 
 class Walk:
@@ -57,12 +57,12 @@ class Walk:
     def carrying(self) -> Flags:
         """Feet (n, 6) that carry, or would as soon as the body leaned on them.
 
-        In contact and in stance by plan, about to leave or just landed; or in stance and no more than a little over its ground.
+        In contact or no more than a little over their ground; and in stance by plan, about to leave or just landed.
         """
         phase = np.array([s.phase for s in self._heard.states])[self._state_of]
         grounded = (phase < _GROUNDED) | (phase > 1.0 - _GROUNDED)
         hangs_low = self.feet[..., 2] - self._profile.foot.radius - self.ground < _HANGING
-        return np.asarray(self.contact & (~self.swing | grounded[:, None]) | (~self.swing & hangs_low))
+        return np.asarray((self.contact | hangs_low) & (~self.swing | grounded[:, None]))
 
     def _align(self) -> None:
         """For each sample of truth the actuator's word that held then."""
