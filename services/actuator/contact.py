@@ -9,6 +9,7 @@ from shared.robot import RobotProfile
 
 _TOUCH_N = 1.5  # [N] and more is contact
 _LIFT_N = 0.8  # [N] and less is none
+_FIRM_N = 3.0  # [N] and more is contact beyond what friction and the legs' own links can feign in legs that hardly move
 _SMOOTHING = 0.4  # share of the newest estimate
 
 
@@ -29,3 +30,8 @@ class ContactEstimate:
         self._force += _SMOOTHING * (force - self._force)
         self._contact = np.where(self._contact, self._force > _LIFT_N, self._force > _TOUCH_N)
         return self._contact.copy()
+
+    @property
+    def firm(self) -> NDArray[np.bool_]:
+        """(6,) legs that push the ground beyond doubt, by all of their joints; of use while they move slowly or not at all."""
+        return np.asarray(self._force > _FIRM_N)

@@ -1,6 +1,6 @@
 """What a leg that moves feels of the ground: its femur servo's load, less what turning the leg takes of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ _FRICTION = 2.5  # times the dry friction: goals come in steps, so at a reading 
 _DOUBT = 0.4  # of what speeds the leg up, for an armature is known no better, and of a jerk that the goal makes
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo, after which nobody knows what its leg feels
 _NEAREST_ARM = 0.06  # [m] of a foot beside its femur's axis: nearer ones have too little leverage to tell a push from noise
+_NONE = np.zeros(6, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +31,7 @@ class Felt:
     touches: NDArray[np.bool_]  # (6,) feet that have met something while they moved
     bears: NDArray[np.bool_]  # (6,) feet that stand on something
     feet: Array  # (6, 3) [m] {odom} measured foot centres
+    pushes: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) legs that push the ground, if they hardly move
 
 
 class Feeler:

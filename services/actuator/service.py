@@ -276,7 +276,7 @@ class Actuator:
         else:
             # A leg whose servo is silent is taken to stand where the plan says.
             stands = self._feeler.bears | self._feeler.silent(self._clock())
-            felt = Felt(self._feeler.touches, stands, apply(T_odom_body, self._odometry.feet))
+            felt = Felt(self._feeler.touches, stands, apply(T_odom_body, self._odometry.feet), self._contact.firm)
             targets = self._walker.update(dt, T_odom_body, felt)
         self._reach_for(targets, dt)
         if self._stand_up is not None and self._stand_up.done:

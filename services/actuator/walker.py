@@ -43,6 +43,7 @@ _LISTEN_FROM, _STOP_FROM = 0.35, 0.45  # shares of a swing from which its feet a
 _EARLY = 0.006  # [m] over its target from which a touch stops a foot; lower, the leg gives way as much
 _SETTLE_S = 0.05  # [s] time constant in which a foot that was stopped is told to be where it is
 _REACH, _REACH_SPEED = 0.04, 0.04  # [m] by which a foot looks for ground below its target, and [m/s] how fast
+_PUSHED_DOWN = 0.005  # [m] of it after which a foot that stood all the while pushes so that all joints of its leg tell
 _FEEL_FROM_S = 0.03  # [s] before its legs are lifted from which a step wants to know that the others stand
 _SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is measured at rest
 _WAIT_S = 0.07  # [s] for which it waits for them
@@ -348,7 +349,8 @@ class Walker:
 
     def _feel_down(self, dt: float, search: _Search, felt: Felt) -> None:
         """Lower feet that look for ground; they stay where they meet some, or the step that brought them is taken back."""
-        found = search.legs & felt.touches
+        # A foot below its femur's axis hardly turns the femur, so the feeler may miss that it stands.
+        found = search.legs & (felt.touches | (felt.pushes & (search.depth > _PUSHED_DOWN)))
         self._stay(found, apply(inverse(self._T_odom_cmd), felt.feet), felt.feet)
         search.legs &= ~found
         if not search.legs.any():

@@ -48,7 +48,7 @@ def offsets_by_distance(radius: float, resolution: float) -> Array:
 def nearest_foothold(
     terrain: Terrain, nominal: Array, offsets: Array, others: Array, min_distance: float, reachable: Reachable
 ) -> Foothold | NoFoothold:
-    """The acceptable foothold nearest to a nominal one; where the terrain tells good ones from poor ones, the nearest good one.
+    """The best foothold around a nominal one, of those alike the nearest: `Terrain.suitability` tells good ones from poor ones.
 
     Args:
         terrain: The map.
@@ -81,8 +81,8 @@ def _search(
     candidates = np.flatnonzero(~unknown & ~rough & ~near)
     points = np.column_stack([xy[candidates], footing[candidates]])
     within = reachable(points) if len(points) else np.zeros(0, dtype=bool)
-    good = within & (suitability[candidates] == GOOD)
-    within = good if nominal is None or good.any() else within
+    best = GOOD if nominal is None or not within.any() else suitability[candidates][within].max()
+    within = within & (suitability[candidates] == best)
     if within.any():
         if nominal is None:
             return Foothold(points[int(np.argmax(within))], 0.0)

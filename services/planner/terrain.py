@@ -58,15 +58,16 @@ class Terrain:
         return np.where(inside, self.map.score[ij[..., 0], ij[..., 1]], np.nan)
 
     def suitability(self, xy: Array) -> Array:
-        """How good (n,) places (n, 2) [m] {world} are as footholds: `NONE`, `POOR` or `GOOD`; NaN where unknown.
+        """How good (n,) places (n, 2) [m] {world} are as footholds: `NONE`, `POOR` up to `GOOD`; NaN where unknown.
 
-        By Lotriet's score a place is good where the places around it, `ROOM` away, carry a foot as well, since feet do not land
-        to the millimetre; it is poor where it alone does. By Masri's evaluation function (2016, section 5.2.1) it is good
-        where that is strongly negative or at a local minimum, poor where it is negative else.
+        By Lotriet's score a place is good where the eight places around it, `ROOM` away, carry a foot as well, since feet do
+        not land to the millimetre; it is the poorer the fewer of them do, and poor where it alone does. By Masri's evaluation
+        function (2016, section 5.2.1) it is good where that is strongly negative or at a local minimum, poor where it is
+        negative else.
         """
         if self.layer == "score":
-            scores, around = self.scores(xy), self.scores(self.centres(xy) + ROOM * _AROUND).max(axis=0)
-            carries = np.where(around <= ACCEPTABLE, GOOD, POOR)  # NaN, not seen, is poor, too
+            scores, around = self.scores(xy), self.scores(self.centres(xy) + ROOM * _AROUND)
+            carries = POOR + (GOOD - POOR) * (around <= ACCEPTABLE).mean(axis=0)  # NaN, not seen, carries none
             return np.where(np.isnan(scores), np.nan, np.where(scores <= ACCEPTABLE, carries, NONE))
         here = self._evaluations(xy)
         around = self._evaluations(self.centres(xy) + self.map.resolution * _AROUND).min(axis=0)

@@ -86,7 +86,7 @@ def test_pushes_are_not_taken_for_gravity() -> None:
     filter_ = AttitudeEstimator()
     calm = hold(filter_, np.eye(3), 20.0)
     for _ in range(50):
-        pushed = filter_.update(np.zeros(3), G + [4.0, 0.0, 4.0], DT)
+        pushed = filter_.update(np.zeros(3), G + np.array([4.0, 0.0, 4.0]), DT)
     assert off(pushed, np.eye(3)) < np.radians(0.1)
     assert pushed.doubt > calm.doubt
 

@@ -79,3 +79,11 @@ def test_what_it_returned_does_not_change_later() -> None:
     first = settled(estimate, np.full(6, 6.0))
     settled(estimate, np.zeros(6))
     assert first.all()
+
+
+def test_who_pushes_beyond_doubt_pushes_more_than_who_is_in_contact() -> None:
+    estimate = ContactEstimate(PROFILE)
+    assert settled(estimate, np.full(6, 2.0)).all()
+    assert not estimate.firm.any()
+    settled(estimate, np.where(TRIPOD, 4.0, 0.0))
+    np.testing.assert_array_equal(estimate.firm, TRIPOD)

@@ -419,6 +419,23 @@ def test_a_foot_over_lower_ground_reaches_down_to_it_before_others_lift(depth: f
     np.testing.assert_allclose(walker.feet_odom[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)  # nobody has lifted
 
 
+def test_a_foot_that_stood_all_the_while_unfelt_pushes_its_body_by_millimetres_and_no_more() -> None:
+    """Of a foot below its femur's axis the femur feels nothing; all joints together do once the leg hardly moves."""
+    walker, leg = new_walker(), 2
+    low, waiting = float(STEPS_2[0].touchdown[leg, 2]), list(STEPS_2)
+    for _ in range(round(2.0 / DT)):
+        if waiting and walker.resting:
+            walker.accept(waiting.pop(0))
+        bears = ~walker.swing & (np.arange(6) != leg)
+        pushes = walker.feet_odom[:, 2] < low - 0.001
+        walker.update(DT, walker.body_ref, Felt(~ALL, bears, walker.feet_odom, pushes))
+        if walker.trouble.startswith("ground found"):
+            break
+    assert low - 0.008 < walker.feet_odom[leg, 2] < low - 0.004
+    assert not walker.searching.any()
+    assert "ground found" in walker.trouble
+
+
 @given(st.sampled_from([0, 2, 4]))
 @settings(max_examples=3)
 def test_without_ground_the_step_is_taken_back(leg: int) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
-from services.planner.terrain import ACCEPTABLE, GOOD, POOR, Terrain, flat_terrain
+from services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
 from shared.geometry import Array
 
 Flags = NDArray[np.bool_]
@@ -55,14 +55,14 @@ def test_offsets_are_all_cells_within_the_radius_the_nearest_first() -> None:
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.3, 0.8, 0.97]), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
 @example(7, 0.3, 0.005, -0.015)  # on the border of cells
 @settings(max_examples=60)
-def test_the_nearest_good_one_is_really_the_nearest_and_else_the_nearest_poor_one(
+def test_the_one_with_the_most_room_around_it_is_found_and_of_those_the_nearest(
     seed: int, bad: float, x: float, y: float
 ) -> None:
     ground, nominal = patchy(seed, bad), np.array([x, y])
     others = np.random.default_rng(seed + 1).uniform(-0.2, 0.2, (5, 2))
-    found = nearest_foothold(ground, nominal, OFFSETS, others, 0.04, lambda p: p[:, 0] > x - 0.03)
+    found = nearest_foothold(ground, nominal, OFFSETS, others, 0.04, lambda p: p[:, 0] > x - 0.0301)
     map_ = ground.map
-    best = {GOOD: np.inf, POOR: np.inf}
+    best = dict.fromkeys(range(9), np.inf)  # the distance of the nearest one with so many places that carry around it
     i0, j0 = np.rint((nominal - map_.origin) / map_.resolution).astype(int)
     for i in range(map_.score.shape[0]):
         for j in range(map_.score.shape[1]):
@@ -70,17 +70,18 @@ def test_the_nearest_good_one_is_really_the_nearest_and_else_the_nearest_poor_on
                 continue
             places = [map_.origin + map_.resolution * np.array([i, j])]
             around = map_.score[i - 1 : i + 2, j - 1 : j + 2]
-            kind = GOOD if (around <= ACCEPTABLE).all() else POOR
-            if (i, j) == (i0, j0) and kind == GOOD:
+            room = int((around <= ACCEPTABLE).sum()) - 1
+            if (i, j) == (i0, j0) and room == 8:
                 places.append(nominal)
             for place in places:
-                if np.linalg.norm(others - place, axis=1).min() >= 0.04 and place[0] > x - 0.03:
-                    best[kind] = min(best[kind], float(np.linalg.norm(place - nominal)))
+                if np.linalg.norm(others - place, axis=1).min() >= 0.04 and place[0] > x - 0.0301:
+                    best[room] = min(best[room], float(np.linalg.norm(place - nominal)))
     if np.isinf(min(best.values())):
         assert isinstance(found, NoFoothold)
     else:
         assert isinstance(found, Foothold)
-        assert found.moved == pytest.approx(best[GOOD] if np.isfinite(best[GOOD]) else best[POOR], abs=1e-9)
+        most = max(room for room, distance in best.items() if np.isfinite(distance))
+        assert found.moved == pytest.approx(best[most], abs=1e-9)
         assert np.linalg.norm(found.p_world[:2] - nominal) == pytest.approx(found.moved)
 
 
