@@ -362,8 +362,17 @@ class PacketParser:
 
     def feed(self, data: bytes) -> list[Packet]:
         """Take the next bytes of the stream and return the packets they complete."""
+        if not self._buffer and self._is_one_packet(data):  # as it is nearly always
+            self._offset += len(data)
+            return [Packet(data[2], data[4], bytes(data[5:-1]), self._offset)]
         self._buffer += data
         return self._parse()
+
+    def _is_one_packet(self, data: bytes) -> bool:
+        """Whether bytes are one intact packet and nothing else."""
+        if len(data) < OVERHEAD or data[:2] != HEADER or data[2] == 0xFF:
+            return False
+        return data[3] <= self._max_length and len(data) == data[3] + 4 and sum(data[2:]) & 0xFF == 0xFF
 
     def flush(self) -> list[Packet]:
         """Give up on an incomplete packet; return the intact packets that its claimed length had hidden."""

@@ -289,27 +289,28 @@ class ServoBusEmulator:
     ) -> list[Reply]:
         """Status packets of the servos that answer at their status return level, one after the other on the wire."""
         needed = 0 if always else _ANSWER_READ if read else _ANSWER_ALL
-        answers: dict[int, set[bytes]] = {}  # id -> what servos with it say, all at the same time
-        delays: dict[int, int] = {}
+        answers: dict[
+            int, tuple[int, bytes]
+        ] = {}  # id -> delay and what is heard of servos with it, who speak at the same time
         for row in rows:
             head = self._table(row, _HEAD_START, _HEAD_SIZE)
             if head[-1] < needed:
                 continue
-            servo_id = head[0]
-            data = self._table(row, *read) if read else b""
-            answers.setdefault(servo_id, set()).add(dxl.status(servo_id, int(error) | self._bank.error(row), data))
-            delay = head[_HEAD_DELAY] * dxl.RETURN_DELAY_NS
-            delays[servo_id] = max(delay, delays.get(servo_id, 0))
+            servo_id, delay = head[0], head[_HEAD_DELAY] * dxl.RETURN_DELAY_NS
+            said = dxl.status(servo_id, int(error) | self._bank.error(row), self._table(row, *read) if read else b"")
+            if servo_id in answers:
+                other_delay, other = answers[servo_id]
+                delay, said = max(delay, other_delay), _collision(said, other)
+            answers[servo_id] = delay, said
         replies: list[Reply] = []
-        for servo_id, said in answers.items():
-            data = said.pop() if len(said) == 1 else _collision(said)
-            self._answered_ns = max(time_ns + delays[servo_id], self._answered_ns) + self._timing.wire_ns(len(data))
+        for delay, data in answers.values():
+            self._answered_ns = max(time_ns + delay, self._answered_ns) + self._timing.wire_ns(len(data))
             replies.append(Reply(self._answered_ns + self._timing.usb_transaction_ns, data))
         self._wire_free_ns = max(self._wire_free_ns, self._answered_ns)
         return replies
 
 
-def _collision(packets: set[bytes]) -> bytes:
+def _collision(*packets: bytes) -> bytes:
     """What a host hears when servos with the same id speak at once: an open-drain wire is low when any of them is."""
     size = max(len(packet) for packet in packets)
     heard = bytearray(b"\xff" * size)

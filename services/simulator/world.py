@@ -147,7 +147,7 @@ class World:
             FloatingPointError: The physics has diverged.
         """
         self._ctrl[...] = setpoint
-        if not isfinite(self._ctrl.sum()):  # MuJoCo would quietly take all of them for zero
+        if not isfinite(np.vdot(self._ctrl, self._ctrl)):  # MuJoCo would quietly take all of them for zero
             raise ValueError(f"finite setpoints expected, found {np.asarray(setpoint)}")
         self._gain[...] = stiffness
         np.negative(stiffness, out=self._bias)
