@@ -16,3 +16,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 def compiled(function: F) -> F:
     """Compile a function of arrays and scalars on its first call, or load it from the cache."""
     return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def written_into(function: F) -> F:
+    """Compile a step of a hot loop that is written into the loop itself: no call, which where many arrays are passed costs."""
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function))
