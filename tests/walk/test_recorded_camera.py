@@ -18,9 +18,10 @@ from services.planner.config import Settings as PlannerSettings
 from services.planner.service import Planner
 from shared import codec, topics
 from shared.geometry import from_xyz_rpy
-from shared.messages import ActuatorState, Message, Mode, Odometry, Tick, VelocityCommand
+from shared.messages import Message, Odometry, Tick, VelocityCommand
 from shared.robot import load_profile
 from shared.service import AnyTopic, Every, Inbox, Lockstep, Stages
+from tests.support.states import actuator_state
 from tests.support.walks import Heard, flat
 
 S = 1_000_000_000
@@ -43,12 +44,8 @@ class Standing:
         return "standing"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterable[Message]:
-        nobody, zeros = np.zeros(6, dtype=bool), np.zeros((6, 3))
-        yield Odometry(tick.stamp_ns, T_BODY.copy(), 0.0, 0.0, ~nobody, True)
-        yield ActuatorState(
-            tick.stamp_ns, Mode.HOLD, "", "", -1, -1, 0, 1.0, nobody, ~nobody, zeros, zeros,
-            PROFILE.rest_feet(), T_BODY.copy(), T_BODY.copy(), np.eye(4), 11.0, 30.0, (),
-        )  # fmt: skip
+        yield Odometry(tick.stamp_ns, T_BODY.copy(), 0.0, 0.0, np.ones(6, dtype=bool), True)
+        yield actuator_state(PROFILE, stamp_ns=tick.stamp_ns, T_odom_body=T_BODY.copy(), body_ref=T_BODY.copy())
         yield VelocityCommand(tick.stamp_ns, np.array([0.1, 0.0]), 0.0, PROFILE.stance.body_height, 0.04)
 
 

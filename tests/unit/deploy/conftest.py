@@ -15,6 +15,7 @@ from shared.messages import ActuatorState, BodyPose, GroundTruth, Message, Mode,
 from shared.robot import load_profile
 from shared.scenario import Goal, Plane, Scenario
 from shared.service import Inbox
+from tests.support.states import actuator_state
 
 _MS = 1_000_000
 _TRIPOD = np.array([True, False, True, False, True, False])
@@ -136,26 +137,16 @@ class Story:
         step, phase = self.walked(t)
         walking = step >= 1 and phase < 1.0
         ref = from_xyz_rpy((self.body_x(t), 0.0, self.scenario.walk.body_height), np.zeros(3))
-        return ActuatorState(
+        return actuator_state(
+            self.profile,
             stamp_ns=ms * _MS,
             mode=Mode.WALK if walking else Mode.HOLD,
-            reason="",
-            refused="",
-            refused_ns=-1,
-            plan_ns=-1,
             step=step,
             phase=phase,
             swing=self.swing(step) if walking else _NONE,
             contact=~_NONE,
-            q=np.zeros((6, 3)),
-            load_nm=np.zeros((6, 3)),
-            feet=np.zeros((6, 3)),
             T_odom_body=ref,
             body_ref=ref,
-            T_world_odom=np.eye(4),
-            voltage=11.1,
-            temperature=30.0,
-            warnings=(),
         )
 
     def pose(self, ms: int) -> BodyPose:

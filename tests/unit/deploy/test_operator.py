@@ -6,11 +6,14 @@ import pytest
 from deploy.operator import Operator
 from shared import codec, topics
 from shared.geometry import from_xyz_rpy, rotation_z, yaw_of
-from shared.messages import ActuatorState, BodyPose, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
+from shared.messages import BodyPose, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
 from shared.messages import Goal as GoalMessage
 from shared.robot import load_profile
 from shared.scenario import Goal, Plane, Scenario
 from shared.service import Inbox
+from tests.support.states import actuator_state
+
+PROFILE = load_profile("phantomx_mk2")
 
 SCENARIO = Scenario("straight", (Plane(),), Goal(1.5))
 PERIOD_NS = 50_000_000
@@ -40,29 +43,8 @@ class Robot:
 
     def beat(self):
         self.inbox.now_ns = self.now
-        flags, zeros = np.zeros(6, dtype=bool), np.zeros((6, 3))
         self.hear(
-            ActuatorState(
-                self.now,
-                self.mode,
-                self.reason,
-                "",
-                -1,
-                -1,
-                0,
-                1.0,
-                flags,
-                flags,
-                zeros,
-                zeros,
-                zeros,
-                self.T,
-                self.T,
-                np.eye(4),
-                11.0,
-                30.0,
-                (),
-            )
+            actuator_state(PROFILE, stamp_ns=self.now, mode=self.mode, reason=self.reason, T_odom_body=self.T, body_ref=self.T)
         )
         if self.pose_comes:
             self.hear(BodyPose(self.now, self.T, np.eye(4), np.eye(6), 1.0, True, "", np.zeros((0, 6))))

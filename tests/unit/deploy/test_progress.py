@@ -6,7 +6,11 @@ import numpy as np
 from deploy.progress import Lines, Monitor, Terminal, View, block, progress_for
 from shared import codec, topics
 from shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus
+from shared.robot import load_profile
 from shared.service import Worker
+from tests.support.states import actuator_state
+
+PROFILE = load_profile("phantomx_mk2")
 
 S = 1_000_000_000
 
@@ -22,10 +26,9 @@ def pose(stamp_ns: int, x: float, ok: bool = True) -> BodyPose:
 def state(
     stamp_ns: int, mode: Mode = Mode.WALK, reason: str = "", refused: str = "", warnings: tuple[str, ...] = ()
 ) -> ActuatorState:
-    no, zero, eye = np.zeros(6, dtype=np.bool_), np.zeros((6, 3)), np.eye(4)
-    return ActuatorState(
-        stamp_ns, mode, reason, refused, -1, -1, 1, 0.5, no, no, zero, zero, zero, eye, eye, eye, 11.1, 40.0, warnings
-    )
+    no = np.zeros(6, dtype=np.bool_)
+    said = {"stamp_ns": stamp_ns, "mode": mode, "reason": reason, "refused": refused, "warnings": warnings}
+    return actuator_state(PROFILE, step=1, phase=0.5, contact=no, temperature=40.0, **said)
 
 
 def health(stamp_ns: int, service: str, refused: int = 0, **stages: float) -> Health:

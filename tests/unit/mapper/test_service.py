@@ -15,6 +15,7 @@ from shared.geometry import Array, apply, from_xyz_rpy
 from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, TerrainMap
 from shared.robot import load_profile
 from shared.service import Inbox
+from tests.support.states import actuator_state
 
 Flags = NDArray[np.bool_]
 
@@ -25,28 +26,8 @@ SETTINGS = Settings(cells=200, publish_every=1)
 
 
 def legs(swing: Flags | None = None, feet: Array | None = None) -> ActuatorState:
-    flags = np.zeros(6, dtype=bool) if swing is None else swing
-    return ActuatorState(
-        stamp_ns=0,
-        mode=Mode.HOLD,
-        reason="",
-        refused="",
-        refused_ns=-1,
-        plan_ns=-1,
-        step=0,
-        phase=1.0,
-        swing=flags,
-        contact=~flags,
-        q=np.zeros((6, 3)),
-        load_nm=np.zeros((6, 3)),
-        feet=PROFILE.rest_feet(HEIGHT) if feet is None else feet,
-        T_odom_body=np.eye(4),
-        body_ref=np.eye(4),
-        T_world_odom=np.eye(4),
-        voltage=11.0,
-        temperature=30.0,
-        warnings=(),
-    )
+    swing = np.zeros(6, dtype=bool) if swing is None else swing
+    return actuator_state(PROFILE, swing=swing, feet=PROFILE.rest_feet(HEIGHT) if feet is None else feet)
 
 
 def ground_scan(stamp_ns: int, height: float, x: tuple[float, float] = (0.5, 1.0), y: float = 0.3) -> Scan:

@@ -15,7 +15,6 @@ from services.planner.terrain import Terrain, flat_terrain
 from shared import codec, topics
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from shared.messages import (
-    ActuatorState,
     BodyPose,
     CameraState,
     Goal,
@@ -28,6 +27,7 @@ from shared.messages import (
 )
 from shared.robot import load_profile
 from shared.service import Inbox
+from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = 0.11
@@ -53,27 +53,7 @@ class Rig:
         self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
         self.command: VelocityCommand | None = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
         self.goal: Goal | None = None
-        self.state = ActuatorState(
-            stamp_ns=0,
-            mode=Mode.HOLD,
-            reason="standing",
-            refused="",
-            refused_ns=-1,
-            plan_ns=-1,
-            step=0,
-            phase=1.0,
-            swing=NOBODY,
-            contact=~NOBODY,
-            q=np.zeros((6, 3)),
-            load_nm=np.zeros((6, 3)),
-            feet=REST,
-            T_odom_body=standing(),
-            body_ref=standing(),
-            T_world_odom=np.eye(4),
-            voltage=11.0,
-            temperature=30.0,
-            warnings=(),
-        )
+        self.state = actuator_state(PROFILE, reason="standing", feet=REST, T_odom_body=standing(), body_ref=standing())
 
     def cycle(self, **state: Any) -> list[Message]:
         """One actuator state later, with everything heard anew that is there."""

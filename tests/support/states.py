@@ -1,0 +1,35 @@
+"""What an actuator says of a robot that stands, to change what a test is about."""
+
+from typing import Any
+
+import numpy as np
+
+from shared.messages import ActuatorState, Mode
+from shared.robot import RobotProfile
+
+
+def actuator_state(profile: RobotProfile, **changes: Any) -> ActuatorState:
+    """The state of a robot that holds still with its feet at rest and its body at the origin of {odom}."""
+    swing = np.asarray(changes.get("swing", np.zeros(6, dtype=bool)))
+    values: dict[str, Any] = {
+        "stamp_ns": 0,
+        "mode": Mode.HOLD,
+        "reason": "",
+        "refused": "",
+        "refused_ns": -1,
+        "plan_ns": -1,
+        "step": 0,
+        "phase": 1.0,
+        "swing": swing,
+        "contact": ~swing,
+        "q": np.zeros((6, 3)),
+        "load_nm": np.zeros((6, 3)),
+        "feet": profile.rest_feet(),
+        "T_odom_body": np.eye(4),
+        "body_ref": np.eye(4),
+        "T_world_odom": np.eye(4),
+        "voltage": 11.0,
+        "temperature": 30.0,
+        "warnings": (),
+    }
+    return ActuatorState(**(values | changes))
