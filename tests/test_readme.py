@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy import cli
+from deploy.campaign_table import WALKED, Campaign, markdown
 
 ROOT = Path(__file__).parents[1]
 
@@ -93,3 +94,18 @@ def test_scenarios_named_in_the_readme_come_with_sextant() -> None:
     for words in README:
         if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[2] not in ("all", "table"):
             assert load_scenario(words[2]).name == words[2]
+
+
+def test_the_table_of_the_readme_is_the_one_that_a_command_prints() -> None:
+    """Its headings, its courses and their words; the figures are those of a campaign."""
+    rows = re.findall(r"^\|.*\|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    printed = markdown(Campaign((), ()), "reached").splitlines()
+    assert rows[:2] == printed[:2]
+    courses = [row.split(" | ")[0] for row in rows[2:]]
+    assert courses == [f"| `{name}`: {words}" for name, words in WALKED.items()]
+
+
+def test_the_tables_of_the_results_have_the_headings_that_a_command_prints() -> None:
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    for table in ("walks", "missteps", "maps"):
+        assert markdown(Campaign((), ()), table).splitlines()[0] in text, f"`sextant trials table --of {table}`"
