@@ -78,6 +78,7 @@ class Crossing:
     stops: NDArray[np.int8]  # (n, m) what cannot be crossed there, OPEN where the ground can
     unseen: Mask  # (n, m)
     veiled: Array  # (n, m) [1] share of the ground under a robot there that is unseen
+    half_width: float  # [m] of the robot
 
     def cell(self, xy: Array) -> tuple[int, int]:
         """The cell that holds a place (2,) [m] {world}, the nearest one if it lies outside."""
@@ -189,7 +190,7 @@ class SeenGround:
         cost = 1.0 + _mean_around(ground_price, under) + prices.near * beyond**2
         cost[room < size.half_width] = np.inf
         veiled = _mean_around(unseen.astype(np.float64), under)
-        return Crossing(self._first.copy(), self._edge, cost, room, stops, unseen, veiled)
+        return Crossing(self._first.copy(), self._edge, cost, room, stops, unseen, veiled, size.half_width)
 
     def _move_to(self, xy: Array) -> None:
         """Bring the window's middle to where the robot is, a quarter at a time; what it leaves is forgotten."""

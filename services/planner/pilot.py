@@ -1,8 +1,8 @@
 """Leads the robot to a goal: which way, facing where, how fast; and what it does where there is no way.
 
 The way is found anew as the map changes. The camera looks ahead, so the robot turns to face the way it goes. Where it cannot
-go on although the map knows no reason, it remembers the place and takes another way; where none is left, it looks to both
-sides for what it has not seen, and then says what stands in the way.
+go on although the map knows no reason, it remembers the place and takes another way. Ground that it has not seen is open to
+it: where no way is left over that either, there is nothing more to look for, and it says what stands in the way.
 """
 
 from dataclasses import dataclass, field
@@ -41,12 +41,10 @@ _TURNED = radians(8.0)  # by which the robot must move to get on
 _STUCK_AHEAD = 0.08  # [m] beyond its feet that such a place lies
 _STUCK_RADIUS = 0.08  # [m]
 _MOST_STUCK = 24  # places remembered
-_SIDES = radians(70.0)  # to which it turns to look
-_SIDE_WIDTH = radians(30.0)  # [rad] to either side of it that is looked at
-_SIDE_NEAR, _SIDE_FAR = 0.55, 1.3  # [m] between which it is
-_WORTH_A_LOOK = 0.25  # [1] of that unseen
-_FACED = radians(6.0)  # off the side, from which it is being looked at
-_LOOK_NS = 800_000_000  # [ns] that a look lasts
+_FACED = radians(6.0)  # off a place, from which it is being looked at
+_TURN_ABOUT = radians(90.0)  # off what it would look at first, from which it looks at what is nearer to where it faces
+_IN_SIGHT = radians(25.0)  # off where it faces, up to which a place is in the picture
+_SIGHT = 1.3  # [m] to which ground shows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,8 +74,6 @@ class _Errand:
     since_ns: int | None = None  # since when it does not get on, at
     place: Array = field(default_factory=lambda: np.zeros(3))  # (3,) [m, m, rad] {world}
     course: float = 0.0  # [rad] {world} of the newest command
-    sides: list[float] | None = None  # [rad] {world} still to be looked to; None: it goes on
-    looking_since_ns: int | None = None
 
 
 class Pilot:
@@ -133,7 +129,7 @@ class Pilot:
         if _off(errand.begin, target, xy) > _DETOUR:
             errand.begin = xy.copy()  # somebody else has led it away
         # 3. The way, anew when the map has changed and some time has passed, or the robot does not get on.
-        if errand.way is not None or errand.sides:
+        if errand.way is not None:
             self._watch(errand, body, now_ns)
         changed = errand.map is not terrain.map and now_ns - errand.planned_ns >= _REPLAN_NS
         if errand.map is None or changed:
@@ -141,8 +137,7 @@ class Pilot:
             self._ground.see(terrain, T_world_body, self._profile.camera, float(T_world_body[2, 3]) - goal.body_height)
             self._plan(errand, xy, target)
         if isinstance(errand.found, NoWay):
-            return self._look_round(errand, errand.found, body, now_ns) or errand.found
-        errand.sides = None
+            return errand.found
         return self._follow(errand, target, body, now_ns)
 
     def _step_s(self, goal: Goal) -> float:
@@ -162,9 +157,6 @@ class Pilot:
         if now_ns - errand.since_ns < _STUCK_NS:
             return
         errand.since_ns = None
-        if errand.sides:
-            errand.sides.pop(0)  # it cannot turn there
-            return
         ahead = np.array([cos(errand.course), sin(errand.course)])
         stuck = body[:2, 3] + (self._size.half_width + _STUCK_AHEAD) * ahead
         errand.stuck = [*errand.stuck[-_MOST_STUCK + 1 :], stuck]
@@ -194,15 +186,15 @@ class Pilot:
         assert errand.way is not None
         goal, xy, yaw = errand.goal, body[:2, 3], yaw_of(body)
         way, _ = _rest(errand.way.corners, xy)
-        left = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+        left = _extent(way)
         to = _along(way, _LOOK_AHEAD) - xy
         errand.course = atan2(to[1], to[0])
-        # Face what is not seen of the way yet, and stop before it; or face the way.
-        veiled_at, veiled = self._veiled(errand, way)
-        if veiled is not None:
-            facing, turn_first = veiled - xy, _FACED if veiled_at < _HALT else _TURN_FIRST
-        else:
+        # Face what is not seen of the way yet, and stop before it; over what is seen it may walk sideways while it turns.
+        veiled_at, veiled = self._veiled(errand, way, yaw)
+        if veiled is None:
             facing, turn_first = _along(way, _FACE) - xy, _TURN_FIRST
+        else:
+            facing, turn_first = veiled - xy, _FACED if veiled_at < _HALT else pi
         error = _wrapped(atan2(facing[1], facing[0]) - yaw) if left > _LOOK_AHEAD else 0.0
         turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
         # No further in a step than to the end, nor around a corner.
@@ -216,51 +208,33 @@ class Pilot:
         commands = tuple(_command(goal, now_ns, v, w) for v, w in wanted if _length(v) > 0.0 or w != 0.0)
         return Heading(commands, f"{left:.1f} m of way left to ({target[0]:.1f}, {target[1]:.1f})")
 
-    def _veiled(self, errand: _Errand, way: Array) -> tuple[float, Array | None]:
-        """How far [m] along a way (k, 2) ground begins that is not seen but could be from here, and its middle (2,) [m]."""
+    def _veiled(self, errand: _Errand, way: Array, yaw: float) -> tuple[float, Array | None]:
+        """How far [m] along a way (k, 2) ground begins that is not seen but could be from here, and the place (2,) to look at.
+
+        That is the first such place, unless the robot would have to turn about for it, and another shows sooner.
+        """
         crossing = errand.crossing
         assert crossing is not None
-        distance = np.arange(0.0, _FORESIGHT, crossing.edge)
+        distance = np.arange(0.0, _extent(way) + crossing.edge, crossing.edge)
         places = np.array([_along(way, d) for d in distance])
         reach = np.arange(-self._size.half_width, self._size.half_width + crossing.edge, crossing.edge)
         under = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1).reshape(-1, 2)
+        first, looks = np.inf, list[tuple[float, Array]]()
         for k in np.flatnonzero(crossing.at(crossing.veiled, places) > _VEILED):
             ground = places[k] + under
-            hidden = crossing.at(crossing.unseen, ground) & (np.linalg.norm(ground - way[0], axis=1) > BESIDE)
-            if hidden.any():
-                return float(distance[k]), ground[hidden].mean(axis=0)
-        return np.inf, None
-
-    def _look_round(self, errand: _Errand, no_way: NoWay, body: Array, now_ns: int) -> Heading | None:
-        """Turn to where something is unseen before giving up; None while it looks, and once that is done."""
-        xy, yaw = body[:2, 3], yaw_of(body)
-        if errand.sides is None:
-            errand.sides = [yaw + side for side in (_SIDES, -_SIDES) if self._unseen(errand, xy, yaw + side) > _WORTH_A_LOOK]
-            errand.looking_since_ns = None
-        while errand.sides:
-            error = _wrapped(errand.sides[0] - yaw)
-            if abs(error) > _FACED:
-                errand.looking_since_ns = None
-                turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
-                words = f"turning {'left' if error > 0 else 'right'} to look for a way: {no_way.reason}"
-                return Heading((_command(errand.goal, now_ns, np.zeros(2), turn),), words)
-            if errand.looking_since_ns is None:
-                errand.looking_since_ns = now_ns
-            if now_ns - errand.looking_since_ns < _LOOK_NS:
-                return None
-            errand.looking_since_ns = None
-            errand.sides.pop(0)
-        return None
-
-    def _unseen(self, errand: _Errand, xy: Array, direction: float) -> float:
-        """Share [1] of the ground to a side [rad] {world} that has not been seen."""
-        crossing = errand.crossing
-        assert crossing is not None
-        r, angle = np.meshgrid(
-            np.linspace(_SIDE_NEAR, _SIDE_FAR, 8), direction + np.linspace(-_SIDE_WIDTH, _SIDE_WIDTH, 9), indexing="ij"
-        )
-        places = xy + np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
-        return float(crossing.at(crossing.unseen, places).mean())
+            off = np.linalg.norm(ground - way[0], axis=1)
+            hidden = crossing.at(crossing.unseen, ground) & (off > BESIDE)
+            if not hidden.any() or (distance[k] > _FORESIGHT and not looks):
+                continue
+            place = ground[hidden].mean(axis=0)
+            turn = abs(_wrapped(atan2(*(place - way[0])[::-1]) - yaw))
+            if not looks:
+                first = float(distance[k])
+                if turn < _TURN_ABOUT:
+                    return first, place
+            if not looks or (_length(place - way[0]) < _SIGHT and turn > _IN_SIGHT):
+                looks.append((turn, place))
+        return first, min(looks, key=lambda look: look[0])[1] if looks else None
 
 
 def objection(goal: Goal) -> str:
@@ -303,6 +277,11 @@ def _along(way: Array, distance: float) -> Array:
             return np.asarray(a + (b - a) * (distance / length))
         distance -= length
     return np.asarray(way[-1])
+
+
+def _extent(way: Array) -> float:
+    """How long [m] a way (k, 2) is."""
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 
 def _length(v: Array) -> float:

@@ -12,6 +12,7 @@ from shared.geometry import Array
 
 _ESCAPE = 8.0  # price of a metre out of a place where the robot ought not to be
 _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+_BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))
 _DIAGONAL = 0.41421356  # by which a diagonal is longer than a straight step, at most
 _MISSES = 4  # cells in turn to which there is no straight way, beyond which none is looked for
 _FLAT = 0.20  # [m] of a region's width up to which it is a line
@@ -49,7 +50,7 @@ def find_way(crossing: Crossing, start: Array, goal: Array, nearby: float) -> Wa
     # 2. The cells on the way.
     cells, reached = cheapest_cells(crossing.cost, crossing.room, crossing.cell(start), end)
     if cells is None:
-        return NoWay(f"no way to {_place(goal)}: {enclosure(crossing, reached)}")
+        return NoWay(f"no way to {_place(goal)}: {enclosure(crossing, reached)}; {gap(crossing, crossing.cell(start), end)}")
     # 3. Its corners.
     points = crossing.centres(cells)
     last = goal if aim is goal and crossing.cell(goal) == end else points[-1]
@@ -168,6 +169,40 @@ def enclosure(crossing: Crossing, reached: NDArray[np.bool_]) -> str:
         where = crossing.centres(np.argwhere(kinds == kind))
         said.append(f"{WORDS[kind]} {_extent(where)}")
     return "; ".join(said) or "what is seen of the ground ends there"
+
+
+def gap(crossing: Crossing, start: tuple[int, int], end: tuple[int, int]) -> str:
+    """How much room the way between two cells has that has most, where it has least, and what the robot needs, in words."""
+    room, cell = widest(np.where(crossing.stops == OPEN, crossing.room, 0.0), start, end)
+    if cell is None:
+        return "there is no gap"
+    at, needed = _place(crossing.centres(np.array([cell]))[0]), crossing.half_width
+    return f"the widest gap, at {at}, leaves {room:.2f} m to either side of its middle, and the robot needs {needed:.2f} m"
+
+
+def widest(room: Array, start: tuple[int, int], end: tuple[int, int]) -> tuple[float, tuple[int, int] | None]:
+    """Of all ways between two cells of a grid (n, m), that whose least room is most: that room, and the cell of it.
+
+    Neither end's own room counts; None where there is no way but over cells without room.
+    """
+    n, m = room.shape
+    rest: list[list[float]] = room.tolist()
+    rest[end[0]][end[1]] = np.inf
+    done = np.zeros((n, m), dtype=bool).tolist()
+    heap = [(-np.inf, start, start)]
+    while heap:
+        least, cell, narrow = heappop(heap)
+        if done[cell[0]][cell[1]]:
+            continue
+        done[cell[0]][cell[1]] = True
+        if cell == end:
+            return -least, narrow
+        for i, j in _BESIDE:
+            to = cell[0] + i, cell[1] + j
+            if 0 <= to[0] < n and 0 <= to[1] < m and not done[to[0]][to[1]] and rest[to[0]][to[1]] > 0.0:
+                here = -rest[to[0]][to[1]]
+                heappush(heap, (here, to, to) if here > least else (least, to, narrow))
+    return 0.0, None
 
 
 def _extent(places: Array) -> str:

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.planner.crossing import BARE, FAR, HOLE, OPEN, STEP, WORDS, Crossing
-from services.planner.route import NoWay, Way, cheapest_cells, cost_of, find_way, straightened
+from services.planner.route import NoWay, Way, cheapest_cells, cost_of, find_way, straightened, widest
 from shared.geometry import Array
 
 EDGE = 0.05
+HALF = 0.25  # [m] of the robot's width
 
 
 def crossing(cost: Array, stops: Array | None = None) -> Crossing:
@@ -23,7 +24,7 @@ def crossing(cost: Array, stops: Array | None = None) -> Crossing:
     far = np.full(cost.shape, 9.0)
     room = np.min([far, *(np.linalg.norm(grid - cell, axis=2) for cell in cells)], axis=0) * EDGE
     nothing = np.zeros(cost.shape)
-    return Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, kinds.astype(np.int8), nothing > 0, nothing)
+    return Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, kinds.astype(np.int8), nothing > 0, nothing, HALF)
 
 
 def reference(cost: Array, start: tuple[int, int]) -> Array:
@@ -139,7 +140,48 @@ def test_where_there_is_none_it_says_what_stands_in_the_way_and_where(kind: int)
     cost[27:29] = np.inf
     stops = np.where(np.isinf(cost), kind, OPEN)
     found = find_way(crossing(cost, stops), np.array([0.5, 0.5]), np.array([1.8, 0.5]), 0.03)
-    assert found == NoWay(f"no way to (1.8, 0.5): {WORDS[kind]} from y = 0.0 to 1.0 m at x = 1.4 m")
+    assert found == NoWay(f"no way to (1.8, 0.5): {WORDS[kind]} from y = 0.0 to 1.0 m at x = 1.4 m; there is no gap")
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_widest_way_is_the_one_that_is_left_when_all_narrower_cells_are_closed(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    room = np.where(rng.random((8, 9)) < 0.3, 0.0, rng.random((8, 9)))
+    start, end = (0, 0), (7, 8)
+    least, cell = widest(room, start, end)
+
+    def reached(above: float) -> bool:
+        open_ = room > above
+        open_[start] = open_[end] = True
+        seen = np.zeros(room.shape, dtype=bool)
+        seen[start] = True
+        for _ in range(room.size):
+            wide = np.pad(seen, 1)
+            seen |= open_ & (wide[:-2, 1:-1] | wide[2:, 1:-1] | wide[1:-1, :-2] | wide[1:-1, 2:])
+        return bool(seen[end])
+
+    assert reached(0.0) == (cell is not None)
+    if cell is not None:
+        assert room[cell] == least
+        assert reached(np.nextafter(least, 0.0))
+        assert not reached(least)
+
+
+@pytest.mark.parametrize("open_cells", [1, 3, 7])
+def test_a_gap_too_narrow_is_told_beside_what_the_robot_needs(open_cells: int) -> None:
+    cost, first = np.ones((40, 20)), 6
+    cost[27:29] = np.inf
+    cost[27:29, first : first + open_cells] = 1.0
+    ground = crossing(cost)
+    ground.cost[ground.room < HALF] = np.inf
+    found = find_way(ground, np.array([0.5, 0.5]), np.array([1.8, 0.5]), 0.03)
+    assert isinstance(found, NoWay)
+    room = (open_cells // 2 + 1) * EDGE
+    at = f"(1.4, {(first + open_cells / 2) * EDGE:.1f})"
+    assert found.reason.endswith(
+        f"; the widest gap, at {at}, leaves {room:.2f} m to either side of its middle, and the robot needs {HALF:.2f} m"
+    )
 
 
 def test_a_goal_that_cannot_be_stood_on_is_named_unless_a_place_beside_it_will_do() -> None:
@@ -161,7 +203,7 @@ def test_out_of_a_place_where_it_ought_not_to_be_it_goes_the_shortest_way_and_no
     room = np.abs(np.arange(40) - 20)[:, None] * EDGE * np.ones((1, 20))
     cost[room < 0.25] = np.inf  # the robot is as wide
     nothing = np.zeros(cost.shape)
-    ground = Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, stops.astype(np.int8), nothing > 0, nothing)
+    ground = Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, stops.astype(np.int8), nothing > 0, nothing, 0.25)
     out = find_way(ground, np.array([0.93, 0.5]), np.array([0.2, 0.5]), 0.03)
     assert isinstance(out, Way)
     assert out.corners[:, 0].max() == 0.93
@@ -183,4 +225,4 @@ def test_beside_the_straight_way_it_goes_no_further_than_it_may() -> None:
     near = ground.beside(start, goal, 0.9)
     found = find_way(near, start, goal, 0.03)
     assert isinstance(found, NoWay)
-    assert found.reason.endswith(WORDS[FAR])
+    assert WORDS[FAR] in found.reason
