@@ -8,29 +8,24 @@ What was seen is kept while the map moves on, so that a robot that turns back do
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from services.planner.coarse import Mask, closed, coarse, distance, lowest_around, mean_around, over_square, wide
 from services.planner.terrain import Terrain
 from shared.geometry import Array, apply, inverse
 from shared.robot import Camera
 
-Mask = NDArray[np.bool_]
-Layer = TypeVar("Layer", bound=NDArray[Any])
-
 EDGE = 0.05  # [m] of a cell
 _CELLS = 128  # of the window that is kept, either way
 MAX_STEP = 0.065  # [m] between the ground of neighbouring cells that legs can take
-_AGREE = 2  # cells of the map that must be as high, so that one wrong measurement makes no wall
 _SEEN = 0.25  # [1] share of a cell that must be known
 _BARE = 0.8  # [1] share of a cell out of reach of every foothold, from which it is bare, and
 _NARROW = 2  # cells that bare ground must be wide to stop feet, and
 _BRIDGED = 5  # cells of low ground up to which it may be narrow, and stepped over
-_LOOKS = 3  # at a place that showed nothing, or showed a wall, from which it is a hole, or a wall
-_FORGET = 0.98  # share of a look that is left by the next
-_FOOT_OF_WALL = 0.015  # [m] of it that show at least
+_LOOKS = 3  # at a place that showed nothing, from which it is a hole
 _NEAREST, _FURTHEST = 1.15, 1.10  # of the camera's least range, and [m]: where what is there shows
 _FRAME = 0.84  # [1] share of the picture's width and height in which it does
 _SHADOW = 0.01  # [m] under the top of what stands before it, a place is hidden
@@ -134,7 +129,7 @@ class SeenGround:
             self._edge = edge
             self._layers = _nothing()
         self._move_to(T_world_body[:2, 3])
-        found = _coarse(terrain, block)
+        found = coarse(terrain, block)
         offset = found.first - self._first
         low = np.maximum(offset, 0)
         high = np.minimum(offset + found.layers["known"].shape, _CELLS)
@@ -145,13 +140,10 @@ class SeenGround:
         anew = found.layers["known"][there] > 0
         for name, layer in found.layers.items():
             self._layers[name][here][anew] = layer[there][anew]
-        # Narrow low ground is stepped over. A wall whose top is out of the picture is mapped as low as the middle of what
-        # shows of it, and now and then as nothing at all: it is kept in mind.
+        # Narrow low ground is stepped over.
         mind = self._layers
-        mind["rise"] = mind["high"] - _lowest_around(_closed(mind["low"], _BRIDGED))
-        mind["walls"] = _FORGET * mind["walls"] + (mind["rise"] > MAX_STEP)
-        eye = T_world_body @ camera.T_body_camera
-        self._look(eye, camera, floor, low, high)
+        mind["rise"] = mind["high"] - lowest_around(closed(mind["low"], _BRIDGED))
+        self._look(T_world_body @ camera.T_body_camera, camera, floor, low, high)
 
     def crossing(self, size: Size, prices: Prices, xy: Array, stuck: Array, stuck_radius: float) -> Crossing:
         """What it costs to cross, and where one cannot.
@@ -168,15 +160,14 @@ class SeenGround:
         stops = np.zeros(unseen.shape, dtype=np.int8)
         # 1. Ground that rises or falls by more than legs can take: its upper edge.
         rise = seen["rise"]
-        stops[seen["walls"] >= _LOOKS] = np.where(rise > _FOOT_OF_WALL, STEP, HOLE)[seen["walls"] >= _LOOKS]
         stops[rise > MAX_STEP] = STEP
         # 2. Ground without a foothold in reach, and ground that does not show, unless feet can step across.
-        stops[_wide(~unseen & (seen["bare"] > _BARE), _NARROW) & (stops == OPEN)] = BARE
-        stops[_wide(unseen & (seen["looks"] >= _LOOKS), _NARROW) & (stops == OPEN)] = HOLE
+        stops[wide(~unseen & (seen["bare"] > _BARE), _NARROW) & (stops == OPEN)] = BARE
+        stops[wide(unseen & (seen["looks"] >= _LOOKS), _NARROW) & (stops == OPEN)] = HOLE
         centres = (np.indices(unseen.shape).transpose(1, 2, 0) + self._first + 0.5) * self._edge
         for place in stuck:
             stops[(np.linalg.norm(centres - place, axis=2) < stuck_radius) & (stops == OPEN)] = STUCK
-        room = _distance(stops != OPEN, size.wide / self._edge) * self._edge
+        room = distance(stops != OPEN, size.wide / self._edge) * self._edge
         # 3. Where the body may be: prices over the ground that its feet stand on, and more where there is little room.
         near = np.linalg.norm(centres - xy, axis=2) < BESIDE
         relief = np.clip(np.nan_to_num(rise) / MAX_STEP, 0.0, 1.0)
@@ -187,9 +178,9 @@ class SeenGround:
         )
         beyond = np.clip((size.wide - room) / max(size.wide - size.half_width, 1e-9), 0.0, 1.0)
         under = round(size.half_width / self._edge)
-        cost = 1.0 + _mean_around(ground_price, under) + prices.near * beyond**2
+        cost = 1.0 + mean_around(ground_price, under) + prices.near * beyond**2
         cost[room < size.half_width] = np.inf
-        veiled = _mean_around(unseen.astype(np.float64), under)
+        veiled = mean_around(unseen.astype(np.float64), under)
         return Crossing(self._first.copy(), self._edge, cost, room, stops, unseen, veiled, size.half_width)
 
     def _move_to(self, xy: Array) -> None:
@@ -230,18 +221,10 @@ class SeenGround:
         line = eye + s * (places - eye)
         i, j = np.moveaxis(np.clip(np.floor(line[..., :2] / self._edge).astype(np.int64) - self._first, 0, _CELLS - 1), -1, 0)
         tops = self._layers["high"]
-        top = _over_square(np.where(np.isnan(tops), -np.inf, tops), 1, 1, np.maximum, -np.inf)
+        top = over_square(np.where(np.isnan(tops), -np.inf, tops), 1, 1, np.maximum, -np.inf)
         shown = ~(top[i, j] > line[..., 2] - _SHADOW).any(axis=0)
         cells, i, j, z = cells[shown], i[:, shown], j[:, shown], line[:, shown, 2]
         self._layers["looks"][cells[:, 0], cells[:, 1]] += 1
-        # What hides it, or ends before it, is the last that shows on the way to it.
-        known = self._layers["known"][i, j] >= _SEEN
-        last = len(known) - 1 - np.argmax(known[::-1], axis=0)
-        ray = np.arange(len(cells))
-        high = known.any(axis=0) & (z[last, ray] > floor + MAX_STEP) if len(cells) else np.zeros(0, dtype=bool)
-        before = np.zeros_like(known, shape=tops.shape)
-        before[i[last[high], ray[high]], j[last[high], ray[high]]] = True
-        self._layers["walls"] += before
 
 
 def _nothing() -> dict[str, Array]:
@@ -254,107 +237,5 @@ def _nothing() -> dict[str, Array]:
         "low": np.nan,  # [m] {world}
         "looks": 0.0,  # at the cell, in which nothing showed
         "rise": 0.0,  # [m] over the lowest ground around
-        "walls": 0.0,  # looks that found a wall there, the old ones counting less
     }
     return {name: np.full((_CELLS, _CELLS), value) for name, value in blank.items()}
-
-
-@dataclass(frozen=True, slots=True)
-class _Coarse:
-    """A map in coarse cells, from the cell `first` (2,) of the world's grid on; layers of `_nothing` that a map tells."""
-
-    first: NDArray[np.int64]
-    layers: dict[str, Array]
-
-
-def _coarse(terrain: Terrain, block: int) -> _Coarse:
-    """A map by blocks of block x block cells that lie on the world's grid of them; what its border cuts off is left out."""
-    first_fine = np.floor(terrain.map.origin / terrain.map.resolution + 1e-6).astype(np.int64)
-    first = -(-first_fine // block)
-    skip = first * block - first_fine
-    n, m = np.maximum(np.array(terrain.map.elevation.shape) - skip, 0) // block
-    cut = np.s_[skip[0] : skip[0] + n * block, skip[1] : skip[1] + m * block]
-
-    def blocks(layer: Layer) -> Layer:
-        return cast(Layer, layer[cut].reshape(n, block, m, block).transpose(0, 2, 1, 3).reshape(n, m, block * block))
-
-    height = terrain.map.elevation
-    known, foothold = np.isfinite(height), terrain.footholds()
-    reach = max(1, int(0.04 / terrain.map.resolution))  # a square within the 6 cm that are searched
-    bare = known & ~_dilated(foothold, reach)
-    count = blocks(known).sum(axis=2)
-    rank = np.clip(np.minimum(_AGREE, count) - 1, 0, None)[..., None]
-    tops = np.sort(blocks(np.where(known, -height, np.inf)), axis=2)
-    lows = np.sort(blocks(np.where(known, height, np.inf)), axis=2)
-    nothing = count == 0
-    layers = {
-        "known": count / block**2,
-        "footing": blocks(foothold).mean(axis=2),
-        "bare": blocks(bare).sum(axis=2) / np.maximum(count, 1),
-        "high": np.where(nothing, np.nan, -np.take_along_axis(tops, rank, axis=2)[..., 0]),
-        "low": np.where(nothing, np.nan, np.take_along_axis(lows, rank, axis=2)[..., 0]),
-    }
-    return _Coarse(first, layers)
-
-
-def _shifted(layer: Layer, by: int, axis: int, fill: float) -> Layer:
-    """A layer moved along an axis, filled where nothing comes from."""
-    out = np.full_like(layer, fill)
-    source, target = [slice(None), slice(None)], [slice(None), slice(None)]
-    n = layer.shape[axis]
-    if abs(by) < n:
-        source[axis], target[axis] = slice(max(-by, 0), n - max(by, 0)), slice(max(by, 0), n + min(by, 0))
-        out[tuple(target)] = layer[tuple(source)]
-    return cast(Layer, out)
-
-
-def _over_square(layer: Layer, before: int, after: int, take: np.ufunc, fill: float) -> Layer:
-    """The extreme of a layer over squares from `before` cells before to `after` cells behind each."""
-    for axis in (0, 1):
-        layer = take.reduce([_shifted(layer, by, axis, fill) for by in range(-after, before + 1)])
-    return layer
-
-
-def _dilated(mask: Mask, reach: int) -> Mask:
-    return _over_square(mask, reach, reach, np.logical_or, False)
-
-
-def _wide(mask: Mask, width: int) -> Mask:
-    """What of a mask is covered by squares of so many cells that lie in it."""
-    inside = _over_square(mask, 0, width - 1, np.logical_and, False)
-    return _over_square(inside, width - 1, 0, np.logical_or, False)
-
-
-def _closed(low: Array, width: int) -> Array:
-    """Ground (n, m) [m] with what is low and narrower than so many cells filled up to beside it; NaN where unknown."""
-    reach = width // 2
-    raised = _over_square(np.where(np.isnan(low), -np.inf, low), reach, reach, np.maximum, -np.inf)
-    lowered = _over_square(np.where(np.isinf(raised), np.inf, raised), reach, reach, np.minimum, np.inf)
-    return np.asarray(np.where(np.isnan(low), np.nan, lowered))
-
-
-def _lowest_around(ground: Array) -> Array:
-    """The lowest known ground of each cell and its eight neighbours, inf for none."""
-    return _over_square(np.where(np.isnan(ground), np.inf, ground), 1, 1, np.minimum, np.inf)
-
-
-def _mean_around(layer: Array, reach: int) -> Array:
-    """The mean of a layer over squares of so many cells to every side, the border's cells going on beyond it."""
-    wide = np.pad(layer, reach + 1, mode="edge")
-    total = wide.cumsum(axis=0).cumsum(axis=1)
-    k = 2 * reach + 1
-    return np.asarray((total[k:-1, k:-1] - total[: -k - 1, k:-1] - total[k:-1, : -k - 1] + total[: -k - 1, : -k - 1]) / k**2)
-
-
-def _distance(mask: Mask, most: float) -> Array:
-    """Distance (n, m) [cells] to the nearest cell of a mask, at most so much."""
-    reach = int(np.ceil(most))
-    along = np.where(mask, 0.0, np.inf)
-    for by in range(1, reach + 1):
-        for sign in (1, -1):
-            along = np.minimum(along, np.where(_shifted(mask, sign * by, 0, False), float(by), np.inf))
-    squared = along**2
-    for by in range(1, reach + 1):
-        for sign in (1, -1):
-            squared = np.minimum(squared, _shifted(along, sign * by, 1, np.inf) ** 2 + by**2)
-    return np.asarray(np.minimum(np.sqrt(squared), most))

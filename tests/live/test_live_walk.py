@@ -55,6 +55,35 @@ def test_a_course_of_ones_own_is_walked_over_zenoh(tmp_path: Path) -> None:
     assert all(counts[topic.key] for topic in (topics.ACTUATOR_STATE, topics.BODY_POSE, topics.STEP_PLAN, topics.TERRAIN))
 
 
+_BEHIND_A_WALL = """
+name = "behind"
+time_limit_s = 90.0
+[goal]
+distance = 1.2
+route = true
+[[terrain]]
+kind = "plane"
+[[terrain]]
+kind = "box"
+xy = [0.75, -0.25]
+size = [0.1, 0.5]
+top = 0.22
+"""
+
+
+def test_a_goal_on_the_wire_leads_around_a_wall(tmp_path: Path) -> None:
+    course, out = tmp_path / "behind.toml", tmp_path / "out"
+    course.write_text(_BEHIND_A_WALL, encoding="utf-8")
+    with Command("run", str(course), "--seed", "1000", "--out", str(out), cwd=tmp_path) as command:
+        assert command.status() == 0, command.text()
+        command.gone()
+    report = report_in(out)
+    assert (report["success"], report["falls"], report["collisions"]) == (True, 0, 0)
+    counts = Recording(out / "recording.mcap").counts()
+    assert counts[topics.GOAL.key]
+    assert not counts.get(topics.VELOCITY.key), "nobody steers it"
+
+
 def named(command: Command, service: str) -> Callable[[], bool]:
     """Whether the command has said that a service was killed, and started it again."""
     return lambda: f"{service} ended (killed by SIGKILL)" in command.text() and command.service(service) is not None

@@ -11,7 +11,7 @@ from services.planner.pilot import Heading, Pilot
 from services.planner.route import NoWay
 from services.planner.terrain import Terrain
 from shared.geometry import Array, from_xyz_rpy, rotation_z, yaw_of
-from shared.messages import Goal, VelocityCommand
+from shared.messages import MAX_WAYPOINTS, Goal, VelocityCommand
 from shared.robot import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
@@ -202,6 +202,32 @@ def test_a_goal_that_makes_no_sense_is_refused_in_words(odd: dict[str, Any], wor
     assert isinstance(found, NoWay)
     assert words in found.reason
     assert "expected, found" in found.reason
+
+
+def test_a_goal_inside_a_wall_is_refused_and_named(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(walled, beside_edges(walled), half=1.6))
+    found = robot.step(goal((0.8, -0.3)))
+    assert isinstance(found, NoWay)
+    assert found.reason.startswith("no way to (0.8, -0.3): a step of more than 6 cm")
+    assert found.reason.endswith("is too near to it")
+    assert isinstance(robot.step(goal((0.0, -0.3))), Heading), "another goal is another matter"
+
+
+def test_a_goal_behind_and_one_far_outside_the_map_are_walked_to(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(half=1.28)).walk(goal((-0.6, 0.1)))
+    assert robot.words[-1] == "at the goal (-0.6, 0.1)"
+    robot = Robot(make_terrain(half=1.28)).walk(goal((50.0, 0.0)), steps=5)
+    assert robot.T[0, 3] > 0.3
+    assert abs(robot.T[1, 3]) < 0.05
+
+
+def test_as_many_waypoints_as_a_goal_holds_are_passed_in_their_order(make_terrain: Maker) -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, MAX_WAYPOINTS)
+    corners = [(0.5 * float(np.sin(a)), 0.5 - 0.5 * float(np.cos(a))) for a in angle]
+    robot = Robot(make_terrain(half=1.6)).walk(goal(*corners), steps=300)
+    assert robot.words[-1] == "at the goal (-0.0, 0.0)"
+    track = np.array(robot.track)[:, :2]
+    assert all(np.linalg.norm(track - corner, axis=1).min() < 0.13 for corner in corners)
 
 
 def test_led_away_by_somebody_else_it_finds_its_way_from_there(make_terrain: Maker) -> None:
