@@ -45,6 +45,7 @@ _FACED = radians(6.0)  # off a place, from which it is being looked at
 _TURN_ABOUT = radians(90.0)  # off what it would look at first, from which it looks at what is nearer to where it faces
 _IN_SIGHT = radians(25.0)  # off where it faces, up to which a place is in the picture
 _SIGHT = 1.3  # [m] to which ground shows
+_SOON_BESIDE = BESIDE + 0.20  # [m] from it, within which it must be in the picture before the robot walks on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,7 +195,8 @@ class Pilot:
         if veiled is None:
             facing, turn_first = _along(way, _FACE) - xy, _TURN_FIRST
         else:
-            facing, turn_first = veiled - xy, _FACED if veiled_at < _HALT else pi
+            facing = veiled - xy
+            turn_first = _FACED if veiled_at < _HALT else _IN_SIGHT if _length(facing) < _SOON_BESIDE else pi
         error = _wrapped(atan2(facing[1], facing[0]) - yaw) if left > _LOOK_AHEAD else 0.0
         turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
         # No further in a step than to the end, nor around a corner.
@@ -203,8 +205,11 @@ class Pilot:
         wanted = [(velocity, turn), (velocity, 0.0), (np.zeros(2), turn)]
         if abs(error) > turn_first:
             wanted = [(np.zeros(2), turn), (velocity, 0.0)]
-        # Ground too near to be seen shows from further back.
-        wanted.append((-0.5 * speed * np.array([cos(errand.course - yaw), sin(errand.course - yaw)]), 0.0))
+        # Ground too near to be seen shows from further back, or from beside.
+        for away in (pi, pi / 2, -pi / 2):
+            course = errand.course - yaw + away
+            wanted.append((0.5 * speed * np.array([cos(course), sin(course)]), 0.0))
+        wanted.append((np.zeros(2), -turn))
         commands = tuple(_command(goal, now_ns, v, w) for v, w in wanted if _length(v) > 0.0 or w != 0.0)
         return Heading(commands, f"{left:.1f} m of way left to ({target[0]:.1f}, {target[1]:.1f})")
 
