@@ -262,21 +262,24 @@ def leg_points(profile: RobotProfile, q: Array) -> Array:
     _check(q, "joint angles", 6, 3)
     links = profile.links
     c1, s1, reach, z, shank_x, shank_z = _planar(q, links)
+    outward = np.empty(q.shape)  # horizontal distance of femur axis, knee and foot from the coxa axis
+    outward[..., 0], outward[..., 1], outward[..., 2] = links.coxa, reach - shank_x, reach
     points = np.zeros((*q.shape[:-1], 4, 3))
-    points[..., 1, 0], points[..., 1, 1] = links.coxa * c1, links.coxa * s1
-    points[..., 2, 0], points[..., 2, 1], points[..., 2, 2] = (reach - shank_x) * c1, (reach - shank_x) * s1, z - shank_z
-    points[..., 3, 0], points[..., 3, 1], points[..., 3, 2] = reach * c1, reach * s1, z
+    points[..., 1:, 0], points[..., 1:, 1] = outward * c1[..., None], outward * s1[..., None]
+    points[..., 2, 2], points[..., 3, 2] = z - shank_z, z
     R, p = profile.T_body_coxa[:, :3, :3], profile.T_body_coxa[:, :3, 3]
     return np.asarray(points @ R.mT + p[:, None, :])
 
 
 def _planar(q: Array, links: LegLinks) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Cosine and sine of the coxa, reach and height of the foot, and the shank's part in both."""
-    femur, shank = q[..., 1], q[..., 1] + q[..., 2]
-    shank_x, shank_z = links.tibia * np.cos(shank), links.tibia * np.sin(shank)
-    reach = links.coxa + links.femur * np.cos(femur) + shank_x
-    z = links.femur * np.sin(femur) + shank_z
-    return np.cos(q[..., 0]), np.sin(q[..., 0]), reach, z, shank_x, shank_z
+    angles = q.copy()
+    angles[..., 2] += q[..., 1]  # of the shank
+    c, s = np.cos(angles), np.sin(angles)
+    shank_x, shank_z = links.tibia * c[..., 2], links.tibia * s[..., 2]
+    reach = links.coxa + links.femur * c[..., 1] + shank_x
+    z = links.femur * s[..., 1] + shank_z
+    return c[..., 0], s[..., 0], reach, z, shank_x, shank_z
 
 
 def _to_body(profile: RobotProfile, p_coxa: Array) -> Array:

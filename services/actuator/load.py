@@ -41,7 +41,8 @@ def centre_of_mass(profile: RobotProfile, q: Array) -> Array:
     """
     points = leg_points(profile, q)
     middles = (points[:, :-1] + points[:, 1:]) / 2
-    return np.asarray(np.tensordot(profile.body.leg_link_masses, middles.sum(axis=0), 1) / profile.body.total_mass)
+    masses = np.array([profile.body.leg_link_masses])
+    return np.asarray((masses @ middles.sum(axis=0))[0] / profile.body.total_mass)
 
 
 def link_torques(profile: RobotProfile, q: Array) -> Array:
