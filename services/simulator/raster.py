@@ -205,7 +205,7 @@ def _chequer(canvas: Canvas, T: Array, colour: Array, bright: float) -> None:
 @compiled
 def _draw_polygon(canvas: Canvas, work: _Workspace, count: int, colour: Array) -> None:
     """Draw the convex face of the workspace's corners, counter-clockwise seen from outside; its back is not drawn."""
-    nx, ny, nz, d = _normal(work.corners)
+    nx, ny, nz, d = _normal(work.corners[0], work.corners[1], work.corners[2])
     if not d < 0.0:
         return
     # 1. Clip at the near plane and project.
@@ -228,9 +228,8 @@ def _draw_polygon(canvas: Canvas, work: _Workspace, count: int, colour: Array) -
 
 
 @compiled
-def _normal(corners: Array) -> tuple[float, float, float, float]:
+def _normal(p: Array | _Point, q: Array | _Point, r: Array | _Point) -> tuple[float, float, float, float]:
     """Normal n and distance d of the plane n . p = d through three corners."""
-    p, q, r = corners[0], corners[1], corners[2]
     ax, ay, az = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     bx, by, bz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -412,10 +411,7 @@ def _draw_triangle(canvas: Canvas, p: _Vertex, q: _Vertex, r: _Vertex, colour: A
     rightmost = np.floor(min(max(pu, qu, ru) + _EDGE, columns - 1.0))
     if top > bottom or leftmost > rightmost:
         return
-    ax, ay, az = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    bx, by, bz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
-    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    d = nx * p[0] + ny * p[1] + nz * p[2]
+    nx, ny, nz, d = _normal(p[:3], q[:3], r[:3])
     if not d < 0.0:
         return
     a, b, c = _inverse_depth_of(canvas.lens, nx, ny, nz, d)
