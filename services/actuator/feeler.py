@@ -32,6 +32,7 @@ class Felt:
     bears: NDArray[np.bool_]  # (6,) feet that stand on something
     feet: Array  # (6, 3) [m] {odom} measured foot centres
     pushes: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) legs that push the ground, if they hardly move
+    heaves: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that seem to lift the body
 
 
 class Feeler:

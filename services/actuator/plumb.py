@@ -7,11 +7,13 @@ So {odom} turns slowly about the body, as far as the sensor is sure, and what is
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from services.actuator.attitude import Attitude, AttitudeEstimator
 from shared.geometry import Array, exp_so3, transform
 from shared.messages import Imu
 
+_HEAVED, _HEAVES_FROM = np.radians(2.0), 0.05  # of lean, and [m] of a foot on the side that rises, to be what lifts it
 TIPPED = np.radians(20.0)  # of the body against what is commanded, from which a robot must not go on
 _GAP_NS = 100_000_000  # [ns] without a reading from which nothing is known of how the body turned meanwhile
 _OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a reading may be late; further back it is of another clock
@@ -28,6 +30,7 @@ class Plumb:
         self._attitude: Attitude | None = None
         self._stamp_ns = -1  # of the newest reading
         self._heard_ns = -1  # when it came
+        self._calm: Array | None = None  # (3,) {odom} up before feet came down
 
     def take(self, reading: Imu, now_ns: int) -> None:
         """Take in a reading [ns] when it comes; one that was overtaken says nothing, and after a gap all begins anew."""
@@ -74,6 +77,29 @@ class Plumb:
         R = exp_so3(np.array([y, -x, 0.0]) * (angle / sine))
         place = T_odom_body[:3, 3]
         return transform(R, place - R @ place)
+
+    def heaves(self, T_odom_body: Array, feet: Array, coming: NDArray[np.bool_], now_ns: int) -> NDArray[np.bool_]:
+        """The foot (6,) that lifts the body instead of standing: one that comes down where the body rises unseen by the legs.
+
+        A foot whose servo did not feel the ground goes on down, and the others lose theirs.
+
+        Args:
+            T_odom_body: (4, 4) where the body is by the legs.
+            feet: (6, 3) [m] {body}
+            coming: (6,) legs that come down; while there are none is the time to compare with.
+            now_ns: [ns] the time.
+        """
+        found, flags = self.attitude(now_ns), np.zeros(6, dtype=np.bool_)
+        up = None if found is None else T_odom_body[:3, :3] @ found.up
+        if up is None or self._calm is None or not coming.any():
+            self._calm = up
+            return flags
+        rising = (T_odom_body[:3, :3].T @ (up - self._calm))[:2]  # up leans in the body to the side that rises
+        size = math.hypot(*rising.tolist())
+        if size > _HEAVED:
+            arms = np.where(coming, feet[:, :2] @ (rising / size), 0.0)
+            flags[arms.argmax()] = arms.max() > _HEAVES_FROM
+        return flags
 
     def tipped(self, T_odom_commanded: Array, now_ns: int) -> str:
         """That the body leans too far against a commanded pose (4, 4), in words, or nothing."""

@@ -123,7 +123,7 @@ class Actuator:
         for plan in inbox.drain(topics.STEP_PLAN):
             self._consider(plan, tick.stamp_ns)
         if self._mode is not Mode.OFF:
-            self._move(dt, self._odometry.T_odom_body)
+            self._move(dt, self._odometry.T_odom_body, tick.stamp_ns)
             self._note_findings(now_ns)
         yield self._odometry_message(now_ns)
         news = (self._mode, self._reason, self._refused, self._walker.plan_ns)
@@ -270,13 +270,15 @@ class Actuator:
 
     # ------------------------------------------------------------------------------------------------------------ moves
 
-    def _move(self, dt: float, T_odom_body: Array) -> None:
+    def _move(self, dt: float, T_odom_body: Array, now_ns: int) -> None:
         if self._stand_up is not None:
             targets = self._stand_up.update(dt)
         else:
             # A leg whose servo is silent is taken to stand where the plan says.
             stands = self._feeler.bears | self._feeler.silent(self._clock())
-            felt = Felt(self._feeler.touches, stands, apply(T_odom_body, self._odometry.feet), self._contact.firm)
+            feet, awaiting = self._odometry.feet, self._walker.awaiting
+            heaves = self._plumb.heaves(T_odom_body, feet, awaiting, now_ns)
+            felt = Felt(self._feeler.touches, stands, apply(T_odom_body, feet), self._contact.firm, heaves)
             targets = self._walker.update(dt, T_odom_body, felt)
         self._reach_for(targets, dt)
         if self._stand_up is not None and self._stand_up.done:

@@ -295,7 +295,8 @@ class Walker:
             self._flight = _ARCS[self._settings.arc](self._feet[legs], targets[legs], plan.clearance[legs])
         since, until = self._progress(plan, before), self._progress(plan, self._elapsed)
         if felt is not None and since >= _STOP_FROM:
-            self._stop(legs & ~self._stopped & felt.touches, targets, felt.feet)
+            self._stop(legs & ~self._stopped & (felt.touches | felt.heaves), targets, felt.feet)
+            self._proven &= ~felt.heaves  # the body may have tilted for another reason
         load_s = self._settings.load_s
         self._share[legs & ~self._stopped] = max(0.0, (self._elapsed - end) / load_s)
         stopped = legs & self._stopped
@@ -350,7 +351,8 @@ class Walker:
     def _feel_down(self, dt: float, search: _Search, felt: Felt) -> None:
         """Lower feet that look for ground; they stay where they meet some, or the step that brought them is taken back."""
         # A foot below its femur's axis hardly turns the femur, so the feeler may miss that it stands.
-        found = search.legs & (felt.touches | (felt.pushes & (search.depth > _PUSHED_DOWN)))
+        pushes = felt.pushes & (search.depth > _PUSHED_DOWN)
+        found = search.legs & (felt.touches | pushes | felt.heaves)
         self._stay(found, apply(inverse(self._T_odom_cmd), felt.feet), felt.feet)
         search.legs &= ~found
         if not search.legs.any():

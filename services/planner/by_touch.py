@@ -29,7 +29,13 @@ class ByTouch:
         """Plan for a robot."""
         self._profile = profile
         self._settings = settings
-        slow = replace(profile.stance, step_s=settings.touch_step_s, stride=settings.touch_stride)
+        front, middle, rear = (settings.touch_width * radius for radius in profile.stance.foot_radius_from_coxa)
+        slow = replace(
+            profile.stance,
+            step_s=settings.touch_step_s,
+            stride=settings.touch_stride,
+            foot_radius_from_coxa=(front, middle, rear),
+        )
         self._strides = StridePlanner(replace(profile, stance=slow), settings)
 
     def asked(self, command: VelocityCommand) -> VelocityCommand:

@@ -18,6 +18,7 @@ class Settings:
     max_tilt_deg: float = 8.0  # [deg] by which that changes in one step
     touch_step_s: float = 1.6  # [s] duration of a step by touch alone,
     touch_stride: float = 0.05  # [m] of the body in it, at most,
+    touch_width: float = 1.2  # of the distance of its feet from the coxa: folded legs neither rise straight up nor feel much,
     touch_lift: float = 0.07  # [m] and clearance of its feet, at least
     uneven: float = 0.008  # [m] of relief from which it is
     path_margin: float = 0.015  # [m] of a swinging foot over what lies under its way
@@ -39,6 +40,7 @@ class Settings:
             "map_age_s",
             "revise_s",
             "touch_stride",
+            "touch_width",
             "touch_lift",
         )
         for name in positive:

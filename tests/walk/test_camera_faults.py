@@ -5,7 +5,7 @@ import pytest
 
 from shared import topics
 from shared.messages import Mode
-from shared.scenario import Box, Fault, Goal, Plane, Scenario
+from shared.scenario import Box, Fault, Goal, Plane, Scenario, Variation
 from shared.scenario import Walk as Options
 from tests.support.walks import Walk, flat, walk
 
@@ -64,13 +64,15 @@ def test_a_camera_that_is_cut_lets_no_more_than_one_step_begin() -> None:
     assert during[-1].mode is Mode.HOLD
 
 
-def test_on_request_it_goes_on_by_touch_over_what_it_has_never_seen() -> None:
+@pytest.mark.parametrize("imu", [False, True])
+def test_on_request_it_goes_on_by_touch_over_what_it_has_never_seen(imu: bool) -> None:
     blocks = tuple(Box((0.75 + 0.13 * i, y), (0.09, 0.12), 0.02 + 0.01 * (i % 3)) for i in range(2) for y in (-0.2, 0.2))
     course = Scenario(
         "dark",
         (Plane(), *blocks),
         Goal(0.7),
         walk=Options(by_touch=True),
+        variation=Variation(imu=imu),
         faults=(Fault(AT_S, "camera", "absent", for_s=1000.0),),
     )
     found = walk(course, 1000, wanted=HEARD)
@@ -79,3 +81,6 @@ def test_on_request_it_goes_on_by_touch_over_what_it_has_never_seen() -> None:
     assert any("by touch" in status.reason for status in found.statuses())
     stood = [status for status in found.statuses(AT_S, AT_S + 4.0) if status.state == "waiting"]
     assert any(REASONS["absent"] in status.reason for status in stood), "it had stopped and said why before it was asked"
+    if imu:
+        up = [truth.T_world_body[2, 2] for truth in found.heard.of(topics.TRUTH, AT_S)]
+        assert np.degrees(np.arccos(np.percentile(up, 5))) < 6.0, "with an IMU its tilt does not drift away"

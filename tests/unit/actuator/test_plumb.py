@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from services.actuator.plumb import Plumb
-from shared.geometry import Array, from_xyz_rpy, is_rigid, log_so3, rotation_from_rpy, yaw_of
+from shared.geometry import Array, exp_so3, from_xyz_rpy, is_rigid, log_so3, rotation_from_rpy, yaw_of
 from shared.messages import Imu
+from shared.robot import load_profile
 
 G = np.array([0.0, 0.0, 9.81])
 MS = 1_000_000
@@ -104,3 +106,35 @@ def test_a_sensor_that_counts_in_g_is_not_heeded_and_that_is_said() -> None:
         plumb.take(Imu(now_ns, np.zeros(3), np.array([0.0, 0.0, 1.0])), now_ns)
     assert plumb.turn(from_xyz_rpy(np.zeros(3), (0.1, 0.0, 0.0)), now_ns, 0.02) is None
     assert "sure to" in plumb.problem(now_ns)
+
+
+COMING = np.array([True, False, True, False, True, False])
+FEET = load_profile("phantomx_mk2").rest_feet()
+
+
+def heaved(R_level_body: Array, T_odom_body: Array) -> NDArray[np.bool_]:
+    """What is said of a body that was as the legs say, and then leans otherwise while feet come down."""
+    plumb, now_ns = told(T_odom_body[:3, :3])
+    nothing = plumb.heaves(T_odom_body, FEET, np.zeros(6, dtype=bool), now_ns)
+    assert not nothing.any()
+    sudden, later_ns = told(R_level_body)
+    plumb._attitude, plumb._heard_ns = sudden.attitude(later_ns), now_ns
+    return plumb.heaves(T_odom_body, FEET, COMING, now_ns)
+
+
+@WILD
+@given(st.sampled_from([0, 2, 4]), st.floats(2.5, 8.0), st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1)))
+def test_the_foot_over_which_the_body_rises_lifts_it(leg: int, angle_deg: float, lean: tuple[float, float]) -> None:
+    """Its own corner goes up, whatever the body's attitude was, and no other foot is blamed."""
+    x, y = FEET[leg, :2] / np.hypot(*FEET[leg, :2])
+    before = rotation_from_rpy([*lean, 0.0])
+    R = before @ exp_so3(np.radians(angle_deg) * np.array([y, -x, 0.0]))
+    np.testing.assert_array_equal(heaved(R, from_xyz_rpy(np.zeros(3), [*lean, 0.0])), np.arange(6) == leg)
+
+
+@pytest.mark.parametrize("angle_deg", [1.0, -5.0])
+def test_a_little_is_nothing_and_nobody_lifts_where_only_standing_feet_are(angle_deg: float) -> None:
+    x, y = (FEET[0] + FEET[5])[:2] / np.hypot(*(FEET[0] + FEET[5])[:2])
+    found = heaved(exp_so3(np.radians(angle_deg) * np.array([y, -x, 0.0])), np.eye(4))
+    assert found.sum() == (angle_deg < -1.0)
+    assert not found[~COMING].any()

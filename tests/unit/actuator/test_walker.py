@@ -480,3 +480,21 @@ def test_when_the_ground_turns_feet_stand_and_land_on_it_and_the_body_goes_where
     np.testing.assert_allclose(walker.body_ref[:3, :3], last.body_goal[:3, :3], atol=1e-9)
     landed = apply(turn, last.touchdown)
     np.testing.assert_allclose(walker.feet_odom[last.swing], landed[last.swing], atol=2e-3)
+
+
+def test_a_foot_that_heaves_stays_where_it_is_and_has_to_prove_that_it_stands() -> None:
+    walker = new_walker()
+    walker.accept(plan_to(1, body_at(0.03)))
+    while walker.resting or walker.phase < 0.7:
+        walker.update(DT, walker.body_ref, Felt(np.zeros(6, dtype=bool), ALL, walker.feet_odom))
+    at = walker.feet_odom
+    heaves, bears = np.arange(6) == 2, np.arange(6) != 2
+    for _ in range(60):
+        walker.update(DT, walker.body_ref, Felt(np.zeros(6, dtype=bool), bears, at, heaves=heaves))
+    np.testing.assert_allclose(walker.feet_odom[2], at[2], atol=2e-3)
+    assert walker.feet_odom[0, 2] < at[0, 2]
+    walker.accept(plan_to(2, body_at(0.06)))
+    while not walker.searching.any():
+        assert not walker.resting or walker.step == 1
+        walker.update(DT, walker.body_ref, Felt(np.zeros(6, dtype=bool), bears, walker.feet_odom))
+    assert walker.searching.tolist() == heaves.tolist()

@@ -589,7 +589,8 @@ def test_by_touch_the_ground_is_the_plane_of_the_feet() -> None:
     feet[:, 2] += slope * REST[:, 0]
     plan = rig.plans(10, feet=feet)[0]
     depth = plan.touchdown[:, 2] - PROFILE.foot.radius - slope * plan.touchdown[:, 0]
-    np.testing.assert_allclose(depth[plan.swing], depth[plan.swing][0], atol=2e-3)
+    # To a rung of the depths that legs may reach; along level ground the rear feet would be 4 cm off.
+    np.testing.assert_allclose(depth[plan.swing], depth[plan.swing][0], atol=0.012)
     assert -0.051 < depth[plan.swing][0] < -0.02
     nose_up = -rpy_from_rotation(plan.body_goal[:3, :3])[1]
     assert 0.0 < nose_up < np.radians(6.0), "the body follows the ground, a part of the way in each step"
