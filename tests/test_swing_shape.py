@@ -1,12 +1,19 @@
-"""The swing that the planner checks lies under the one that the actuator flies."""
+"""The swing that the planner checks lies under the one that the actuator flies: what it clears, the foot clears."""
 
 import numpy as np
 import pytest
 
 from services.actuator.swing import Swing
-from services.planner.leg_clearance import swing_shape
+from services.planner.leg_clearance import clearance_to_sink, swing_shape
+from shared.geometry import Array
 
 CYCLES = 60
+
+
+def flown(end: Array, clearance: Array) -> Array:
+    """Way (n, 3) of a foot from the origin to end (1, 3)."""
+    swing = Swing(np.zeros((1, 3)), end, clearance)
+    return np.array([np.zeros(3), *(swing.update(end, k / CYCLES, 1 / CYCLES)[0].copy() for k in range(CYCLES))])
 
 
 @pytest.mark.parametrize("length", [0.08, 0.12, 0.20])
@@ -14,8 +21,27 @@ CYCLES = 60
 @pytest.mark.parametrize("clearance", [0.025, 0.04, 0.08])
 def test_the_foot_flies_no_lower_than_the_planner_thinks(length: float, rise: float, clearance: float) -> None:
     start, end, over = np.zeros((1, 3)), np.array([[length, 0.0, rise]]), np.array([clearance])
-    swing = Swing(start, end, over)
-    way = np.array([start[0], *(swing.update(end, k / CYCLES, 1 / CYCLES)[0].copy() for k in range(CYCLES))])
-    checked = swing_shape(start, end, over)[:, 0]
-    flown = np.interp(checked[:, 0], way[:, 0], way[:, 2])
-    assert (flown >= checked[:, 2] - 0.003).all()
+    way, checked = flown(end, over), swing_shape(start, end, over)[:, 0]
+    assert (np.interp(checked[:, 0], way[:, 0], way[:, 2]) >= checked[:, 2] - 0.003).all()
+
+
+@pytest.mark.parametrize("length", [0.10, 0.15, 0.20])
+@pytest.mark.parametrize("before", [0.025, 0.04])
+@pytest.mark.parametrize("block", [0.02, 0.035, 0.05])
+@pytest.mark.parametrize("rise", [-0.03, 0.0, 0.01])
+def test_a_foot_comes_down_over_what_stands_before_its_touchdown(
+    length: float, before: float, block: float, rise: float
+) -> None:
+    """A block from the middle of the way on, up to so much before its end."""
+    end, share = np.array([[length, 0.0, rise]]), np.linspace(0.0, 1.0, 21)
+    along = share * length
+    stands = (share >= 0.5) & (along <= length - before)
+    ground = np.where(stands, block, np.where(share > 0.5, rise, 0.0))[:, None]
+    needed = clearance_to_sink(ground, np.zeros((1, 3)), end, 0.008)
+    way = flown(end, np.maximum(needed, 0.02))
+    assert (np.interp(along, way[:, 0], way[:, 2])[stands] >= block + 0.005).all()
+
+
+def test_even_ground_asks_for_nothing() -> None:
+    ground = np.linspace(0.0, 0.03, 21)[:, None]
+    assert clearance_to_sink(ground, np.zeros((1, 3)), np.array([[0.2, 0.0, 0.03]]), 0.008)[0] == -np.inf

@@ -22,6 +22,7 @@ class Settings:
     touch_lift: float = 0.07  # [m] and clearance of its feet, at least
     uneven: float = 0.008  # [m] of relief from which it is
     path_margin: float = 0.015  # [m] of a swinging foot over what lies under its way
+    sink_margin: float = 0.003  # [m] likewise over what stands before its touchdown, by the lowest way that it may come down
     leg_margin: float = 0.010  # [m] of a leg's middle line over the ground beside its feet
     plan_from: float = 0.55  # phase of a step from which the next one is planned
     retarget_until: float = 0.45  # phase until which touchdowns of the running step may move
@@ -52,6 +53,7 @@ class Settings:
             "max_tilt_deg",
             "handover_s",
             "path_margin",
+            "sink_margin",
             "leg_margin",
         ):
             if not 0.0 <= getattr(self, name) < np.inf:

@@ -19,6 +19,9 @@ _TIME = np.array([0.0, 0.15, 0.32, 0.42, 0.50, 0.57, 0.68, 0.83, 1.0])
 _ALONG = np.array([0.0, 0.08, 0.25, 0.40, 0.50, 0.62, 0.75, 0.90, 1.0])  # share of the way over the ground
 _RISEN = np.array([0.0, 0.40, 0.90, 1.0, 1.0, 0.95, 0.85, 0.50, 0.0])  # share of the height over start, then over touchdown
 _LEVEL = 0.8  # of the clearance, over the higher end: there it flies
+# The same for its end, closer: what of the level's height over the touchdown is left at shares of the way.
+_SINKS_AT, _SINKS_TO = [0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95], [1.0, 0.97, 0.92, 0.80, 0.69, 0.54, 0.33]
+_BESIDE = 0.02  # [m] around its touchdown, where the foot comes straight down beside what stands there
 _LIFTS = 4  # that are tried, up to the highest
 
 # Samples of a leg: shares of its femur, then of its tibia. What is nearer to the foot is judged as the foot's place.
@@ -103,6 +106,25 @@ def swing_shape(start: Array, end: Array, clearance: Array) -> Array:
     lower = np.where(_TIME[:, None] < 0.5, start[:, 2], end[:, 2])
     feet[..., 2] = lower + _RISEN[:, None] * (level - lower)
     return feet
+
+
+def clearance_to_sink(ground: Array, start: Array, end: Array, margin: float) -> Array:
+    """The clearance (n,) [m] with which feet, on their way down, pass over what stands before their touchdowns.
+
+    Args:
+        ground: (m, n) [m] highest ground at even shares of the ways, see `Terrain.ground_along`.
+        start: (n, 3) [m] undersides of the feet.
+        end: (n, 3) [m] likewise.
+        margin: [m] over that ground.
+
+    Returns:
+        (n,) [m] over the higher end, -inf where nothing stands there.
+    """
+    share = np.linspace(0.0, 1.0, len(ground))[:, None]
+    left = (1.0 - share) * np.linalg.norm((end - start)[:, :2], axis=1)
+    stands = (share >= _SINKS_AT[0]) & (left >= _BESIDE) & (ground > end[:, 2] + margin)
+    level = end[:, 2] + (np.where(stands, ground, -np.inf) + margin - end[:, 2]) / np.interp(share, _SINKS_AT, _SINKS_TO)
+    return np.asarray((level.max(axis=0) - np.maximum(start[:, 2], end[:, 2])) / _LEVEL)
 
 
 def links_at(q: Array, links: LegLinks) -> Array:

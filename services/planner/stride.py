@@ -10,7 +10,7 @@ from services.planner.body import clear_of_ground, floor_height, leaning, slope_
 from services.planner.config import Settings
 from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
 from services.planner.gait import GAITS, carried_on, directions, nominal_touchdowns, swing_order
-from services.planner.leg_clearance import Touching, Way, cleared, stands_clear
+from services.planner.leg_clearance import Touching, Way, clearance_to_sink, cleared, stands_clear
 from services.planner.terrain import NONE, Terrain
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from shared.kinematics import body_inverse, leg_inverse, within_limits
@@ -309,7 +309,11 @@ class StridePlanner:
         settings = self._settings
         start, end = feet[:, 2] - self._profile.foot.radius, touchdown[:, 2] - self._profile.foot.radius
         higher, lower = np.maximum(start, end), np.minimum(start, end)
-        between = terrain.highest_along(feet[:, :2], touchdown[:, :2])
+        ground = terrain.ground_along(feet[:, :2], touchdown[:, :2])
+        between = ground.max(axis=0)
         rough = np.maximum(higher, between) - lower > settings.uneven
         lift_if_rough = max(lift, self._profile.stance.rough_lift)
-        return np.maximum(np.where(rough, lift_if_rough, lift), between - higher + settings.path_margin)
+        clearance = np.maximum(np.where(rough, lift_if_rough, lift), between - higher + settings.path_margin)
+        sole = np.array([0.0, 0.0, self._profile.foot.radius])
+        to_sink = clearance_to_sink(ground, feet - sole, touchdown - sole, settings.sink_margin)
+        return np.asarray(np.maximum(clearance, np.minimum(to_sink, self._profile.stance.max_lift)))

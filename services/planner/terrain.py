@@ -105,10 +105,17 @@ class Terrain:
         return np.where(known[:, 4], np.where(known, patch, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1), np.nan)
 
     def highest_along(self, start: Array, end: Array, half_width: float = 0.02) -> Array:
-        """Highest known ground (n,) [m] {world} under straight ways between (n, 2) starts and ends, -inf for none.
+        """Highest known ground (n,) [m] {world} under straight ways, see `ground_along`."""
+        return np.asarray(self.ground_along(start, end, half_width).max(axis=0))
+
+    def ground_along(self, start: Array, end: Array, half_width: float = 0.02) -> Array:
+        """Highest known ground [m] {world} across straight ways between (n, 2) starts and ends, -inf for none.
 
         A foot is as wide as it is and does not keep to the line to the millimetre: the ways are bands, `half_width` [m] to
         either side, rounded off to nothing at their ends, which have been looked at as footholds.
+
+        Returns:
+            (m, n) [m], at even shares of the ways from 0 to 1, a cell of the longest one apart at most.
         """
         way = end - start
         length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-6)
@@ -116,8 +123,8 @@ class Terrain:
         along, across = (int(np.ceil(reach / self.map.resolution)) + 1 for reach in (float(length.max()), 2.0 * half_width))
         s = np.linspace(0.0, 1.0, along)[:, None, None, None]
         offset = np.linspace(-half_width, half_width, across)[None, :, None, None] * np.sin(np.pi * s) ** 0.5
-        heights = self.heights((start + s * way + offset * aside).reshape(-1, 2)).reshape(along * across, -1)
-        return np.asarray(np.where(np.isfinite(heights), heights, -np.inf).max(axis=0))
+        heights = self.heights((start + s * way + offset * aside).reshape(-1, 2)).reshape(along, across, -1)
+        return np.asarray(np.where(np.isfinite(heights), heights, -np.inf).max(axis=1))
 
     def highest_under(self, corners: Array) -> float:
         """Highest known ground [m] {world} under a rectangle, given by three corners (3, 2): origin, along, aside."""
