@@ -1,7 +1,7 @@
 """Which way is up, by an inertial sensor: the explicit complementary filter with gravity as its one direction.
 
 Source: Mahony, Hamel and Pflimlin, "Nonlinear complementary filters on the special orthogonal group", IEEE Trans. Autom.
-Control 53(5), 2008, section V. Of the attitude only that direction is kept: heading is none of its business, nor can it drift.
+Control 53(5), 2008, section V. Of the attitude only that direction is kept, and beside it how far the gyro has turned about it.
 """
 
 import math
@@ -17,6 +17,7 @@ _BIAS_GAIN = 0.05  # [1/s^2] at which a lasting pull is put down to the gyro, it
 _BIAS_FROM = np.radians(5.0)  # larger pulls are a beginning or a push, no bias
 _BIAS_LIMIT = 0.05  # [rad/s] of what a calibrated gyro may be off
 _PUSH = 0.5  # [m/s^2] by which a specific force may differ from gravity's length and be half believed
+_STILL_S, _STILL = 1.0, 0.02  # [s] in which a gyro at rest tells its bias, and [rad/s] up to which it may be at rest
 _START_DOUBT = 0.2  # [rad] of one reading, taken while the robot may be moving
 _FORCE_DOUBT = 5e-3  # [rad] of gravity as it is felt: what an accelerometer is off, 0.05 m/s^2, cannot be told from tilt
 _GYRO_DOUBT = 2e-3  # [rad/s] of a gyro whose bias is not found yet
@@ -28,6 +29,7 @@ class Attitude:
 
     R_level_body: Array  # (3, 3) roll and pitch, no yaw: {level} has its z axis up and its x axis over the body's
     doubt: float  # [rad] one sigma of the direction of up
+    turned: float  # [rad] about up since the beginning, by the gyro alone; it drifts with what is left of the bias
 
     @property
     def up(self) -> Array:
@@ -43,20 +45,25 @@ class AttitudeEstimator:
         self.bias = np.zeros(3) if bias is None else bias.copy()
         self._up: Array | None = None  # (3,) {body}
         self._doubt = _START_DOUBT
+        self._turned = 0.0
 
-    def update(self, gyro: Array, specific_force: Array, dt: float) -> Attitude:
+    def update(self, gyro: Array, specific_force: Array, dt: float, still: bool = False) -> Attitude:
         """Take in a reading.
 
         Args:
             gyro: (3,) [rad/s] {body}
             specific_force: (3,) [m/s^2] {body}, +g up at rest.
             dt: [s] since the reading before; of the first one nothing follows from it.
+            still: Whether the body is known to stand still: only then can a bias about up be told.
 
         Raises:
             ValueError: dt is not positive.
         """
         if not dt > 0:
             raise ValueError(f"a positive interval expected, found {dt} s")
+        rate = gyro - self.bias
+        if still and np.abs(rate).max() < _STILL:
+            self.bias = self.bias + min(dt / _STILL_S, 1.0) * rate
         length = math.sqrt(float(specific_force @ specific_force))
         if self._up is None:
             # Whatever cannot be gravity says nothing; upright is a guess as good as any.
@@ -68,6 +75,7 @@ class AttitudeEstimator:
         if math.sqrt(float(pull @ pull)) < _BIAS_FROM:
             bias = self.bias - _BIAS_GAIN * belief * dt * pull
             self.bias = np.minimum(np.maximum(bias, -_BIAS_LIMIT), _BIAS_LIMIT)
+        self._turned += dt * float(rate @ turned)
         up = turned - dt * _GAIN * belief * _cross(pull, turned)
         self._up = up / math.sqrt(float(up @ up))
         self._doubt += dt * (_GYRO_DOUBT - _GAIN * belief * (self._doubt - _FORCE_DOUBT))
@@ -76,7 +84,7 @@ class AttitudeEstimator:
     def _attitude(self, up: Array) -> Attitude:
         x, y, z = up.tolist()
         roll, pitch = math.atan2(y, z), -math.asin(min(max(x, -1.0), 1.0))
-        return Attitude(rotation_from_rpy((roll, pitch, 0.0)), self._doubt)
+        return Attitude(rotation_from_rpy((roll, pitch, 0.0)), self._doubt, self._turned)
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -2,6 +2,7 @@
 
 The legs see every motion at once, and nothing of where down is; an inertial sensor sees that, to within what it is off itself.
 So {odom} turns slowly about the body, as far as the sensor is sure, and what is held level in it is held level against gravity.
+Its heading follows the gyro's: feet that slip turn the body unseen by the legs.
 """
 
 import math
@@ -10,15 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.actuator.attitude import Attitude, AttitudeEstimator
-from shared.geometry import Array, exp_so3, transform
+from shared.geometry import Array, exp_so3, transform, yaw_of
 from shared.messages import Imu
 
 _HEAVED, _HEAVES_FROM = np.radians(2.0), 0.05  # of lean, and [m] of a foot on the side that rises, to be what lifts it
 TIPPED = np.radians(20.0)  # of the body against what is commanded, from which a robot must not go on
 _GAP_NS = 100_000_000  # [ns] without a reading from which nothing is known of how the body turned meanwhile
 _OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a reading may be late; further back it is of another clock
+_CALM_NS = 1_000_000_000  # [ns] for which a robot must stand until nothing of its body moves any more
 _SURE = np.radians(3.0)  # of doubt up to which a sensor has a say
 _RATE, _FASTEST = 0.5, np.radians(3.0)  # [1/s] at which {odom} turns, and [rad/s] at most
+_HEADING_RATE = 2.0  # [1/s] at which its heading follows the gyro's
+_RESTART = 0.2  # [rad] of the legs' heading in a cycle that is none: they count anew
 
 
 class Plumb:
@@ -30,17 +34,26 @@ class Plumb:
         self._attitude: Attitude | None = None
         self._stamp_ns = -1  # of the newest reading
         self._heard_ns = -1  # when it came
+        self._moved_ns = -1  # stamp of the last reading of a robot that did not stand
+        self._heading: tuple[float, float] | None = None  # [rad] by the legs and by the gyro, when last asked
+        self._behind = 0.0  # [rad] by which the legs' heading is behind the gyro's
         self._calm: Array | None = None  # (3,) {odom} up before feet came down
 
-    def take(self, reading: Imu, now_ns: int) -> None:
-        """Take in a reading [ns] when it comes; one that was overtaken says nothing, and after a gap all begins anew."""
+    def take(self, reading: Imu, now_ns: int, still: bool = False) -> None:
+        """Take in a reading [ns] when it comes, of a robot that may be known to stand still.
+
+        One that was overtaken says nothing, and after a gap all begins anew.
+        """
         since_ns = reading.stamp_ns - self._stamp_ns if self._attitude is not None else 1
         if -_OTHER_CLOCK_NS < since_ns <= 0:
             return
+        if not still or self._attitude is None:
+            self._moved_ns = reading.stamp_ns
+        still = reading.stamp_ns - self._moved_ns > _CALM_NS
         if not 0 < since_ns <= _GAP_NS:
-            self._estimator = AttitudeEstimator(self._estimator.bias)
+            self._estimator, self._heading = AttitudeEstimator(self._estimator.bias), None
         self._stamp_ns, self._heard_ns = reading.stamp_ns, now_ns
-        self._attitude = self._estimator.update(reading.gyro, reading.specific_force, max(since_ns, 1) * 1e-9)
+        self._attitude = self._estimator.update(reading.gyro, reading.specific_force, max(since_ns, 1) * 1e-9, still)
 
     def attitude(self, now_ns: int) -> Attitude | None:
         """How the body lies; None while no reading comes, or none that can be relied upon."""
@@ -57,7 +70,9 @@ class Plumb:
         return f"the IMU's up is sure to {math.degrees(self._attitude.doubt):.0f} deg only; level is what the feet say"
 
     def turn(self, T_odom_body: Array, now_ns: int, dt: float) -> Array | None:
-        """The turn (4, 4) of {odom} about the body that makes it a little more level, or None where nothing is to be done.
+        """The turn (4, 4) of {odom} about the body towards what the sensor says, or None where there is nothing to do.
+
+        It makes {odom} more level, and takes out what feet that slipped have made of the heading.
 
         Args:
             T_odom_body: (4, 4) where the body is by the legs.
@@ -66,17 +81,32 @@ class Plumb:
         """
         found = self.attitude(now_ns)
         if found is None:
+            self._heading = None
             return None
+        yaw = self._yaw_to_make_up(yaw_of(T_odom_body), found.turned, dt)
         x, y, z = (T_odom_body[:3, :3] @ found.up).tolist()  # up as {odom} has it
         sine = math.hypot(x, y)
         lean = math.atan2(sine, z)
         beyond = lean - found.doubt
-        if beyond <= 0.0 or sine < 1e-9:
+        if beyond <= 0.0 and yaw == 0.0:
             return None
-        angle = dt * min(_RATE * beyond, _FASTEST)
-        R = exp_so3(np.array([y, -x, 0.0]) * (angle / sine))
+        angle = dt * min(_RATE * max(beyond, 0.0), _FASTEST) / max(sine, 1e-9)
+        R = exp_so3(np.array([y * angle, -x * angle, yaw]))
         place = T_odom_body[:3, 3]
+        self._heading = (yaw_of(R @ T_odom_body[:3, :3]), found.turned)
         return transform(R, place - R @ place)
+
+    def _yaw_to_make_up(self, legs: float, gyro: float, dt: float) -> float:
+        """How far [rad] to turn now, by the headings [rad] of legs and gyro."""
+        before, self._heading = self._heading, (legs, gyro)
+        stepped = 0.0 if before is None else math.remainder(legs - before[0], math.tau)
+        if before is None or abs(stepped) > _RESTART:
+            self._behind = 0.0
+            return 0.0
+        self._behind += gyro - before[1] - stepped
+        yaw = min(_HEADING_RATE * dt, 1.0) * self._behind
+        self._behind -= yaw
+        return yaw
 
     def heaves(self, T_odom_body: Array, feet: Array, coming: NDArray[np.bool_], now_ns: int) -> NDArray[np.bool_]:
         """The foot (6,) that lifts the body instead of standing: one that comes down where the body rises unseen by the legs.

@@ -168,8 +168,9 @@ class Actuator:
 
     def _level(self, dt: float, now_ns: int, inbox: Inbox) -> None:
         """Where there is an inertial sensor {odom} is as level as that says, and a body that tips over does not walk on."""
+        still = self._mode is Mode.HOLD and self._walker.resting
         for reading in inbox.drain(topics.IMU):
-            self._plumb.take(reading, now_ns)
+            self._plumb.take(reading, now_ns, still)
         turn = self._plumb.turn(self._odometry.T_odom_body, now_ns, dt)
         if turn is not None:
             self._odometry.turn(turn)

@@ -116,3 +116,26 @@ def test_noise_of_the_data_sheet_leaves_half_a_degree() -> None:
 def test_time_that_does_not_pass_is_refused() -> None:
     with pytest.raises(ValueError, match="positive interval"):
         AttitudeEstimator().update(np.zeros(3), G, 0.0)
+
+
+@WILD
+@given(tilts, st.lists(st.floats(-0.01, 0.01), min_size=3, max_size=3))
+def test_at_rest_a_gyro_tells_its_bias_about_up_too_and_then_counts_heading(
+    tilt: tuple[float, float], bias: list[float]
+) -> None:
+    R, filter_, wrong = rotation_from_rpy([*tilt, 0.0]), AttitudeEstimator(), np.array(bias)
+    for _ in range(500):
+        filter_.update(wrong, felt(R), DT, still=True)
+    np.testing.assert_allclose(filter_.bias, wrong, atol=1e-4)
+    before = filter_.update(wrong, felt(R), DT).turned
+    for _ in range(200):
+        R = rotation_z(0.004) @ R
+        found = filter_.update(wrong + R.T @ [0.0, 0.0, 0.004 / DT], felt(R), DT)
+    assert found.turned - before == pytest.approx(0.8, abs=2e-3)
+
+
+def test_a_body_that_turns_is_not_taken_to_stand_still() -> None:
+    filter_ = AttitudeEstimator()
+    for _ in range(200):
+        filter_.update(np.array([0.0, 0.0, 0.1]), G, DT, still=True)
+    assert np.abs(filter_.bias).max() < 1e-9

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from services.actuator.plumb import Plumb
-from shared.geometry import Array, exp_so3, from_xyz_rpy, is_rigid, log_so3, rotation_from_rpy, yaw_of
+from shared.geometry import Array, exp_so3, from_xyz_rpy, is_rigid, log_so3, rotation_from_rpy, transform, yaw_of
 from shared.messages import Imu
 from shared.robot import load_profile
 
@@ -138,3 +138,37 @@ def test_a_little_is_nothing_and_nobody_lifts_where_only_standing_feet_are(angle
     found = heaved(exp_so3(np.radians(angle_deg) * np.array([y, -x, 0.0])), np.eye(4))
     assert found.sum() == (angle_deg < -1.0)
     assert not found[~COMING].any()
+
+
+@pytest.mark.parametrize("slipped", [0.0, 0.15, -0.3])
+def test_heading_that_slipping_feet_have_lost_is_made_up_by_the_gyro(slipped: float) -> None:
+    """The body turns by half a radian, and the legs saw that much less of it."""
+    plumb, now_ns = told(np.eye(3))
+    T, steps = from_xyz_rpy((1.0, 2.0, 0.1), np.zeros(3)), 100
+    for i in range(300):
+        rate = 0.5 / steps if i < steps else 0.0
+        now_ns += 20 * MS
+        plumb.take(Imu(now_ns, np.array([0.0, 0.0, rate / 0.02]), G), now_ns)
+        seen = rate * (1.0 - slipped / 0.5)
+        T = transform(T[:3, :3] @ exp_so3(np.array([0.0, 0.0, seen])), T[:3, 3])
+        turn = plumb.turn(T, now_ns, 0.02)
+        T = T if turn is None else turn @ T
+    assert yaw_of(T) == pytest.approx(0.5, abs=0.01)
+    np.testing.assert_allclose(T[:3, 3], (1.0, 2.0, 0.1), atol=1e-9)
+
+
+def test_legs_that_count_anew_have_not_turned() -> None:
+    plumb, now_ns = told(np.eye(3))
+    plumb.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, 1.2)), now_ns, 0.02)
+    assert plumb.turn(np.eye(4), now_ns, 0.02) is None
+    assert plumb.turn(np.eye(4), now_ns, 0.02) is None
+
+
+def test_only_a_robot_that_has_stood_for_a_while_tells_what_its_gyro_is_off() -> None:
+    plumb, bias = Plumb(), np.array([0.0, 0.0, 0.004])
+    for i in range(600):
+        plumb.take(Imu(i * 20 * MS, bias, G), i * 20 * MS, still=i % 40 != 0)
+    assert plumb._estimator.bias[2] == 0.0
+    for i in range(600, 1000):
+        plumb.take(Imu(i * 20 * MS, bias, G), i * 20 * MS, still=True)
+    assert plumb._estimator.bias[2] == pytest.approx(0.004, abs=1e-4)
