@@ -216,6 +216,8 @@ def test_a_goal_inside_a_wall_is_refused_and_named(make_terrain: Maker) -> None:
 def test_a_goal_behind_and_one_far_outside_the_map_are_walked_to(make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28)).walk(goal((-0.6, 0.1)))
     assert robot.words[-1] == "at the goal (-0.6, 0.1)"
+    robot = Robot(make_terrain(half=1.9, origin=(1.6, 0.0))).walk(goal((3.3, 0.0)))
+    assert robot.words[-1] == "at the goal (3.3, 0.0)", "not where the ground that it keeps ended at first"
     robot = Robot(make_terrain(half=1.28)).walk(goal((50.0, 0.0)), steps=5)
     assert robot.T[0, 3] > 0.3
     assert abs(robot.T[1, 3]) < 0.05
