@@ -15,7 +15,8 @@ _DISC_RANGE = 0.008  # [m] heights within that disc may differ by this
 _PLANE_MISFIT = 0.002  # [m] or more, when they lie on a plane this closely
 _HIGHER = 0.065  # [m] over a foot's underside, from which ground beside it is no step but a wall
 _TOUCHING = 0.003  # [m] between a foot and what it runs into
-_LOWER = 0.08  # [m] under the other feet, from which a foot hangs in a hole
+_LOWER = 0.08  # [m] under the other feet, from which a foot hangs in a hole,
+_DEEP = 0.20  # [m] where the ground is that far under them: of stairs, three feet may stand lower than that
 _MAX_SLOPE = np.tan(np.radians(35.0))  # that is no steeper than this
 
 
@@ -136,7 +137,8 @@ def walked_into(height_at: HeightAt, feet: Array, bodies: Array, radius: float, 
     ground = height_at(around.reshape(-1, 2)).reshape(around.shape[:-1])
     underside = feet[..., 2] - radius
     beside = np.asarray(ground > underside[..., None] + _HIGHER).any(axis=(1, 2))
-    hangs = underside < np.median(underside, axis=1, keepdims=True) - _LOWER
+    others = np.median(underside, axis=1, keepdims=True)
+    hangs = (underside < others - _LOWER) & (ground.min(axis=2) < others - _DEEP)
     hanging = np.asarray(hangs).any(axis=1)
     half = np.array(size) / 2
     edge = np.array([(x, y, -1.0) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]) * half

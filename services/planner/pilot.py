@@ -178,7 +178,7 @@ class Pilot:
         if errand.way is not None:
             old, off = _rest(errand.way.corners, xy)
             cost = cost_of(crossing, old)
-            same_end = _length(old[-1] - found.corners[-1]) < crossing.edge  # what is kept of the ground may reach further by now
+            same_end = _length(old[-1] - found.corners[-1]) < crossing.edge  # the ground that is kept may reach further by now
             if same_end and off < _OFF_WAY and found.cost > _WORTH * cost:
                 found = Way(old, cost)
         errand.way = found

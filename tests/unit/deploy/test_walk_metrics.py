@@ -42,6 +42,8 @@ def test_what_is_walked_into_is_counted_and_a_step_is_not():
     ground = build_terrain(Scenario("h", (Plane(), Hole((0.22, 0.16), (0.1, 0.1), 0.3)), Goal(1.0)), np.random.default_rng(0))
     assert walked_into(ground.height_at, hanging[None], body[None], profile.foot.radius, profile.body.size) == 1
     assert walked_into(ground.height_at, feet[None], body[None], profile.foot.radius, profile.body.size) == 0
+    below = build_terrain(Scenario("b", (Plane(height=-0.1),), Goal(1.0)), np.random.default_rng(0))
+    assert walked_into(below.height_at, hanging[None], body[None], profile.foot.radius, profile.body.size) == 0, "it stands"
 
 
 def test_runs_and_debounce():
