@@ -27,3 +27,14 @@ def test_around_a_wall_to_the_goal() -> None:
     assert np.abs(track[:, 1]).max() > 0.3
     assert found.states()[-1].mode is Mode.HOLD
     assert not check(as_table(report))
+
+
+def test_over_rubble_and_up_stairs_to_the_goal() -> None:
+    found = walk(load_scenario("goal_stairs"), 1001, (topics.GOAL, topics.VELOCITY, topics.BODY_POSE))
+    report = found.report
+    assert report.success, report.reason
+    assert (report.falls, report.shutdowns, report.collisions) == (0, 0, 0)
+    assert found.heard.of(topics.GOAL)
+    assert not found.heard.of(topics.VELOCITY), "nobody steers it"
+    heights = [pose.T_world_body[2, 3] for pose in found.heard.of(topics.BODY_POSE)]
+    assert heights[-1] - heights[0] > 0.08, "three risers up"
