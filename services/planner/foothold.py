@@ -24,6 +24,7 @@ class Foothold:
 
     p_world: Array  # (3,) [m] the ground under it
     moved: float  # [m] from its nominal place
+    room: float  # how good it is, see `Terrain.suitability`
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,15 +82,15 @@ def _search(
     candidates = np.flatnonzero(~unknown & ~rough & ~near)
     points = np.column_stack([xy[candidates], footing[candidates]])
     within = reachable(points) if len(points) else np.zeros(0, dtype=bool)
-    best = GOOD if nominal is None or not within.any() else suitability[candidates][within].max()
+    best = GOOD if nominal is None or not within.any() else float(suitability[candidates][within].max())
     within = within & (suitability[candidates] == best)
     if within.any():
         if nominal is None:
-            return Foothold(points[int(np.argmax(within))], 0.0)
+            return Foothold(points[int(np.argmax(within))], 0.0, best)
         # The cells lie around the nominal place's cell, not around itself: their order is theirs, the distance is judged anew.
         moved = np.where(within, np.linalg.norm(points[:, :2] - nominal, axis=1), np.inf)
-        best = int(np.argmin(moved))
-        return Foothold(points[best], float(moved[best]))
+        nearest = int(np.argmin(moved))
+        return Foothold(points[nearest], float(moved[nearest]), best)
     hazards = np.where(rough, terrain.hazards(xy), 0)
     counts = Counter(
         {

@@ -27,6 +27,8 @@ _LIFTS = 4  # that are tried, up to the highest
 # Samples of a leg: shares of its femur, then of its tibia. What is nearer to the foot is judged as the foot's place.
 _FEMUR = np.array([0.4, 0.7, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
 _TIBIA = np.array([0.0, 0.0, 0.0, 0.17, 0.34, 0.51, 0.68, 0.85])
+_BELOW = np.zeros((1, 2))  # [m]
+_AROUND = 0.01 * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])  # [m] a shank's radius, and how well an edge is known
 _WORSE = 0.01  # [m] by which a leg may come nearer to what it is too near to already
 
 
@@ -84,9 +86,13 @@ def cleared(
 def stands_clear(
     leg: int, feet: Array, T_world_body: Array, margin: float, profile: RobotProfile, terrain: Terrain
 ) -> NDArray[np.bool_]:
-    """With which (n,) of foot centres (n, 3) [m] {world} one leg keeps a margin [m] to the ground, the body at (4, 4)."""
+    """With which (n,) of foot centres (n, 3) [m] {world} one leg keeps a margin [m] to the ground, the body at (4, 4).
+
+    The ground beside its links counts as well as that below: a shank is as thick as it is, and an edge stands about where the
+    map shows it.
+    """
     T = T_world_body @ profile.T_body_coxa[leg]
-    gaps, _ = _gaps(feet, T, profile.leg_reach[leg], profile.links, terrain)
+    gaps, _ = _gaps(feet, T, profile.leg_reach[leg], profile.links, terrain, _AROUND)
     return np.asarray((gaps >= margin).all(axis=-1))
 
 
@@ -148,7 +154,9 @@ def _too_near(
     return gaps < np.minimum(margin, gaps[0].min(axis=-1, keepdims=True) - _WORSE), gaps, points
 
 
-def _gaps(feet: Array, T_world_coxa: Array, reach: Array, links: LegLinks, terrain: Terrain) -> tuple[Array, Array]:
+def _gaps(
+    feet: Array, T_world_coxa: Array, reach: Array, links: LegLinks, terrain: Terrain, around: Array = _BELOW
+) -> tuple[Array, Array]:
     """How high (..., 8) [m] a leg's samples are over the ground, infinite where that is unknown, and where they are.
 
     Args:
@@ -157,12 +165,14 @@ def _gaps(feet: Array, T_world_coxa: Array, reach: Array, links: LegLinks, terra
         reach: (..., 2) [m] shortest and longest way from the femur's axis to the foot.
         links: Coxa, femur and tibia lengths [m].
         terrain: The map.
+        around: (k, 2) [m] beside a sample where the ground counts.
     """
     R, p = T_world_coxa[..., :3, :3], T_world_coxa[..., :3, 3]
     feet_coxa = ((feet - p)[..., None, :] @ R)[..., 0, :]
     q = leg_inverse(leg_nearest_reachable(feet_coxa, reach, links), links)
     points = links_at(q, links) @ R.mT + p[..., None, :]
     known = np.isfinite(points[..., 0])
-    ground = terrain.heights(np.where(known[..., None], points[..., :2], 0.0))
+    xy = np.where(known[..., None], points[..., :2], 0.0)
+    ground = np.fmax.reduce(terrain.heights(xy[..., None, :] + around), axis=-1)
     known &= np.isfinite(ground)
     return np.where(known, points[..., 2] - np.where(known, ground, 0.0), np.inf), points

@@ -11,7 +11,7 @@ from services.planner.config import Settings
 from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
 from services.planner.gait import GAITS, carried_on, directions, nominal_touchdowns, swing_order
 from services.planner.leg_clearance import Touching, Way, clearance_to_sink, cleared, stands_clear
-from services.planner.terrain import NONE, Terrain
+from services.planner.terrain import GOOD, NONE, Terrain
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from shared.kinematics import body_inverse, leg_inverse, within_limits
 from shared.messages import VelocityCommand
@@ -19,6 +19,7 @@ from shared.robot import LEGS, RobotProfile
 from shared.stability import support_margin
 
 SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
+_ROOM_ENOUGH = 1.75  # of a foothold's suitability: for more a step is not made shorter
 _DESCENT = np.array([0.0, 0.0, 0.03])  # [m] over a foothold, from where a foot comes straight down
 _DEARER = 2.0  # than way is height: of a foot's way over the ground the body makes half
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
@@ -49,6 +50,7 @@ class Stride:
     moved: int  # footholds away from their nominal place
     share: float  # of the commanded travel
     duration: float  # [s]
+    room: float  # how good its poorest foothold is, see `Terrain.suitability`
 
     def moved_by(self, T: Array) -> "Stride":
         """The same step after a correction (4, 4) of where the world is believed to be."""
@@ -100,13 +102,22 @@ class StridePlanner:
         return f", {reached * 100:.1f} of {asked * 100:.1f} cm/s: no more by the stride of the {command.gait} gait"
 
     def plan(self, at: Situation, terrain: Terrain, passed_over: int = 0) -> Stride | Blocked:
-        """The longest step towards the command that the terrain allows, the longest few passed over."""
+        """The longest step towards the command onto good footholds, the longest few passed over.
+
+        Where there is none, the one whose poorest foothold has the most room around it.
+        """
+        best: Stride | None = None
         first: Blocked | None = None
         for share in SHARES[passed_over:]:
             found = self._attempt(at, terrain, share)
-            if isinstance(found, Stride):
-                return found
-            first = first or found
+            if isinstance(found, Blocked):
+                first = first or found
+            elif best is None or found.room > best.room:
+                best = found
+            if best is not None and best.room >= _ROOM_ENOUGH:
+                break
+        if best is not None:
+            return best
         assert first is not None
         return first
 
@@ -159,7 +170,7 @@ class StridePlanner:
         nominal = nominal_touchdowns(rest, T_middle)
         T_end, T_after = self._raised(at, terrain, T_end, T_after, nominal)
 
-        touchdown, moved = at.feet.copy(), 0
+        touchdown, moved, room = at.feet.copy(), 0, GOOD
         touchdown[at.swing] = np.nan
         for leg in np.flatnonzero(at.swing).tolist():
             found = self._foothold(leg, nominal[leg], touchdown, T_end, T_after, terrain)
@@ -167,6 +178,7 @@ class StridePlanner:
                 return Blocked(f"{LEGS[leg]} leg: {found.reason}", leg, found.unseen)
             touchdown[leg] = found.p_world + self._foot_up
             moved += found.moved > terrain.map.resolution
+            room = min(room, found.room)
 
         standing = ~at.swing
         problem = (
@@ -189,7 +201,7 @@ class StridePlanner:
         clearance = lifted
         clearance = np.where(at.swing, clearance, settings.path_margin)
         duration = max(self.duration(at.command), self._time_to_swing(at.feet, touchdown, clearance)[at.swing].max())
-        return Stride(at.swing, touchdown, nominal, clearance, T_end, at.feet, moved, share, duration)
+        return Stride(at.swing, touchdown, nominal, clearance, T_end, at.feet, moved, share, duration, room)
 
     def _travel(self, command: VelocityCommand, share: float) -> tuple[Array, float]:
         """What the body travels (2,) [m] {body} and turns [rad] in a step: as commanded, as far as legs reach."""
@@ -265,7 +277,9 @@ class StridePlanner:
             at = points + self._foot_up
             above = at + _DESCENT  # a folded leg comes down further out
             reached = self._reaches(leg, (above, T_end), (at, T_end), *([(at, T_after)] if T_after is not T_end else []))
-            return reached & stands_clear(leg, at, T_end, self._settings.leg_margin, self._profile, terrain)
+            for T in (T_end, T_after):
+                reached[reached] = stands_clear(leg, at[reached], T, self._settings.leg_margin, self._profile, terrain)
+            return reached
 
         if terrain.map.resolution != self._offsets_resolution:
             self._offsets_resolution = terrain.map.resolution
