@@ -73,7 +73,9 @@ def test_treads_are_mapped_at_their_height() -> None:
     y = snapshot.origin[1] + snapshot.resolution * np.arange(snapshot.elevation.shape[1])
     staircase = snapshot.elevation[:, (y > 0.5) & (y < 1.3)]  # beside it is furniture
     for tread in TREADS:
-        assert commonest(staircase[np.isfinite(staircase)], tread) == pytest.approx(tread, abs=0.020)
+        # Of those that lie higher than the camera only the risers' upper rims show.
+        off = 0.012 if tread < T[2, 3] else 0.025
+        assert commonest(staircase[np.isfinite(staircase)], tread) == pytest.approx(tread, abs=off)
 
 
 @pytest.mark.parametrize(

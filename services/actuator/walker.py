@@ -65,7 +65,8 @@ class _Search:
     """Feet that stand on nothing, on their way down."""
 
     legs: NDArray[np.bool_]  # (6,) still looking
-    depth: float = 0.0  # [m] below where they were to stand
+    reach: float  # [m] how far down
+    depth: float = 0.0  # [m] below where they stood
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +110,7 @@ class Walker:
         self._stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swung legs that met ground before their targets
         self._met = self._feet.copy()  # (6, 3) [m] {cmd} where
         self._proven: NDArray[np.bool_] = np.ones(6, dtype=bool)  # legs that have borne something since they came down
+        self._short = np.zeros(6)  # [m] over their targets at which legs were stopped: by ground, or by what felt like it
         self._landed: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # legs that have swung last
         self._search: _Search | None = None
         self._way_back: StepPlan | None = None  # of the last step, {world} being {cmd}
@@ -321,6 +323,7 @@ class Walker:
             stop=True,
         )
         self._proven[plan.swing] = False
+        self._short[plan.swing] = 0.0
         self._landed = plan.swing.copy()
         self._taking_back = plan.stamp_ns < 0
 
@@ -345,7 +348,7 @@ class Walker:
         """Lift nothing: legs (6,) that were to carry stand on nothing. They look for ground while the others hold the body."""
         self._plan = self._next = None
         self.swing, self.phase = np.zeros(6, dtype=bool), 1.0
-        self._search = _Search(legs.copy())
+        self._search = _Search(legs.copy(), _REACH + float(self._short[legs].max()))
         self.trouble = f"no ground under the {_names(legs)} foot where it was expected; it reaches down"
 
     def _feel_down(self, dt: float, search: _Search, felt: Felt) -> None:
@@ -354,15 +357,16 @@ class Walker:
         pushes = felt.pushes & (search.depth > _PUSHED_DOWN)
         found = search.legs & (felt.touches | pushes | felt.heaves)
         self._stay(found, apply(inverse(self._T_odom_cmd), felt.feet), felt.feet)
+        self._proven |= found
         search.legs &= ~found
         if not search.legs.any():
             self._search = None
             self.trouble = f"ground found {search.depth * 100:.0f} cm lower than expected"
             return
-        step = min(_REACH_SPEED * dt, _REACH - search.depth)
+        step = min(_REACH_SPEED * dt, search.reach - search.depth)
         self._feet[search.legs, 2] -= step
         search.depth += step
-        if search.depth < _REACH - 1e-9:
+        if search.depth < search.reach - 1e-9:
             return
         lost = search.legs
         self._findings += [Finding(leg, felt.feet[leg].copy(), False) for leg in np.flatnonzero(lost).tolist()]
@@ -388,14 +392,16 @@ class Walker:
             feet: (6, 3) [m] {odom} where they are.
         """
         met = apply(inverse(self._T_odom_cmd), feet)
-        self._stay(legs & (met[:, 2] > targets[:, 2] + _EARLY), met, feet)
+        over = met[:, 2] - targets[:, 2]
+        early = legs & (over > _EARLY)
+        self._stay(early, met, feet)
+        self._short[early] = over[early]
 
     def _stay(self, legs: NDArray[np.bool_], met: Array, feet: Array) -> None:
         """Let feet stay where they are: (6, 3) [m] {cmd} and {odom}."""
         self._met[legs] = met[legs]
         self._ground[legs] = feet[legs, 2]
         self._stopped |= legs
-        self._proven |= legs
         self._findings += [Finding(leg, feet[leg].copy(), True) for leg in np.flatnonzero(legs).tolist()]
 
     def _land(self) -> None:

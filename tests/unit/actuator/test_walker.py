@@ -436,6 +436,26 @@ def test_a_foot_that_stood_all_the_while_unfelt_pushes_its_body_by_millimetres_a
     assert "ground found" in walker.trouble
 
 
+@given(st.floats(0.5, 0.8), st.sampled_from([0, 2, 4]))
+@settings(max_examples=10)
+def test_a_foot_that_was_stopped_by_nothing_comes_down_before_others_lift(at: float, leg: int) -> None:
+    """A touch felt in the air may be none, for a leg that gathers speed feels alike: the foot has to bear first."""
+    walker, waiting, low = new_walker(), list(STEPS_2), float(STEPS_2[0].touchdown[leg, 2])
+    stopped = False
+    for _ in range(round(6.0 / DT)):
+        if waiting and walker.resting:
+            walker.accept(waiting.pop(0))
+        stands = walker.feet_odom[:, 2] < low + 0.001
+        touches = walker.searching & stands
+        if walker.step == 1 and walker.phase > at and not stopped:
+            touches[leg] = stopped = True
+        walker.update(DT, walker.body_ref, Felt(touches, ~walker.swing & stands, walker.feet_odom))
+        if walker.step == 2 and walker.swing.any() and walker.feet_odom[~TRIPOD, 2].max() > low + 0.01:
+            break
+    assert walker.step == 2
+    assert walker.feet_odom[leg, 2] == pytest.approx(low, abs=2e-3)
+
+
 @given(st.sampled_from([0, 2, 4]))
 @settings(max_examples=3)
 def test_without_ground_the_step_is_taken_back(leg: int) -> None:
