@@ -221,9 +221,7 @@ class Planner:
             self._refusals.forget()
             self._asked = command
         with self.stages("plan step"):
-            # Where steps were refused legs that are not due may take it, too.
-            legs = situations if self._refusals.count else situations[:1]
-            found, way = self._strides.choose(legs, terrain, self._refusals.passed_over)
+            found, way = self._strides.choose(situations, terrain, self._refusals.passed_over)
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
             if self._refusals.count:

@@ -40,7 +40,7 @@ def asked(way: Way, ground: Terrain) -> Array | Touching:
 
 
 def ridge(make_terrain: Maker, height: float, until: float = 0.08) -> Terrain:
-    """Inside of the way of the right middle foot, which stands 4 cm further out: its shank leans over it."""
+    """Inside of the way of the right middle foot, which stands 4.5 cm further out: its shank leans over it."""
     return make_terrain(lambda x, y: np.where((-y > 0.205) & (-y < 0.23) & (x > 0.02) & (x < until), height, 0.0))
 
 
@@ -58,7 +58,7 @@ def test_level_and_sloping_ground_raises_nothing(travel: float, yaw: float, even
 def test_a_foot_is_lifted_where_its_shank_would_cut_a_ridge_beside_its_way(make_terrain: Maker) -> None:
     lifts = []
     for height in (0.04, 0.07, 0.08):
-        found = asked(step(out=0.04), ridge(make_terrain, height))
+        found = asked(step(out=0.045), ridge(make_terrain, height))
         assert not isinstance(found, Touching)
         np.testing.assert_array_equal(np.delete(found, MIDDLE), np.delete(LOW, MIDDLE))
         lifts.append(found[MIDDLE])
@@ -67,8 +67,8 @@ def test_a_foot_is_lifted_where_its_shank_would_cut_a_ridge_beside_its_way(make_
 
 
 def test_a_step_that_no_lift_clears_is_refused_by_leg_link_and_place(make_terrain: Maker) -> None:
-    high = asked(step(out=0.04), ridge(make_terrain, 0.10))
-    where_it_lands = asked(step(out=0.04), ridge(make_terrain, 0.07, until=0.3))
+    high = asked(step(out=0.045), ridge(make_terrain, 0.10))
+    where_it_lands = asked(step(out=0.045), ridge(make_terrain, 0.07, until=0.3))
     for found in (high, where_it_lands):
         assert isinstance(found, Touching)
         assert found.leg == MIDDLE
@@ -76,7 +76,7 @@ def test_a_step_that_no_lift_clears_is_refused_by_leg_link_and_place(make_terrai
 
 
 def test_a_foothold_beside_which_the_shank_has_no_room_is_none(make_terrain: Maker) -> None:
-    way = step(out=0.04)
+    way = step(out=0.045)
     feet = way.end[[MIDDLE, MIDDLE]] + [[0.0, 0.0, 0.0], [-0.13, 0.0, 0.0]]
     ground = make_terrain(lambda x, y: np.where((-y > 0.205) & (-y < 0.23) & (x > 0.1), 0.07, 0.0))
     np.testing.assert_array_equal(stands_clear(MIDDLE, feet, way.T_end, MARGIN, PROFILE, ground), [False, True])
@@ -95,7 +95,7 @@ def test_a_standing_leg_that_the_body_pushes_into_a_block_stops_the_step(make_te
 def test_unseen_ground_and_what_cannot_be_helped_stand_in_no_way(make_terrain: Maker) -> None:
     wall = ridge(make_terrain, 0.10)
     wall.map.elevation[wall.map.elevation > 0.0] = np.nan
-    np.testing.assert_array_equal(asked(step(out=0.04), wall), LOW)
+    np.testing.assert_array_equal(asked(step(out=0.045), wall), LOW)
     sunk = make_terrain(lambda x, y: np.full_like(x, 0.05))  # a map that has the robot stand to its knees in the ground
     assert not isinstance(asked(step(), sunk), Touching)
 
