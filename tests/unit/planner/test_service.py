@@ -273,7 +273,7 @@ def test_commands_beyond_the_robot_are_refused_by_name() -> None:
     assert rig.command is not None
     rig.command = replace(rig.command, body_height=0.25)
     assert rig.plans(3) == []
-    assert rig.status().reason == "a body height of 0.08 to 0.15 m expected, 0.25 m commanded"
+    assert rig.status().reason == "a body height of 0.085 to 0.15 m expected, 0.25 m commanded"
 
 
 @pytest.mark.parametrize(("name", "bad"), [("touch_stride", -0.01), ("max_lean_deg", -1.0), ("revise_s", np.nan)])

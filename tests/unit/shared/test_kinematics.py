@@ -231,7 +231,7 @@ def test_points_of_a_leg_are_joined_by_its_links() -> None:
     np.testing.assert_allclose(points[..., 1, 2], 0.0, atol=1e-15)  # the coxa link stays level
 
 
-@pytest.mark.parametrize("height", [0.08, 0.1, 0.12, 0.15])
+@pytest.mark.parametrize("height", [*PROFILE.stance.body_height_range, 0.1, 0.12])
 def test_the_resting_stance_is_within_limits(height: float) -> None:
     q = kinematics.body_inverse(PROFILE, PROFILE.rest_feet(height))
     assert kinematics.within_limits(PROFILE, q).all()
