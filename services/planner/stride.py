@@ -268,7 +268,7 @@ class StridePlanner:
     def _foothold(
         self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain
     ) -> Foothold | NoFoothold:
-        """The nearest foothold of one leg, given where the other feet (6, 3) [m] {world} are, NaN where not known yet."""
+        """The best foothold of one leg near its nominal place, given where the other feet (6, 3) [m] {world} are, NaN where not known yet."""
         known = np.isfinite(feet[:, 0])
         known[leg] = False
         others = feet[known, :2]
