@@ -65,7 +65,7 @@ class _Search:
     """Feet that stand on nothing, on their way down."""
 
     legs: NDArray[np.bool_]  # (6,) still looking
-    reach: float  # [m] how far down
+    reach: Array  # (6,) [m] how far down each of them looks
     depth: float = 0.0  # [m] below where they stood
 
 
@@ -348,7 +348,7 @@ class Walker:
         """Lift nothing: legs (6,) that were to carry stand on nothing. They look for ground while the others hold the body."""
         self._plan = self._next = None
         self.swing, self.phase = np.zeros(6, dtype=bool), 1.0
-        self._search = _Search(legs.copy(), _REACH + float(self._short[legs].max()))
+        self._search = _Search(legs.copy(), _REACH + self._short)
         self.trouble = f"no ground under the {_names(legs)} foot where it was expected; it reaches down"
 
     def _feel_down(self, dt: float, search: _Search, felt: Felt) -> None:
@@ -357,18 +357,17 @@ class Walker:
         pushes = felt.pushes & (search.depth > _PUSHED_DOWN)
         found = search.legs & (felt.touches | pushes | felt.heaves)
         self._stay(found, apply(inverse(self._T_odom_cmd), felt.feet), felt.feet)
-        self._proven |= found
+        self._proven |= found & ~felt.heaves  # the body may have tilted for another reason
         search.legs &= ~found
         if not search.legs.any():
             self._search = None
             self.trouble = f"ground found {search.depth * 100:.0f} cm lower than expected"
             return
-        step = min(_REACH_SPEED * dt, search.reach - search.depth)
-        self._feet[search.legs, 2] -= step
-        search.depth += step
-        if search.depth < search.reach - 1e-9:
+        lost = search.legs & (search.depth > search.reach - 1e-9)
+        if not lost.any():
+            search.depth += _REACH_SPEED * dt
+            self._feet[search.legs, 2] -= _REACH_SPEED * dt
             return
-        lost = search.legs
         self._findings += [Finding(leg, felt.feet[leg].copy(), False) for leg in np.flatnonzero(lost).tolist()]
         self._search, where = None, f"no ground under the {_names(lost)} foot down to {_REACH * 100:.0f} cm below its foothold"
         back, self._proven[lost] = self._way_back, True  # it has been said

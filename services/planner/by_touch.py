@@ -5,6 +5,7 @@ reaches within reason, and higher ground stops the foot on its way. Nothing is k
 high, and the next step is planned when all six feet stand and have been measured.
 """
 
+from collections.abc import Set
 from dataclasses import replace
 
 import numpy as np
@@ -50,15 +51,17 @@ class ByTouch:
         steep = max(float(np.linalg.norm(slope)) / _STEEPEST, 1.0)
         return plane_terrain(stamp_ns, xy, float(height), np.array(slope) / steep)
 
-    def choose(self, situations: list[Situation], terrain: Terrain, passed_over: int = 0) -> tuple[Stride | Blocked, int]:
+    def choose(
+        self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
+    ) -> tuple[Stride | Blocked, int]:
         """The next step and the number of its way, or why there is none: legs that are not due may take it, too.
 
         Args:
             situations: What it may begin with, the legs most due first.
             terrain: The ground that is expected.
-            passed_over: Ways that have been refused.
+            refused: Ways that are not to be tried.
         """
-        found, way = self._strides.choose(situations, terrain, passed_over)
+        found, way = self._strides.choose(situations, terrain, refused)
         if isinstance(found, Blocked):
             return found, way
         return self._lowered(self._along(found, situations[way // len(SHARES)])), way

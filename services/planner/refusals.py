@@ -10,7 +10,7 @@ class Refusals:
     def forget(self) -> None:
         """Begin anew: nothing has been refused."""
         self.count = 0
-        self.passed_over = 0  # ways that need not be tried
+        self.ways: frozenset[int] = frozenset()  # that need not be tried, see `StridePlanner.choose`
         self.reason = ""  # of the last refusal, in words
         self.given_up = False  # until something changes; it is tried again now and then all the same
 
@@ -19,11 +19,11 @@ class Refusals:
         self.count += 1
         self.reason = reason
         if self.count > 1:
-            self.passed_over = max(self.passed_over, way + 1)
+            self.ways |= {way}
 
     def give_up(self) -> None:
-        """Note that no way is left; the next attempt starts with the first."""
-        self.given_up, self.passed_over = True, 0
+        """Note that no way is left; the next attempt may take any."""
+        self.given_up, self.ways = True, frozenset()
 
     def words(self) -> str:
         """Why nothing goes on."""

@@ -167,7 +167,7 @@ class Planner:
         if nonsense:
             return self._hold("blocked", nonsense)
         with self.stages("plan step"):
-            found, way = self._by_touch.choose(situations, terrain, self._refusals.passed_over)
+            found, way = self._by_touch.choose(situations, terrain, self._refusals.ways)
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
             if self._refusals.count:
@@ -221,7 +221,7 @@ class Planner:
             self._refusals.forget()
             self._asked = command
         with self.stages("plan step"):
-            found, way = self._strides.choose(situations, terrain, self._refusals.passed_over)
+            found, way = self._strides.choose(situations, terrain, self._refusals.ways)
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
             if self._refusals.count:
@@ -234,8 +234,10 @@ class Planner:
         else:
             self._state, self._blocked_leg = "stepping", -1
             shorter = "" if found.share == 1.0 else f" at {found.share:.0%} of the stride"
-            slower = self._strides.short_of(command)
-            self._reason = f"{found.moved} of {found.swing.sum()} footholds moved from their nominal place{shorter}{slower}"
+            slower = self._strides.short_of(command, found)
+            instead = f"; instead of legs that cannot: {found.instead}" if found.instead else ""
+            moved = f"{found.moved} of {found.swing.sum()} footholds moved from their nominal place"
+            self._reason = f"{moved}{shorter}{slower}{instead}"
         return self._send(state, pose, found, state.step + 1, way)
 
     def _where_to_look(self, found: Blocked, command: VelocityCommand) -> str:

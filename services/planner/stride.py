@@ -1,6 +1,6 @@
 """One step of the walk: footholds for the legs that swing and a place for the body, or the reason why there is none."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,6 +51,7 @@ class Stride:
     share: float  # of the commanded travel
     duration: float  # [s]
     room: float  # how good its poorest foothold is, see `Terrain.suitability`
+    instead: str = ""  # why legs that were due more do not take it, in words
 
     def moved_by(self, T: Array) -> "Stride":
         """The same step after a correction (4, 4) of where the world is believed to be."""
@@ -93,22 +94,25 @@ class StridePlanner:
         """How long [s] a step in the commanded gait takes where its feet need not be lifted far."""
         return self._profile.stance.step_s * GAITS[command.gait].pace
 
-    def short_of(self, command: VelocityCommand) -> str:
-        """By how much legs that step as far as they reach are slower than commanded, in words, or nothing."""
+    def short_of(self, command: VelocityCommand, stride: Stride) -> str:
+        """By how much a step is slower than commanded, since legs reach no further and move no faster, in words."""
         asked = float(np.linalg.norm(command.velocity))
-        reached = float(np.linalg.norm(self._travel(command, 1.0)[0])) / self.duration(command)
+        reached = float(np.linalg.norm(self._travel(command, 1.0)[0])) / stride.duration
         if reached > asked - 1e-3:
             return ""
-        return f", {reached * 100:.1f} of {asked * 100:.1f} cm/s: no more by the stride of the {command.gait} gait"
+        why = f"no more by reach and speed of the legs in the {command.gait} gait"
+        return f", {reached * 100:.1f} of {asked * 100:.1f} cm/s: {why}"
 
-    def plan(self, at: Situation, terrain: Terrain, passed_over: int = 0) -> Stride | Blocked:
-        """The longest step towards the command onto good footholds, the longest few passed over.
+    def plan(self, at: Situation, terrain: Terrain, refused: Set[int] = frozenset()) -> Stride | Blocked:
+        """The longest step towards the command onto good footholds; some of `SHARES` are not to be tried.
 
         Where there is none, the one whose poorest foothold has the most room around it.
         """
         best: Stride | None = None
         first: Blocked | None = None
-        for share in SHARES[passed_over:]:
+        for number, share in enumerate(SHARES):
+            if number in refused:
+                continue
             found = self._attempt(at, terrain, share)
             if isinstance(found, Blocked):
                 first = first or found
@@ -116,12 +120,11 @@ class StridePlanner:
                 best = found
             if best is not None and best.room >= _ROOM_ENOUGH:
                 break
-        if best is not None:
-            return best
-        assert first is not None
-        return first
+        return best or first or Blocked("every step was refused")
 
-    def choose(self, situations: list[Situation], terrain: Terrain, passed_over: int = 0) -> tuple[Stride | Blocked, int]:
+    def choose(
+        self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
+    ) -> tuple[Stride | Blocked, int]:
         """The step to take and the number of its way, or why legs that are most due cannot take it.
 
         Ways are counted through the situations, and in each through the shares of the travel.
@@ -129,16 +132,14 @@ class StridePlanner:
         Args:
             situations: What it may begin with, the legs most due first.
             terrain: The map.
-            passed_over: Ways that have been refused.
+            refused: Ways that are not to be tried.
         """
         first: Blocked | None = None
         for turn, at in enumerate(situations):
-            skipped = max(0, passed_over - turn * len(SHARES))
-            if skipped >= len(SHARES):
-                continue
-            found = self.plan(at, terrain, skipped)
+            ways = range(turn * len(SHARES), (turn + 1) * len(SHARES))
+            found = self.plan(at, terrain, {way - ways[0] for way in refused if way in ways})
             if isinstance(found, Stride):
-                return found, turn * len(SHARES) + SHARES.index(found.share)
+                return replace(found, instead=first.reason if first else ""), ways[SHARES.index(found.share)]
             first = first or found
         return first or Blocked("every step was refused"), 0
 
@@ -268,7 +269,10 @@ class StridePlanner:
     def _foothold(
         self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain
     ) -> Foothold | NoFoothold:
-        """The best foothold of one leg near its nominal place, given where the other feet (6, 3) [m] {world} are, NaN where not known yet."""
+        """The best foothold of one leg near its nominal place.
+
+        The other feet (6, 3) [m] {world} are NaN where not known yet.
+        """
         known = np.isfinite(feet[:, 0])
         known[leg] = False
         others = feet[known, :2]
@@ -277,7 +281,7 @@ class StridePlanner:
             at = points + self._foot_up
             above = at + _DESCENT  # a folded leg comes down further out
             reached = self._reaches(leg, (above, T_end), (at, T_end), *([(at, T_after)] if T_after is not T_end else []))
-            for T in (T_end, T_after):
+            for T in (T_end, T_after) if T_after is not T_end else (T_end,):
                 reached[reached] = stands_clear(leg, at[reached], T, self._settings.leg_margin, self._profile, terrain)
             return reached
 
@@ -330,4 +334,4 @@ class StridePlanner:
         clearance = np.maximum(np.where(rough, lift_if_rough, lift), between - higher + settings.path_margin)
         sole = np.array([0.0, 0.0, self._profile.foot.radius])
         to_sink = clearance_to_sink(ground, feet - sole, touchdown - sole, settings.sink_margin)
-        return np.asarray(np.maximum(clearance, np.minimum(to_sink, self._profile.stance.max_lift)))
+        return np.asarray(np.maximum(clearance, to_sink))

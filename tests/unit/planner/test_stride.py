@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from services.planner.config import Settings
 from services.planner.gait import GAITS, directions, swing_order
-from services.planner.stride import Blocked, Situation, Stride, StridePlanner
+from services.planner.leg_clearance import clearance_to_sink
+from services.planner.stride import SHARES, Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from shared.kinematics import body_inverse, within_limits
@@ -388,9 +389,77 @@ def test_every_gait_goes_on_in_any_direction_and_on_the_spot(
 
 
 def test_a_gait_that_is_slower_than_commanded_says_so() -> None:
-    assert PLANNER.short_of(command(0.05)) == ""
-    words = PLANNER.short_of(replace(command(0.10), gait="wave"))
-    assert re.fullmatch(r", \d\.\d of 10\.0 cm/s: no more by the stride of the wave gait", words)
+    slow = command(0.05)
+    assert PLANNER.short_of(slow, stride(standing(slow))) == ""
+    fast = replace(command(0.10), gait="wave")
+    words = PLANNER.short_of(fast, stride(standing(fast, np.arange(6) == 3)))
+    assert re.fullmatch(r", \d\.\d of 10\.0 cm/s: no more by reach and speed of the legs in the wave gait", words)
+
+
+def test_who_asks_for_more_speed_never_gets_less() -> None:
+    speeds = []
+    for asked in (command(v, height=PROFILE.stance.body_height, lift=0.025) for v in (0.08, 0.1, PROFILE.stance.max_speed)):
+        body = from_xyz_rpy((0.0, 0.0, asked.body_height), np.zeros(3))
+        rest = PROFILE.rest_feet(asked.body_height)
+        feet, along = apply(body, rest), directions(asked.velocity, 0.0, rest)
+        for _ in range(8):
+            order = swing_order(GAITS["tripod"], along, apply(inverse(body), feet), rest)
+            found, _ = PLANNER.choose([Situation(body, feet, swing, asked) for swing in order], wide_flat(body))
+            assert isinstance(found, Stride)
+            speed = float(found.body_goal[0, 3] - body[0, 3]) / found.duration
+            body, feet = found.body_goal, found.touchdown
+        speeds.append(speed)
+    assert speeds == sorted(speeds)
+
+
+def wide_flat(body: Array) -> Terrain:
+    return flat_terrain(0, body[:2, 3], 0.0)
+
+
+def test_legs_that_step_instead_of_others_say_why() -> None:
+    due, others = standing(command(0.05)), standing(command(0.05), ~TRIPOD)
+    bad = stride(due).touchdown[0, :2]
+    x, y = np.meshgrid(np.arange(200) * 0.01 - 1.0, np.arange(200) * 0.01 - 1.0, indexing="ij")
+    score = np.where(np.hypot(x - bad[0], y - bad[1]) < 0.12, 9.0, 0.0).astype(np.float32)
+    found, way = PLANNER.choose([due, others], Terrain(replace(FLAT.map, score=score)))
+    assert isinstance(found, Stride)
+    assert way >= len(SHARES)
+    assert found.instead.startswith("left front leg: no foothold")
+    assert PLANNER.choose([others, due], FLAT)[0].instead == ""  # type: ignore[union-attr]
+
+
+@given(st.sets(st.integers(0, 2 * len(SHARES) - 1)))
+def test_of_what_was_refused_nothing_is_tried_again_and_all_else_is(refused: set[int]) -> None:
+    situations = [standing(command(0.05), swing) for swing in (TRIPOD, ~TRIPOD)]
+    found, way = PLANNER.choose(situations, FLAT, refused)
+    left = [k for k in range(2 * len(SHARES)) if k not in refused]
+    if not left:
+        assert isinstance(found, Blocked)
+    else:
+        assert way == left[0]  # on level ground every way can be taken
+        assert isinstance(found, Stride)
+        np.testing.assert_array_equal(found.swing, situations[way // len(SHARES)].swing)
+        assert found.share == SHARES[way % len(SHARES)]
+
+
+@given(st.floats(0.0, 0.12), st.floats(0.02, 0.06), st.floats(-0.01, 0.01))
+@settings(max_examples=25)
+def test_no_step_comes_down_lower_than_over_what_stands_before_its_touchdown(
+    height: float, before: float, aside: float
+) -> None:
+    """Where that asks for more lift than a leg has, there is no such step."""
+    at = standing(command(0.1))
+    x0, y0 = stride(at).touchdown[2, :2] - [before, aside]
+    x, y = np.meshgrid(np.arange(200) * 0.01 - 1.0, np.arange(200) * 0.01 - 1.0, indexing="ij")
+    block = np.hypot(x - x0, y - y0) < 0.012
+    ground = Terrain(replace(FLAT.map, elevation=np.where(block, height, 0.0).astype(np.float32)))
+    found = PLANNER.plan(at, ground)
+    if isinstance(found, Stride):
+        swing = found.swing
+        along = ground.ground_along(found.start[:, :2], found.touchdown[:, :2])
+        needed = clearance_to_sink(along, found.start - UP, found.touchdown - UP, SETTINGS.sink_margin)
+        assert (found.clearance[swing] >= needed[swing] - 1e-9).all()
+        assert found.clearance[swing].max() <= PROFILE.stance.max_lift
 
 
 def test_a_foot_that_is_lifted_higher_gets_more_time(make_terrain: Maker) -> None:
