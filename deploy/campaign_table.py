@@ -27,7 +27,7 @@ WALKED: Mapping[str, str] = {
 }
 Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell
 _WALKS: Columns = {
-    "goal reached": lambda t: _rate(t.success),
+    "goal reached": lambda t: _outcome(t),
     "falls": lambda t: str(t.falls),
     "shut down": lambda t: str(t.runs_with_shutdown),
     "cm/s": lambda t: f"{100 * t.mean_speed_mps:.1f}" if t.success.successes else "-",
@@ -39,7 +39,7 @@ _WALKS: Columns = {
     "torque rms, N m": lambda t: in_words(t.torque_rms_nm, 1.0, ".2f"),
 }
 _MISSTEPS: Columns = {
-    "goal reached": lambda t: _rate(t.success),
+    "goal reached": lambda t: _outcome(t),
     "missteps of a walk": lambda t: in_words(t.missteps, 1.0, ".0f"),
 }
 _MAPS: Columns = {
@@ -76,7 +76,7 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
     pairs: dict[tuple[int, str, str, str], list[Trials]] = {}
     for t in sorted(summaries, key=lambda t: t.blind):
         pairs.setdefault((places.get(t.scenario, len(places)), t.scenario, t.robot, t.gait), []).append(t)
-    left_out = (f"{older} runs of an earlier program",) if older else ()
+    left_out = (f"{older} runs of an earlier program or scenario",) if older else ()
     return Campaign(tuple(Entry(*pairs[key]) for key in sorted(pairs)), left_out)
 
 
@@ -92,8 +92,7 @@ def markdown(campaign: Campaign, table: str = "walks") -> str:
         rows = [_reached(campaign, entry) for entry in campaign.entries]
     else:
         headings = ["terrain", *TABLES[table]]
-        walked = [t for entry in campaign.entries for t in (entry.seeing, entry.blind) if t is not None]
-        rows = [[_ticked(_name(campaign, t)), *(cell(t) for cell in TABLES[table].values())] for t in walked]
+        rows = [[_ticked(_name(campaign, t)), *(cell(t) for cell in TABLES[table].values())] for t in _walked(campaign)]
     lines = [f"| {' | '.join(cells)} |" for cells in rows]
     return "\n".join([f"| {' | '.join(headings)} |", "|---" * len(headings) + "|", *lines, "", *_footnotes(campaign)]) + "\n"
 
@@ -115,7 +114,11 @@ def write(campaign: Campaign, out: Path) -> None:
 def _reached(campaign: Campaign, entry: Entry) -> list[str]:
     words = WALKED.get(entry.seeing.scenario, "")
     course = _ticked(_name(campaign, entry.seeing)) + (f": {words}" if words else "")
-    return [course, _rate(entry.seeing.success), _rate(entry.blind.success) if entry.blind else ""]
+    return [course, _outcome(entry.seeing), _outcome(entry.blind) if entry.blind else ""]
+
+
+def _walked(campaign: Campaign) -> list[Trials]:
+    return [t for entry in campaign.entries for t in (entry.seeing, entry.blind) if t is not None]
 
 
 def _name(campaign: Campaign, t: Trials) -> str:
@@ -133,14 +136,20 @@ def _ticked(name: str) -> str:
 
 
 def _footnotes(campaign: Campaign) -> list[str]:
-    seeing = [entry.seeing for entry in campaign.entries]
-    sighted = [t.success for t in seeing if not t.blind]
+    walked = _walked(campaign)
+    sighted = [t.success for t in walked if not t.blind and not t.refusals]
     together = wilson(sum(rate.successes for rate in sighted), sum(rate.n for rate in sighted))
+    reached = f"Together {_rate(together)} reached the goal. " if sighted else ""
     return [
-        f"Together {_rate(together)} reached the goal. Median (worst) of the runs; missteps of all steps.",
-        *(f"Made {words}." for words in sorted({t.made.words for t in seeing})),
+        f"{reached}Median (worst) of the runs; missteps of all steps.",
+        *(f"Made {words}." for words in sorted({t.made.words for t in walked})),
         *(f"Left out: {words}." for words in campaign.left_out),
     ]
+
+
+def _outcome(t: Trials) -> str:
+    """How often it ended well, and how, where that is not by reaching the goal."""
+    return _rate(t.success) + (", rightly refused" if t.refusals else "")
 
 
 def _rate(rate: Rate) -> str:

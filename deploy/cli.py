@@ -22,6 +22,7 @@ _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "shared.transport": "TransportError",
     "deploy.recording": "RecordingError",
     "deploy.kept": "KeptError",
+    "deploy.trials": "ChangedError",
     "deploy.replay": "ReplayError",
 }
 

@@ -4,7 +4,9 @@ A line holds the run's whole report (a batch's `trials.jsonl`), or, to be kept f
 campaign's `campaign.jsonl`); it says what made it and when, and by a fingerprint whether it still holds. Both are read alike.
 """
 
+import contextlib
 import json
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -18,6 +20,7 @@ class KeptError(ValueError):
 
 
 _MARKS = ("fingerprint", "commit", "time")
+_BEGINS = b'{"fingerprint":'  # as every line of runs does
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,34 +108,53 @@ _PLACES = {  # in a report, where that is another than the field's own name
 
 
 def read(path: Path, fingerprint: str | None = None) -> list[Run]:
-    """Runs on file, those of one fingerprint if one is given; none where there is no file.
+    """Runs on file, those of one fingerprint if one is given; none where there is no file. The file stays as it is.
 
-    A last line that was cut off counts as not run, and is taken off the file.
+    A last line that was cut off, or is being written at this moment, counts as not run.
 
     Raises:
-        KeptError: A line is no finished run; it says which.
+        KeptError: A line is no finished run, it says which; or the file cannot be read.
     """
-    if not path.exists():
-        return []
-    data = path.read_bytes()
-    if data and not data.endswith(b"\n"):
-        data = data[: data.rfind(b"\n") + 1]
-        path.write_bytes(data)
-    found = []
-    for number, line in enumerate(data.split(b"\n")[:-1], 1):
+    *lines, tail = _lines(path)
+    found: list[Run] = []
+    for number, line in enumerate(lines, 1):
         try:
-            entry = _entry(line)
-            if fingerprint is None or entry.get("fingerprint") == fingerprint:
-                found.append(Run.read(entry))
+            found += _runs(line, fingerprint)
         except ValueError:
-            raise KeptError(
-                f"{path}, line {number}: a finished seed as JSON expected, found {line[:60]!r}; remove the line"
-            ) from None
+            raise _no_run(path, number, line) from None
+    with contextlib.suppress(ValueError):
+        found += _runs(tail, fingerprint)
     return found
 
 
+def mend(path: Path) -> None:
+    """Make a file ready to be appended to: a last line that lacks its end gets it if it is a run, and is cut off if it is not.
+
+    Raises:
+        KeptError: The file is not one of runs, so that nothing was done to it; or it cannot be read.
+    """
+    *lines, tail = _lines(path)
+    if not tail:
+        return
+    for number, line in enumerate(lines, 1):
+        if not _is_run(line):
+            raise _no_run(path, number, line)
+    if _is_run(tail):
+        with path.open("ab") as file:
+            file.write(b"\n")
+    elif tail.startswith(_BEGINS) or _BEGINS.startswith(tail):
+        os.truncate(path, sum(len(line) + 1 for line in lines))
+    else:
+        raise _no_run(path, len(lines) + 1, tail)
+
+
 def keep(path: Path, runs: Iterable[Run]) -> None:
-    """Append runs to a file, a short line each."""
+    """Append runs to a file, a short line each.
+
+    Raises:
+        KeptError: What is there is not a file of runs, or cannot be read.
+    """
+    mend(path)
     lines = [json.dumps(reports.plain(asdict(run)), ensure_ascii=False, separators=(",", ":")) + "\n" for run in runs]
     with path.open("a", encoding="utf-8") as file:
         file.writelines(lines)
@@ -160,23 +182,61 @@ def files(places: Sequence[Path]) -> list[Path]:
     """The files of runs at places: files as they are, of a folder what a campaign keeps, or else a batch's.
 
     Raises:
-        KeptError: There is none at one of them.
+        KeptError: There is none at one of them, or it cannot be looked for.
     """
     found = []
     for place in places:
-        candidates = (place / "campaign.jsonl", place / "trials.jsonl") if place.is_dir() else (place,)
-        path = next((path for path in candidates if path.is_file()), None)
+        try:
+            candidates = (place / "campaign.jsonl", place / "trials.jsonl") if place.is_dir() else (place,)
+            path = next((path for path in candidates if path.is_file()), None)
+        except OSError as error:
+            raise _unreadable(place, error) from None
         if path is None:
             raise KeptError(f"{place}: a file of kept runs, or a folder with campaign.jsonl or trials.jsonl, expected")
         found.append(path)
     return found
 
 
+def _lines(path: Path) -> list[bytes]:
+    """The lines of a file, then what follows its last line break, which is nothing where the file is whole or missing."""
+    try:
+        return path.read_bytes().split(b"\n")
+    except FileNotFoundError:
+        return [b""]
+    except OSError as error:
+        raise _unreadable(path, error) from None
+
+
+def _runs(line: bytes, fingerprint: str | None) -> list[Run]:
+    """The run of a line, unless it has another fingerprint than is wanted; a ValueError where it is none."""
+    entry = _entry(line)
+    return [Run.read(entry)] if fingerprint in (None, entry.get("fingerprint")) else []
+
+
 def _entry(line: bytes) -> dict[str, Any]:
-    entry = json.loads(line)
+    try:
+        entry = json.loads(line)
+    except RecursionError:  # brackets within brackets
+        raise ValueError("no run") from None
     if not isinstance(entry, dict) or ("report" not in entry and "scenario" not in entry):
         raise ValueError("no run")
     return entry
+
+
+def _is_run(line: bytes) -> bool:
+    """Whether a line is a run of this or of another version of the program."""
+    try:
+        return bool(_entry(line))
+    except ValueError:
+        return False
+
+
+def _no_run(path: Path, number: int, line: bytes) -> KeptError:
+    return KeptError(f"{path}, line {number}: a finished seed as JSON expected, found {line[:60]!r}; remove the line")
+
+
+def _unreadable(path: Path, error: OSError) -> KeptError:
+    return KeptError(f"{path}: cannot be read ({error.strerror}); a file of kept runs that you may read expected")
 
 
 def _at(table: dict[str, Any], place: str) -> Any:

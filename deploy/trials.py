@@ -30,6 +30,10 @@ _PACKAGES = ("shared", "services", "deploy")
 Runner = Callable[[Scenario, int], Report]
 
 
+class ChangedError(ValueError):
+    """The program on disk is no longer the one that was begun with, in words."""
+
+
 @dataclass(frozen=True, slots=True)
 class Figure:
     """One quantity over the runs that measured it, NaN where none did."""
@@ -99,10 +103,12 @@ def run_trials(
 
     Raises:
         ValueError: No seeds, no jobs, or a line on file that is none.
+        ChangedError: The program has changed since this process first ran trials: new processes would run another one.
     """
     wanted = sorted(set(seeds))
     if not wanted or jobs < 1:
         raise ValueError(f"at least one seed and one job expected, found {len(wanted)} seeds and {jobs} jobs")
+    _refuse_another_program()
     scenario = replace(scenario, walk=replace(scenario.walk, blind=scenario.walk.blind or blind))
     out.mkdir(parents=True, exist_ok=True)
     path, mark = out / "trials.jsonl", fingerprint(scenario)
@@ -112,6 +118,7 @@ def run_trials(
     left = [seed for seed in wanted if seed not in done]
     successes = sum(one.success for one in done.values())
     made_by = provenance.commit()
+    kept.mend(path)
     with path.open("a", encoding="utf-8") as lines:
         tasks = [(scenario, seed) for seed in left]
         for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
@@ -235,7 +242,7 @@ def in_words(figure: Figure, unit: float, form: str) -> str:
 def fingerprint(scenario: Scenario) -> str:
     """Changes with whatever decides about a run but its seed: the scenario, the files that it names, and the program."""
     table = config.as_table(replace(scenario, folder="."))
-    digest = hashlib.blake2s(json.dumps(table, sort_keys=True).encode() + _program(), digest_size=6)
+    digest = hashlib.blake2s(json.dumps(table, sort_keys=True).encode() + _begun_by()[0], digest_size=6)
     named = [part.path(Path(scenario.folder)) for part in scenario.terrain if isinstance(part, HeightMap)]
     for path in [*named, Path(scenario.robot)]:
         if path.is_file():
@@ -244,8 +251,19 @@ def fingerprint(scenario: Scenario) -> str:
 
 
 @cache
+def _begun_by() -> tuple[bytes, str]:
+    """The program, and its commit, as this process first found them: those of all its runs."""
+    return _program(), provenance.commit()
+
+
+def _refuse_another_program() -> None:
+    begun_by, commit = _begun_by()
+    if _program() != begun_by:
+        raise ChangedError(f"the program has changed since this campaign began; begin it anew, or restore commit {commit}")
+
+
 def _program() -> bytes:
-    """A digest of Sextant's code, profiles and scenarios."""
+    """A digest of Sextant's code, profiles and scenarios, as they are on disk now."""
     digest = hashlib.blake2s()
     root = Path(__file__).parent.parent
     for package in _PACKAGES:

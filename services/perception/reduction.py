@@ -21,7 +21,7 @@ SURFACE = 0.010  # [m] height, beyond noise, by which a point lies below the sur
 NOISE = 3.0  # [sigma] of the depth noise on top of either
 CARRYING = 0.3  # share of a cell's pixels below which its upper surface is an edge of the cell beside it
 FACE = 0.03  # [m] from the lowest pixel to the mean of a lower surface, from which that is the face of something tall
-RIM = 3.0  # pixels that tell how high a face is
+RIM_PIXELS = 3.0  # that tell how high a face is
 _RECORD = 16  # numbers kept of a cell: a cache line
 
 
@@ -264,7 +264,7 @@ def _bin(
 def _is_wall(cells: Array, cell_of: Array, k: int, side: int) -> bool:
     """Whether what a cell holds is a face, and no cell beside it level ground on top of that."""
     cell = cells[k]
-    if cell[7] <= (cell[9] + np.float32(FACE)) * cell[4] or cell[0] < np.float32(RIM):
+    if cell[7] <= (cell[9] + np.float32(FACE)) * cell[4] or cell[0] < np.float32(RIM_PIXELS):
         return False
     a, b = int(cell[11]), int(cell[12])
     for i in range(max(a - 1, 0), min(a + 2, side)):

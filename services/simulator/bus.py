@@ -289,9 +289,8 @@ class ServoBusEmulator:
     ) -> list[Reply]:
         """Status packets of the servos that answer at their status return level, one after the other on the wire."""
         needed = 0 if always else _ANSWER_READ if read else _ANSWER_ALL
-        answers: dict[
-            int, tuple[int, bytes]
-        ] = {}  # id -> delay and what is heard of servos with it, who speak at the same time
+        # id -> delay and what is heard of servos with it, who speak at the same time
+        answers: dict[int, tuple[int, bytes]] = {}
         for row in rows:
             head = self._table(row, _HEAD_START, _HEAD_SIZE)
             if head[-1] < needed:

@@ -1,12 +1,13 @@
 """The table of all terrains, from made-up runs."""
 
+import functools
 import json
 from dataclasses import replace
 
 import pytest
 
 from deploy import campaign, campaign_table, kept, trials
-from deploy.report import HeightError, Report, Slip, Spread, Torque
+from deploy.report import HeightError, Report, Slip, Spread, Torque, as_table
 from shared.scenario import load_scenario
 
 
@@ -127,7 +128,7 @@ def test_a_campaign_goes_on_elsewhere_from_the_kept_file_alone(tmp_path):
         campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path / "here", blind=True, run=first)
     (tmp_path / "there").mkdir()
     lines = (tmp_path / "here" / "campaign.jsonl").read_text()
-    (tmp_path / "there" / "campaign.jsonl").write_text(lines + '{"cut o')
+    (tmp_path / "there" / "campaign.jsonl").write_text(lines + '{"fingerprint":"cut o')
     found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path / "there", blind=True, run=second)
     assert _ways(first.ran + second.ran) == sorted(
         (n, b, s) for n in ("flat", "stairs") for b in (False, True) for s in range(4)
@@ -139,11 +140,12 @@ def test_a_campaign_goes_on_elsewhere_from_the_kept_file_alone(tmp_path):
 def test_what_an_earlier_program_made_is_left_out_of_the_table_and_said(tmp_path, monkeypatch):
     for program, time, seeds in ((b"old", "2024-05-01T10:00:00+00:00", 5), (b"new", "2024-05-02T10:00:00+00:00", 3)):
         monkeypatch.setattr(trials, "_program", lambda program=program: program)
+        monkeypatch.setattr(trials, "_begun_by", lambda program=program: (program, "abc1234"))
         monkeypatch.setattr(trials.provenance, "now", lambda time=time: time)
         campaign.run_campaign(("flat",), range(seeds), 1, tmp_path, run=Runner())
     found = campaign_table.of_runs(kept.read(tmp_path / "campaign.jsonl"))
     assert found.entries[0].seeing.success.n == 3
-    assert "Left out: 5 runs of an earlier program." in campaign_table.markdown(found)
+    assert "Left out: 5 runs of an earlier program or scenario." in campaign_table.markdown(found)
 
 
 def test_robots_are_told_apart_where_a_table_has_several(tmp_path):
@@ -162,3 +164,58 @@ def test_the_blind_baseline_stands_beside(tmp_path):
     found = campaign.run_campaign(("flat", "stairs"), range(4), 1, tmp_path, blind=True, run=Runner())
     rows = campaign_table.markdown(found, "reached").splitlines()
     assert rows[2] == "| `flat`: level ground | 4 of 4 (51 to 100 %) | 2 of 4 (15 to 85 %) |"
+
+
+def _walks(scenario, blind, commit, reason="goal reached", seeds=4):
+    scenario = load_scenario(scenario)
+    scenario = replace(scenario, walk=replace(scenario.walk, blind=blind))
+    reports = [replace(_report(scenario, seed), success=True, reason=reason) for seed in range(seeds)]
+    time = "2024-05-01T10:00:00+00:00"
+    return [kept.Run.of(as_table(report), f"{scenario.name} {blind}", commit, time) for report in reports]
+
+
+def test_what_made_blind_walks_is_said_too():
+    found = campaign_table.of_runs(_walks("flat", False, "abc1234") + _walks("flat", True, "def5678"))
+    text = campaign_table.markdown(found)
+    assert "Made at commit abc1234 on" in text
+    assert "Made at commit def5678 on" in text
+
+
+@pytest.mark.parametrize("table", campaign_table.TABLES)
+def test_blind_walks_by_themselves_are_not_summed_up_as_sighted_ones(table):
+    text = campaign_table.markdown(campaign_table.of_runs(_walks("flat", True, "abc1234")), table)
+    assert "4 of 4" in text or table == "maps"
+    assert "Together" not in text
+    assert "Made at commit abc1234" in text
+
+
+@pytest.mark.parametrize("table", ["walks", "reached", "missteps"])
+def test_a_right_refusal_is_no_goal_reached(table):
+    refusals = _walks("no_way", False, "abc1234", "stood and said why: no way past the wall")
+    alone = campaign_table.markdown(campaign_table.of_runs(refusals), table)
+    assert "| 4 of 4 (51 to 100 %), rightly refused |" in alone
+    assert "reached the goal" not in alone
+    beside = campaign_table.markdown(campaign_table.of_runs(refusals + _walks("flat", False, "abc1234", seeds=3)), table)
+    assert "Together 3 of 3 (44 to 100 %) reached the goal." in beside
+
+
+def test_a_program_that_changes_between_two_terrains_ends_the_campaign(tmp_path, monkeypatch):
+    code = tmp_path / "deploy" / "code.py"
+    code.parent.mkdir()
+    code.write_text("one = 1\n")
+    monkeypatch.setattr(trials, "__file__", str(tmp_path / "deploy" / "trials.py"))
+    monkeypatch.setattr(trials, "_begun_by", functools.cache(trials._begun_by.__wrapped__))
+    monkeypatch.setattr(trials.provenance, "commit", lambda: "abc1234")
+    runner = Runner()
+
+    def changing(scenario, seed):
+        code.write_text("one = 2\n")
+        return runner(scenario, seed)
+
+    for run in (changing, runner):
+        with pytest.raises(trials.ChangedError, match="begin it anew, or restore commit abc1234"):
+            campaign.run_campaign(("flat", "stairs"), range(2), 1, tmp_path / "out", run=run)
+    assert _ways(runner.ran) == [("flat", False, 0), ("flat", False, 1)]
+    code.write_text("one = 1\n")
+    campaign.run_campaign(("flat", "stairs"), range(2), 1, tmp_path / "out", run=runner)
+    assert _ways(runner.ran) == [(name, False, seed) for name in ("flat", "stairs") for seed in range(2)]

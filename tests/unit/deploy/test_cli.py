@@ -301,6 +301,31 @@ def test_trials_of_all_terrains_print_one_table(
     assert left == [tmp_path / name / f"seed-5{way}" for name in walked for way in ("", "-blind")]
 
 
+@pytest.mark.parametrize(
+    "data",
+    [b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", b'{"scenario": "flat", "seed": 3}', b"", b"[]\n[]", b"[" * 100_000, b"words\n"],
+    ids=("picture", "one line", "empty", "lists", "deeply nested", "words"),
+)
+def test_a_table_of_something_else_is_refused_and_the_file_left_as_it_is(
+    data: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "any.file"
+    path.write_bytes(data)
+    assert cli.main(["trials", "table", str(path)]) == 2
+    assert str(path) in capsys.readouterr().err
+    assert path.read_bytes() == data
+
+
+def test_trials_of_a_changed_program_are_refused_in_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deploy import trials
+
+    monkeypatch.setattr(trials, "_begun_by", lambda: (b"another", "abc1234"))
+    assert cli.main(["trials", "flat", "--seeds", "0:3", "--out", str(tmp_path)]) == 2
+    assert "restore commit abc1234" in capsys.readouterr().err
+
+
 def test_another_robot_and_gait_walk_in_place_of_the_scenarios(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

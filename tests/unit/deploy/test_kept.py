@@ -1,5 +1,6 @@
 """Runs on file: read as they were written, and no others."""
 
+import contextlib
 import json
 import math
 from dataclasses import fields, replace
@@ -76,7 +77,61 @@ def test_a_last_line_that_was_cut_off_is_no_run(tmp_path):
     assert [run.seed for run in kept.read(path)] == [7, 8]
 
 
-@pytest.mark.parametrize("line", ["[]", "{}", "no JSON", '{"scenario": "flat", "seed": 3}', '{"report": {"seed": 3}}'])
+def test_a_last_line_that_lacks_but_its_end_is_a_run(tmp_path):
+    path = tmp_path / "campaign.jsonl"
+    path.write_text(json.dumps(_entry()))
+    assert kept.read(path) == kept.read(path, "mark") == [Run.read(_entry())]
+    assert kept.read(path, "another") == []
+    kept.keep(path, [Run.read(_entry(replace(REPORT, seed=8)))])
+    assert [run.seed for run in kept.read(path)] == [7, 8]
+
+
+@given(st.lists(st.binary(max_size=40) | st.sampled_from([json.dumps(_entry()).encode(), b'{"fingerp']), max_size=4))
+def test_reading_writes_nothing_and_keeping_loses_nothing_but_a_cut_off_run(tmp_path_factory, lines):
+    path = tmp_path_factory.mktemp("kept") / "any"
+    before = b"\n".join(lines)
+    path.write_bytes(before)
+    with contextlib.suppress(kept.KeptError):
+        kept.read(path)
+    assert path.read_bytes() == before
+    try:
+        kept.keep(path, [Run.read(_entry())])
+    except kept.KeptError:
+        assert path.read_bytes() == before
+    else:
+        end = before.rfind(b"\n") + 1
+        cut_off = b'{"fingerprint":'.startswith(before[end:][:15])
+        assert path.read_bytes().startswith(before[:end] if cut_off else before)
+
+
+@pytest.mark.parametrize("before", [b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", b"no run", b"[1]\n[2]\n{", b"1\n2"])
+def test_nothing_is_kept_in_a_file_of_something_else(tmp_path, before):
+    path = tmp_path / "other"
+    path.write_bytes(before)
+    with pytest.raises(kept.KeptError, match=r"other, line 1"):
+        kept.keep(path, [Run.read(_entry())])
+    assert path.read_bytes() == before
+
+
+def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
+    (tmp_path / "campaign.jsonl").mkdir()
+    with pytest.raises(kept.KeptError, match=r"campaign\.jsonl: cannot be read \(Is a directory\).*you may read expected"):
+        kept.read(tmp_path / "campaign.jsonl")
+
+    def forbidden(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    for name, reading in (("is_file", lambda path: kept.files([path])), ("read_bytes", kept.read)):
+        monkeypatch.setattr(type(tmp_path), name, forbidden)
+        with pytest.raises(kept.KeptError, match=r"mine: cannot be read \(Permission denied\)"):
+            reading(tmp_path / "mine")
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["[]", "{}", "no JSON", '{"scenario": "flat", "seed": 3}', '{"report": {"seed": 3}}', "[" * 100_000],
+    ids=lambda line: line[:30],
+)
 def test_a_line_that_is_no_run_is_named(tmp_path, line):
     path = tmp_path / "campaign.jsonl"
     kept.keep(path, [Run.read(_entry())])

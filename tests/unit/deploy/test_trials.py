@@ -107,6 +107,16 @@ def test_what_another_program_left_is_not_counted_and_no_error(tmp_path):
     trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=Runner(until=0))
 
 
+def test_a_seed_whose_line_lacks_but_its_end_is_done(tmp_path):
+    trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=Runner())
+    path = tmp_path / "trials.jsonl"
+    path.write_bytes(path.read_bytes()[:-1])
+    runner = Runner()
+    trials.run_trials(SCENARIO, range(5), 1, tmp_path, run=runner)
+    assert runner.seeds == [3, 4]
+    assert trials.run_trials(SCENARIO, range(5), 1, tmp_path, run=Runner(until=0)).success.n == 5
+
+
 def test_a_changed_scenario_is_run_anew(tmp_path):
     trials.run_trials(SCENARIO, range(3), 1, tmp_path, run=Runner())
     faster, moved = replace(SCENARIO, time_limit_s=1.0), replace(SCENARIO, folder="/elsewhere")
@@ -123,7 +133,7 @@ def test_another_program_or_another_ground_is_run_anew(tmp_path, monkeypatch):
     assert before == trials.fingerprint(ground)
     (tmp_path / "ground.npy").write_bytes(b"another")
     changed = trials.fingerprint(ground)
-    monkeypatch.setattr(trials, "_program", lambda: b"another version")
+    monkeypatch.setattr(trials, "_begun_by", lambda: (b"another version", "abc1234"))
     assert len({before, changed, trials.fingerprint(ground)}) == 3
 
 
