@@ -223,8 +223,7 @@ class SeenGround:
         tops = self._layers["high"]
         top = over_square(np.where(np.isnan(tops), -np.inf, tops), 1, 1, np.maximum, -np.inf)
         shown = ~(top[i, j] > line[..., 2] - _SHADOW).any(axis=0)
-        cells, i, j, z = cells[shown], i[:, shown], j[:, shown], line[:, shown, 2]
-        self._layers["looks"][cells[:, 0], cells[:, 1]] += 1
+        self._layers["looks"][tuple(cells[shown].T)] += 1
 
 
 def _nothing() -> dict[str, Array]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from services.planner.crossing import BESIDE, Crossing, Prices, SeenGround, Size
 from services.planner.gait import GAITS
+from services.planner.progress import Progress
 from services.planner.route import NoWay, Way, cost_of, find_way
 from services.planner.terrain import Terrain
 from shared.geometry import Array, yaw_of
@@ -35,12 +36,9 @@ _TURN_GAIN = 1.2  # [1/s]
 _TURN = 0.21  # [rad/s] at most
 _WORTH = 0.85  # [1] cost of another way, of that of the one being walked, from which it is taken
 _OFF_WAY = 0.20  # [m] from the way, from which another is taken whatever it costs
-_STUCK_NS = 4_000_000_000  # [ns] without getting on until a place counts as one where it cannot go on
-_GOT_ON = 0.05  # [m], or
-_TURNED = radians(8.0)  # by which the robot must move to get on
-_STUCK_AHEAD = 0.08  # [m] beyond its feet that such a place lies
+_STUCK_AHEAD = 0.08  # [m] beyond its feet along the way lies the place where it cannot go on
 _STUCK_RADIUS = 0.08  # [m]
-_MOST_STUCK = 24  # places remembered
+_ELSEWHERE = radians(20.0)  # between what it faces and what it faced, from which that is another place
 _FACED = radians(6.0)  # off a place, from which it is being looked at
 _TURN_ABOUT = radians(90.0)  # off what it would look at first, from which it looks at what is nearer to where it faces
 _IN_SIGHT = radians(25.0)  # off where it faces, up to which a place is in the picture
@@ -72,9 +70,8 @@ class _Errand:
     stuck: list[Array] = field(default_factory=list)  # (2,) [m] {world} places where it could not go on
     stuck_reason: str = ""
     reason: str = ""  # why the newest command could not be walked, in words
-    since_ns: int | None = None  # since when it does not get on, at
-    place: Array = field(default_factory=lambda: np.zeros(3))  # (3,) [m, m, rad] {world}
-    course: float = 0.0  # [rad] {world} of the newest command
+    progress: Progress = field(default_factory=Progress)  # to the next waypoint
+    facing: float = 0.0  # [rad] {world} where the newest command turns to
 
 
 class Pilot:
@@ -118,7 +115,7 @@ class Pilot:
         # 2. Which waypoint is next.
         target = goal.waypoints[errand.leg]
         while errand.leg < len(goal.waypoints) - 1 and _length(target - xy) < max(goal.tolerance, _PASSED):
-            errand.begin, errand.way, errand.map = target, None, None
+            errand.begin, errand.way, errand.map, errand.progress = target, None, None, Progress()
             errand.leg += 1
             target = goal.waypoints[errand.leg]
         # A robot that has arrived does not start again because its estimate moves a little.
@@ -131,7 +128,7 @@ class Pilot:
             errand.begin = xy.copy()  # somebody else has led it away
         # 3. The way, anew when the map has changed and some time has passed, or the robot does not get on.
         if errand.way is not None:
-            self._watch(errand, body, now_ns)
+            self._watch(errand, target, body, now_ns)
         changed = errand.map is not terrain.map and now_ns - errand.planned_ns >= _REPLAN_NS
         if errand.map is None or changed:
             errand.map, errand.planned_ns = terrain.map, now_ns
@@ -149,20 +146,25 @@ class Pilot:
         if self._errand is not None:
             self._errand.reason = reason
 
-    def _watch(self, errand: _Errand, body: Array, now_ns: int) -> None:
-        """Where the robot has not got on for a while the place ahead is one where it cannot go on."""
-        place = np.array([body[0, 3], body[1, 3], yaw_of(body)])
-        got_on = _length(place - errand.place) > _GOT_ON or abs(_wrapped(place[2] - errand.place[2])) > _TURNED
-        if errand.since_ns is None or got_on:
-            errand.since_ns, errand.place = now_ns, place
-        if now_ns - errand.since_ns < _STUCK_NS:
+    def _watch(self, errand: _Errand, target: Array, body: Array, now_ns: int) -> None:
+        """Where the robot does not get on the place ahead is one where it cannot go on."""
+        assert errand.way is not None
+        assert errand.crossing is not None
+        xy, yaw = body[:2, 3], yaw_of(body)
+        way, _ = _rest(errand.way.corners, xy)
+        left, error = _extent(way) + _length(target - way[-1]), abs(_wrapped(errand.facing - yaw))
+        words = errand.progress.update(now_ns, np.array([*xy, yaw]), left, error, errand.goal.speed)
+        if not errand.progress.astray_s:
+            errand.reason = ""  # of something else
+        if not words:
             return
-        errand.since_ns = None
-        ahead = np.array([cos(errand.course), sin(errand.course)])
-        stuck = body[:2, 3] + (self._size.half_width + _STUCK_AHEAD) * ahead
-        errand.stuck = [*errand.stuck[-_MOST_STUCK + 1 :], stuck]
-        errand.stuck_reason = errand.reason
-        errand.map = None  # another way, now
+        # A place where it could be, so that it takes another way, and never this one again.
+        ahead = np.arange(self._size.half_width + _STUCK_AHEAD, _extent(way), errand.crossing.edge)
+        places = np.array([*(_along(way, d) for d in ahead), way[-1]])
+        free = np.isfinite(errand.crossing.at(errand.crossing.cost, places))
+        errand.stuck.append(places[int(np.argmax(free))])
+        errand.stuck_reason = f"{words}: {errand.reason}" if errand.reason else words
+        errand.map, errand.progress = None, Progress()  # another way, now
 
     def _plan(self, errand: _Errand, xy: Array, target: Array) -> None:
         """Find the way; the old one stays where another is hardly cheaper."""
@@ -180,8 +182,9 @@ class Pilot:
             cost = cost_of(crossing, old)
             same_end = _length(old[-1] - found.corners[-1]) < crossing.edge  # the ground that is kept may reach further by now
             if same_end and off < _OFF_WAY and found.cost > _WORTH * cost:
-                found = Way(old, cost)
-        errand.way = found
+                errand.way = Way(old, cost)
+                return
+        errand.way, errand.progress.changed = found, True
 
     def _follow(self, errand: _Errand, target: Array, body: Array, now_ns: int) -> Heading:
         """Walk along the way, facing it."""
@@ -190,7 +193,7 @@ class Pilot:
         way, _ = _rest(errand.way.corners, xy)
         left = _extent(way)
         to = _along(way, _LOOK_AHEAD) - xy
-        errand.course = atan2(to[1], to[0])
+        course = atan2(to[1], to[0])
         # Face what is not seen of the way yet, and stop before it; over what is seen it may walk sideways while it turns.
         veiled_at, veiled = self._veiled(errand, way, yaw)
         if veiled is None:
@@ -199,17 +202,19 @@ class Pilot:
             facing = veiled - xy
             turn_first = _FACED if veiled_at < _HALT else _IN_SIGHT if _length(facing) < _SOON_BESIDE else pi
         error = _wrapped(atan2(facing[1], facing[0]) - yaw) if left > _LOOK_AHEAD else 0.0
+        errand.progress.changed |= abs(_wrapped(yaw + error - errand.facing)) > _ELSEWHERE
+        errand.facing = yaw + error
         turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
         # No further in a step than to the end, nor around a corner.
         speed = min(goal.speed, self._profile.stance.max_speed, _length(to) / self._step_s(goal))
-        velocity = speed * np.array([cos(errand.course - yaw), sin(errand.course - yaw)])
+        velocity = speed * np.array([cos(course - yaw), sin(course - yaw)])
         wanted = [(velocity, turn), (velocity, 0.0), (np.zeros(2), turn)]
         if abs(error) > turn_first:
             wanted = [(np.zeros(2), turn), (velocity, 0.0)]
         # Ground too near to be seen shows from further back, or from beside.
         for away in (pi, pi / 2, -pi / 2):
-            course = errand.course - yaw + away
-            wanted.append((0.5 * speed * np.array([cos(course), sin(course)]), 0.0))
+            back = course - yaw + away
+            wanted.append((0.5 * speed * np.array([cos(back), sin(back)]), 0.0))
         wanted.append((np.zeros(2), -turn))
         commands = tuple(_command(goal, now_ns, v, w) for v, w in wanted if _length(v) > 0.0 or w != 0.0)
         return Heading(commands, f"{left:.1f} m of way left to ({target[0]:.1f}, {target[1]:.1f})")

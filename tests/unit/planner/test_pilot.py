@@ -25,16 +25,25 @@ def goal(*waypoints: tuple[float, float]) -> Goal:
 
 
 class Robot:
-    """Does what it is told, on ground that is known as a map tells, unless it is held."""
+    """Does the first of what it is told that its feet can do, on ground that is known as a map tells, unless it is held."""
 
-    def __init__(self, terrain: Terrain, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> None:
+    def __init__(
+        self,
+        terrain: Terrain,
+        x: float = 0.0,
+        y: float = 0.0,
+        yaw: float = 0.0,
+        stands: Callable[[Array], bool] = lambda T: True,
+    ) -> None:
         self.pilot = Pilot(PROFILE)
         self.terrain = terrain
         self.T = from_xyz_rpy((x, y, 0.1), (0.0, 0.0, yaw))
         self.now_ns = 0
         self.held = False
+        self.stands = stands
         self.track: list[Array] = []
         self.words: list[str] = []
+        self.ended = False
 
     def step(self, to: Goal) -> Heading | NoWay:
         self.now_ns += round(STEP_S * S)
@@ -42,22 +51,24 @@ class Robot:
         found = self.pilot.lead(to, self.terrain, self.T, self.T, self.now_ns)
         if isinstance(found, Heading):
             self.words.append(found.words)
-            if found.commands and not self.held:
-                self.move(found.commands[0])
+            places = [] if self.held else [self.after(command) for command in found.commands]
+            self.T = next((T for T in places if self.stands(T)), self.T)
         else:
             self.words.append(found.reason)
         self.track.append(self.T[:3, 3].copy())
         return found
 
-    def move(self, command: VelocityCommand) -> None:
-        self.T = self.T.copy()
-        self.T[:2, 3] += STEP_S * (self.T[:2, :2] @ command.velocity)
-        self.T[:3, :3] = self.T[:3, :3] @ rotation_z(STEP_S * command.yaw_rate)
+    def after(self, command: VelocityCommand) -> Array:
+        T = self.T.copy()
+        T[:2, 3] += STEP_S * (T[:2, :2] @ command.velocity)
+        T[:3, :3] = T[:3, :3] @ rotation_z(STEP_S * command.yaw_rate)
+        return T
 
     def walk(self, to: Goal, steps: int = 150) -> "Robot":
         for _ in range(steps):
             found = self.step(to)
-            if isinstance(found, Heading) and not found.commands:
+            self.ended = isinstance(found, NoWay) or not found.commands
+            if self.ended:
                 break
         return self
 
@@ -140,6 +151,36 @@ def test_where_it_does_not_get_on_it_takes_another_way(make_terrain: Maker) -> N
     assert min(np.abs(passing)) > 0.2
 
 
+@pytest.mark.parametrize("edge", [0.4, 0.63, 1.2])
+def test_where_it_only_steps_to_and_fro_it_says_so_in_the_end(edge: float, make_terrain: Maker) -> None:
+    to = replace(goal((1.4, 0.0)), speed=0.12)
+    robot = Robot(make_terrain(half=1.9), stands=lambda T: bool(T[0, 3] < edge)).walk(to, steps=300)
+    assert robot.ended
+    assert "it got stuck there: in " in robot.words[-1]
+
+
+def test_where_it_only_turns_to_and_fro_it_says_so_too(make_terrain: Maker) -> None:
+    def seen(x: Array, y: Array) -> Array:
+        return np.where(np.hypot(x, y) < 0.58, 0.0, np.nan)
+
+    def stands(T: Array) -> bool:
+        return bool(yaw_of(T) < np.radians(-60.0) and not T[:2, 3].any())
+
+    robot = Robot(make_terrain(seen, seen, half=1.28), yaw=np.radians(-90.0), stands=stands).walk(goal((1.2, 0.0)), steps=300)
+    assert robot.ended
+    assert "it got stuck there: in " in robot.words[-1]
+
+
+def test_what_it_says_of_where_it_got_stuck_is_of_there(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(half=1.28))
+    robot.step(goal((1.2, 0.0)))
+    robot.pilot.note("left front leg: long ago")
+    robot.walk(goal((1.2, 0.0)), steps=4)
+    robot.held = True
+    assert robot.walk(goal((1.2, 0.0)), steps=200).ended
+    assert robot.words[-1].endswith("it got stuck there: in 4 s it did not move")
+
+
 def test_before_what_it_has_not_seen_it_turns_to_face_it(make_terrain: Maker) -> None:
     def seen(x: Array, y: Array) -> Array:
         return np.where(np.hypot(x, y) < 0.58, 0.0, np.nan)
@@ -165,22 +206,21 @@ def test_over_ground_that_it_has_seen_it_walks_while_it_turns_to_what_it_has_not
     assert abs(found.commands[0].yaw_rate) > 0.0
 
 
-@pytest.mark.parametrize(("yaw", "x"), [(30.0, 0.4), (-150.0, -0.8)])
+@pytest.mark.parametrize(("yaw", "left"), [(30.0, False), (150.0, True)])
 def test_rather_than_turn_about_it_looks_first_at_what_shows_sooner_of_the_way(
-    yaw: float, x: float, make_terrain: Maker
+    yaw: float, left: bool, make_terrain: Maker
 ) -> None:
-    def seen(x: Array, y: Array) -> Array:
-        return np.where((x < -0.6) | (y < -0.8), np.nan, 0.0)
+    def height(x: Array, y: Array) -> Array:
+        """A wall across its straight way, which which leads around by the left; neither there nor behind it has it looked."""
+        wall = (x > -0.4) & (y > -0.6) & (y < -0.5)
+        return np.where((x < -0.7) | (y < -0.9), np.nan, np.where(wall, 0.3, 0.0))
 
-    robot = Robot(make_terrain(seen, half=1.28), yaw=np.radians(yaw))
-    robot.step(goal((0.5, -1.1)))
-    errand = robot.pilot._errand
-    assert errand is not None
-    way = np.array([[0.0, 0.0], [-1.0, 0.0], [-1.0, -1.0], [0.5, -1.1]])
-    distance, place = robot.pilot._veiled(errand, way, np.radians(yaw))
-    assert 0.25 < distance < 0.45, "it comes first all the same"
-    assert place is not None
-    assert place[0] == pytest.approx(x, abs=0.35)
+    robot = Robot(make_terrain(height, beside_edges(height), half=1.9), yaw=np.radians(yaw))
+    robot.walk(goal((0.5, -1.1)), steps=4)
+    assert robot.pilot.path[:, 0].min() < -0.6, "around the wall"
+    turned = np.degrees(yaw_of(robot.T)) - yaw
+    assert (turned % 360.0 - 180.0 < 0.0) == left
+    assert min(turned % 360.0, -turned % 360.0) > 10.0
 
 
 @pytest.mark.parametrize("speed", [0.03, 0.5])
