@@ -30,6 +30,7 @@ _SETUP_PATIENCE_NS = 3_000_000_000  # [ns] that servos may take to answer: a sim
 _STANDS = 0.5  # share of its load from which a leg counts as standing
 _SLIPS = 0.01  # [m] against the others from which a standing foot is said to slip; rolling and looseness are some millimetres
 _LIFTED = 0.01  # [m] over the standing feet from which a foot without load is in the air
+_BALANCED = (Mode.HOLD, Mode.WALK)  # modes in which legs follow an inertial sensor
 _ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
 
 
@@ -72,7 +73,7 @@ class Actuator:
         self._feeler = Feeler(profile)
         self._plumb = Plumb()
         self._imu_problem = ""
-        self._tipped = ""  # that the body leans too far to go on, in words
+        self._tipped = ""  # that the body leaned too far to go on, in words; until it is ordered to walk or stand
         self._q = self._read_all(dxl.PRESENT_POSITION)
         self._q_goal = self._first_goals()
         self._q_wanted = self._q_goal.copy()  # goals less the feed-forward: where the joints are to come to rest
@@ -117,9 +118,9 @@ class Actuator:
             self._read()
         now_ns = self._clock()
         self._odometry.update(self._measured(), self._standing(), self._walker.ground)
-        self._level(dt, tick.stamp_ns, inbox)
         for order in inbox.drain(topics.MODE):
             self._obey(order)
+        self._level(dt, tick.stamp_ns, inbox)
         for plan in inbox.drain(topics.STEP_PLAN):
             self._consider(plan, tick.stamp_ns)
         if self._mode is not Mode.OFF:
@@ -167,18 +168,27 @@ class Actuator:
             self._walker.halt()
 
     def _level(self, dt: float, now_ns: int, inbox: Inbox) -> None:
-        """Where there is an inertial sensor {odom} is as level as that says, and a body that tips over does not walk on."""
+        """Where there is an inertial sensor {odom} is as level as that says; a body that tips over stops until a new order."""
         still = self._mode is Mode.HOLD and self._walker.resting
         for reading in inbox.drain(topics.IMU):
             self._plumb.take(reading, now_ns, still)
-        turn = self._plumb.turn(self._odometry.T_odom_body, now_ns, dt)
+        if self._mode in _BALANCED and not self._tipped:
+            self._tipped = self._plumb.tipped(self._walker.body_ref, now_ns)
+        if self._mode in _BALANCED and not self._tipped:
+            self._turn(dt, now_ns)
+        else:
+            self._plumb.restart()
+        self._imu_problem = self._plumb.problem(now_ns)
+        if self._tipped:
+            self._may_walk = False
+            self._walker.halt()
+
+    def _turn(self, dt: float, now_ns: int) -> None:
+        step = self._walker.step if self._mode is Mode.WALK else None
+        turn = self._plumb.turn(self._odometry.T_odom_body, now_ns, dt, step)
         if turn is not None:
             self._odometry.turn(turn)
             self._walker.turn(turn)
-        self._tipped = self._plumb.tipped(self._walker.body_ref, now_ns)
-        self._imu_problem = self._plumb.problem(now_ns)
-        if self._tipped and self._mode is Mode.WALK:
-            self._walker.halt()
 
     def _measured(self) -> Array:
         """Joint angles now (6, 3) [rad]: the last readings, moved on by what was wanted of the joints since."""
@@ -232,7 +242,7 @@ class Actuator:
         self._last_order = order.sequence
         if order.mode == "off":
             self._bus.set_torque(False)
-            self._mode, self._reason, self._may_walk = Mode.OFF, "ordered off", False
+            self._mode, self._reason, self._may_walk, self._tipped = Mode.OFF, "ordered off", False, ""
         elif order.mode == "stand" and self._mode is not Mode.FAULT:
             if self._mode is Mode.OFF:
                 self._q_goal = self._measured()
@@ -240,21 +250,20 @@ class Actuator:
                 self._bus.set_torque(True)
             self._stand_up = StandUp(self._profile, body_forward(self._profile, self._q_goal), self._settings.stand_s)
             self._q_last = None
-            self._mode, self._reason, self._may_walk = Mode.STAND, "standing up", False
+            self._mode, self._reason, self._may_walk, self._tipped = Mode.STAND, "standing up", False, ""
         elif order.mode == "walk" and self._mode in (Mode.HOLD, Mode.STAND):
-            self._may_walk = True
+            self._may_walk, self._tipped = True, ""
 
     def _consider(self, plan: StepPlan, now_ns: int) -> None:
         """Pass a plan on to the walker, or keep the reason why not."""
         if not self._may_walk or self._mode not in (Mode.HOLD, Mode.WALK):
-            self._refused = f"plan of step {plan.step} refused: the mode is {self._mode}, not ordered to walk"
+            tipped = self._tipped and f"{self._tipped}; order `walk` anew"
+            why = tipped or f"the mode is {self._mode}, not ordered to walk"
+            self._refused = f"plan of step {plan.step} refused: {why}"
             return
         walker = self._walker
         if walker.searching.any():
             self._refused = f"plan of step {plan.step} refused: {walker.trouble}"
-            return
-        if self._tipped and plan.step != walker.step:
-            self._refused = f"plan of step {plan.step} refused: {self._tipped}"
             return
         revises = plan.step == walker.step
         body, feet = (walker.body_ref, walker.feet_odom) if revises else walker.stance_at_end
@@ -377,7 +386,7 @@ class Actuator:
             T_world_odom=self._T_world_odom.copy(),
             voltage=_known(np.fmin.reduce(self._voltage)),
             temperature=_known(np.fmax.reduce(self._temperature)),
-            warnings=tuple(w for w in (self._warning, self._slipping(), self._imu_problem) if w),
+            warnings=tuple(w for w in (self._warning, self._slipping(), self._tipped, self._imu_problem) if w),
             touch_ns=self._touch_ns.copy(),
             touch=self._touch.copy(),
             touch_carries=self._touch_carries.copy(),

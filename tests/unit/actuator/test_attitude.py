@@ -134,6 +134,22 @@ def test_at_rest_a_gyro_tells_its_bias_about_up_too_and_then_counts_heading(
     assert found.turned - before == pytest.approx(0.8, abs=2e-3)
 
 
+def test_a_first_reading_tells_no_bias() -> None:
+    """Nothing is known of the time before it."""
+    filter_ = AttitudeEstimator()
+    filter_.update(np.full(3, 0.015), G, 1.0, still=True)
+    np.testing.assert_array_equal(filter_.bias, np.zeros(3))
+
+
+def test_heading_and_up_go_by_the_same_bias() -> None:
+    """What is learned in a reading counts for all of it: a body at rest that tells its whole bias has not turned."""
+    filter_ = AttitudeEstimator()
+    filter_.update(np.zeros(3), G, DT)
+    found = filter_.update(np.array([0.0, 0.0, 0.01]), G, 1.0, still=True)
+    assert filter_.bias[2] == pytest.approx(0.01)
+    assert found.turned == pytest.approx(0.0, abs=1e-12)
+
+
 def test_a_body_that_turns_is_not_taken_to_stand_still() -> None:
     filter_ = AttitudeEstimator()
     for _ in range(200):

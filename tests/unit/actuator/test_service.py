@@ -8,6 +8,7 @@ import pytest
 
 from services.actuator.config import Settings
 from services.actuator.service import Actuator
+from services.actuator.walker import Walker
 from services.simulator.bus import MemoryPort, ServoBusEmulator
 from services.simulator.servos import ServoBank
 from shared import codec, topics
@@ -24,6 +25,8 @@ IDS = PROFILE.servo_ids.ravel().tolist()
 PERIOD = 20_000_000
 TRIPOD = np.arange(6) % 2 == 0
 OUT = np.column_stack([PROFILE.T_body_coxa[:, :2, 0], np.zeros(6)])
+UP = np.array([0.0, 0.0, 1.0])
+STILL = 0.02  # [rad] of goals: sag that is integrated away, and rounding to ticks
 CRAWL = PROFILE.rest_feet(0.03) + 0.05 * OUT
 
 
@@ -436,7 +439,7 @@ def test_on_a_slope_the_body_is_level_where_a_sensor_says_so(slope: tuple[float,
 
 
 def test_a_robot_that_tips_over_finishes_its_step_stops_and_says_so() -> None:
-    rig, upright = Rig(), np.array([0.0, 0.0, 1.0])
+    rig, upright = Rig(), UP
     state = rig.walking()
     for _ in range(500):
         state = listen(rig, upright)
@@ -453,6 +456,120 @@ def test_a_robot_that_tips_over_finishes_its_step_stops_and_says_so() -> None:
     assert state.mode is Mode.HOLD
     assert state.step == running
     assert "off what is commanded, by the IMU" in state.reason
+    assert any("by the IMU" in warning for warning in state.warnings)
     rig.hear(rig.plan(state))
     assert "by the IMU" in rig.cycle().refused
     assert rig.torque
+
+
+def sure(rig: Rig, up: Array = UP) -> ActuatorState:
+    """Walking is allowed, and a sensor has been heard for long enough to be believed, up being (3,) {body}."""
+    rig.walking()
+    for _ in range(400):
+        state = listen(rig, up)
+    return state
+
+
+def tip(rig: Rig, angle: float, cycles: int = 25) -> ActuatorState:
+    """Lean to an angle [rad] to one side."""
+    for share in np.linspace(0.0, 1.0, cycles):
+        up = rotation_from_rpy((share * angle, 0.0, 0.0))[2]
+        rig.hear(Imu(rig.now_ns, np.array([angle / (cycles * 0.02), 0.0, 0.0]), 9.81 * up))
+        state = rig.cycle()
+    return state
+
+
+def test_a_robot_that_is_lifted_and_turned_keeps_its_legs_still() -> None:
+    rig = Rig()
+    sure(rig)
+    goals = rig.goals
+    for _ in range(100):
+        rig.hear(Imu(rig.now_ns, np.array([0.0, 0.0, 1.5]), 9.81 * UP))
+        rig.cycle()
+        np.testing.assert_allclose(rig.goals, goals, atol=STILL)
+
+
+@pytest.mark.parametrize("angle", [1.0, np.pi / 2, 3.0])
+def test_a_fallen_robot_keeps_its_legs_still(angle: float) -> None:
+    rig = Rig()
+    sure(rig)
+    state = tip(rig, angle)
+    assert any("off what is commanded" in warning for warning in state.warnings)
+    goals = rig.goals
+    for _ in range(150):
+        state = listen(rig, rotation_from_rpy((angle, 0.0, 0.0))[2])
+    np.testing.assert_allclose(rig.goals, goals, atol=STILL)
+    assert any("off what is commanded" in warning for warning in state.warnings)
+
+
+def test_a_sensor_that_is_upside_down_moves_no_leg() -> None:
+    rig = Rig()
+    rig.walking()
+    rig.cycle(300)
+    goals = rig.goals
+    for _ in range(500):
+        state = listen(rig, -UP)
+    np.testing.assert_allclose(rig.goals, goals, atol=STILL)
+    assert any("180 deg off what is commanded" in warning for warning in state.warnings)
+
+
+def test_a_robot_with_a_fault_moves_no_leg() -> None:
+    rig = Rig()
+    sure(rig)
+    shut_down(rig, 4)
+    rig.cycle(20)
+    goals = rig.goals
+    tip(rig, np.radians(10.0))
+    for _ in range(150):
+        state = listen(rig, rotation_from_rpy((np.radians(10.0), 0.0, 0.0))[2])
+    assert state.mode is Mode.FAULT
+    np.testing.assert_allclose(rig.goals, goals, atol=STILL)
+
+
+@pytest.mark.parametrize("heard", [True, False])
+def test_a_robot_that_has_tipped_walks_on_by_a_new_order_only(heard: bool) -> None:
+    """Neither one that is put upright again nor one whose sensor falls silent."""
+    rig = Rig()
+    sure(rig)
+    tip(rig, np.radians(35.0))
+    for _ in range(400):
+        state = listen(rig, UP) if heard else rig.cycle()
+    rig.hear(rig.plan(state))
+    state = rig.cycle()
+    assert state.mode is Mode.HOLD
+    assert "by the IMU" in state.refused
+    rig.command("walk")
+    state = listen(rig, UP) if heard else rig.cycle()
+    rig.hear(rig.plan(state))
+    assert rig.cycle().mode is Mode.WALK
+    assert not any("off what is commanded" in warning for warning in rig.cycle().warnings)
+
+
+def test_a_robot_that_lies_on_its_side_does_not_walk_by_an_order() -> None:
+    rig, up = Rig(), rotation_from_rpy((1.2, 0.0, 0.0))[2]
+    sure(rig)
+    state = tip(rig, 1.2)
+    rig.command("walk")
+    rig.hear(rig.plan(state))
+    assert listen(rig, up).mode is Mode.HOLD
+    rig.hear(rig.plan(state))
+    assert "by the IMU" in listen(rig, up).refused
+
+
+def test_standing_up_anew_twists_nobody() -> None:
+    """The legs count from a new beginning; the gyro goes on."""
+    rig = Rig()
+    sure(rig)
+    rig.actuator._odometry.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, 0.15)))  # as gyro and legs agree
+    rig.actuator._walker = Walker(Settings(), REST, rig.actuator._odometry.T_odom_body)
+    rig.hear(Imu(rig.now_ns, np.array([0.0, 0.0, 0.15 / 0.02]), 9.81 * UP))
+    rig.cycle()
+    goals = rig.goals
+    rig.command("stand")
+    state = listen(rig, UP)
+    assert state.mode is Mode.STAND
+    while listen(rig, UP).mode is Mode.STAND:
+        pass
+    for _ in range(150):
+        listen(rig, UP)
+    np.testing.assert_allclose(rig.goals[:, 0], goals[:, 0], atol=STILL)
