@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.campaign_table import WALKED, Campaign, markdown
+from deploy import cli, kept
+from deploy.campaign_table import WALKED, Campaign, markdown, of_runs
 
 ROOT = Path(__file__).parents[1]
+KEPT = ROOT / "docs" / "campaign.jsonl"
 
 # What a `make` target comes to.
 MAKE = {
@@ -96,16 +97,26 @@ def test_scenarios_named_in_the_readme_come_with_sextant() -> None:
             assert load_scenario(words[2]).name == words[2]
 
 
+def rows(text: str) -> list[str]:
+    return re.findall(r"^\|.*\|$", text, re.MULTILINE)
+
+
 def test_the_table_of_the_readme_is_the_one_that_a_command_prints() -> None:
-    """Its headings, its courses and their words; the figures are those of a campaign."""
-    rows = re.findall(r"^\|.*\|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
-    printed = markdown(Campaign((), ()), "reached").splitlines()
-    assert rows[:2] == printed[:2]
-    courses = [row.split(" | ")[0] for row in rows[2:]]
-    assert courses == [f"| `{name}`: {words}" for name, words in WALKED.items()]
+    printed = rows(markdown(of_runs(kept.read(KEPT)), "reached"))
+    assert rows((ROOT / "README.md").read_text(encoding="utf-8")) == printed
+    assert [row.split(" | ")[0] for row in printed[2:]] == [f"| `{name}`: {words}" for name, words in WALKED.items()]
 
 
-def test_the_tables_of_the_results_have_the_headings_that_a_command_prints() -> None:
+@pytest.mark.parametrize("table", ["walks", "reached", "maps"])
+def test_the_tables_of_the_results_are_those_that_a_command_prints(table: str) -> None:
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-    for table in ("walks", "missteps", "maps"):
-        assert markdown(Campaign((), ()), table).splitlines()[0] in text, f"`sextant trials table --of {table}`"
+    printed = markdown(of_runs(kept.read(KEPT)), table)
+    assert "\n".join(rows(printed)) in text
+    if table == "walks":
+        for words in printed.splitlines():
+            assert words in text
+
+
+def test_the_table_of_missteps_has_the_headings_that_a_command_prints() -> None:
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    assert markdown(Campaign((), ()), "missteps").splitlines()[0] in text
