@@ -1,5 +1,6 @@
 """The actuator: plans in, servo goals out, fifty times a second, and what the legs measure back to everybody."""
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from typing import Self
@@ -117,6 +118,7 @@ class Actuator:
         with self.stages("bus read"):
             self._read()
         now_ns = self._clock()
+        self._contact.update(self._measured(), self._load, dt)
         self._odometry.update(self._measured(), self._standing(), self._walker.ground)
         for order in inbox.drain(topics.MODE):
             self._obey(order)
@@ -324,7 +326,7 @@ class Actuator:
 
     def _take_over(self, torque: bool) -> None:
         """Begin where the robot stands; feet that were in the air, since the last actuator ended in mid-step, come down."""
-        carrying = self._contact.update(self._q, self._read_loads())
+        carrying = self._contact.update(self._q, self._read_loads(), math.inf)
         standing = carrying if torque and carrying.sum() >= 3 else np.ones(6, dtype=np.bool_)
         self._stand_on(self._q, standing=standing)
         lifted = self._odometry.anchors[:, 2] - self._profile.foot.radius > _LIFTED
@@ -377,7 +379,7 @@ class Actuator:
             step=walker.step,
             phase=float(walker.phase),
             swing=walker.swing.copy(),
-            contact=self._contact.update(self._measured(), self._load),
+            contact=self._contact.legs,
             q=self._measured(),
             load_nm=self._load.copy(),
             feet=self._odometry.feet.copy(),

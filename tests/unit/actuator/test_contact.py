@@ -14,6 +14,7 @@ Flags = NDArray[np.bool_]
 PROFILE = load_profile("phantomx_mk2")
 Q = body_inverse(PROFILE, PROFILE.rest_feet())
 TRIPOD = np.arange(6) % 2 == 0
+DT = 0.02  # [s]
 
 
 def torques(push: Array) -> Array:
@@ -23,12 +24,12 @@ def torques(push: Array) -> Array:
 
 def settled(estimate: ContactEstimate, push: Array) -> Flags:
     for _ in range(20):
-        contact = estimate.update(Q, torques(push))
+        contact = estimate.update(Q, torques(push), DT)
     return contact
 
 
 def test_it_begins_without_contact() -> None:
-    assert not ContactEstimate(PROFILE).update(Q, np.zeros((6, 3))).any()
+    assert not ContactEstimate(PROFILE).update(Q, np.zeros((6, 3)), DT).any()
 
 
 def test_legs_that_are_pushed_up_carry() -> None:
@@ -56,7 +57,17 @@ def test_contact_comes_late_and_goes_late() -> None:
 def test_one_odd_reading_does_not_lift_a_foot() -> None:
     estimate = ContactEstimate(PROFILE)
     settled(estimate, np.full(6, 5.0))
-    assert estimate.update(Q, torques(np.zeros(6))).all()
+    assert estimate.update(Q, torques(np.zeros(6)), DT).all()
+
+
+def test_how_fast_it_follows_does_not_depend_on_how_often_it_is_asked() -> None:
+    seldom, often, push = ContactEstimate(PROFILE), ContactEstimate(PROFILE), torques(np.full(6, 1.9))
+    seldom_in = [seldom.update(Q, push, 4 * DT)[0] for _ in range(6)]
+    often_in = [often.update(Q, push, DT)[0] for _ in range(24)]
+    assert seldom_in == often_in[3::4]
+    assert not often_in[0]
+    assert often_in[-1]
+    assert ContactEstimate(PROFILE).update(Q, push, float("inf")).all()
 
 
 def test_each_leg_is_judged_by_its_own_torques() -> None:
@@ -70,7 +81,7 @@ def test_each_leg_is_judged_by_its_own_torques() -> None:
 def test_a_stretched_leg_is_no_accident(stretched: Array) -> None:
     """The Jacobian is singular there; the estimate stays finite, so the flags stay flags."""
     estimate = ContactEstimate(PROFILE)
-    assert estimate.update(stretched, np.full((6, 3), 1.5)).dtype == bool
+    assert estimate.update(stretched, np.full((6, 3), 1.5), DT).dtype == bool
     assert not settled(estimate, np.full(6, -5.0)).any()
 
 
