@@ -24,6 +24,7 @@ class Cells:
     through: NDArray[np.uint8]  # scans that looked through the cell since it was last measured
     fell: NDArray[np.uint8]  # 1 where something stood that is gone
     face: NDArray[np.uint8]  # 1 where a face was seen, which is at least so high
+    below: NDArray[np.uint8]  # of a face, a bit for each side on which ground was seen below it since it last was seen
 
     @classmethod
     def unseen(cls, shape: tuple[int, int]) -> Self:

@@ -149,7 +149,7 @@ class ElevationGrid:
             self._drift.follow(cells, touched, z, ray, scan.pose_covariance)
             z -= self._drift.value
             sigma = height_sigma(ray, scan.pose_covariance)
-            merged = heed_faces(cells, touched, z, random, systematic, self._slot, sigma)
+            merged = heed_faces(cells, touched, z, random, systematic, self._slot, sigma, self._low)
             self._sights.raised(float(z.max()))
             silent = len(touched) - merged
             touched, z, random, systematic = touched[:merged], z[:merged], random[:merged], systematic[:merged]

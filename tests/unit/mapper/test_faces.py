@@ -99,3 +99,77 @@ def test_a_riser_that_legs_climb_is_no_face_and_a_pose_that_is_far_off_makes_non
         see(grid, ground(BEFORE), face(spread), covariance=covariance)
         see(grid, ground(np.append(BEFORE, WALL_X)))
         assert np.abs(wall_of(grid)).max() < 0.005
+
+
+def post(x: float, top: float) -> Array:
+    """Points (4, 4) of a post 2 cm wide whose nearer side is at x, as far as it is in the picture."""
+    xy = np.array([[x + a, b] for a in (0.0, 0.01) for b in (-0.005, 0.005)])
+    return np.column_stack([xy, np.full(4, top - 0.004), np.full(4, top)])
+
+
+@pytest.mark.parametrize("apart", [0.015, 0.03, 0.05])
+def test_what_is_gone_is_cleared_by_rows_that_skip_cells(apart: float) -> None:
+    grid = ElevationGrid(size=256)
+    for _ in range(8):
+        see(grid, ground(BEFORE), post(WALL_X, 0.3))
+    assert grid.heights([WALL_X, 0.005]) > 0.29
+    for k in range(60):  # walking, 3 mm a scan
+        rows = np.arange(0.6, 1.0, apart) + 0.003 * k % apart
+        see(grid, ground(rows))
+    around = np.stack(np.meshgrid(WALL_X + np.arange(-1, 3) * 0.01, ACROSS), axis=-1)
+    assert np.nanmax(grid.heights(around)) < 0.005
+
+
+def test_a_thin_wall_that_is_seen_from_both_sides_stays() -> None:
+    grid = ElevationGrid(size=256)
+    for _ in range(4):
+        for side in (BEFORE, BEYOND):
+            see(grid, ground(side), face(0.15))
+            for _ in range(6):  # from near, of the wall's cells only the ground before it
+                see(grid, ground(np.append(side, WALL_X)))
+    assert wall_of(grid).min() > 0.12
+
+
+def test_a_post_hides_the_ground_behind_it_and_stays_when_its_foot_alone_is_seen() -> None:
+    grid = ElevationGrid(size=256)
+    see(grid, ground(BEFORE), post(WALL_X, 0.3))
+    near = ground(np.concatenate([BEFORE, [WALL_X], BEYOND]))
+    behind, beside = near[:, 0] - WALL_X, near[:, 1]
+    for askew in (0.0, 0.5, 1.0):
+        hidden = (behind > 0.005) & (np.abs(beside - askew * (behind - 0.01)) < 0.016)
+        for _ in range(10):
+            see(grid, near[~hidden])
+        assert grid.heights(post(WALL_X, 0.3)[:, :2]).min() > 0.29
+
+
+def window_edges() -> tuple[ElevationGrid, Array, Array]:
+    """A grid whose buffer wraps inside the window, its first and its last row of cells (n, 2) [m]."""
+    grid = ElevationGrid(size=32)
+    grid.move_to([0.105, 0.0])
+    y = grid.origin[1] + 0.01 * np.arange(32)
+    first, last = (np.column_stack([np.full(32, grid.origin[0] + 0.01 * i), y]) for i in (0, 31))
+    return grid, first, last
+
+
+def test_ground_at_the_other_side_of_the_window_is_not_beside_a_wall() -> None:
+    grid, first, last = window_edges()
+    shelf = np.vstack([first, first + np.array([0.01, 0.0]), first + np.array([0.02, 0.0])])
+    high = np.column_stack([shelf, np.full((len(shelf), 1), 0.2), np.zeros((len(shelf), 1))])
+    wall = np.column_stack([last, np.full((32, 1), 0.146), np.full((32, 1), 0.15)])
+    foot = np.column_stack([last, np.zeros((32, 2))])
+    for _ in range(10):
+        see(grid, high)
+    see(grid, wall)
+    for _ in range(10):
+        see(grid, high, foot)
+    assert grid.heights(last).min() > 0.14
+
+
+def test_what_is_seen_at_the_other_side_of_the_window_clears_no_wall() -> None:
+    grid, first, last = window_edges()
+    wall = np.column_stack([last, np.full((32, 1), 0.146), np.full((32, 1), 0.15)])
+    low = np.vstack([np.column_stack([p, np.zeros((32, 2))]) for p in (first, last - [0.01, 0.0], last)])
+    see(grid, wall)
+    for _ in range(10):
+        see(grid, low)
+    assert grid.heights(last).min() > 0.14
