@@ -51,6 +51,7 @@ class Prices:
     relief: float = 2.0  # where the ground changes by as much as legs can take
     near: float = 3.0  # right beside what cannot be crossed, falling to nothing at `wide`
     unseen: float = 1.0
+    behind: float = 2.0  # beyond that, unseen right behind the robot; less where it need not turn about to look at it
     beside: float = 40.0  # unseen and so near that it cannot be looked at
 
 
@@ -145,13 +146,13 @@ class SeenGround:
         mind["rise"] = mind["high"] - lowest_around(closed(mind["low"], _BRIDGED))
         self._look(T_world_body @ camera.T_body_camera, camera, floor, low, high)
 
-    def crossing(self, size: Size, prices: Prices, xy: Array, stuck: Array, stuck_radius: float) -> Crossing:
+    def crossing(self, size: Size, prices: Prices, place: Array, stuck: Array, stuck_radius: float) -> Crossing:
         """What it costs to cross, and where one cannot.
 
         Args:
             size: Of the robot.
             prices: Of what is dear.
-            xy: (2,) [m] {world} where the robot is: what is unseen so near cannot be looked at.
+            place: (3,) [m, m, rad] {world} of the robot: unseen ground beside it cannot be looked at, behind it not soon.
             stuck: (k, 2) [m] {world} where it could not go on.
             stuck_radius: [m] around them.
         """
@@ -165,15 +166,17 @@ class SeenGround:
         stops[wide(~unseen & (seen["bare"] > _BARE), _NARROW) & (stops == OPEN)] = BARE
         stops[wide(unseen & (seen["looks"] >= _LOOKS), _NARROW) & (stops == OPEN)] = HOLE
         centres = (np.indices(unseen.shape).transpose(1, 2, 0) + self._first + 0.5) * self._edge
-        for place in stuck:
-            stops[(np.linalg.norm(centres - place, axis=2) < stuck_radius) & (stops == OPEN)] = STUCK
+        for shut in stuck:
+            stops[(np.linalg.norm(centres - shut, axis=2) < stuck_radius) & (stops == OPEN)] = STUCK
         room = distance(stops != OPEN, size.wide / self._edge) * self._edge
         # 3. Where the body may be: prices over the ground that its feet stand on, and more where there is little room.
-        near = np.linalg.norm(centres - xy, axis=2) < BESIDE
+        off = centres - place[:2]
+        near = np.linalg.norm(off, axis=2) < BESIDE
+        aside = np.abs((np.arctan2(off[..., 1], off[..., 0]) - place[2] + np.pi) % (2.0 * np.pi) - np.pi) / np.pi
         relief = np.clip(np.nan_to_num(rise) / MAX_STEP, 0.0, 1.0)
         ground_price = np.where(
             unseen,
-            np.where(near, prices.beside, prices.unseen),
+            np.where(near, prices.beside, prices.unseen + prices.behind * aside),
             prices.rough * (1.0 - seen["footing"]) + prices.bare * seen["bare"] + prices.relief * relief**2,
         )
         beyond = np.clip((size.wide - room) / max(size.wide - size.half_width, 1e-9), 0.0, 1.0)

@@ -133,7 +133,7 @@ class Pilot:
         if errand.map is None or changed:
             errand.map, errand.planned_ns = terrain.map, now_ns
             self._ground.see(terrain, T_world_body, self._profile.camera, float(T_world_body[2, 3]) - goal.body_height)
-            self._plan(errand, xy, target)
+            self._plan(errand, np.array([*xy, yaw_of(body)]), target)
         if isinstance(errand.found, NoWay):
             return errand.found
         return self._follow(errand, target, body, now_ns)
@@ -166,10 +166,10 @@ class Pilot:
         errand.stuck_reason = f"{words}: {errand.reason}" if errand.reason else words
         errand.map, errand.progress = None, Progress()  # another way, now
 
-    def _plan(self, errand: _Errand, xy: Array, target: Array) -> None:
+    def _plan(self, errand: _Errand, place: Array, target: Array) -> None:
         """Find the way; the old one stays where another is hardly cheaper."""
-        stuck = np.array(errand.stuck).reshape(-1, 2)
-        crossing = self._ground.crossing(self._size, self._prices, xy, stuck, _STUCK_RADIUS)
+        xy, stuck = place[:2], np.array(errand.stuck).reshape(-1, 2)
+        crossing = self._ground.crossing(self._size, self._prices, place, stuck, _STUCK_RADIUS)
         crossing = crossing.beside(errand.begin, target, _DETOUR)
         found = find_way(crossing, xy, target, errand.goal.tolerance)
         errand.crossing, errand.found = crossing, found

@@ -21,7 +21,7 @@ Maker = Callable[..., Terrain]
 def crossed(terrain: Terrain, stuck: Array = NOWHERE) -> Crossing:
     ground = SeenGround()
     ground.see(terrain, HERE, CAMERA, 0.0)
-    return ground.crossing(SIZE, Prices(), np.zeros(2), stuck, 0.08)
+    return ground.crossing(SIZE, Prices(), np.zeros(3), stuck, 0.08)
 
 
 def kinds(found: Crossing) -> set[int]:
@@ -100,6 +100,22 @@ def test_what_is_not_seen_is_dear_and_open_but_beside_the_robot_dearest(make_ter
     assert beside > 5.0
 
 
+@pytest.mark.parametrize("yaw", [-2.0, 0.0, 1.0, 3.0])
+def test_what_is_not_seen_is_dearer_the_further_the_robot_must_turn_to_it(yaw: float, make_terrain: Maker) -> None:
+    def height(x: Array, y: Array) -> Array:
+        return np.where(np.hypot(x, y) > 0.55, np.nan, 0.0)
+
+    ground = SeenGround()
+    ground.see(make_terrain(height, height, half=1.28), HERE, CAMERA, 0.0)
+    found = ground.crossing(SIZE, Prices(), np.array([0.0, 0.0, yaw]), NOWHERE, 0.08)
+    off = yaw + np.array([0.0, 0.6, 1.2, 1.8, 2.4, 3.1])
+    for side in (off, 2.0 * yaw - off):
+        costs = found.at(found.cost, np.column_stack([np.cos(side), np.sin(side)]))
+        assert (np.diff(costs) > 0.2).all()
+    at = found.cell(np.zeros(2))
+    assert found.cost[at] == pytest.approx(1.0), "what is seen costs the same whatever it faces"
+
+
 def test_what_is_looked_at_and_does_not_show_is_a_hole_unless_something_hides_it(make_terrain: Maker) -> None:
     def hole(x: Array, y: Array) -> Array:
         return np.where((x > 0.8) & (x < 1.1) & (np.abs(y) < 0.2), np.nan, 0.0)
@@ -111,7 +127,7 @@ def test_what_is_looked_at_and_does_not_show_is_a_hole_unless_something_hides_it
         ground, terrain = SeenGround(), make_terrain(height, height, half=1.28)
         for _ in range(6):
             ground.see(terrain, HERE, CAMERA, 0.0)
-        found = ground.crossing(SIZE, Prices(), np.zeros(2), NOWHERE, 0.08)
+        found = ground.crossing(SIZE, Prices(), np.zeros(3), NOWHERE, 0.08)
         assert kinds(found) == expected
 
 
@@ -130,7 +146,7 @@ def test_what_was_seen_is_kept_when_the_map_moves_on(make_terrain: Maker) -> Non
     for x in np.arange(0.0, 2.1, 0.5):
         terrain = make_terrain(wall, edges(wall), half=1.0, origin=(float(x), 0.0))
         ground.see(terrain, from_xyz_rpy((x, 0.0, 0.1), np.zeros(3)), CAMERA, 0.0)
-    found = ground.crossing(SIZE, Prices(), np.array([2.0, 0.0]), NOWHERE, 0.08)
+    found = ground.crossing(SIZE, Prices(), np.array([2.0, 0.0, 0.0]), NOWHERE, 0.08)
     assert found.stops[found.cell(np.array([0.52, 0.0]))] == STEP
     assert not found.unseen[found.cell(np.array([-0.8, 0.5]))]
     assert found.unseen[found.cell(np.array([2.0, 1.5]))]

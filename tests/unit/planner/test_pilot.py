@@ -223,6 +223,19 @@ def test_rather_than_turn_about_it_looks_first_at_what_shows_sooner_of_the_way(
     assert min(turned % 360.0, -turned % 360.0) > 10.0
 
 
+@pytest.mark.parametrize("yaw", [-40.0, 40.0])
+def test_of_two_ways_that_it_has_not_seen_it_looks_at_the_one_that_it_nearly_faces(yaw: float, make_terrain: Maker) -> None:
+    def height(x: Array, y: Array) -> Array:
+        wall = (x > 0.8) & (x < 0.9) & (np.abs(y) < 0.6)
+        return np.where(np.abs(y) > 0.6, np.nan, np.where(wall, 0.3, 0.0))
+
+    robot = Robot(make_terrain(height, beside_edges(height), half=1.9), yaw=np.radians(yaw))
+    for _ in range(2):  # looked at once more, it would be a hole
+        robot.step(goal((1.8, 0.0)))
+        way = robot.pilot.path
+        assert way[np.argmax(np.abs(way[:, 1])), 1] * yaw > 0.0
+
+
 @pytest.mark.parametrize("speed", [0.03, 0.5])
 def test_it_walks_no_faster_than_asked_nor_than_the_robot_can(speed: float, make_terrain: Maker) -> None:
     robot = Robot(make_terrain(half=1.28))
