@@ -12,7 +12,7 @@ from deploy import cli, kept
 from deploy.campaign_table import WALKED, Campaign, markdown, of_runs
 
 ROOT = Path(__file__).parents[1]
-KEPT = ROOT / "docs" / "campaign.jsonl"
+KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
 
 # What a `make` target comes to.
 MAKE = {
@@ -115,6 +115,12 @@ def test_the_tables_of_the_results_are_those_that_a_command_prints(table: str) -
     if table == "walks":
         for words in printed.splitlines():
             assert words in text
+
+
+def test_the_table_of_walks_by_touch_is_the_one_that_a_command_prints() -> None:
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    for words in markdown(of_runs(kept.read(BY_TOUCH)), "walks").splitlines():
+        assert words in text
 
 
 def test_the_table_of_missteps_has_the_headings_that_a_command_prints() -> None:
