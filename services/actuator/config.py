@@ -15,7 +15,7 @@ class Settings:
     read_budget_ms: float = 6.5  # [ms] of each cycle spent on reading servos
     unload_s: float = 0.05  # [s] before a swing in which its legs hand over their load
     load_s: float = 0.10  # [s] at the end of a step in which landed legs take up theirs
-    level_gain: float = 6.0  # [1/s] of the integrator that holds height, roll and pitch; at 16 legs that change rock the body
+    level_gain: float = 6.0  # [1/s] of the integrator that holds height, roll and pitch
     brake_s: float = 0.10  # [s] time constant in which the body stops when no plan follows
     stand_s: float = 2.5  # [s] for standing up
     arc: Literal["flow", "sixth_order"] = "flow"  # of swinging feet: Lotriet's, or Erasmus' for reference
