@@ -12,7 +12,7 @@ import numpy as np
 
 from services.planner.body import leaning, slope_under
 from services.planner.config import Settings
-from services.planner.stride import SHARES, Blocked, Situation, Stride, StridePlanner
+from services.planner.stride import Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, plane_terrain
 from shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_of
 from shared.messages import VelocityCommand
@@ -64,7 +64,8 @@ class ByTouch:
         found, way = self._strides.choose(situations, terrain, refused)
         if isinstance(found, Blocked):
             return found, way
-        return self._lowered(self._along(found, situations[way // len(SHARES)])), way
+        begin = next(at for at in situations if (at.swing == found.swing).all())
+        return self._lowered(self._along(found, begin)), way
 
     def _along(self, stride: Stride, at: Situation) -> Stride:
         """The same step with the body along the plane of the feet, averaged over a few steps.

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Set
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from shared.robot import LEGS, RobotProfile
 from shared.stability import support_margin
 
 SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
+_WIDTHS = (1.0, 1.5)  # of the search for footholds: the wider where the narrower leaves no step
 _ROOM_ENOUGH = 1.75  # of a foothold's suitability: for more a step is not made shorter
 _DESCENT = np.array([0.0, 0.0, 0.03])  # [m] over a foothold, from where a foot comes straight down
 _DEARER = 2.0  # than way is height: of a foot's way over the ground the body makes half
@@ -77,7 +79,9 @@ class StridePlanner:
         self._profile = profile
         self._settings = settings
         self._foot_up = np.array([0.0, 0.0, profile.foot.radius])  # [m] from the ground to a foot's centre
-        self._offsets: Array = np.zeros((0, 2))  # [m] of the cells to try, made for the resolution of the map at hand
+        self._offsets: dict[
+            float, Array
+        ] = {}  # [m] of the cells to try by `_WIDTHS`, made for the resolution of the map at hand
         self._offsets_resolution = 0.0  # [m]
 
     def objection(self, command: VelocityCommand) -> str:
@@ -103,17 +107,18 @@ class StridePlanner:
         why = f"no more by reach and speed of the legs in the {command.gait} gait"
         return f", {reached * 100:.1f} of {asked * 100:.1f} cm/s: {why}"
 
-    def plan(self, at: Situation, terrain: Terrain, refused: Set[int] = frozenset()) -> Stride | Blocked:
+    def plan(self, at: Situation, terrain: Terrain, refused: Set[int] = frozenset(), width: float = 1.0) -> Stride | Blocked:
         """The longest step towards the command onto good footholds; some of `SHARES` are not to be tried.
 
-        Where there is none, the one whose poorest foothold has the most room around it.
+        Where there is none, the one whose poorest foothold has the most room around it. Footholds are looked for within the
+        robot's search radius times a width of `_WIDTHS`.
         """
         best: Stride | None = None
         first: Blocked | None = None
         for number, share in enumerate(SHARES):
             if number in refused:
                 continue
-            found = self._attempt(at, terrain, share)
+            found = self._attempt(at, terrain, share, width)
             if isinstance(found, Blocked):
                 first = first or found
             elif best is None or found.room > best.room:
@@ -127,7 +132,8 @@ class StridePlanner:
     ) -> tuple[Stride | Blocked, int]:
         """The step to take and the number of its way, or why legs that are most due cannot take it.
 
-        Ways are counted through the situations, and in each through the shares of the travel.
+        Feet go further from their places only where no legs find a step otherwise: what is gained on a ditch is lost on rubble,
+        where long reaches take time. Ways are counted through the situations, and in each through the shares of the travel.
 
         Args:
             situations: What it may begin with, the legs most due first.
@@ -135,9 +141,9 @@ class StridePlanner:
             refused: Ways that are not to be tried.
         """
         first: Blocked | None = None
-        for turn, at in enumerate(situations):
+        for width, (turn, at) in product(_WIDTHS, enumerate(situations)):
             ways = range(turn * len(SHARES), (turn + 1) * len(SHARES))
-            found = self.plan(at, terrain, {way - ways[0] for way in refused if way in ways})
+            found = self.plan(at, terrain, {way - ways[0] for way in refused if way in ways}, width)
             if isinstance(found, Stride):
                 return replace(found, instead=first.reason if first else ""), ways[SHARES.index(found.share)]
             first = first or found
@@ -159,7 +165,7 @@ class StridePlanner:
                 touchdown = moved
         return replace(stride, touchdown=touchdown)
 
-    def _attempt(self, at: Situation, terrain: Terrain, share: float) -> Stride | Blocked:
+    def _attempt(self, at: Situation, terrain: Terrain, share: float, width: float) -> Stride | Blocked:
         settings = self._settings
         gait = GAITS[at.command.gait]
         travel, turn = self._travel(at.command, share)
@@ -174,7 +180,7 @@ class StridePlanner:
         touchdown, moved, room = at.feet.copy(), 0, GOOD
         touchdown[at.swing] = np.nan
         for leg in np.flatnonzero(at.swing).tolist():
-            found = self._foothold(leg, nominal[leg], touchdown, T_end, T_after, terrain)
+            found = self._foothold(leg, nominal[leg], touchdown, T_end, T_after, terrain, width)
             if isinstance(found, NoFoothold):
                 return Blocked(f"{LEGS[leg]} leg: {found.reason}", leg, found.unseen)
             touchdown[leg] = found.p_world + self._foot_up
@@ -267,7 +273,7 @@ class StridePlanner:
                 yield lean, stoop
 
     def _foothold(
-        self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain
+        self, leg: int, nominal: Array, feet: Array, T_end: Array, T_after: Array, terrain: Terrain, width: float = 1.0
     ) -> Foothold | NoFoothold:
         """The best foothold of one leg near its nominal place.
 
@@ -286,9 +292,9 @@ class StridePlanner:
             return reached
 
         if terrain.map.resolution != self._offsets_resolution:
-            self._offsets_resolution = terrain.map.resolution
-            self._offsets = offsets_by_distance(self._profile.stance.search_radius, self._offsets_resolution)
-        return nearest_foothold(terrain, nominal, self._offsets, others, self._profile.stance.foot_distance, reachable)
+            radius, self._offsets_resolution = self._profile.stance.search_radius, terrain.map.resolution
+            self._offsets = {w: offsets_by_distance(w * radius, terrain.map.resolution) for w in _WIDTHS}
+        return nearest_foothold(terrain, nominal, self._offsets[width], others, self._profile.stance.foot_distance, reachable)
 
     def _reaches(self, leg: int, *ways: tuple[Array, Array]) -> NDArray[np.bool_]:
         """Which (n,) of foot centres (n, 3) [m] {world} one leg reaches from a body pose, in each of some pairs of the two."""

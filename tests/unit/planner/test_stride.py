@@ -428,6 +428,22 @@ def test_legs_that_step_instead_of_others_say_why() -> None:
     assert PLANNER.choose([others, due], FLAT)[0].instead == ""  # type: ignore[union-attr]
 
 
+def test_feet_go_further_from_their_places_only_where_no_legs_find_a_step_otherwise() -> None:
+    """Of either group one leg stands amid ground that carries no foot, a little further than the nearer search goes."""
+    situations = [standing(command(0.005), swing) for swing in (TRIPOD, ~TRIPOD)]
+    x, y = np.meshgrid(np.arange(200) * 0.01 - 1.0, np.arange(200) * 0.01 - 1.0, indexing="ij")
+    score = np.zeros((200, 200), dtype=np.float32)
+    for leg, at in enumerate(situations):
+        bad = PLANNER.plan(at, FLAT).nominal[leg]  # type: ignore[union-attr]
+        score[np.hypot(x - bad[0], y - bad[1]) < PROFILE.stance.search_radius + 0.015] = 9.0
+    ditch = Terrain(replace(FLAT.map, score=score))
+    assert all(isinstance(PLANNER.plan(at, ditch), Blocked) for at in situations)
+    found, _ = PLANNER.choose(situations, ditch)
+    assert isinstance(found, Stride)
+    far = np.linalg.norm((found.touchdown[:, :2] - found.nominal)[found.swing], axis=1)
+    assert PROFILE.stance.search_radius < far.max() < 1.6 * PROFILE.stance.search_radius
+
+
 @given(st.sets(st.integers(0, 2 * len(SHARES) - 1)))
 def test_of_what_was_refused_nothing_is_tried_again_and_all_else_is(refused: set[int]) -> None:
     situations = [standing(command(0.05), swing) for swing in (TRIPOD, ~TRIPOD)]
