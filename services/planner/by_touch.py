@@ -13,14 +13,13 @@ import numpy as np
 from services.planner.body import leaning, slope_under
 from services.planner.config import Settings
 from services.planner.stride import Blocked, Situation, Stride, StridePlanner
-from services.planner.terrain import Terrain, plane_terrain
+from services.planner.terrain import Terrain, plane_of
 from shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_of
 from shared.messages import VelocityCommand
 from shared.robot import RobotProfile
 
 _DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] below the plane at which a foot is sent, the first that its leg reaches
 _FOLLOWED = 0.3  # share of the way to the slope of the newest feet by which the body leans with them
-_STEEPEST = np.tan(np.radians(12.0))  # of the plane: feet on stones are no steeper slope
 
 
 class ByTouch:
@@ -45,11 +44,7 @@ class ByTouch:
 
     def terrain(self, stamp_ns: int, feet: Array) -> Terrain:
         """The ground that feet (6, 3) [m] {world}, which all stand, let expect."""
-        xy = feet[:, :2].mean(axis=0)
-        A = np.column_stack([np.ones(6), feet[:, :2] - xy])
-        height, *slope = np.linalg.lstsq(A, feet[:, 2] - self._profile.foot.radius, rcond=None)[0]
-        steep = max(float(np.linalg.norm(slope)) / _STEEPEST, 1.0)
-        return plane_terrain(stamp_ns, xy, float(height), np.array(slope) / steep)
+        return plane_of(stamp_ns, feet - [0.0, 0.0, self._profile.foot.radius])
 
     def choose(
         self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()

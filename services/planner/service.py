@@ -15,7 +15,7 @@ from services.planner.pilot import Pilot
 from services.planner.refusals import Refusals
 from services.planner.route import NoWay
 from services.planner.stride import Blocked, Situation, Stride, StridePlanner
-from services.planner.terrain import Terrain, flat_terrain
+from services.planner.terrain import Terrain, plane_of
 from shared import topics
 from shared.geometry import Array, apply, inverse
 from shared.messages import (
@@ -203,10 +203,9 @@ class Planner:
         return sent
 
     def _terrain(self, state: ActuatorState, pose: BodyPose, inbox: Inbox) -> Terrain | None:
-        """The map, or for the blind baseline level ground at the height of the standing feet."""
+        """The map, or for the blind baseline the plane of the standing feet."""
         if self._settings.blind:
-            feet = _feet_in_world(state, pose)[~state.swing]
-            return flat_terrain(state.stamp_ns, feet[:, :2].mean(axis=0), float(feet[:, 2].mean()) - self._profile.foot.radius)
+            return plane_of(state.stamp_ns, _feet_in_world(state, pose)[~state.swing] - [0.0, 0.0, self._profile.foot.radius])
         map_ = inbox.fresh(topics.TERRAIN, self._settings.map_age_s)
         return None if map_ is None else self._holes.marked(Terrain(map_, self._settings.footholds))
 

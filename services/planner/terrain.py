@@ -11,6 +11,7 @@ from shared.messages import UNKNOWN, TerrainMap
 
 ACCEPTABLE = 1.0  # highest score that carries a foot
 ROOM = 0.01  # [m] around a good foothold that carries a foot, too; nine of ten feet land within it
+STEEPEST = float(np.tan(np.radians(12.0)))  # slope of a plane through feet: those on stones are no steeper slope
 FIRM = 0.03  # [m] from the end of accessible ground, beyond which Masri's evaluation function is strongly negative
 NONE, POOR, GOOD = 0.0, 1.0, 2.0  # a place as a foothold
 Layer = Literal["score", "evaluation"]
@@ -137,8 +138,17 @@ class Terrain:
         return float(np.where(np.isfinite(heights), heights, -np.inf).max())
 
 
+def plane_of(stamp_ns: int, ground: Array) -> Terrain:
+    """The plane, no steeper than `STEEPEST`, of places (n, 3) [m] {world} on which feet stand, n >= 3."""
+    xy = ground[:, :2].mean(axis=0)
+    A = np.column_stack([np.ones(len(ground)), ground[:, :2] - xy])
+    height, *slope = np.linalg.lstsq(A, ground[:, 2], rcond=None)[0]
+    steep = max(float(np.linalg.norm(slope)) / STEEPEST, 1.0)
+    return plane_terrain(stamp_ns, xy, float(height), np.array(slope) / steep)
+
+
 def flat_terrain(stamp_ns: int, centre: Array, height: float, half_size: float = 1.0, resolution: float = 0.01) -> Terrain:
-    """Level ground around a point: what the blind baseline walks on; arguments as of `plane_terrain`."""
+    """Level ground around a point; arguments as of `plane_terrain`."""
     return plane_terrain(stamp_ns, centre, height, np.zeros(2), half_size, resolution)
 
 

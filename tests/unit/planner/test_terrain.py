@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
-from services.planner.terrain import Terrain, flat_terrain
+from services.planner.terrain import STEEPEST, Terrain, flat_terrain, plane_of
+from shared.geometry import Array
 
 Maker = Callable[..., Terrain]
 
@@ -83,3 +85,20 @@ def test_flat_terrain_is_level_and_carries_everywhere() -> None:
     assert (flat.scores(places) == 0).all()
     assert flat.map.assumed.all()
     assert flat.map.stamp_ns == 7
+
+
+@given(
+    hnp.arrays(float, 2, elements=st.floats(-0.1, 0.1)),
+    hnp.arrays(float, (3, 2), elements=st.floats(-0.05, 0.05)),
+    st.floats(-1.0, 1.0),
+)
+def test_through_three_feet_goes_their_plane(slope: Array, moved: Array, height: float) -> None:
+    feet = np.array([[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]) + moved
+    ground = np.column_stack([feet, height + feet @ slope])
+    np.testing.assert_allclose(plane_of(0, ground).heights(feet), ground[:, 2], atol=0.003)  # a cell's half, and its slope
+
+
+def test_feet_on_a_high_stone_are_no_cliff() -> None:
+    ground = np.array([[0.2, 0.1, 0.3], [-0.2, 0.1, 0.0], [0.0, -0.2, 0.0]])
+    x = plane_of(0, ground).heights(np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]))
+    assert np.hypot(x[1] - x[0], x[2] - x[0]) / 0.5 <= STEEPEST + 0.03
