@@ -24,6 +24,7 @@ _WIDTHS = (1.0, 1.5)  # of the search for footholds: the wider where the narrowe
 _ROOM_ENOUGH = 1.75  # of a foothold's suitability: for more a step is not made shorter
 _DESCENT = np.array([0.0, 0.0, 0.03])  # [m] over a foothold, from where a foot comes straight down
 _DEARER = 2.0  # than way is height: of a foot's way over the ground the body makes half
+_DEARER_YET = 2.3  # where a foot goes higher than commanded, over uneven ground: there legs stand less well, too
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
 _LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # share of the ground's slope by which it may lean
 _REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may turn out to be lower than believed
@@ -207,7 +208,7 @@ class StridePlanner:
             return Blocked(lifted.reason, lifted.leg)
         clearance = lifted
         clearance = np.where(at.swing, clearance, settings.path_margin)
-        duration = max(self.duration(at.command), self._time_to_swing(at.feet, touchdown, clearance)[at.swing].max())
+        duration = max(self.duration(at.command), self._time_to_swing(at, touchdown, clearance)[at.swing].max())
         return Stride(at.swing, touchdown, nominal, clearance, T_end, at.feet, moved, share, duration, room)
 
     def _travel(self, command: VelocityCommand, share: float) -> tuple[Array, float]:
@@ -309,10 +310,11 @@ class StridePlanner:
         q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
         return np.asarray(within_limits(self._profile, q).all(axis=1))
 
-    def _time_to_swing(self, start: Array, end: Array, clearance: Array) -> Array:
-        """How long (6,) [s] a step takes in which feet go from start to end (6, 3) [m], no faster than servos can for long."""
-        up_and_down = 2.0 * clearance + np.abs(end[:, 2] - start[:, 2])
-        way = np.linalg.norm((end - start)[:, :2], axis=1) + _DEARER * up_and_down
+    def _time_to_swing(self, at: Situation, end: Array, clearance: Array) -> Array:
+        """How long (6,) [s] a step takes that brings feet to their ends (6, 3) [m], no faster than servos can for long."""
+        up_and_down = 2.0 * clearance + np.abs((end - at.feet)[:, 2])
+        dearer = np.where(clearance > at.command.lift, _DEARER_YET, _DEARER)
+        way = np.linalg.norm((end - at.feet)[:, :2], axis=1) + dearer * up_and_down
         return np.asarray(self._settings.handover_s + way / self._profile.stance.foot_speed)
 
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
