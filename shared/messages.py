@@ -27,6 +27,8 @@ HAZARDS = ("", "water", "loose ground", "no ground by touch")  # by the numbers 
 MAX_LENGTH = 4_000_000  # elements along an array
 MAX_WAYPOINTS = 32  # of a goal
 MAX_PATH = 64  # corners of a planned way
+MAX_SECTION = 512  # steps of a planned section of a passage
+MAX_TREE = 8000  # edges of the tree it was found in, as far as they are sent
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,6 +280,29 @@ class PassageMap(Message):
     reason: str  # what is unseen and why, or why there is no map, in words; empty when all is seen
     T_world_look: Pose  # body pose, reachable from here without a step, from which most of what is unseen would show
     look_shows: Annotated[NDArray[np.bool_], Dims("nx", "ny")]  # unseen cells that would; none: no look is worth it
+
+
+@dataclass(frozen=True, slots=True)
+class PassagePlan(Message):
+    """What planning at one stop of a passage came to, a section to be walked or none; planner -> console, scorer."""
+
+    section: int  # counts up from 1 within a passage
+    state: Literal["complete", "partial", "no way"]  # up to the goal; as far as the map or the cycles asked for go; nowhere
+    reason: str  # which test stops it where, in words; empty when it is complete
+    origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} middle of the near side of the strip that was planned on
+    heading: float  # [rad] {world} of its length
+    goal: float  # [m] from the origin along the strip, where the body is to get
+    furthest: float  # [m] likewise, where it gets in the furthest configuration found
+    generated: int  # nodes of the tree, Masri's n_g
+    expanded: int  # nodes that were expanded, his n_e
+    expansions: int  # of the budget that were spent, those that led to nothing included
+    planning_ms: float  # [ms] that it took by the machine's clock: timing, so not the same twice
+    leg: Annotated[NDArray[np.uint8], Dims("step", most=5, lengths=(0, MAX_SECTION))]  # that swings in each step
+    footholds: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]  # [m] {world} foot centre at its end
+    body: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]  # [m] {world} body at its end
+    edges: Annotated[
+        NDArray[np.float32], Dims("edge", 2, 3, lengths=(0, MAX_TREE))
+    ]  # [m] {world} body positions of nodes and of those expanded from them
 
 
 @dataclass(frozen=True, slots=True)

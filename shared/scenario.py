@@ -110,6 +110,12 @@ class Pillars:
     kind: Literal["pillars"] = "pillars"
     depth: float = 0.5  # [m]
     color: Color | None = None
+    jitter: float = 0.0  # [m] by which the run's seed moves each pillar, at most and along either axis
+    top_spread: float = 0.0  # [m] at most this much, of either sign, is added to the top of each
+
+    def __post_init__(self) -> None:
+        least = min(self.jitter, self.top_spread)
+        _expect(least >= 0, "a jitter and a top_spread of at least 0 m", least)
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,10 +348,16 @@ def _expect(holds: bool, expected: str, found: object) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where the robot stands at the beginning."""
+    """Where the robot stands at the beginning; by the run's seed, evenly up to the spreads more or less."""
 
     xy: tuple[float, float] = (0.0, 0.0)  # [m]
     yaw_deg: float = 0.0
+    xy_spread: tuple[float, float] = (0.0, 0.0)  # [m]
+    yaw_spread_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        least = min(*self.xy_spread, self.yaw_spread_deg)
+        _expect(least >= 0, "spreads of at least 0", least)
 
 
 @dataclass(frozen=True, slots=True)

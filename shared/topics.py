@@ -59,6 +59,7 @@ SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * 
 TERRAIN = Topic("mapper/terrain", m.TerrainMap, 7.5, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.039)
 PASSAGE_REQUEST = Topic("passage/request", m.PassageRequest, 2.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
 PASSAGE = Topic("mapper/passage", m.PassageMap, 2.0, Delivery.LATEST, Lane.BULK, 2048 * _KIB, 0.090)
+PASSAGE_PLAN = Topic("planner/passage", m.PassagePlan, 2.0, Delivery.EVERY, Lane.BULK, 512 * _KIB, 0.012)
 STEP_PLAN = Topic("planner/step", m.StepPlan, 20.0, Delivery.EVERY, Lane.CONTROL, 8 * _KIB, 0.009)
 PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.007)
 VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
@@ -79,6 +80,7 @@ TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
     TERRAIN,
     PASSAGE_REQUEST,
     PASSAGE,
+    PASSAGE_PLAN,
     STEP_PLAN,
     PLANNER_STATUS,
     VELOCITY,

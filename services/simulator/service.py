@@ -61,7 +61,7 @@ class Simulator:
         self._settings = settings
         scenario = load_scenario(settings.scenario) if scenario is None else scenario
         self._scenario = scenario
-        seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(5)]
+        seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(6)]
         terrain = build_terrain(scenario, seeds[0])
         self.world = World(profile, terrain, Factors.draw(scenario.variation, seeds[1]), imu=scenario.variation.imu)
         self._T_body_camera = profile.camera.T_body_camera
@@ -79,17 +79,18 @@ class Simulator:
         self._imu = ImuSensor(ImuNoise(), seeds[3])
         self._signs = profile.servo_signs
         self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
-        self._bank = self._switch_on(profile, scenario)
+        self._bank = self._switch_on(profile, scenario, seeds[5])
         self.bus = ServoBusEmulator(self._bank)
         self._server: TcpBusServer | None = None
         self._origin_ns: int | None = None  # of simulated time, on the clock that paces
         self._due_ns = {topic.key: 0 for topic in self.writes}
         self._behind = 0
 
-    def _switch_on(self, profile: RobotProfile, scenario: Scenario) -> ServoBank:
+    def _switch_on(self, profile: RobotProfile, scenario: Scenario, rng: np.random.Generator) -> ServoBank:
         """Put the robot on its feet and give it servos that hold it there."""
-        q = body_inverse(profile, profile.rest_feet(scenario.walk.body_height))
-        self.world.stand(q, scenario.start.xy, np.radians(scenario.start.yaw_deg))
+        q, start = body_inverse(profile, profile.rest_feet(scenario.walk.body_height)), scenario.start
+        x, y, yaw_deg = rng.uniform(-1.0, 1.0, 3) * (*start.xy_spread, start.yaw_spread_deg) + (*start.xy, start.yaw_deg)
+        self.world.stand(q, (x, y), np.radians(yaw_deg))
         servo = profile.servo_angles(q).ravel()
         ids = profile.servo_ids.ravel().tolist()
         model = profile.servo.model

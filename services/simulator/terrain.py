@@ -159,8 +159,7 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
             case Stairs():
                 _stairs(heap, part)
             case Pillars():
-                for xy in part.xy:
-                    heap.add(xy, (part.size, part.size), part.top, part.top - part.depth)
+                _pillars(heap, part, rng)
             case Slope():
                 _slope(heap, part)
             case Rubble():
@@ -391,6 +390,16 @@ def _slope(heap: _Heap, slope: Slope) -> None:
     if slope.landing > 0:
         middle = np.asarray(slope.xy) + (slope.length + slope.landing / 2) * along
         heap.add(middle, (slope.landing, slope.width), slope.base + rise, slope.base + min(rise, 0.0) - slope.depth, yaw)
+
+
+def _pillars(heap: _Heap, pillars: Pillars, rng: np.random.Generator) -> None:
+    xy, tops = np.array(pillars.xy, dtype=np.float64).reshape(-1, 2), np.full(len(pillars.xy), pillars.top)
+    if pillars.jitter:
+        xy += rng.uniform(-pillars.jitter, pillars.jitter, xy.shape)
+    if pillars.top_spread:
+        tops += rng.uniform(-pillars.top_spread, pillars.top_spread, len(tops))
+    for place, top in zip(xy, tops.tolist(), strict=True):
+        heap.add(place, (pillars.size, pillars.size), top, pillars.top - pillars.depth)
 
 
 def _rubble(heap: _Heap, rubble: Rubble, rng: np.random.Generator) -> None:

@@ -11,6 +11,7 @@ from shared.scenario import (
     Box,
     Course,
     Fault,
+    Gap,
     Goal,
     Hole,
     Level,
@@ -23,6 +24,7 @@ from shared.scenario import (
 )
 
 STAIRS = {"kind": "stairs", "xy": [0.0, 0.0], "riser": 0.04, "tread": 0.3, "count": 3, "width": 1.0}
+PILLARS = {"kind": "pillars", "xy": [[1.0, 0.0]], "size": 0.1, "top": 0.0}
 COURSE = {"kind": "course", "width": 1.0}
 STONES = {"kind": "stones", "length": 1.0, "size": 0.12, "gap": 0.05}
 MINIMAL = {"name": "mine", "terrain": [{"kind": "plane"}], "goal": {"distance": 1.0}}
@@ -45,7 +47,7 @@ def test_flat_and_steps_are_there() -> None:
 
 
 def test_every_course_begins_with_flat_ground() -> None:
-    """The camera sees nothing nearer than half a metre, so nothing may stand in the first 0.8 m."""
+    """The camera sees nothing nearer than half a metre: nothing may stand in the first 0.8 m, nor a gap begin in the first 0.55."""
     for name in scenario_names():
         for piece in load_scenario(name).terrain:
             if isinstance(piece, Rubble):
@@ -57,9 +59,9 @@ def test_every_course_begins_with_flat_ground() -> None:
                 length, width = ((size + more) / 2 + aside for size, more, aside in extents)
                 assert piece.xy[0] - length >= 0.8 or abs(piece.xy[1]) - width >= 0.45
             if isinstance(piece, Course):
-                first = piece.stretches[0]
+                first, second, *_ = piece.stretches
                 assert isinstance(first, Level)
-                assert piece.x + first.length >= 0.8 - 1e-9
+                assert piece.x + first.length >= (0.55 if isinstance(second, Gap) else 0.8) - 1e-9
 
 
 def test_steps_has_a_dozen_low_blocks_and_two_stairs() -> None:
@@ -117,6 +119,8 @@ def test_an_unknown_name_lists_the_known() -> None:
         ({"terrain": [STAIRS | {"count": 0}]}, r"terrain\[0\]: a count of at least one step"),
         ({"terrain": [STAIRS | {"riser_spread": 0.05}]}, r"terrain\[0\]: a riser_spread from 0 to less than the riser"),
         ({"terrain": [STAIRS | {"tread_spread": -0.1}]}, r"terrain\[0\]: a tread_spread from 0"),
+        ({"terrain": [PILLARS | {"jitter": -0.01}]}, r"terrain\[0\]: a jitter and a top_spread of at least 0 m"),
+        ({"start": {"yaw_spread_deg": -1.0}}, "start: spreads of at least 0"),
         ({"terrain": [COURSE | {"stretches": []}]}, r"terrain\[0\]: at least one stretch expected"),
         ({"terrain": [COURSE | {"stretches": [{"kind": "level"}]}]}, r"terrain\[0\].stretches\[0\].length: missing"),
         ({"terrain": [COURSE | {"stretches": [STONES | {"jitter": 0.03}]}]}, "a jitter of at most half the gap"),

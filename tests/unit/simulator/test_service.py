@@ -12,7 +12,7 @@ from shared import dynamixel as dxl
 from shared import topics
 from shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
 from shared.robot import load_profile
-from shared.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Variation
+from shared.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Start, Variation
 from shared.service import AnyTopic, Inbox, Lockstep
 
 PROFILE = load_profile("phantomx_mk2")
@@ -106,6 +106,17 @@ def test_the_robot_stands_on_its_feet_with_torque_on() -> None:
     assert not last.shutdown.any()
     assert abs(last.T_world_body[2, 3] - FLAT.walk.body_height) < 0.02
     np.testing.assert_allclose(last.T_world_body[:2, 3], 0.0, atol=5e-3)
+
+
+def test_the_robot_starts_where_its_seed_says_within_the_spreads() -> None:
+    start = Start((0.1, -0.2), 10.0, xy_spread=(0.02, 0.01), yaw_spread_deg=2.0)
+    scenario = Scenario("flat", (Plane(),), Goal(1.0), start=start)
+    poses = np.array([Simulator(PROFILE, Settings(seed=seed), scenario).world.T_world_body for seed in [*range(8), 0]])
+    np.testing.assert_array_equal(poses[0], poses[-1])
+    off = poses[:-1, :2, 3] - start.xy
+    yaw = np.degrees(np.arctan2(poses[:-1, 1, 0], poses[:-1, 0, 0])) - start.yaw_deg
+    for found, spread in ((off[:, 0], 0.02), (off[:, 1], 0.01), (yaw, 2.0)):
+        assert spread / 3 < np.abs(found).max() <= spread
 
 
 @pytest.mark.parametrize("name", ["phantomx_mk2", "lotriet_rx64"])

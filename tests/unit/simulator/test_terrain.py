@@ -115,6 +115,18 @@ def test_nothing_lies_beside_pillars() -> None:
     np.testing.assert_array_equal(terrain.height_at(np.array([[0.0, 0.0], [0.06, 0.0]])), [0.3, -np.inf])
 
 
+def test_pillars_are_placed_by_the_seed_within_their_jitter_and_their_spread() -> None:
+    xy = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
+    pillars = Pillars(tuple(map(tuple, xy.tolist())), 0.1, 0.0, depth=0.4, jitter=0.01, top_spread=0.03)  # type: ignore[arg-type]
+    boxes, same, other = (build(pillars, seed=seed).boxes for seed in (1, 1, 2))
+    np.testing.assert_array_equal(boxes.centre, same.centre)
+    assert np.abs(boxes.centre - other.centre).min() > 0
+    off, top = boxes.centre[:, :2] - xy, boxes.centre[:, 2] + boxes.half[:, 2]
+    assert 0.008 < np.abs(off).max() <= 0.01
+    assert 0.02 < np.abs(top).max() <= 0.03
+    np.testing.assert_allclose(boxes.centre[:, 2] - boxes.half[:, 2], -0.4)  # all stand on one floor
+
+
 def outline(centre: Array, half: Array, R: Array) -> Array:
     """Points (n, 2) around a block's top."""
     s = np.linspace(-1, 1, 41)
