@@ -14,10 +14,18 @@ from numpy.typing import NDArray
 
 from shared.geometry import Array, apply, inverse, rotation_z, transform, yaw_of
 from shared.robot import Camera
-from shared.scenario import Box, Hole, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
+from shared.scenario import Box, Hole, PillarField, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
 
 RAISED = 0.005  # [m] over the ground beside: on something
-_IN_THE_WAY = (Box, Hole, Rubble, Pillars, Puddle, Puddles)  # without which the ground is what blocks are raised over
+_IN_THE_WAY = (
+    Box,
+    Hole,
+    Rubble,
+    Pillars,
+    PillarField,
+    Puddle,
+    Puddles,
+)  # without which the ground is what blocks are raised over
 
 
 class Ground(Protocol):

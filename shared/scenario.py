@@ -112,10 +112,38 @@ class Pillars:
     color: Color | None = None
     jitter: float = 0.0  # [m] by which the run's seed moves each pillar, at most and along either axis
     top_spread: float = 0.0  # [m] at most this much, of either sign, is added to the top of each
+    weak: int = (
+        0  # of them, chosen by the seed, look like the others and give way: each sinks once it is pressed, and stays down
+    )
+    bears: float = 3.0  # [N] the most that a weak one does
+    sinks: float = 0.06  # [m] it sinks by
 
     def __post_init__(self) -> None:
         least = min(self.jitter, self.top_spread)
         _expect(least >= 0, "a jitter and a top_spread of at least 0 m", least)
+        _expect(0 <= self.weak <= len(self.xy), f"0 to {len(self.xy)} weak ones, for there are no more", self.weak)
+        found = (self.bears, self.sinks)
+        _expect(self.bears >= 0 and 0 < self.sinks < self.depth, "bears of at least 0 N and sinks between 0 m and depth", found)
+
+
+@dataclass(frozen=True, slots=True)
+class PillarField:
+    """Square pillars along the axes, placed by the run's seed within a region, `gap` apart, as densely as the seed says."""
+
+    x: tuple[float, float]  # [m] region
+    y: tuple[float, float]  # [m]
+    density: tuple[float, float]  # [1] lowest and highest share of the region that is pillars' tops
+    size: float  # [m] edge of the square tops
+    top: float  # [m]
+    kind: Literal["pillar_field"] = "pillar_field"
+    gap: float = 0.02  # [m]
+    depth: float = 0.5  # [m]
+    color: Color | None = None
+
+    def __post_init__(self) -> None:
+        low, high = self.density
+        _expect(0 <= low <= high <= 0.5, "densities in rising order from 0 to 0.5", self.density)
+        _expect(self.size > 0, "a size greater than 0 m", self.size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,7 +366,7 @@ class Course:
             raise ValueError('at least one stretch expected, found none; add [[terrain.stretches]] with kind = "level"')
 
 
-Terrain = Plane | Box | Hole | Stairs | Pillars | Slope | Rubble | HeightMap | Puddle | Puddles | Course
+Terrain = Plane | Box | Hole | Stairs | Pillars | PillarField | Slope | Rubble | HeightMap | Puddle | Puddles | Course
 
 
 def _expect(holds: bool, expected: str, found: object) -> None:
@@ -368,8 +396,9 @@ class Goal:
     corridor: float = 0.25  # [m] how far to the side it may be
     route: bool = False  # the planner is told where to go and finds the way; else the operator steers straight ahead
     waypoints: tuple[tuple[float, float], ...] = ()  # [m] from the start, x ahead and y left: of the route, before its end
-    # What is right to do: to arrive, or to stand before what cannot be crossed and to say why.
-    expect: Literal["arrival", "refusal"] = "arrival"
+    # What is right to do: to arrive, or to stand before what cannot be crossed and to say why; either where the seed decides
+    # whether it can be crossed, unless somebody has found that out and tells the scorer.
+    expect: Literal["arrival", "refusal", "either"] = "arrival"
 
     def __post_init__(self) -> None:
         _expect(min(self.distance, self.corridor) > 0, "distance and corridor greater than 0 m", (self.distance, self.corridor))

@@ -50,6 +50,8 @@ class Renderer:
             skirt = _skirt(field)
             quads, colours = np.concatenate([quads, skirt]), np.concatenate([colours, _colours(field_colour, len(skirt))])
         self._quads, self._colours = quads, colours
+        self._weak = (6 * terrain.weak.box[:, None] + np.arange(6)).ravel()  # faces of what may sink
+        self._unsunk = quads[self._weak]
         self._robot_colours = _colours(_ROBOT_COLOUR, len(_FACES))
         self._plane = np.nan if terrain.plane is None else terrain.plane
         self._field = _FieldMesh(field, field_colour)
@@ -60,6 +62,10 @@ class Renderer:
         self._inverse_depth = np.zeros(shape, dtype=np.float32)
         self._rgb = np.zeros((*shape, 3), dtype=np.uint8)
         self._no_rgb = np.zeros((0, 0, 3), dtype=np.uint8)
+
+    def settle(self, sunk: Array) -> None:
+        """From now on draw what is weak of the terrain as deep as it has sunk (n,) [m]."""
+        self._quads[self._weak] = self._unsunk - np.repeat(sunk, 6)[:, None, None] * (0.0, 0.0, 1.0)
 
     def inverse_depth(self, T_world_camera: Array, robot: tuple[Boxes, Capsules] | None = None) -> NDArray[np.float32]:
         """Inverse depth (h, w) [1/m] seen from an optical camera pose (4, 4), zero where there is nothing.

@@ -185,6 +185,7 @@ class Simulator:
             high = min(65535, round(sensor.max_range * sensor.depth_scale))
             return np.random.default_rng([self._settings.seed, self.world.time_ns]).integers(0, high, shape, dtype=np.uint16)
         with self.stages("render"):
+            self._renderer.settle(self.world.sunk)
             picture = self._renderer.inverse_depth(self._camera_pose(), self.world.robot_solids())
         with self.stages("depth noise"):
             self._last_depth = self._camera.measure(picture)

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from services.simulator.solids import Boxes, HeightField
 from shared.config import ConfigError
@@ -26,6 +27,7 @@ from shared.scenario import (
     HeightMap,
     Hole,
     Level,
+    PillarField,
     Pillars,
     Plane,
     Puddle,
@@ -65,6 +67,21 @@ _NO_HOLLOWS = Hollows(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(
 
 
 @dataclass(frozen=True, slots=True)
+class Weak:
+    """Boxes of the terrain that give way: one sinks once it is pressed too hard, and stays down."""
+
+    box: NDArray[np.intp]  # (n,) which of the terrain's
+    bears: Array  # (n,) [N] at most
+    sinks: Array  # (n,) [m] it sinks by
+
+    def __len__(self) -> int:
+        return len(self.box)
+
+
+_NONE_WEAK = Weak(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True)
 class Look:
     """Colours of the ground, (3,) R, G, B each, NaN where it has none of its own."""
 
@@ -82,9 +99,12 @@ class Terrain:
     plane: float | None = None  # [m] height of the level ground, None for an abyss
     hollows: Hollows = _NO_HOLLOWS  # of the plane
     look: Look | None = None
+    weak: Weak = _NONE_WEAK  # of the boxes
 
     def height_at(self, xy: Array) -> Array:
         """True height (n,) [m] of the uppermost surface seen at (n, 2) [m] {world}; -inf where there is no ground.
+
+        What is weak counts as it stands until it gives way.
 
         Raises:
             ValueError: The points are not (n, 2).
@@ -107,12 +127,15 @@ class Terrain:
 
     def sink_at(self, xy: Array) -> Array:
         """How far (n,) [m] the surface at (n, 2) [m] {world} gives way under a foot."""
-        sink = np.zeros(len(xy))
-        if self.plane is None or not len(self.hollows):
-            return sink
-        for low, high, depth in zip(self.hollows.low, self.hollows.high, self.hollows.depth, strict=True):
-            sink[((xy >= low) & (xy <= high)).all(axis=1)] = depth
-        return np.where(self.height_at(xy) > self.plane, 0.0, sink)  # something stands in it
+        sink, boxes, weak = np.zeros(len(xy)), self.boxes, self.weak
+        if self.plane is not None and len(self.hollows):
+            for low, high, depth in zip(self.hollows.low, self.hollows.high, self.hollows.depth, strict=True):
+                sink[((xy >= low) & (xy <= high)).all(axis=1)] = depth
+            sink[self.height_at(xy) > self.plane] = 0.0  # something stands in it
+        for k, sinks in zip(weak.box, weak.sinks, strict=True):
+            top = _box_top(xy, boxes.centre[k], boxes.half[k], boxes.R[k])
+            sink[np.isfinite(top) & (top >= self.height_at(xy))] = sinks
+        return sink
 
     def carrying_boxes(self) -> Boxes:
         """The level ground around its hollows, and their beds, as boxes; none where it has no hollows."""
@@ -145,6 +168,7 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
     fields: list[tuple[HeightField, Color | None]] = []
     puddles: list[Puddle] = []
     holes: list[Hole] = []
+    weak = [_NONE_WEAK]
     # Stairs and courses first: they are the same whether rubble lies on them or not.
     for part in [piece for whole in scenario.terrain for piece in _drawn(whole, rng)]:
         heap.paint = part.color
@@ -159,7 +183,9 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
             case Stairs():
                 _stairs(heap, part)
             case Pillars():
-                _pillars(heap, part, rng)
+                weak.append(_pillars(heap, part, rng))
+            case PillarField():
+                _pillar_field(heap, part, rng)
             case Slope():
                 _slope(heap, part)
             case Rubble():
@@ -187,7 +213,8 @@ def _built(scenario: Scenario, rng: np.random.Generator) -> Terrain:
     field_, field_color = fields[0] if fields else (None, None)
     look = Look(_rgb(heap.color), _rgb([planes[0].color if planes else None])[0], _rgb([field_color])[0])
     level = planes[0].height if planes and not holes else None  # with holes it is made of boxes
-    return Terrain(heap.boxes(), field_, level, _hollows(puddles), look)
+    all_weak = Weak(*(np.concatenate([getattr(w, name) for w in weak]) for name in ("box", "bears", "sinks")))
+    return Terrain(heap.boxes(), field_, level, _hollows(puddles), look, all_weak)
 
 
 def _rgb(colors: list[Color | None]) -> Array:
@@ -392,7 +419,8 @@ def _slope(heap: _Heap, slope: Slope) -> None:
         heap.add(middle, (slope.landing, slope.width), slope.base + rise, slope.base + min(rise, 0.0) - slope.depth, yaw)
 
 
-def _pillars(heap: _Heap, pillars: Pillars, rng: np.random.Generator) -> None:
+def _pillars(heap: _Heap, pillars: Pillars, rng: np.random.Generator) -> Weak:
+    """Add pillars; returns those of them that give way."""
     xy, tops = np.array(pillars.xy, dtype=np.float64).reshape(-1, 2), np.full(len(pillars.xy), pillars.top)
     if pillars.jitter:
         xy += rng.uniform(-pillars.jitter, pillars.jitter, xy.shape)
@@ -400,6 +428,19 @@ def _pillars(heap: _Heap, pillars: Pillars, rng: np.random.Generator) -> None:
         tops += rng.uniform(-pillars.top_spread, pillars.top_spread, len(tops))
     for place, top in zip(xy, tops.tolist(), strict=True):
         heap.add(place, (pillars.size, pillars.size), top, pillars.top - pillars.depth)
+    if not pillars.weak:
+        return _NONE_WEAK
+    chosen = len(heap.centre) - len(xy) + np.sort(rng.permutation(len(xy))[: pillars.weak])
+    return Weak(chosen, np.full(pillars.weak, pillars.bears), np.full(pillars.weak, pillars.sinks))
+
+
+def _pillar_field(heap: _Heap, pillars: PillarField, rng: np.random.Generator) -> None:
+    density = rng.uniform(*pillars.density)
+    area = (pillars.x[1] - pillars.x[0]) * (pillars.y[1] - pillars.y[0])
+    count, size = round(density * area / pillars.size**2), (pillars.size, pillars.size)
+    like = Rubble(pillars.x, pillars.y, count, size, (0.0, 0.0), gap=pillars.gap, yaw_deg=0.0)
+    for x, y, *_ in _placed(like, rng):
+        heap.add((x, y), size, pillars.top, pillars.top - pillars.depth)
 
 
 def _rubble(heap: _Heap, rubble: Rubble, rng: np.random.Generator) -> None:

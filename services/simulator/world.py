@@ -27,6 +27,7 @@ ROBOT_GROUP, TERRAIN_GROUP = 1, 0  # geom groups, for rays that see only one of 
 _FRICTION = (0.8, 0.005, 0.0001)  # sliding; torsional and rolling [m], unused by three-dimensional contacts
 _LIMIT_MARGIN = np.radians(5.0)  # the brackets stop the joint this far beyond the servo's own limit
 _LINK_RADIUS = (0.018, 0.014, 0.008)  # [m] coxa, femur, tibia
+_SINKING = 0.25  # [m/s] of what gives way
 _TOUCH_RADIUS = 0.013  # [m] beyond the foot's: contacts of the shank further up are no touch of the foot
 
 
@@ -95,6 +96,10 @@ class World:
         self._body_position, self._body_axes = d.xpos[body], d.xmat[body]
         self._geom_position = d.geom_xpos
         self._steps = 0
+        self._imu = slice(6, 12) if imu else None
+        self._pressed = d.sensordata[len(d.sensordata) - len(terrain.weak) :]  # [N] on what is weak
+        self._gives = np.zeros(len(terrain.weak), dtype=bool)
+        self._sunk = np.zeros(len(terrain.weak))
 
     def place(self, q: ArrayLike, T_world_body: Array) -> None:
         """Put the robot at rest with joint angles q (6, 3) [rad] and a body pose (4, 4), its servos holding those angles.
@@ -110,6 +115,7 @@ class World:
 
     def _pose(self, q: Array, T_world_body: Array) -> None:
         mujoco.mj_resetData(self.model, self.data)
+        self._gives[:], self._sunk[:] = False, 0.0
         self._qpos[:3] = T_world_body[:3, 3]
         self._qpos[3:7] = quaternion_from_rotation(T_world_body[:3, :3])
         self._q[:] = self._ctrl[:] = q
@@ -158,9 +164,28 @@ class World:
             mujoco.mj_step2(self.model, self.data)
             mujoco.mj_step1(self.model, self.data)
         self._steps += steps
+        if len(self._sunk):
+            self._give_way(steps * TIME_STEP_NS / 1e9)
         # A NaN spreads over all joints within a step.
         if not abs(self._qvel[0]) < 1e3:
             raise FloatingPointError(f"the physics has diverged at {self.time_ns / 1e9:.3f} s; see the commands that led there")
+
+    def _give_way(self, dt: float) -> None:
+        """What is weak and has been pressed too hard sinks on, as long as there is time to [s]."""
+        weak = self.terrain.weak
+        self._gives |= self._pressed > weak.bears
+        self.sink(np.where(self._gives, np.minimum(self._sunk + _SINKING * dt, weak.sinks), 0.0))
+
+    def sink(self, sunk: Array) -> None:
+        """Put what is weak of the terrain so much (n,) [m] lower than it stood."""
+        self._sunk[:] = sunk
+        self.data.mocap_pos[:, 2] = self.terrain.boxes.centre[self.terrain.weak.box, 2] - sunk
+        mujoco.mj_kinematics(self.model, self.data)
+
+    @property
+    def sunk(self) -> Array:
+        """(n,) [m] by which what is weak of the terrain has sunk."""
+        return np.array(self._sunk)
 
     @property
     def time_ns(self) -> int:
@@ -224,7 +249,7 @@ class World:
         Raises:
             ValueError: The world was built without it.
         """
-        if len(self._sensors) < 12:
+        if self._imu is None:
             raise ValueError("a world built with imu=True expected, found one without")
         return np.array(self._sensors[6:9]), np.array(self._sensors[9:12])
 
@@ -255,11 +280,13 @@ def _spec(profile: RobotProfile, terrain: Terrain, factors: Factors, imu: bool) 
     friction = [_FRICTION[0] * factors.ground_friction, *_FRICTION[1:]]
     _add_terrain(spec, terrain, friction)
     _add_robot(spec, profile, factors, friction, imu)
+    _add_weak(spec, terrain, friction)
     return spec
 
 
-def _add_terrain(spec: Any, terrain: Terrain, friction: list[float]) -> None:
-    solid = {
+def _ground(friction: list[float]) -> dict[str, Any]:
+    """What all geoms of the terrain have in common."""
+    return {
         "contype": 2,
         "conaffinity": 1,
         "condim": 3,
@@ -267,16 +294,34 @@ def _add_terrain(spec: Any, terrain: Terrain, friction: list[float]) -> None:
         "solref": [0.01, 1.0],
         "group": TERRAIN_GROUP,
     }
-    world = spec.worldbody
+
+
+def _add_terrain(spec: Any, terrain: Terrain, friction: list[float]) -> None:
+    solid, world = _ground(friction), spec.worldbody
     ground = terrain.carrying_boxes()
     if terrain.plane is not None and not len(ground):
         plane = mujoco.mjtGeom.mjGEOM_PLANE
         world.add_geom(name="plane", type=plane, size=[0, 0, 0.05], pos=[0, 0, terrain.plane], **solid)
     for kind, boxes in (("box", terrain.boxes), ("ground", ground)):
         for i, (centre, half, quat) in enumerate(zip(boxes.centre, boxes.half, quaternion_from_rotation(boxes.R), strict=True)):
+            if kind == "box" and i in terrain.weak.box:
+                continue
             world.add_geom(name=f"{kind} {i}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half, quat=quat, **solid)
     if terrain.height_field is not None:
         _add_height_field(spec, terrain.height_field, solid)
+
+
+def _add_weak(spec: Any, terrain: Terrain, friction: list[float]) -> None:
+    """Boxes that can be moved, each with a sensor of what presses on it; their sensors are the last ones."""
+    boxes = terrain.boxes
+    for i in terrain.weak.box:
+        quat = quaternion_from_rotation(boxes.R[i])
+        pillar = spec.worldbody.add_body(name=f"weak {i}", mocap=True, pos=boxes.centre[i], quat=quat)
+        box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "name": f"weak {i}"}
+        pillar.add_geom(size=boxes.half[i], **box, **_ground(friction))
+        pillar.add_site(size=boxes.half[i] + _TOUCH_RADIUS, group=5, **box)
+        touch, site = mujoco.mjtSensor.mjSENS_TOUCH, mujoco.mjtObj.mjOBJ_SITE
+        spec.add_sensor(name=f"weak {i}", type=touch, objtype=site, objname=f"weak {i}")
 
 
 def _add_height_field(spec: Any, field: HeightField, solid: dict[str, Any]) -> None:

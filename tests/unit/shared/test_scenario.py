@@ -24,6 +24,7 @@ from shared.scenario import (
 
 STAIRS = {"kind": "stairs", "xy": [0.0, 0.0], "riser": 0.04, "tread": 0.3, "count": 3, "width": 1.0}
 PILLARS = {"kind": "pillars", "xy": [[1.0, 0.0]], "size": 0.1, "top": 0.0}
+FIELD = {"kind": "pillar_field", "x": [1.0, 2.0], "y": [-0.5, 0.5], "density": [0.2, 0.3], "size": 0.1, "top": 0.0}
 COURSE = {"kind": "course", "width": 1.0}
 STONES = {"kind": "stones", "length": 1.0, "size": 0.12, "gap": 0.05}
 MINIMAL = {"name": "mine", "terrain": [{"kind": "plane"}], "goal": {"distance": 1.0}}
@@ -119,6 +120,9 @@ def test_an_unknown_name_lists_the_known() -> None:
         ({"terrain": [STAIRS | {"riser_spread": 0.05}]}, r"terrain\[0\]: a riser_spread from 0 to less than the riser"),
         ({"terrain": [STAIRS | {"tread_spread": -0.1}]}, r"terrain\[0\]: a tread_spread from 0"),
         ({"terrain": [PILLARS | {"jitter": -0.01}]}, r"terrain\[0\]: a jitter and a top_spread of at least 0 m"),
+        ({"terrain": [PILLARS | {"weak": 2}]}, r"terrain\[0\]: 0 to 1 weak ones, for there are no more"),
+        ({"terrain": [PILLARS | {"weak": 1, "sinks": 0.5}]}, r"terrain\[0\]: bears of at least 0 N and sinks between 0 m"),
+        ({"terrain": [FIELD | {"density": [0.3, 0.2]}]}, r"terrain\[0\]: densities in rising order"),
         ({"start": {"yaw_spread_deg": -1.0}}, "start: spreads of at least 0"),
         ({"terrain": [COURSE | {"stretches": []}]}, r"terrain\[0\]: at least one stretch expected"),
         ({"terrain": [COURSE | {"stretches": [{"kind": "level"}]}]}, r"terrain\[0\].stretches\[0\].length: missing"),

@@ -86,6 +86,24 @@ def test_every_pixel_is_where_the_physics_has_it(kind: str) -> None:
     assert on_robot > 150
 
 
+def test_what_has_sunk_is_seen_where_the_physics_has_it() -> None:
+    rng = np.random.default_rng(8)
+    terrain = build(Pillars(((0.6, 0.2), (0.6, -0.2), (0.9, 0.0), (0.3, 0.0)), 0.2, 0.0, weak=2, bears=0.0, sinks=0.06))
+    world, renderer = World(PROFILE, terrain), Renderer(terrain, XTION)
+    world.place(Q, from_xyz_rpy((0, 0, 1.0), (0.0, 0.0, 0.0)))
+    T = from_xyz_rpy((0, 0, 0.4), (0.0, 0.5, 0.0)) @ OPTICAL
+    before = renderer.depth(T).copy()
+    world.sink(np.array([0.06, 0.02]))
+    renderer.settle(world.sunk)
+    u, v = rng.integers(0, XTION.width, 500), rng.integers(0, XTION.height, 500)
+    theirs, _ = depth_by_rays(world, T, XTION, u, v)
+    ours = renderer.depth(T)
+    np.testing.assert_allclose(ours[v, u], theirs, atol=1e-5)
+    assert (ours != before).any()
+    renderer.settle(np.zeros(2))
+    np.testing.assert_array_equal(renderer.depth(T), before)
+
+
 def test_inverse_depth_is_the_inverse_and_zero_in_the_sky() -> None:
     renderer = Renderer(KINDS["boxes"], XTION)
     T = from_xyz_rpy((0, 0, 0.3), (0, 0, 0)) @ OPTICAL

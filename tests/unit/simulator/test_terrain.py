@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from shared.scenario import (
     HeightMap,
     Hole,
     Level,
+    PillarField,
     Pillars,
     Plane,
     Puddle,
@@ -33,6 +35,7 @@ from shared.scenario import (
     Stairs,
     Stones,
     load_scenario,
+    scenario_names,
 )
 from shared.scenario import Terrain as Primitive
 from tests.support.recordings import recording
@@ -125,6 +128,34 @@ def test_pillars_are_placed_by_the_seed_within_their_jitter_and_their_spread() -
     assert 0.008 < np.abs(off).max() <= 0.01
     assert 0.02 < np.abs(top).max() <= 0.03
     np.testing.assert_allclose(boxes.centre[:, 2] - boxes.half[:, 2], -0.4)  # all stand on one floor
+
+
+def test_a_pillar_field_is_as_dense_as_its_seed_says_and_its_pillars_keep_apart() -> None:
+    pillars = PillarField((0.8, 1.6), (-0.4, 0.4), (0.1, 0.3), 0.1, 0.0, gap=0.02, depth=0.4)
+    shares = []
+    for seed in range(20):
+        boxes = build(pillars, seed=seed).boxes
+        np.testing.assert_array_equal(boxes.centre, build(pillars, seed=seed).boxes.centre)
+        np.testing.assert_allclose(boxes.half, [[0.05, 0.05, 0.2]] * len(boxes))
+        low, high = boxes.centre[:, :2].min(axis=0), boxes.centre[:, :2].max(axis=0)
+        assert np.all(low >= (0.85, -0.35))
+        assert np.all(high <= (1.55, 0.35))
+        apart = np.abs(boxes.centre[:, None, :2] - boxes.centre[None, :, :2]).max(axis=-1) + np.eye(len(boxes))
+        assert apart.min() >= 0.12 - 1e-9
+        shares.append(len(boxes) * 0.01 / 0.64)
+    assert 0.1 - 0.01 <= min(shares) < 0.15
+    assert 0.25 < max(shares) <= 0.3 + 0.01
+
+
+def test_as_many_pillars_are_weak_as_are_said_and_the_seed_chooses_them() -> None:
+    pillars = Pillars(((0.0, 0.0), (0.3, 0.0), (0.6, 0.0)), 0.1, 0.0, weak=1, bears=2.0, sinks=0.05)
+    terrains = [build(Box((1.0, 0.0), (0.1, 0.1), 0.0), pillars, seed=seed) for seed in range(12)]
+    assert {int(k) for terrain in terrains for k in terrain.weak.box} == {1, 2, 3}
+    for terrain in terrains:
+        (k,) = terrain.weak.box
+        xy = terrain.boxes.centre[:, :2]
+        np.testing.assert_array_equal(terrain.sink_at(xy), np.where(np.arange(4) == k, 0.05, 0.0))
+        np.testing.assert_array_equal(terrain.height_at(xy), 0.0)  # nothing shows
 
 
 def outline(centre: Array, half: Array, R: Array) -> Array:
@@ -437,3 +468,32 @@ def test_holes_need_level_ground() -> None:
     for bad in ({"depth": 0.0}, {"size": (0.0, 1.0)}, {"size_spread": (0.5, 0.0)}, {"xy_spread": (-0.1, 0.0)}):
         with pytest.raises(ValueError, match="expected"):
             Hole(**({"xy": (1.0, 0.0), "size": (0.4, 0.4), "depth": 0.3} | bad))
+
+
+@pytest.mark.parametrize("name", ["passage1", "passage2", "passage3", "passage_gives_way"])
+def test_the_sketch_in_a_scenario_is_its_ground_from_above(name: str) -> None:
+    course = load_scenario(name)
+    as_drawn = replace(course, terrain=tuple(replace(p, jitter=0.0) if isinstance(p, Pillars) else p for p in course.terrain))
+    terrain = build_terrain(as_drawn, np.random.default_rng(0))
+    text = (Path(course.folder) / f"{name}.toml").read_text(encoding="utf-8")
+    lines = re.findall(r"^# ([+-]\d\.\d\d)  (\S+)", text, re.MULTILINE)
+    assert len(lines) == 9
+    for y, drawn in lines:
+        x = 0.05 * np.arange(len(drawn)) + 0.04
+        carries = terrain.height_at(np.column_stack([x, np.full(len(x), float(y))])) > -0.05
+        assert [sign != "." for sign in drawn] == carries.tolist()
+
+
+@pytest.mark.parametrize("name", [name for name in scenario_names() if name.startswith(("passage", "pillar_field"))])
+def test_over_a_gap_nothing_reaches_from_platform_to_platform(name: str) -> None:
+    course = load_scenario(name)
+    for seed in range(1000, 1010):
+        terrain = build_terrain(course, np.random.default_rng([seed, 0]))
+        x = np.arange(0.0, 2.3, 0.005)
+        lanes = [terrain.height_at(np.column_stack([x, np.full(len(x), y)])) for y in np.arange(-0.6, 0.6, 0.01)]
+        carries = np.array(lanes) > -0.1
+        assert carries[:, x < 0.8].all()
+        assert carries[:, x > 1.6].all()
+        assert np.array(lanes)[~carries].max() <= -0.3
+        beyond = np.abs(np.arange(-0.6, 0.6, 0.01)) > 0.45
+        assert not carries[np.ix_(beyond, (x > 0.805) & (x < 1.595))].any()

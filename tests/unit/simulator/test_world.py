@@ -7,7 +7,7 @@ from services.simulator.terrain import Terrain, build_terrain
 from services.simulator.world import TIME_STEP_NS, Factors, World
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.robot import RobotProfile, load_profile
-from shared.scenario import Goal, Plane, Rubble, Scenario, Slope, Variation, load_scenario
+from shared.scenario import Goal, Pillars, Plane, Rubble, Scenario, Slope, Variation, load_scenario
 
 NO_BOXES = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 FLAT = Terrain(NO_BOXES, plane=0.0)
@@ -294,3 +294,44 @@ def test_it_stands_without_creeping_on_any_ground(terrain: Terrain) -> None:
     assert np.all(settled[:, 2] - ground > PROFILE.foot.radius - 1e-3)
     # Normal forces lean where the ground does, so they add up to a little more or less than the weight.
     assert carried.sum() == pytest.approx(9.81 * PROFILE.body.total_mass, rel=0.1)
+
+
+def under_the_feet(bears: float) -> Terrain:
+    """A pillar under each foot of the resting stance, one of them weak."""
+    world = World(PROFILE, FLAT)
+    world.stand(standing_angles(PROFILE))
+    xy = tuple((float(x), float(y)) for x, y, _ in world.p_world_foot)
+    pillars = Pillars(xy, 0.08, 0.0, weak=1, bears=bears, sinks=0.05)
+    return build_terrain(Scenario("pillars", (pillars,), Goal(1.0)), np.random.default_rng(0))
+
+
+def test_a_weak_pillar_sinks_once_it_is_pressed_and_stays_down() -> None:
+    q, world = standing_angles(PROFILE), World(PROFILE, under_the_feet(2.0))
+    (leg,) = world.terrain.weak.box
+    world.stand(q)
+    assert world.sunk == 0.0
+    for _ in range(150):
+        world.step(q, RIGID, STRONG, steps=2)
+    assert world.sunk == pytest.approx(0.05)
+    assert not world.foot_contact[leg]
+    assert world.foot_contact.sum() >= 4
+    assert tilt(world) < 0.1
+    assert world.terrain.sink_at(world.p_world_foot[:, :2]) == pytest.approx(np.where(np.arange(6) == leg, 0.05, 0.0))
+    raised = q.copy()
+    raised[leg, 1] += 0.5  # nothing presses on it now
+    for _ in range(50):
+        world.step(raised, RIGID, STRONG, steps=2)
+    assert world.sunk == pytest.approx(0.05)
+
+
+def test_a_pillar_that_bears_a_foot_stands_as_any_other() -> None:
+    q, world, firm = standing_angles(PROFILE), World(PROFILE, under_the_feet(20.0)), under_the_feet(20.0)
+    world.stand(q)
+    other = World(PROFILE, Terrain(firm.boxes))
+    other.stand(q)
+    for _ in range(100):
+        world.step(q, RIGID, STRONG, steps=2)
+        other.step(q, RIGID, STRONG, steps=2)
+    assert world.sunk == 0.0
+    assert world.foot_contact.all()
+    np.testing.assert_allclose(world.p_world_foot, other.p_world_foot, atol=1e-6)
