@@ -17,6 +17,8 @@ from shared.robot import Camera
 from shared.scenario import Box, Hole, PillarField, Pillars, Plane, Puddle, Puddles, Rubble, Scenario
 
 RAISED = 0.005  # [m] over the ground beside: on something
+_NARROW = 0.20  # [m] and less is the width of pillars, stones and the like
+_SAME_HEIGHT = 1e-6  # [m] of a place and the box that it lies on
 _IN_THE_WAY = (
     Box,
     Hole,
@@ -88,6 +90,20 @@ class Course:
         sim = self._in_sim(xy)
         without = np.maximum(self._unblocked.height_at(sim), self.T_sim_start[2, 3])
         return int((self.terrain.height_at(sim) > without + RAISED).sum())
+
+    def edge_distance(self, xy: Array) -> Array:
+        """Distance (n,) [m] from places (n, 2) [m] {start} to the nearest edge of the narrow top there, NaN without one."""
+        boxes, places = getattr(self.terrain, "boxes", None), self._in_sim(xy)
+        found = np.full(len(xy), np.nan)
+        if boxes is None:
+            return found
+        height = self.terrain.height_at(places)
+        for centre, half, R in zip(boxes.centre, boxes.half, boxes.R, strict=True):
+            off = half[:2] - np.abs((places - centre[:2]) @ R[:2, :2])
+            top = np.abs(height - centre[2] - half[2]) < _SAME_HEIGHT
+            here = (off.min(axis=1) >= 0) & top & (2 * half[:2].min() <= _NARROW)
+            found[here] = off.min(axis=1)[here]
+        return found
 
     def block_corners(self) -> Array:
         """Corners (b, 4, 2) [m] {start} of the tops of the terrain's boxes."""

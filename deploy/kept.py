@@ -8,19 +8,23 @@ import contextlib
 import json
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
 from deploy import report as reports
+from deploy.report import Passage
 
 
 class KeptError(ValueError):
     """A file of runs that cannot be read, in words."""
 
 
-_MARKS = ("fingerprint", "commit", "time")
+_MARKS = ("fingerprint", "commit", "time", "machine")
 _BEGINS = b'{"fingerprint":'  # as every line of runs does
+
+
+_NO_PASSAGE = Passage()
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +64,15 @@ class Run:
     map_edge_m: float
     map_coverage: float
     real_time_factor: float
+    passage: Passage = _NO_PASSAGE  # the lines of walks without any leave it out
+    machine: str = ""  # that made it, as far as its line says
 
     @classmethod
-    def of(cls, report: dict[str, Any], fingerprint: str, commit: str, time: str) -> Self:
+    def of(cls, report: dict[str, Any], fingerprint: str, commit: str, time: str, machine: str = "") -> Self:
         """Of a report as a table."""
         values = {name: _at(report, _PLACES.get(name, name)) for name in _NAMES if name not in _MARKS}
-        return cls._numbered({"fingerprint": fingerprint, "commit": commit, "time": time} | values)
+        marks = dict(zip(_MARKS, (fingerprint, commit, time, machine), strict=True))
+        return cls._numbered(marks | values)
 
     @classmethod
     def read(cls, entry: dict[str, Any]) -> Self:
@@ -75,6 +82,7 @@ class Run:
             ValueError: It lacks something, or has something of another type.
         """
         report = entry.get("report")
+        entry = _LEFT_OUT | entry
         problems = reports.check(entry, cls) if report is None else reports.check(report)
         if problems:
             raise ValueError("; ".join(problems))
@@ -85,9 +93,15 @@ class Run:
     @classmethod
     def _numbered(cls, values: dict[str, Any]) -> Self:
         numbered: dict[str, Any] = {name: float("nan") if value is None else value for name, value in values.items()}
-        return cls(**numbered)
+        return cls(**{**numbered, "passage": reports.passage_of(values["passage"])})
+
+    def line(self) -> dict[str, Any]:
+        """As a table, without what says nothing."""
+        table: dict[str, Any] = reports.plain(self)
+        return {name: value for name, value in table.items() if name not in _LEFT_OUT or value != _LEFT_OUT[name]}
 
 
+_LEFT_OUT = {"passage": reports.plain(_NO_PASSAGE), "machine": ""}
 _NAMES = tuple(field.name for field in fields(Run))
 _PLACES = {  # in a report, where that is another than the field's own name
     "tilt_p95_deg": "tilt_deg.p95",
@@ -155,7 +169,7 @@ def keep(path: Path, runs: Iterable[Run]) -> None:
         KeptError: What is there is not a file of runs, or cannot be read.
     """
     mend(path)
-    lines = [json.dumps(reports.plain(asdict(run)), ensure_ascii=False, separators=(",", ":")) + "\n" for run in runs]
+    lines = [json.dumps(run.line(), ensure_ascii=False, separators=(",", ":")) + "\n" for run in runs]
     with path.open("a", encoding="utf-8") as file:
         file.writelines(lines)
 

@@ -4,6 +4,7 @@ import datetime
 import hashlib
 import importlib.metadata
 import itertools
+import platform
 import re
 import subprocess
 from dataclasses import dataclass
@@ -62,6 +63,16 @@ def seeds_of_commit(count: int) -> list[int]:
         digest = hashlib.blake2s(f"{head} {next(numbers)}".encode()).digest()
         found.add(1_000_000 + int.from_bytes(digest[:8], "big") % 999_000_000)
     return sorted(found)
+
+
+def machine() -> str:
+    """What this machine computes with, in words: its processor as it names itself."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:  # no Linux
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith(("model name", "Model"))]
+    return next(iter(names), platform.processor() or platform.machine())
 
 
 def now() -> str:

@@ -81,6 +81,38 @@ class CourseMap:
 
 
 @dataclass(frozen=True, slots=True)
+class FootholdEdge:
+    """How far the footholds on pillars, and on whatever else is as narrow, are from the nearest true edge [m]."""
+
+    p05: float = _NAN
+    median: float = _NAN
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """What planning at one stop of a passage came to, in the words of `shared.messages.PassagePlan`."""
+
+    state: str
+    reason: str
+    generated: int  # nodes, Masri's n_g
+    expanded: int  # of them, his n_e
+    expansions: int  # spent, in vain or not
+    planning_ms: float  # timing
+    steps: int  # planned
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """How a gap was crossed on pillars; without any there is nothing of it but the feet."""
+
+    pillar_touchdowns: int = 0
+    foothold_edge_m: FootholdEdge = FootholdEdge()
+    feet_off: int = 0  # times a foot that should stand was over nothing, beside a pillar, or in the gap
+    passable: bool | None = None  # by an exhaustive search offline; null where nobody has looked
+    sections: tuple[Section, ...] = ()  # in their order: one for each time it stopped to plan
+
+
+@dataclass(frozen=True, slots=True)
 class StageTime:
     """How long a stage of the work took [ms]."""
 
@@ -120,13 +152,16 @@ class Report:
     pose_error_m: PoseError = PoseError()
     map_error_m: MapError = MapError()
     course_map_m: CourseMap = CourseMap()
+    passage: Passage = Passage()
     real_time_factor: float = _NAN  # simulated over elapsed time; timing, so not the same twice
     stages_ms: dict[str, StageTime] = field(default_factory=dict)  # timing too
 
 
 def without_timing(report: Report) -> Report:
     """The part of a report that one seed determines."""
-    return replace(report, real_time_factor=_NAN, stages_ms={})
+    sections = tuple(replace(section, planning_ms=_NAN) for section in report.passage.sections)
+    passage = replace(report.passage, sections=sections)
+    return replace(report, passage=passage, real_time_factor=_NAN, stages_ms={})
 
 
 def as_table(report: Report) -> dict[str, Any]:
@@ -159,12 +194,25 @@ def check(table: object, kind: type = Report) -> list[str]:
     return problems
 
 
+def passage_of(table: dict[str, Any]) -> Passage:
+    """A passage of its table, in which `check` finds nothing wrong."""
+    sections = tuple(Section(**_numbered(section)) for section in table["sections"])
+    edge = FootholdEdge(**_numbered(table["foothold_edge_m"]))
+    return Passage(**{**table, "foothold_edge_m": edge, "sections": sections})
+
+
+def _numbered(table: dict[str, Any]) -> dict[str, Any]:
+    return {name: _NAN if value is None else value for name, value in table.items()}
+
+
 def plain(value: Any) -> Any:
-    """A value as JSON has it: tables of dataclasses, floats rounded, null for NaN."""
+    """A value as JSON has it: tables of dataclasses, lists of tuples, floats rounded, null for NaN."""
     if dataclasses.is_dataclass(value):
         return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, tuple):
+        return [plain(item) for item in value]
     if isinstance(value, float):
         return round(value, _DIGITS) + 0.0 if math.isfinite(value) else None  # adding zero takes the sign off -0.0
     return value
@@ -189,6 +237,15 @@ def _check(value: object, hint: Any, where: str, problems: list[str]) -> None:
             return
         for name, item in value.items():
             _check(item, get_args(hint)[1], f"{place}.{name}", problems)
+    elif get_origin(hint) is tuple:
+        if not isinstance(value, list):
+            problems.append(f"{place}: a list expected, found {_shown(value)}")
+            return
+        for k, item in enumerate(value):
+            _check(item, get_args(hint)[0], f"{place}[{k}]", problems)
+    elif hint == bool | None:
+        if value is not None and not isinstance(value, bool):
+            problems.append(f"{place}: true, false or null expected, found {_shown(value)}")
     elif hint is float:
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
             problems.append(f"{place}: a number or null expected, found {_shown(value)}")

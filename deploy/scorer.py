@@ -13,6 +13,7 @@ import numpy as np
 from deploy.course import Course, Ground
 from deploy.heard import Heard
 from deploy.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
+from deploy.passage_figures import passage_figures
 from deploy.report import ARRIVED, CourseMap, MapError, Report, StageTime
 from deploy.trace import Trace, trace_of
 from deploy.walk import Walk
@@ -44,10 +45,24 @@ class Scorer:
 
     name = "scorer"
     paced_by = topics.TRUTH
-    reads = (topics.BODY_POSE, topics.TERRAIN, topics.ACTUATOR_STATE, topics.STEP_PLAN, topics.PLANNER_STATUS)
+    reads = (
+        topics.BODY_POSE,
+        topics.TERRAIN,
+        topics.ACTUATOR_STATE,
+        topics.STEP_PLAN,
+        topics.PASSAGE_PLAN,
+        topics.PLANNER_STATUS,
+    )
     writes = ()
 
-    def __init__(self, profile: RobotProfile, scenario: Scenario, seed: int, terrain: Ground | None = None):
+    def __init__(
+        self,
+        profile: RobotProfile,
+        scenario: Scenario,
+        seed: int,
+        terrain: Ground | None = None,
+        passable: bool | None = None,
+    ):
         """Build the true ground.
 
         Args:
@@ -55,10 +70,11 @@ class Scorer:
             scenario: What it is to do.
             seed: The run's.
             terrain: The ground, in place of the scenario's.
+            passable: Whether there is a way at all, where the seed decides; None for who has not looked.
         """
         self.stages = Stages()
         self.finished = False
-        self._profile, self._scenario, self._seed = profile, scenario, seed
+        self._profile, self._scenario, self._seed, self._passable = profile, scenario, seed, passable
         self._course = Course(scenario, seed, terrain)
         self._heard = Heard()
         self._recent: deque[tuple[int, float, float]] = deque()  # stamp, x, y of the last half second
@@ -174,7 +190,7 @@ class Scorer:
         if x >= goal.distance and at_rest:
             beside = f"passed the goal line {abs(y):.2f} m beside its middle; the corridor is {goal.corridor:.2f} m wide"
             return beside if self._goal_ns is None else ARRIVED
-        if goal.expect == "refusal" and self._heard.refusal and at_rest:
+        if goal.expect != "arrival" and self._heard.refusal and at_rest:
             return f"stood and said why: {self._heard.refusal}"
         if (now - self._heard.begin_ns) * 1e-9 >= self._scenario.time_limit_s:
             return f"time limit of {self._scenario.time_limit_s:g} s, {x:.2f} of {goal.distance:.2f} m done"
@@ -237,8 +253,7 @@ class Scorer:
         """
         scenario, profile = self._scenario, self._profile
         shutdowns = int(self._heard.truth[-1].shutdown.sum()) if self._heard.truth else 0
-        refused = scenario.goal.expect == "refusal"
-        right = bool(self._heard.refusal) and self._goal_ns is None if refused else self._goal_ns is not None
+        arrived, right = self._goal_ns is not None, self._did_right()
         collisions = self._collisions() if len(self._heard.truth) > 1 else 0
         success = right and not self._fall and not shutdowns and not (scenario.goal.route and collisions)
         report = Report(
@@ -248,7 +263,7 @@ class Scorer:
             gait=scenario.walk.gait,
             blind=scenario.walk.blind,
             success=success,
-            reason=(self._end if refused else ARRIVED) if success else self._failure(shutdowns, collisions, reason),
+            reason=(ARRIVED if arrived else self._end) if success else self._failure(shutdowns, collisions, reason),
             distance_m=self._x,
             duration_s=0.0,
             speed_mps=0.0,
@@ -262,6 +277,15 @@ class Scorer:
         if len(self._heard.truth) < 2:
             return report
         return self._measured(report, in_a_hurry)
+
+    def _did_right(self) -> bool:
+        """Whether the robot arrived, or stood and said why, whichever is right here; who turns back on a pillar is wrong."""
+        expect, arrived = self._scenario.goal.expect, self._goal_ns is not None
+        refused = bool(self._heard.refusal) and not arrived
+        if expect == "either":
+            refused = refused and not np.isfinite(self._course.edge_distance(self.trace.touchdowns.p[:, :2])).any()
+            expect = "either" if self._passable is None else "arrival" if self._passable else "refusal"
+        return (expect != "refusal" and arrived) or (expect != "arrival" and refused)
 
     def _collisions(self) -> int:
         """How often a foot or the body ran into what is higher than a step, or a foot hung in a hole."""
@@ -294,7 +318,10 @@ class Scorer:
             map_error_m=self._maps.error() if self._maps is not None else MapError(),
             course_map_m=CourseMap() if in_a_hurry else self._course_map(trace.mosaic),
         )
-        return walk_figures(report, self.walk, trace, self._course) if trace.walking.any() else report
+        if not trace.walking.any():
+            return report
+        report = walk_figures(report, self.walk, trace, self._course)
+        return replace(report, passage=passage_figures(self.walk, self._heard, trace, self._course, self._passable))
 
     def _speed(self) -> tuple[float, float]:
         """Mean speed [m/s] from the first step to the goal, or to the end, and the time [s] that took."""

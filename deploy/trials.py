@@ -117,12 +117,13 @@ def run_trials(
         say(f"{len(done)} of {len(wanted)} seeds are done already; see {keep_in or path}")
     left = [seed for seed in wanted if seed not in done]
     successes = sum(one.success for one in done.values())
-    made_by = provenance.commit()
+    made_by, machine = provenance.commit(), provenance.machine()
     kept.mend(path)
     with path.open("a", encoding="utf-8") as lines:
         tasks = [(scenario, seed) for seed in left]
         for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
-            entry = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "report": reports.as_table(report)}
+            marks = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "machine": machine}
+            entry = marks | {"report": reports.as_table(report)}
             lines.write(json.dumps(entry, ensure_ascii=False) + "\n")
             lines.flush()
             done[report.seed] = Run.read(entry)

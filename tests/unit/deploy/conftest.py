@@ -11,7 +11,17 @@ from deploy.scorer import Scorer
 from services.simulator.terrain import build_terrain
 from shared import codec, topics
 from shared.geometry import from_xyz_rpy
-from shared.messages import ActuatorState, BodyPose, GroundTruth, Message, Mode, PlannerStatus, StepPlan, TerrainMap
+from shared.messages import (
+    ActuatorState,
+    BodyPose,
+    GroundTruth,
+    Message,
+    Mode,
+    PassagePlan,
+    PlannerStatus,
+    StepPlan,
+    TerrainMap,
+)
 from shared.robot import load_profile
 from shared.scenario import Goal, Plane, Scenario
 from shared.service import Inbox
@@ -46,6 +56,9 @@ class Story:
     tail_s: float = 1.0  # [s] after the last step
     moved_leg: int = -1  # the planner moves this leg's touchdowns by 2 cm
     refusal: str = ""  # the planner says once it stands
+    level: bool = False  # the feet walk at height 0, whatever lies below
+    sections: int = 0  # of a passage that the planner tells of, in the first second
+    passable: bool | None = None  # as the scorer is told
 
     def __post_init__(self) -> None:
         profile = load_profile(self.scenario.robot)
@@ -78,6 +91,8 @@ class Story:
                 yield PlannerStatus(ms * _MS, "blocked" if stands else "stepping", self.refusal, step, moved, -1)
             if ms % 520 == 0:
                 yield self.map(ms)
+            if ms % 100 == 0 and ms < 100 * self.sections:
+                yield self.section(ms, 1 + ms // 100)
             yield self.truth(ms)
 
     def walked(self, t: float) -> tuple[int, float]:
@@ -105,7 +120,7 @@ class Story:
             if self.moved_leg >= 0 and legs[self.moved_leg]:
                 feet[self.moved_leg, 1] = self.profile.rest_feet()[self.moved_leg, 1] + 0.02
         sim = feet[:, :2] @ self.T_sim_start[:2, :2].T
-        feet[:, 2] = self.terrain.height_at(sim) + self.profile.foot.radius
+        feet[:, 2] = (0.0 if self.level else self.terrain.height_at(sim)) + self.profile.foot.radius
         return feet
 
     def truth(self, ms: int) -> GroundTruth:
@@ -169,6 +184,14 @@ class Story:
             stop=step == self.steps,
         )
 
+    def section(self, ms: int, number: int) -> PassagePlan:
+        steps = (np.zeros(3, np.uint8), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((4, 2, 3), np.float32))
+        counts = (100 * number, 10 * number, 11 * number, 12.5)
+        where = (np.zeros(2), 0.0, 1.0, 0.5)
+        return PassagePlan(
+            ms * _MS, number, "partial", "look again", *where, *counts, np.zeros(3, np.uint8), steps, steps, edges
+        )
+
     def map(self, ms: int) -> TerrainMap:
         first = round(self.body_x(ms * 1e-3) / 0.01)
         height = (self.heights[first : first + 200] + self.map_bias).astype(np.float32)
@@ -181,7 +204,7 @@ class Story:
         return TerrainMap(ms * _MS, 0.01, origin, height, np.full_like(height, 1e-5), score, assumed, evaluation)
 
     def scorer(self) -> Scorer:
-        return Scorer(self.profile, self.scenario, self.seed)
+        return Scorer(self.profile, self.scenario, self.seed, passable=self.passable)
 
     def judged(self) -> Scorer:
         """A scorer that has heard the story, as far as it cared to; the same one each time."""

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from deploy import kept
 from deploy import report as reports
 from deploy.kept import Run
-from deploy.report import CourseMap, HeightError, PoseError, Report, Slip, Spread, Torque
+from deploy.report import CourseMap, FootholdEdge, HeightError, Passage, PoseError, Report, Section, Slip, Spread, Torque
 
 REPORT = Report(
     "steps",
@@ -56,6 +56,22 @@ def test_a_short_line_holds_what_the_whole_report_said(tmp_path):
     assert (run.stability_margin_m, run.final_pose_error_m, run.map_coverage, run.seed) == (0.04, 0.02, 0.975, 7)
     line = (tmp_path / "campaign.jsonl").read_text()
     assert len(line) < len(json.dumps(_entry()))
+
+
+def test_a_line_of_before_there_were_passages_is_read_and_written_as_it_was(tmp_path):
+    run = Run.read(_entry())
+    kept.keep(tmp_path / "campaign.jsonl", [run])
+    line = json.loads((tmp_path / "campaign.jsonl").read_text())
+    assert not {"passage", "machine"} & set(line)
+    assert Run.read(line) == run
+
+
+def test_a_passage_and_its_machine_are_kept(tmp_path):
+    passage = Passage(12, FootholdEdge(0.02, 0.04), 0, None, (Section("complete", "", 900, 80, 90, 12.5, 40),))
+    run = Run.read({**_entry(replace(REPORT, passage=passage)), "machine": "a fast one"})
+    kept.keep(tmp_path / "campaign.jsonl", [run])
+    assert kept.read(tmp_path / "campaign.jsonl") == [run]
+    assert (run.passage, run.machine) == (passage, "a fast one")
 
 
 @given(st.dictionaries(st.sampled_from([f.name for f in fields(Run) if f.type is float]), st.floats(-1e3, 1e3) | st.none()))
