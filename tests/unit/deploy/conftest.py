@@ -188,9 +188,7 @@ class Story:
         steps = (np.zeros(3, np.uint8), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((4, 2, 3), np.float32))
         counts = (100 * number, 10 * number, 11 * number, 12.5)
         where = (np.zeros(2), 0.0, 1.0, 0.5)
-        return PassagePlan(
-            ms * _MS, number, "partial", "look again", *where, *counts, np.zeros(3, np.uint8), steps, steps, edges
-        )
+        return PassagePlan(ms * _MS, number, "partial", "look again", *where, *counts, *steps)
 
     def map(self, ms: int) -> TerrainMap:
         first = round(self.body_x(ms * 1e-3) / 0.01)
