@@ -102,7 +102,7 @@ class Course:
             off = half[:2] - np.abs((places - centre[:2]) @ R[:2, :2])
             top = np.abs(height - centre[2] - half[2]) < _SAME_HEIGHT
             here = (off.min(axis=1) >= 0) & top & (2 * half[:2].min() <= _NARROW)
-            found[here] = off.min(axis=1)[here]
+            found[here] = np.fmax(found[here], off.min(axis=1)[here])  # where several lie there, the one that reaches furthest
         return found
 
     def block_corners(self) -> Array:

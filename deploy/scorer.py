@@ -303,6 +303,8 @@ class Scorer:
             return self._shutdown_words()
         if collisions and self._scenario.goal.route:
             return f"walked into something {collisions} times"
+        if self._end == ARRIVED:
+            return "crossed what an exhaustive search calls impassable"
         stopped = f"stopped {self._x:.2f} of {self._scenario.goal.distance:.2f} m along"
         return self._end or (f"{reason} ({stopped})" if reason else stopped)
 
