@@ -34,6 +34,7 @@ def run_campaign(
     asked: Callable[[Scenario], Scenario] = lambda scenario: scenario,
     say: Callable[[str], None] = lambda _: None,
     run: Runner | None = None,
+    table: str = "walks",
 ) -> Campaign:
     """Run the trials of every terrain in turn, going on where an earlier campaign in the same folder stopped.
 
@@ -47,6 +48,7 @@ def run_campaign(
         asked: Makes of a scenario what is walked in its place: by another robot, in another gait.
         say: Hears a line per seed.
         run: What runs one seed, in lockstep by default.
+        table: Which table of them is written, of `deploy.campaign_table.TABLES`.
     """
     wanted, keep_in = sorted(set(seeds)), out / "campaign.jsonl"
     out.mkdir(parents=True, exist_ok=True)
@@ -70,7 +72,7 @@ def run_campaign(
             baseline = batches.run_trials(scenario, wanted, jobs, folder, blind=True, say=say, run=runner, keep_in=keep_in)
         (folder / "trials.json").write_text(batches.to_json(seeing, baseline), encoding="utf-8")
         entries.append(Entry(seeing, baseline))
-        write(Campaign(tuple(entries), tuple(left_out)), out)
+        write(Campaign(tuple(entries), tuple(left_out)), out, table)
     return Campaign(tuple(entries), tuple(left_out))
 
 

@@ -10,7 +10,7 @@ from deploy import kept
 from deploy import trials as batches
 from deploy.kept import Run
 from deploy.statistics import Rate, wilson
-from deploy.trials import Trials, in_words
+from deploy.trials import Passages, Trials, in_words
 
 # The courses of the public table, in its order, and what they are, in words.
 WALKED: Mapping[str, str] = {
@@ -24,6 +24,16 @@ WALKED: Mapping[str, str] = {
     "ditch": "8 to 12 cm wide",
     "mixed": "ramps, rubble, stairs, stones in a row",
     "stair_map": "a real staircase at a quarter of its height",
+}
+# The gaps that are crossed on pillars, likewise.
+PASSAGES: Mapping[str, str] = {
+    "passage1": "two straight rows of three pillars",
+    "passage2": "the middle ones further inward",
+    "passage3": "three pillars and two, 10 cm apart",
+    "passage_narrow": "pillars of 8 cm",
+    "passage_heights": "pillars up to 3 cm higher or lower",
+    "passage_gives_way": "a pillar that sinks under a foot",
+    "pillar_field": "pillars strewn by the seed, with a way or without",
 }
 Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell
 _WALKS: Columns = {
@@ -49,7 +59,20 @@ _MAPS: Columns = {
     "edges, mm": lambda t: in_words(t.map_edge_m, 1e3, ".1f"),
     "coverage, %": lambda t: in_words(t.map_coverage, 1e2, ".1f"),
 }
-TABLES: Mapping[str, Columns] = {"walks": _WALKS, "reached": {}, "missteps": _MISSTEPS, "maps": _MAPS}
+_PASSAGES: Columns = {
+    "goal reached": lambda t: _outcome(t),
+    "falls": lambda t: str(t.falls),
+    "feet off": lambda t: _of_passages(t, lambda p: f"{p.feet_off} of {p.pillar_touchdowns}"),
+    "from the edge, mm": lambda t: _of_passages(t, lambda p: in_words(p.foothold_edge_m, 1e3, ".0f")),
+    "p05, mm": lambda t: _of_passages(t, lambda p: in_words(p.foothold_edge_p05_m, 1e3, ".0f")),
+    "stops": lambda t: _of_passages(t, lambda p: in_words(p.stops, 1.0, ".0f")),
+    "n_g": lambda t: _of_passages(t, lambda p: in_words(p.generated, 1.0, ".0f")),
+    "n_e": lambda t: _of_passages(t, lambda p: in_words(p.expanded, 1.0, ".0f")),
+    "planning p50, ms": lambda t: _of_passages(t, lambda p: f"{p.planning_p50_ms:.1f}"),
+    "p99, ms": lambda t: _of_passages(t, lambda p: f"{p.planning_p99_ms:.1f}"),
+    "expansions/s": lambda t: _of_passages(t, lambda p: f"{p.expansions_per_s:.0f}"),
+}
+TABLES: Mapping[str, Columns] = {"walks": _WALKS, "reached": {}, "missteps": _MISSTEPS, "maps": _MAPS, "passages": _PASSAGES}
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +95,7 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
     """A campaign of runs on file, in the public table's order; where only blind walks are on file they stand for themselves."""
     found, older = kept.newest(runs)
     summaries = [batches.summarise(batch) for batch in found]
-    places = {name: place for place, name in enumerate(WALKED)}
+    places = {name: place for place, name in enumerate([*WALKED, *PASSAGES])}
     pairs: dict[tuple[int, str, str, str], list[Trials]] = {}
     for t in sorted(summaries, key=lambda t: t.blind):
         pairs.setdefault((places.get(t.scenario, len(places)), t.scenario, t.robot, t.gait), []).append(t)
@@ -105,14 +128,14 @@ def to_json(campaign: Campaign) -> str:
     return json.dumps({"terrains": terrains, "left_out": campaign.left_out}, indent=1, ensure_ascii=False) + "\n"
 
 
-def write(campaign: Campaign, out: Path) -> None:
-    """Write table.md and campaign.json."""
-    (out / "table.md").write_text(markdown(campaign), encoding="utf-8")
+def write(campaign: Campaign, out: Path, table: str = "walks") -> None:
+    """Write table.md, which of TABLES is wanted, and campaign.json."""
+    (out / "table.md").write_text(markdown(campaign, table), encoding="utf-8")
     (out / "campaign.json").write_text(to_json(campaign), encoding="utf-8")
 
 
 def _reached(campaign: Campaign, entry: Entry) -> list[str]:
-    words = WALKED.get(entry.seeing.scenario, "")
+    words = {**WALKED, **PASSAGES}.get(entry.seeing.scenario, "")
     course = _ticked(_name(campaign, entry.seeing)) + (f": {words}" if words else "")
     return [course, _outcome(entry.seeing), _outcome(entry.blind) if entry.blind else ""]
 
@@ -150,6 +173,10 @@ def _footnotes(campaign: Campaign) -> list[str]:
 def _outcome(t: Trials) -> str:
     """How often it ended well, and how, where that is not by reaching the goal."""
     return _rate(t.success) + (", rightly refused" if t.refusals else "")
+
+
+def _of_passages(t: Trials, cell: Callable[[Passages], str]) -> str:
+    return "-" if t.passages is None else cell(t.passages)
 
 
 def _rate(rate: Rate) -> str:

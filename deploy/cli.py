@@ -128,7 +128,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_seed_and_out(one)
 
     one = add("trials", trials, "run a scenario in lockstep with many seeds: success rate with its 95 %% interval")
-    one.add_argument("scenario", help="name of a scenario that comes with sextant, path of a TOML file, or all that are walked")
+    one.add_argument("scenario", help="name of a scenario, path of a TOML file, all that are walked, or passages: all gaps")
     _add_robot_and_gait(one)
     words = "from A up to, not including, B; or commit:N, N that the hash of the commit gives, so that nobody has chosen them"
     one.add_argument("--seeds", type=_any_seeds, required=True, metavar="A:B", help=words)
@@ -141,8 +141,11 @@ def _parser() -> argparse.ArgumentParser:
     one = add("trials table", table, "print a table of trials that were kept, in Markdown, nothing being run", listed=False)
     words = "folder that trials have left, or a campaign.jsonl of one; parts of a campaign are put together"
     one.add_argument("kept", nargs="+", metavar="KEPT", help=words)
-    words = "walks, how often the goal was reached, missteps, or how right the maps were (default %(default)s)"
-    one.add_argument("--of", choices=("walks", "reached", "missteps", "maps"), default="walks", help=words)
+    words = (
+        "walks, how often the goal was reached, missteps, how right the maps were, passages, or every section planned of them"
+    )
+    choices = ("walks", "reached", "missteps", "maps", "passages", "sections")
+    one.add_argument("--of", choices=choices, default="walks", help=f"{words} (default %(default)s)")
     one.add_argument("--json", action="store_true", help="print all of it as JSON")
 
     one = add("up", up, "start the processes of a role and keep them until Ctrl-C")

@@ -43,6 +43,25 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True)
+class Passages:
+    """What a batch came to in which a gap was crossed on pillars."""
+
+    feet_off: int  # of all runs
+    pillar_touchdowns: int
+    foothold_edge_m: Figure  # median of a run; the worst is the least
+    foothold_edge_p05_m: Figure  # of a run, likewise
+    stops: Figure  # to plan, of a run
+    generated: Figure  # nodes of a section, Masri's n_g
+    expanded: Figure  # of them, his n_e
+    planning_p50_ms: float  # over all sections; those without a way count with all that was spent on them
+    planning_p99_ms: float
+    expansions_per_s: float  # of all sections together
+    passable: int  # grounds on which there is a way, where somebody has looked
+    impassable: int
+    entered_in_vain: int  # runs on pillars of those on which there is none
+
+
+@dataclass(frozen=True, slots=True)
 class Trials:
     """What a batch came to."""
 
@@ -77,6 +96,7 @@ class Trials:
     failures: dict[str, int]  # reason without its figures -> runs, most frequent first
     failed_seeds: tuple[int, ...]
     made: Made
+    passages: Passages | None = None  # None where nobody stood on pillars or planned for them
 
 
 def run_trials(
@@ -176,6 +196,31 @@ def summarise(runs: Sequence[Run]) -> Trials:
         failures=dict(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
         failed_seeds=tuple(run.seed for run in runs if not run.success),
         made=Made.of([(run.commit, run.time) for run in runs]),
+        passages=_passages(runs),
+    )
+
+
+def _passages(runs: Sequence[Run]) -> Passages | None:
+    passages = [run.passage for run in runs]
+    sections = [section for passage in passages for section in passage.sections]
+    if not sections and not any(passage.pillar_touchdowns for passage in passages):
+        return None
+    times = [section.planning_ms for section in sections]
+    seconds = sum(times) / 1e3
+    return Passages(
+        feet_off=sum(passage.feet_off for passage in passages),
+        pillar_touchdowns=sum(passage.pillar_touchdowns for passage in passages),
+        foothold_edge_m=_figure([passage.foothold_edge_m.median for passage in passages], min),
+        foothold_edge_p05_m=_figure([passage.foothold_edge_m.p05 for passage in passages], min),
+        stops=_figure([float(len(passage.sections)) for passage in passages]),
+        generated=_figure([float(section.generated) for section in sections]),
+        expanded=_figure([float(section.expanded) for section in sections]),
+        planning_p50_ms=_over(np.median, times),
+        planning_p99_ms=_over(lambda known: np.percentile(known, 99), times),
+        expansions_per_s=sum(section.expansions for section in sections) / seconds if seconds > 0 else float("nan"),
+        passable=sum(passage.passable is True for passage in passages),
+        impassable=sum(passage.passable is False for passage in passages),
+        entered_in_vain=sum(passage.passable is False and passage.pillar_touchdowns > 0 for passage in passages),
     )
 
 
@@ -218,6 +263,7 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
     for name, figure, unit, form, of in figures:
         if np.isfinite(figure.median):
             lines.append(f"    {name} {in_words(figure, unit, form)}{of}")
+    lines += _passage_words(trials.passages) if trials.passages is not None else []
     lines += [f"  {count:3d} x {reason}" for reason, count in trials.failures.items()]
     if trials.failed_seeds:
         lines.append(f"  failed seeds: {', '.join(map(str, trials.failed_seeds))}")
@@ -230,6 +276,19 @@ def words(trials: Trials, baseline: Trials | None = None) -> str:
             + ("disjoint" if d.disjoint else "overlap")
         )
     return "\n".join(lines)
+
+
+def _passage_words(p: Passages) -> list[str]:
+    edge = f"{in_words(p.foothold_edge_m, 1e3, '.0f')} mm, p05 {in_words(p.foothold_edge_p05_m, 1e3, '.0f')} mm"
+    lines = [
+        f"  feet off a pillar {p.feet_off}, touchdowns on pillars {p.pillar_touchdowns}; from the nearest edge {edge}",
+        f"  planned {in_words(p.stops, 1.0, '.0f')} times; of a section n_g {in_words(p.generated, 1.0, '.0f')}, "
+        f"n_e {in_words(p.expanded, 1.0, '.0f')}, p50 {p.planning_p50_ms:.1f} ms, p99 {p.planning_p99_ms:.1f} ms, "
+        f"{p.expansions_per_s:.0f} expansions/s",
+    ]
+    if p.passable + p.impassable:
+        lines.append(f"  passable {p.passable}, impassable {p.impassable}, of which entered {p.entered_in_vain}")
+    return lines
 
 
 def in_words(figure: Figure, unit: float, form: str) -> str:

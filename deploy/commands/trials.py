@@ -9,7 +9,7 @@ from deploy.commands.common import SUCCESS, InputError, as_asked, asked_scenario
 
 def trials(arguments: argparse.Namespace) -> int:
     """`sextant trials`: the success rate over many seeds, in lockstep."""
-    if arguments.scenario == "all":
+    if arguments.scenario in ("all", "passages"):
         return _campaign(arguments)
     scenario = asked_scenario(arguments)
     out = out_folder(arguments, f"trials-{scenario.name}")
@@ -31,19 +31,25 @@ def trials(arguments: argparse.Namespace) -> int:
 
 
 def _campaign(arguments: argparse.Namespace) -> int:
-    """`sextant trials all`: the table of all terrains."""
+    """`sextant trials all`, `sextant trials passages`: the table of all terrains, or of all passages, and Masri's of these."""
     from deploy import campaign_table as tables
+    from deploy import kept
     from deploy.campaign import run_campaign
+    from deploy.passage_table import markdown as sections
 
+    passages = arguments.scenario == "passages"
     asked = as_asked(arguments)
-    out = out_folder(arguments, "trials-all")
+    out = out_folder(arguments, f"trials-{arguments.scenario}")
     hear = open_progress(arguments.json).say
-    found = run_campaign(tables.WALKED, arguments.seeds, arguments.jobs, out, arguments.blind, asked, hear)
-    tables.write(found, out)
+    courses, table = (tables.PASSAGES, "passages") if passages else (tables.WALKED, "walks")
+    found = run_campaign(courses, arguments.seeds, arguments.jobs, out, arguments.blind, asked, hear, table=table)
+    tables.write(found, out, table)
     if arguments.json:
         sys.stdout.write(tables.to_json(found))
     else:
-        say(tables.markdown(found))
+        say(tables.markdown(found, table))
+        if passages:
+            say(sections(kept.read(out / "campaign.jsonl")))
         say(f"written to {out}: table.md, campaign.json, campaign.jsonl, and a folder per terrain")
     return SUCCESS
 
@@ -51,11 +57,15 @@ def _campaign(arguments: argparse.Namespace) -> int:
 def table(arguments: argparse.Namespace) -> int:
     """`sextant trials table`: a table of runs that were kept, nothing being run."""
     from deploy import campaign_table as tables
-    from deploy import kept
+    from deploy import kept, passage_table
 
     files = kept.files([Path(place) for place in arguments.kept])
-    found = tables.of_runs(run for path in files for run in kept.read(path))
-    if not found.entries:
+    runs = [run for path in files for run in kept.read(path)]
+    if not runs:
         raise InputError(f"no finished run in {', '.join(map(str, files))}")
+    if arguments.of == "sections" and not arguments.json:
+        sys.stdout.write(passage_table.markdown(runs))
+        return SUCCESS
+    found = tables.of_runs(runs)
     sys.stdout.write(tables.to_json(found) if arguments.json else tables.markdown(found, arguments.of))
     return SUCCESS

@@ -301,6 +301,26 @@ def test_trials_of_all_terrains_print_one_table(
     assert left == [tmp_path / name / f"seed-5{way}" for name in walked for way in ("", "-blind")]
 
 
+def test_trials_of_all_passages_print_their_table_and_the_thesis_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deploy import campaign_table, lockstep_run
+    from deploy.report import Passage, Section
+
+    passage = Passage(30, sections=(Section("complete", "", 640, 70, 75, 9.0, 40),))
+    monkeypatch.setattr(
+        lockstep_run, "run_lockstep", lambda s, seed, *_: replace(report(True, seed), scenario=s.name, passage=passage)
+    )
+    assert cli.main(["trials", "passages", "--seeds", "5:7", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"| `{name}` | 2 of 2" in printed for name in campaign_table.PASSAGES)
+    assert "| 640 (1111) | 70 (71) | 0.009 (0.117) |" in printed
+    assert (tmp_path / "table.md").read_text() in printed
+    for of, row in (("passages", "| `passage3` | 2 of 2"), ("sections", "| 640 (1111) |")):
+        assert cli.main(["trials", "table", str(tmp_path), "--of", of]) == 0
+        assert row in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     "data",
     [b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", b'{"scenario": "flat", "seed": 3}', b"", b"[]\n[]", b"[" * 100_000, b"words\n"],

@@ -57,3 +57,11 @@ def test_results_of_several_programs_name_them_all():
     assert made.words == "at commit a, b on 2024-01-01 to 2024-01-03"
     assert Made.of([("", "")]).words == "by an unknown commit"
     assert Path(provenance.__file__).is_file()
+
+
+def test_a_machine_names_its_processor(monkeypatch):
+    assert provenance.machine().strip()
+    monkeypatch.setattr(
+        Path, "read_text", lambda *_args, **_more: "processor\t: 0\nmodel name\t: A Fast One\nmodel name\t: B\n"
+    )
+    assert provenance.machine() == "A Fast One"
