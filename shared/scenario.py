@@ -102,12 +102,13 @@ class Stairs:
 
 @dataclass(frozen=True, slots=True)
 class Pillars:
-    """Square pillars, the only places that carry a foot where there is no other ground."""
+    """Pillars, the only places that carry a foot where there is no other ground."""
 
     xy: tuple[tuple[float, float], ...]  # [m] centres
-    size: float  # [m] edge of the square top
+    size: float  # [m] edge of the square tops
     top: float  # [m]
     kind: Literal["pillars"] = "pillars"
+    length: float = 0.0  # [m] along x, of tops that are not square; 0 for as long as wide
     depth: float = 0.5  # [m]
     color: Color | None = None
     jitter: float = 0.0  # [m] by which the run's seed moves each pillar, at most and along either axis
@@ -119,6 +120,7 @@ class Pillars:
     sinks: float = 0.06  # [m] it sinks by
 
     def __post_init__(self) -> None:
+        _expect(self.size > 0 and self.length >= 0, "a size greater than 0 m and a length", (self.size, self.length))
         least = min(self.jitter, self.top_spread)
         _expect(least >= 0, "a jitter and a top_spread of at least 0 m", least)
         _expect(0 <= self.weak <= len(self.xy), f"0 to {len(self.xy)} weak ones, for there are no more", self.weak)

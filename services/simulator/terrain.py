@@ -427,7 +427,7 @@ def _pillars(heap: _Heap, pillars: Pillars, rng: np.random.Generator) -> Weak:
     if pillars.top_spread:
         tops += rng.uniform(-pillars.top_spread, pillars.top_spread, len(tops))
     for place, top in zip(xy, tops.tolist(), strict=True):
-        heap.add(place, (pillars.size, pillars.size), top, pillars.top - pillars.depth)
+        heap.add(place, (pillars.length or pillars.size, pillars.size), top, pillars.top - pillars.depth)
     if not pillars.weak:
         return _NONE_WEAK
     chosen = len(heap.centre) - len(xy) + np.sort(rng.permutation(len(xy))[: pillars.weak])
