@@ -64,14 +64,14 @@ class Attendance:
         reports.write(report, out)
         if not picture:
             return
+        from deploy import passage_picture, walk_picture
         from deploy import summary as summaries  # takes a second to import, which an interrupted run does not have
-        from deploy import walk_picture
 
         try:
             trace = self.scorer.trace
         except ValueError:  # the run ended before the simulator said a word
             return
-        summaries.draw(out / "summary.png", report, trace)
+        (passage_picture.draw if trace.sections else summaries.draw)(out / "summary.png", report, trace)
         walk_picture.draw(out / "walk.png", report, trace)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from shared import topics
 from shared.geometry import Array
-from shared.messages import ActuatorState, BodyPose, GroundTruth, Mode, PassagePlan, PlannerStatus, StepPlan
+from shared.messages import ActuatorState, BodyPose, GroundTruth, Mode, PassageMap, PassagePlan, PlannerStatus, StepPlan
 from shared.service import Inbox
 
 Counted = TypeVar("Counted", ActuatorState, StepPlan)
@@ -24,7 +24,7 @@ class Heard:
         self.states: list[ActuatorState] = []
         self.plans: dict[int, StepPlan] = {}  # the newest revision of each step
         self.moved: dict[int, int] = {}  # footholds moved in each step, by the planner's word
-        self.passage_plans: list[PassagePlan] = []
+        self.passage_plans: list[tuple[PassagePlan, PassageMap | None]] = []  # and the newest map of the strip by then
         self.routes: list[Array] = []  # (k, 2) [m] {world} ways to a goal, each where it was new
         self.first_step_ns: int | None = None
         self.refusal = ""  # why the robot does not go on, in the planner's words, once it has said so for long
@@ -57,7 +57,7 @@ class Heard:
             known = self.plans.get(plan.step)
             if known is None or plan.revision >= known.revision:
                 self.plans[plan.step] = plan
-        self.passage_plans += inbox.drain(topics.PASSAGE_PLAN)
+        self.passage_plans += [(plan, inbox.latest(topics.PASSAGE)) for plan in inbox.drain(topics.PASSAGE_PLAN)]
         for status in inbox.drain(topics.PLANNER_STATUS):
             self._note(status)
 

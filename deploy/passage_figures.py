@@ -29,7 +29,7 @@ def passage_figures(walk: Walk, heard: Heard, trace: Trace, course: Course, pass
         passable=passable,
         sections=tuple(
             Section(plan.state, plan.reason, plan.generated, plan.expanded, plan.expansions, plan.planning_ms, len(plan.leg))
-            for plan in heard.passage_plans
+            for plan, _ in heard.passage_plans
         ),
     )
 

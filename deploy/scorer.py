@@ -51,6 +51,7 @@ class Scorer:
         topics.ACTUATOR_STATE,
         topics.STEP_PLAN,
         topics.PASSAGE_PLAN,
+        topics.PASSAGE,
         topics.PLANNER_STATUS,
     )
     writes = ()

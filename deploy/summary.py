@@ -1,6 +1,7 @@
 """One picture of a run, for people, who look before they read: map, paths, footholds, and the walk over time."""
 
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,17 +48,18 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
     with rc_context(look):
         figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white")
         FigureCanvasAgg(figure)
-        _title(figure, report)
+        title(figure, report)
         ground = figure.add_axes((0.055, 0.505, 0.875, 0.40))
         _draw_map(figure, ground, report, trace)
         rows = [figure.add_axes((0.075, bottom, 0.575, 0.102)) for bottom in (0.290, 0.172, 0.054)]
         _draw_curves(rows, trace)
-        _draw_table(figure.add_axes((0.685, 0.025, 0.295, 0.385)), report)
+        draw_table(figure.add_axes((0.685, 0.025, 0.295, 0.385)), _numbers(report))
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
 
 
-def _title(figure: Any, report: Report) -> None:
+def title(figure: Any, report: Report) -> None:
+    """The verdict in words, and what was walked."""
     walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {report.gait}" + (" · blind" if report.blind else "")
     arrived = report.success and report.reason == ARRIVED
     verdict = "Goal reached" if arrived else "Rightly refused" if report.success else "Failed"
@@ -65,8 +67,9 @@ def _title(figure: Any, report: Report) -> None:
     facts = f" in {report.duration_s:.1f} s at {100 * report.speed_mps:.1f} cm/s" if arrived else ""
     lines = textwrap.wrap(verdict + words + facts, 100, max_lines=2, placeholder=" …")
     color = _GOOD if report.success else _BAD
-    figure.text(0.055, 0.975, "\n".join(lines), size=20 if len(lines) == 1 else 17, weight="bold", color=color, va="top")
-    figure.text(0.055, 0.938 if len(lines) == 1 else 0.917, walk, size=_FONT, color="#444444", va="top")
+    first, second = np.array([0.30, 0.744 if len(lines) == 1 else 0.996]) / figure.get_figheight()  # [in] from the top
+    figure.text(0.055, 1 - first, "\n".join(lines), size=20 if len(lines) == 1 else 17, weight="bold", color=color, va="top")
+    figure.text(0.055, 1 - second, walk, size=_FONT, color="#444444", va="top")
 
 
 # -- the map
@@ -79,11 +82,11 @@ def _draw_map(figure: Any, axes: Any, report: Report, trace: Trace) -> None:
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     if trace.mosaic is not None:
-        _draw_ground(figure, axes, trace.mosaic, low, high)
-    _draw_blocks(axes, trace)
-    _draw_course(axes, trace)
-    _draw_footholds(axes, trace)
-    _draw_paths(axes, trace, report)
+        draw_ground(figure, axes, trace.mosaic, low, high)
+    draw_blocks(axes, trace)
+    draw_course(axes, trace)
+    draw_footholds(axes, trace)
+    draw_paths(axes, trace, report)
     axes.set_xlabel("ahead [m]", labelpad=1)
     axes.set_ylabel("left [m]")
     figure.legend(
@@ -109,7 +112,8 @@ def _extent(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return low, high
 
 
-def _draw_ground(figure: Any, axes: Any, mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
+def draw_ground(figure: Any, axes: Any, mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
+    """The mapped ground between two corners [m] {start}, with its scale beside."""
     nx, ny = mosaic.elevation.shape
     first = mosaic.origin - mosaic.resolution / 2
     last = first + mosaic.resolution * np.array([nx, ny])
@@ -157,7 +161,8 @@ def _cells(mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) 
     return slice(first[0], last[0]), slice(first[1], last[1])
 
 
-def _draw_blocks(axes: Any, trace: Trace) -> None:
+def draw_blocks(axes: Any, trace: Trace) -> None:
+    """Outlines of the true blocks."""
     from matplotlib.collections import PolyCollection
 
     if len(trace.blocks):
@@ -166,7 +171,8 @@ def _draw_blocks(axes: Any, trace: Trace) -> None:
         )
 
 
-def _draw_course(axes: Any, trace: Trace) -> None:
+def draw_course(axes: Any, trace: Trace) -> None:
+    """Start and goal."""
     goal, side = trace.goal_distance, trace.corridor
     axes.plot([goal, goal], [-side, side], color=_GOOD, lw=4, solid_capstyle="butt", zorder=5)
     axes.annotate("goal", (goal, side), (0, 4), textcoords="offset points", color=_GOOD, weight="bold", ha="center", zorder=9)
@@ -174,7 +180,8 @@ def _draw_course(axes: Any, trace: Trace) -> None:
     axes.annotate("start", (0, 0), (-9, 0), textcoords="offset points", weight="bold", ha="right", va="center", zorder=9)
 
 
-def _draw_footholds(axes: Any, trace: Trace) -> None:
+def draw_footholds(axes: Any, trace: Trace) -> None:
+    """Where feet came down, by leg; those that were moved, and those that were mistaken."""
     downs = trace.touchdowns
     for leg, color in enumerate(LEG_COLORS):
         xy = downs.p[downs.leg == leg]
@@ -185,7 +192,8 @@ def _draw_footholds(axes: Any, trace: Trace) -> None:
     axes.scatter(missed[:, 0], missed[:, 1], s=75, c=_BAD, marker="x", linewidths=2.2, zorder=7)
 
 
-def _draw_paths(axes: Any, trace: Trace, report: Report) -> None:
+def draw_paths(axes: Any, trace: Trace, report: Report) -> None:
+    """Where the body went, in truth and by its own estimate, and where it was to go."""
     for corners in trace.routes:
         axes.plot(corners[:, 0], corners[:, 1], color=_ROUTE, lw=1.1, alpha=0.8, zorder=3)
     axes.plot(trace.p_estimate[:, 0], trace.p_estimate[:, 1], color=_ESTIMATE, lw=1.6, ls=(0, (4, 2)), zorder=5)
@@ -280,11 +288,11 @@ def _spans(trace: Trace) -> list[tuple[float, float]]:
 # -- in numbers
 
 
-def _draw_table(axes: Any, report: Report) -> None:
+def draw_table(axes: Any, rows: Sequence[tuple[str, str]]) -> None:
+    """Rows of a name and a value."""
     axes.set_axis_off()
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
-    rows = _numbers(report)
     for k, (name, value) in enumerate(rows):
         y = 1.0 - (k + 0.5) / len(rows)
         if k % 2 == 0:

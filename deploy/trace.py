@@ -12,8 +12,19 @@ from deploy.touchdowns import Touchdowns, find_touchdowns
 from deploy.walk import Walk
 from deploy.walk_metrics import angle_between
 from shared.geometry import Array
+from shared.messages import PassageMap, PassagePlan
 from shared.robot import RobotProfile
 from shared.scenario import Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedSection:
+    """What was planned at one stop of a passage, on what map, and how the robot stood there."""
+
+    plan: PassagePlan
+    map: PassageMap | None  # None where none was heard
+    feet: Array  # (6, 3) [m] {start} true foot centres
+    p: Array  # (3,) [m] {start} true body
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +45,7 @@ class Trace:
     p_estimate: Array  # (m, 3) [m] {start} body as perception has it
     touchdowns: Touchdowns
     mosaic: Mosaic | None
+    sections: tuple[PlannedSection, ...]  # of passages
     routes: tuple[Array, ...]  # (k, 2) [m] {start} corners of the ways to a goal that the planner took, each from the robot on
     blocks: Array  # (b, 4, 2) [m] {start} corners of the boxes of the true terrain
     goal_distance: float  # [m]
@@ -60,12 +72,21 @@ def trace_of(
         p_estimate=np.array([pose.T_world_body[:3, 3] for pose in heard.poses]).reshape(-1, 3),
         touchdowns=find_touchdowns(walk, heard, course, profile),
         mosaic=mosaic,
+        sections=_sections(walk, heard),
         routes=tuple(heard.routes),
         blocks=course.block_corners(),
         goal_distance=scenario.goal.distance,
         corridor=scenario.goal.corridor,
         profile=profile,
     )
+
+
+def _sections(walk: Walk, heard: Heard) -> tuple[PlannedSection, ...]:
+    sections = []
+    for plan, known in heard.passage_plans:
+        k = min(int(np.searchsorted(walk.t_ns, plan.stamp_ns - heard.begin_ns)), len(walk.t_ns) - 1)
+        sections.append(PlannedSection(plan, known, walk.feet[k], walk.p[k]))
+    return tuple(sections)
 
 
 def _lean(up: Array) -> Array:

@@ -4,6 +4,7 @@ import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from shared.messages import (
     GroundTruth,
     Message,
     Mode,
+    PassageMap,
     PassagePlan,
     PlannerStatus,
     StepPlan,
@@ -58,6 +60,7 @@ class Story:
     refusal: str = ""  # the planner says once it stands
     level: bool = False  # the feet walk at height 0, whatever lies below
     sections: int = 0  # of a passage that the planner tells of, in the first second
+    way: bool = True  # whether those sections have one
     passable: bool | None = None  # as the scorer is told
 
     def __post_init__(self) -> None:
@@ -92,6 +95,7 @@ class Story:
             if ms % 520 == 0:
                 yield self.map(ms)
             if ms % 100 == 0 and ms < 100 * self.sections:
+                yield self.passage(ms, 1 + ms // 100)
                 yield self.section(ms, 1 + ms // 100)
             yield self.truth(ms)
 
@@ -185,10 +189,36 @@ class Story:
         )
 
     def section(self, ms: int, number: int) -> PassagePlan:
-        steps = (np.zeros(3, np.uint8), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((4, 2, 3), np.float32))
-        counts = (100 * number, 10 * number, 11 * number, 12.5)
-        where = (np.zeros(2), 0.0, 1.0, 0.5)
-        return PassagePlan(ms * _MS, number, "partial", "look again", *where, *counts, *steps)
+        """A section of 0.5 m, one leg after the other, in a tree of twigs to both sides, or none."""
+        begin, k = 0.5 * (number - 1), np.arange(12 if self.way else 0)
+        body = np.column_stack([begin + 0.5 * (k + 1) / 12, 0.0 * k, np.full(len(k), self.scenario.walk.body_height)])
+        legs = (k % 6).astype(np.uint8)
+        footholds = self.profile.rest_feet()[legs] + body + [0.04, 0.0, 0.0]
+        tips = np.column_stack(
+            [np.repeat(np.linspace(begin, begin + 0.45, 10), 2) + 0.05, np.tile([-0.04, 0.04], 10), np.full(20, 0.1)]
+        )
+        edges = np.stack([tips - [0.05, 0.0, 0.0] - tips * [0.0, 1.0, 0.0], tips], axis=1).astype(np.float32)
+        where, counts = (
+            (np.zeros(2), 0.0, self.scenario.goal.distance, begin + 0.5),
+            (100 * number, 10 * number, 11 * number, 12.5),
+        )
+        state, reason = (
+            ("partial", "cells ahead are unknown: look again") if self.way else ("no way", "the gap is 4 cm wider than reach")
+        )
+        return PassagePlan(ms * _MS, number, state, reason, *where, *counts, legs, footholds, body, edges)
+
+    def passage(self, ms: int, number: int) -> PassageMap:
+        """A strip of 1.2 m from where a section begins, seen as it truly is, its near fifth taken for granted."""
+        x, y = 0.5 * (number - 1) + 0.01 * np.arange(120), 0.01 * np.arange(-40, 41)
+        height = self.terrain.height_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(120, 81)
+        carries = (np.abs(height) < 0.02).astype(np.uint8)
+        inside, outside = (cv2.distanceTransform(cells, cv2.DIST_L2, 3) for cells in (carries, 1 - carries))
+        evaluation = np.clip(np.where(carries, -inside, outside), -9, 9).astype(np.int8)
+        flat, none = np.zeros((120, 81), np.float32), np.zeros((120, 81), bool)
+        up, assumed = np.zeros((120, 81, 3), np.int16), none | (np.arange(120) < 24)[:, None]
+        origin = np.array([x[0], y[0]])
+        layers = (height.astype(np.float32), up, flat, assumed, evaluation, 0.0, "", np.eye(4), none)
+        return PassageMap(ms * _MS, 0.01, origin, 0.0, *layers)
 
     def map(self, ms: int) -> TerrainMap:
         first = round(self.body_x(ms * 1e-3) / 0.01)

@@ -110,8 +110,8 @@ EITHER = Scenario("either", (Plane(),), Goal(0.5, expect="either"))
 def test_what_the_planner_says_of_its_sections_is_reported(story):
     passage = story(sections=2).judged().result().passage
     assert [(s.state, s.generated, s.expanded, s.steps) for s in passage.sections] == [
-        ("partial", 100, 10, 3),
-        ("partial", 200, 20, 3),
+        ("partial", 100, 10, 12),
+        ("partial", 200, 20, 12),
     ]
     assert story().judged().result().passage.sections == ()
 

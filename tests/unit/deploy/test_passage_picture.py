@@ -1,0 +1,91 @@
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy import passage_picture
+from deploy.attendance import Attendance
+from deploy.passage_picture import stance_at_end
+from shared.scenario import load_scenario
+
+PASSAGE = load_scenario("passage2")
+PLANNED = (slice(150, 530), slice(120, 1430))  # where the plans are drawn
+BLUE, GOOD, ELSEWHERE = (0x1F, 0x5F, 0xD0), (0x3F, 0xA7, 0x96), (0xD3, 0xB4, 0x8A)
+
+
+def _drawn(path, scorer, trace=None):
+    passage_picture.draw(path, scorer.result(), trace or scorer.trace)
+    with path.open("rb") as file:
+        assert struct.unpack(">II", file.read(24)[16:24]) == (1600, 1500)
+    return pytest.importorskip("cv2").imread(str(path))[..., ::-1]
+
+
+def _share(pixels, color, region):
+    return np.mean(np.all(np.abs(pixels[region].astype(int) - color) < 12, axis=-1))
+
+
+@pytest.fixture(scope="module")
+def crossed(tmp_path_factory):
+    """Makes the picture of a crossing once, and tells what it was of."""
+    folder = tmp_path_factory.mktemp("crossed")
+
+    def picture(story):
+        scorer = story(scenario=PASSAGE, level=True, sections=3).judged()
+        path = folder / "summary.png"
+        return scorer, _drawn(path, scorer)
+
+    return picture
+
+
+def test_it_shows_where_feet_may_stand_the_plans_and_their_colours(story, crossed):
+    _, pixels = crossed(story)
+    assert _share(pixels, GOOD, PLANNED) > 0.2
+    assert _share(pixels, ELSEWHERE, PLANNED) > 0.08
+    assert _share(pixels, BLUE, PLANNED) > 0.001
+    for leg in ((0xD5, 0x5E, 0x00), (0x33, 0x22, 0x88)):
+        assert _share(pixels, leg, PLANNED) > 2e-4
+    assert np.all(pixels[:, -8:] == 255)
+
+
+def test_without_a_map_of_the_strip_the_plans_are_shown_all_the_same(tmp_path, story, crossed):
+    scorer, _ = crossed(story)
+    sections = tuple(replace(section, map=None) for section in scorer.trace.sections)
+    pixels = _drawn(tmp_path / "p.png", scorer, replace(scorer.trace, sections=sections))
+    assert _share(pixels, GOOD, PLANNED) < 1e-3 < _share(pixels, BLUE, PLANNED)
+
+
+def test_where_there_is_no_way_it_shows_how_far_one_got_and_why(tmp_path, story, crossed):
+    none = _drawn(tmp_path / "none.png", story(scenario=PASSAGE, level=True, sections=1, way=False).judged())
+    words = (slice(1230, 1500), slice(80, 900))
+    red = (0xB3, 0x26, 0x1E)
+    _, some = crossed(story)
+    assert _share(none, red, words) > 5e-4 > _share(some, red, words)
+    # Half a metre ahead, across the strip: 0.35 + 0.5 m of 2.98 m, but dashed.
+    column = 0.07 * 1600 + 0.86 * 1600 * 0.85 / (PASSAGE.goal.distance + 0.7)
+    across = (PLANNED[0], slice(round(column) - 20, round(column) + 20))
+    assert np.all(np.abs(none[across].astype(int) - BLUE) < 40, axis=-1).any(axis=1).mean() > 0.4
+
+
+def test_a_section_ends_where_each_leg_stepped_last_or_stands(story, crossed):
+    scorer, _ = crossed(story)
+    section = scorer.trace.sections[0]
+    feet = stance_at_end(section)
+    for leg in range(6):
+        steps = section.plan.footholds[section.plan.leg == leg]
+        np.testing.assert_array_equal(feet[leg], steps[-1] if len(steps) else section.feet[leg])
+    stays = replace(section.plan, leg=section.plan.leg[:1], footholds=section.plan.footholds[:1], body=section.plan.body[:1])
+    feet = stance_at_end(replace(section, plan=stays))
+    np.testing.assert_array_equal(feet[1:], section.feet[1:])
+
+
+def test_a_run_with_sections_leaves_this_picture_and_another_run_does_not(tmp_path, story, crossed, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(passage_picture, "draw", lambda path, *_: drawn.append(path.name))
+    for scenario, sections in ((PASSAGE, 3), (replace(PASSAGE, name="bare"), 0)):
+        told = story(scenario=scenario, level=True, sections=sections)
+        attendance = Attendance(told.profile, scenario, 0)
+        attendance.scorer = told.judged()
+        attendance.leave_behind(told.judged().result(), tmp_path / scenario.name)
+        assert (tmp_path / scenario.name / "summary.png").exists() == (sections == 0)
+    assert drawn == ["summary.png"]
