@@ -16,7 +16,7 @@ from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError,
 from deploy.commands.facts import compose, doctor, list_topics
 from deploy.commands.trials import table, trials
 from deploy.commands.up import up
-from deploy.commands.walks import demo, run
+from deploy.commands.walks import DEMOS, demo, run
 
 _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "shared.transport": "TransportError",
@@ -113,7 +113,8 @@ def _parser() -> argparse.ArgumentParser:
         made.set_defaults(command=command, name=name)
         return made
 
-    one = add("demo", demo, "watch the robot walk a field of low steps, over Zenoh")
+    one = add("demo", demo, "watch the robot walk a field of low steps, or cross a gap, over Zenoh")
+    one.add_argument("course", nargs="?", choices=tuple(DEMOS), default="steps", help="what it walks (default %(default)s)")
     _add_seed_and_out(one)
 
     one = add("run", run, "run a scenario and write a folder with report.json, summary.png, walk.png and recording.mcap")

@@ -22,6 +22,7 @@ MAKE = {
 # Which test runs a `sextant` command; an option that makes it another way of running counts.
 RUN_BY = {
     "demo": "tests/unit/deploy/test_cli.py::test_a_live_run_and_the_demo_end_as_the_walk_does",
+    "demo gap": "tests/unit/deploy/test_cli.py::test_a_live_run_and_the_demo_end_as_the_walk_does",
     "run": "tests/live/test_live_walk.py::test_a_course_of_ones_own_is_walked_over_zenoh",
     "run --lockstep": "tests/walk/test_walks.py::test_over_low_blocks_and_two_stairs",
     "run --lockstep --gait": "tests/walk/test_gaits.py::test_the_slow_gaits_climb",
@@ -30,6 +31,7 @@ RUN_BY = {
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_tell_the_rate_and_the_baseline_beside_it",
     "trials all --blind": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials table": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
+    "trials passages": "tests/unit/deploy/test_cli.py::test_trials_of_all_passages_print_their_table_and_the_thesis_one",
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
     "replay FILE": "tests/unit/deploy/test_replay.py::"
     "test_the_command_replays_a_recording_and_the_folder_of_a_run_points_to_it",
@@ -56,7 +58,8 @@ def commands(text: str) -> Iterator[list[str]]:
 
 def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
-    group = words[:2] if words[0] in ("topics", "bench") or words[:2] in (["trials", "all"], ["trials", "table"]) else words[:1]
+    pairs = (["trials", "all"], ["trials", "passages"], ["trials", "table"], ["demo", "gap"])
+    group = words[:2] if words[0] in ("topics", "bench") or words[:2] in pairs else words[:1]
     ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait")]
     files = ["FILE"] if words[-1].endswith(".mcap") else []
     return " ".join(group + files + ways)
@@ -93,7 +96,7 @@ def test_scenarios_named_in_the_readme_come_with_sextant() -> None:
     from shared.scenario import load_scenario
 
     for words in README:
-        if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[2] not in ("all", "table"):
+        if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[2] not in ("all", "passages", "table"):
             assert load_scenario(words[2]).name == words[2]
 
 

@@ -2,6 +2,8 @@
 
 import argparse
 import sys
+import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,15 +35,42 @@ def run(arguments: argparse.Namespace) -> int:
     return _run_live(arguments)
 
 
+@dataclass(frozen=True, slots=True)
+class _Demo:
+    """A course that is shown, and what is said before and after."""
+
+    scenario: str
+    before: str
+    after: str
+
+
+DEMOS = {
+    "steps": _Demo(
+        "steps",
+        "A six-legged robot sees a field of low blocks and two stairs through its depth camera, maps it, chooses where each "
+        "foot goes, and walks across.",
+        "summary.png shows the walk: map, path, footholds, height and tilt.",
+    ),
+    "gap": _Demo(
+        "passage1",
+        "A six-legged robot stands before a gap of 80 cm that only six pillars bridge. It stops, looks from higher up, plans "
+        "foothold by foothold on what it saw, and crosses one leg at a time.",
+        "summary.png shows the crossing: where feet could stand, what was planned at each stop, and how it was walked.",
+    ),
+}
+_TALKING = "Five processes talk over Zenoh; the simulator is only a camera and a servo bus to them."
+_LINE = 119  # characters
+
+
 def demo(arguments: argparse.Namespace) -> int:
-    """`sextant demo`: the course of low steps over Zenoh, from a cold start."""
-    arguments.scenario, arguments.robot, arguments.gait = "steps", "", ""
+    """`sextant demo`: a course over Zenoh, from a cold start: low steps, or a gap."""
+    shown = DEMOS[arguments.course]
+    arguments.scenario, arguments.robot, arguments.gait = shown.scenario, "", ""
     arguments.lockstep, arguments.connect, arguments.json = False, None, False
-    say("A six-legged robot sees a field of low blocks and two stairs through its depth camera, maps it, chooses where each")
-    say("foot goes, and walks across. Five processes talk over Zenoh; the simulator is only a camera and a servo bus to them.")
+    say(textwrap.fill(f"{shown.before} {_TALKING}", _LINE))
     status = _run_live(arguments)
     if status == SUCCESS:
-        say("The robot stands at its goal. summary.png shows the walk: map, path, footholds, height and tilt.")
+        say(f"The robot stands at its goal. {shown.after}")
     return status
 
 

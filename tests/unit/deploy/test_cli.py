@@ -209,8 +209,17 @@ def test_a_live_run_and_the_demo_end_as_the_walk_does(
     monkeypatch.setattr(live_run, "run_live_scenario", walk)
     assert cli.main(["demo", "--out", str(tmp_path)]) == status
     assert ("stands at its goal" in capsys.readouterr().out) == success
+    assert cli.main(["demo", "gap", "--out", str(tmp_path)]) == status
+    assert ("shows the crossing" in capsys.readouterr().out) == success
     assert cli.main(["run", "flat", "--seed", "5", "--out", str(tmp_path)]) == status
-    assert asked == [("steps", "steps", 3), ("flat", "flat", 5)]
+    assert asked == [("steps", "steps", 3), ("passage1", "passage1", 3), ("flat", "flat", 5)]
+
+
+def test_a_demo_of_another_course_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["demo", "gpa"])
+    assert ended.value.code == 2
+    assert "'steps', 'gap'" in capsys.readouterr().err
 
 
 def test_a_machine_that_cannot_warm_up_does_not_walk(
