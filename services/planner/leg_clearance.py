@@ -15,7 +15,7 @@ from shared.kinematics import leg_inverse, leg_nearest_reachable
 from shared.robot import LEGS, LegLinks, RobotProfile
 
 # A swing as it is checked, at shares of its time: it passes below that of the feet.
-_TIME = np.array([0.0, 0.15, 0.32, 0.42, 0.50, 0.57, 0.68, 0.83, 1.0])
+SWING_TIME = np.array([0.0, 0.15, 0.32, 0.42, 0.50, 0.57, 0.68, 0.83, 1.0])
 _ALONG = np.array([0.0, 0.08, 0.25, 0.40, 0.50, 0.62, 0.75, 0.90, 1.0])  # share of the way over the ground
 _RISEN = np.array([0.0, 0.40, 0.90, 1.0, 1.0, 0.95, 0.85, 0.50, 0.0])  # share of the height over start, then over touchdown
 _LEVEL = 0.8  # of the clearance, over the higher end: there it flies
@@ -97,7 +97,7 @@ def stands_clear(
 
 
 def swing_shape(start: Array, end: Array, clearance: Array) -> Array:
-    """Where feet pass at least, at `_TIME`: up beside the start, over both ends at a share of the clearance, and down.
+    """Where feet pass at least, at `SWING_TIME`: up beside the start, over both ends at a share of the clearance, and down.
 
     Args:
         start: (n, 3) [m] foot centres.
@@ -109,7 +109,7 @@ def swing_shape(start: Array, end: Array, clearance: Array) -> Array:
     """
     level = np.maximum(start[:, 2], end[:, 2]) + _LEVEL * clearance
     feet = start + _ALONG[:, None, None] * (end - start)
-    lower = np.where(_TIME[:, None] < 0.5, start[:, 2], end[:, 2])
+    lower = np.where(SWING_TIME[:, None] < 0.5, start[:, 2], end[:, 2])
     feet[..., 2] = lower + _RISEN[:, None] * (level - lower)
     return feet
 
@@ -149,7 +149,7 @@ def _too_near(
     """Where links come nearer to the ground than a margin, or than they are to begin with: (9, 6, 8), with gaps and places."""
     feet = np.where(way.swing[:, None], swing_shape(way.start, way.end, clearance), way.start)
     # The body turns by a few degrees in a step: between two poses so near their mean is one, too.
-    T = way.T_start + _TIME[:, None, None] * (way.T_end - way.T_start)
+    T = way.T_start + SWING_TIME[:, None, None] * (way.T_end - way.T_start)
     gaps, points = _gaps(feet, T[:, None] @ profile.T_body_coxa, profile.leg_reach, profile.links, terrain)
     return gaps < np.minimum(margin, gaps[0].min(axis=-1, keepdims=True) - _WORSE), gaps, points
 

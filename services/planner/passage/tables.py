@@ -1,0 +1,162 @@
+"""A robot and its settings as the compiled search reads them."""
+
+import numpy as np
+
+from services.planner.leg_clearance import SWING_TIME, swing_shape
+from services.planner.passage.field import Field
+from services.planner.passage.search import COUNTS, ROOT_FOOT, TESTS, Ground, Legs, Rules, Tree, candidates
+from services.planner.passage.settings import PassageSettings
+from shared.geometry import Array
+from shared.kinematics import body_inverse, within_limits
+from shared.robot import RobotProfile
+
+ORDER = (4, 3, 5, 2, 0, 1)  # rear to front, sides alternating
+_GRAVITY = 9.81  # [m/s^2]
+_LEVEL = 0.8  # of its clearance at which a swing is taken to fly
+_EASY = 1.0 / 3.0  # of stall: what a servo gives for hours (facts of the AX-12A; RX-64 is taken alike)
+
+
+def legs_of(profile: RobotProfile, settings: PassageSettings) -> Legs:
+    """What the tests know of a robot's legs."""
+    spare, links = np.radians(settings.spare_deg), profile.links
+    coxa, femur, knee, way = np.empty((2, 6, 5)), np.empty((2, 6, 5)), np.empty((2, 6, 2)), np.empty((2, 6, 2))
+    for k, (angle, length) in enumerate(((spare, settings.spare), (1e-6, 0.0))):
+        limits = profile.joint_limits + np.array([angle, -angle])
+        coxa[k], femur[k] = _directions(limits[:, 0]), _directions(limits[:, 1])
+        folded, stretched = np.maximum(limits[:, 2, 0], -np.pi), np.minimum(limits[:, 2, 1], 0.0)
+        ways = [
+            np.sqrt(links.femur**2 + links.tibia**2 + 2 * links.femur * links.tibia * np.cos(q)) for q in (folded, stretched)
+        ]
+        way[k] = np.column_stack([ways[0] + length, ways[1] - length])
+        knee[k] = (way[k] ** 2 - links.femur**2 - links.tibia**2) / (2 * links.femur * links.tibia)
+    mount = profile.T_body_coxa[:, :3, 3].copy()
+    neutral = np.arctan2(profile.T_body_coxa[:, 1, 0], profile.T_body_coxa[:, 0, 0])
+    fore = np.where(np.abs(mount[:, 0]) < 0.25 * profile.body.size[0], 0, np.sign(mount[:, 0])).astype(np.int64)
+    unit = swing_shape(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]]), np.array([1.0 / _LEVEL]))[:, 0]
+    return Legs(
+        mount=mount,
+        yaw=np.column_stack([np.cos(neutral), np.sin(neutral)]),
+        coxa=coxa,
+        femur=femur,
+        knee=knee,
+        way=way,
+        rest=profile.rest_feet()[:, :2].copy(),
+        stroke=_strokes(profile, mount, settings),
+        fore=fore,
+        order=np.array(ORDER),
+        place=np.argsort(ORDER),
+        swing=np.ascontiguousarray(np.stack([SWING_TIME, unit[:, 0], unit[:, 2]])),
+    )
+
+
+def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool = False) -> Rules:
+    """Lengths and limits of the tests."""
+    links, stance, body = profile.links, profile.stance, profile.body
+    size = links.femur + links.tibia
+    return Rules(
+        coxa=links.coxa,
+        femur=links.femur,
+        tibia=links.tibia,
+        foot_radius=profile.foot.radius,
+        half_length=body.size[0] / 2,
+        half_width=body.size[1] / 2,
+        half_height=body.size[2] / 2,
+        weight=body.total_mass * _GRAVITY,
+        torque=settings.torque * profile.servo.stall_torque,
+        easy_torque=_EASY * profile.servo.stall_torque,
+        height=settings.body_height or stance.body_height,
+        climb=0.5 * stance.max_climb,
+        margin=settings.margin,
+        feet_apart=stance.foot_distance,
+        legs_apart=settings.legs_apart,
+        body_clear=settings.body_clear,
+        leg_clear=settings.leg_clear,
+        swing_clear=settings.swing_clear,
+        least_lift=stance.rough_lift,
+        most_lift=stance.max_lift,
+        lift_step=0.015,
+        moved_most=settings.moved_most,
+        lattice=settings.lattice,
+        alike_body=settings.lattice if exhaustive else settings.alike * settings.lattice,
+        alike_foot=1 if exhaustive else settings.alike,
+        body_low=settings.body_step[0] * size,
+        body_high=settings.body_step[1] * size,
+        body_angle=float(np.radians(settings.body_angle_deg)),
+        foot_low=settings.foot_step[0] * size,
+        foot_high=settings.foot_step[1] * size,
+        foot_angle=float(np.radians(settings.foot_angle_deg)),
+        foot_back=settings.foot_back * size,
+        strong=settings.strong,
+        wide=settings.wide,
+        weakest=settings.weakest,
+        drift=settings.drift,
+        depth=6 * settings.cycles,
+        step_gain=0.15 * size,
+        eager=settings.eager,
+        lag_price=settings.lag_price,
+        turn_price=0.4,
+        still_price=0.3,
+        foothold_price=0.2,
+        margin_price=10.0,
+        torque_price=1.0,
+        aside_price=4.0,
+        move_samples=settings.body_moves,
+        foot_samples=settings.footholds,
+        rounds=settings.rounds,
+        backward=0.02,
+    )
+
+
+def ground_of(field: Field, settings: PassageSettings, exhaustive: bool = False) -> Ground:
+    """What the search sees of a strip; the footholds of an exhaustive search only where there is to be one."""
+    candidate = np.zeros(field.evaluation.shape if exhaustive else (1, 1), dtype=np.bool_)
+    if exhaustive:
+        coarse = max(1, round(0.04 / field.resolution))
+        candidates(field.evaluation, settings.strong, settings.wide, settings.weakest, coarse, candidate)
+    return Ground(field.elevation, field.top, field.evaluation, candidate, field.resolution, *field.corner)
+
+
+def tree_of(nodes: int) -> Tree:
+    """Room for so many configurations, all of it touched."""
+    slots = 1 << max(4, int(np.ceil(np.log2(2 * nodes))))
+    queue = 2 * nodes
+
+    return Tree(
+        root=np.zeros((6, 3)),
+        body=np.full((nodes, 3), 0, dtype=np.float64),
+        foot=np.full((nodes, 6), ROOT_FOOT, dtype=np.int32),
+        parent=np.full(nodes, -1, dtype=np.int32),
+        leg=np.full(nodes, -1, dtype=np.int8),
+        depth=np.full(nodes, 0, dtype=np.int16),
+        state=np.full(nodes, 0, dtype=np.int8),
+        cost=np.full(nodes, 0, dtype=np.float64),
+        lift=np.full(nodes, 0, dtype=np.float64),
+        margin=np.full(nodes, 0, dtype=np.float64),
+        key=np.full(queue, 0, dtype=np.float64),
+        queued=np.full(queue, 0, dtype=np.int32),
+        turn=np.full(queue, 0, dtype=np.int16),
+        table=np.full(slots, -1, dtype=np.int32),
+        counts=np.zeros(COUNTS, dtype=np.int64),
+        fails=np.zeros((2, TESTS, 7), dtype=np.int64),
+        random=np.ones(1, dtype=np.uint64),
+        goal=np.zeros(1),
+    )
+
+
+def _directions(limits: Array) -> Array:
+    """Limits (6, 2) [rad] as (cos, sin) of both and whether they are more than half a turn apart: (6, 5)."""
+    low, high = limits[:, 0], limits[:, 1]
+    return np.column_stack([np.cos(low), np.sin(low), np.cos(high), np.sin(high), high - low > np.pi])
+
+
+def _strokes(profile: RobotProfile, mount: Array, settings: PassageSettings) -> Array:
+    """How far (6,) [m] a foot may fall back behind its nominal place on level ground before its leg's limits stop it."""
+    feet = profile.rest_feet(settings.body_height or profile.stance.body_height)
+    back = 0.005 * np.arange(1, 80)
+    out = np.empty(6)
+    for leg in range(6):
+        line = np.repeat(feet[None], len(back), axis=0)
+        line[:, leg, 0] -= back
+        ok = np.asarray(within_limits(profile, body_inverse(profile, line))[:, leg].all(axis=1))
+        out[leg] = back[np.argmin(ok) - 1] if not ok.all() and ok[0] else back[0] if not ok[0] else back[-1]
+    return out

@@ -1,0 +1,134 @@
+"""The roadmap planner on level ground and over pillars: what it plans can be walked, and it says why it cannot."""
+
+import numpy as np
+import pytest
+
+from deploy.bench.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
+from services.planner.passage.field import Field
+from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance
+from services.planner.passage.settings import PassageSettings
+from shared.messages import UNKNOWN
+from shared.robot import load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+HEIGHT = 0.10
+GAP = 0.8
+SETTINGS = PassageSettings(body_height=HEIGHT, budget=8000)
+
+
+@pytest.fixture(scope="module")
+def roadmap() -> Roadmap:
+    return Roadmap(PROFILE, SETTINGS)
+
+
+def level(length: float = 2.0) -> Field:
+    return field_of(np.zeros((round(length / 0.01), 100), dtype=np.float32))
+
+
+def grown(roadmap: Roadmap, field: Field, stance: Stance, goal_x: float, seed: int = 1, part: int = 10**6) -> Crossing | NoWay:
+    roadmap.begin(field, stance, goal_x, seed)
+    while (outcome := roadmap.grow(part)) is None:
+        pass
+    return outcome
+
+
+def test_it_walks_over_level_ground(roadmap: Roadmap) -> None:
+    found = grown(roadmap, level(), stance_at(PROFILE, START, HEIGHT), 1.2)
+    assert isinstance(found, Crossing)
+    assert found.complete
+    assert found.steps[-1].body[0] >= 1.2 - 1e-9
+    assert min(step.margin for step in found.steps) >= SETTINGS.margin
+    assert {step.leg for step in found.steps} >= set(range(6))
+    np.testing.assert_array_equal(found.end.body, found.steps[-1].body)
+    assert len(roadmap.edges) >= len(found.steps)
+
+
+def test_the_same_seed_makes_the_same_plan_in_whatever_portions(roadmap: Roadmap) -> None:
+    field, stance = level(), stance_at(PROFILE, START, HEIGHT)
+    first, second = grown(roadmap, field, stance, 0.9, 3), grown(roadmap, field, stance, 0.9, 3, part=7)
+    assert isinstance(first, Crossing)
+    assert isinstance(second, Crossing)
+    assert [(s.leg, *s.touchdown, *s.body, s.clearance) for s in first.steps] == [
+        (s.leg, *s.touchdown, *s.body, s.clearance) for s in second.steps
+    ]
+    other = grown(roadmap, field, stance, 0.9, 4)
+    assert isinstance(other, Crossing)
+    assert [s.leg for s in other.steps] != [s.leg for s in first.steps] or (other.end.feet != first.end.feet).any()
+
+
+@pytest.mark.parametrize("scenario", [1, 2, 3])
+def test_feet_stand_in_the_middle_of_pillars(roadmap: Roadmap, scenario: int) -> None:
+    field = field_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.30), GAP), HEIGHT)
+    for seed in range(4):
+        found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, seed)
+        if isinstance(found, Crossing):
+            break
+    assert isinstance(found, Crossing)
+    x0, y0 = field.corner
+    for step in found.steps:
+        if step.leg >= 0:
+            i, j = np.rint((step.touchdown[:2] - (x0, y0)) / field.resolution).astype(int)
+            assert field.evaluation[i, j] <= SETTINGS.weakest
+            assert step.touchdown[2] == pytest.approx(field.elevation[i, j] + PROFILE.foot.radius)
+            assert SETTINGS.swing_clear <= step.clearance <= PROFILE.stance.max_lift
+
+
+def test_a_gap_without_pillars_is_told_by_its_width(roadmap: Roadmap) -> None:
+    field = field_of(heights([], GAP), HEIGHT)
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND)
+    assert isinstance(found, NoWay)
+    assert "carry none" in found.reason
+    assert not found.unseen
+    assert found.furthest.body[0] < NEAR
+    assert sum(found.fails.values()) > 0
+
+
+def test_unknown_ground_is_not_stepped_on_and_ends_a_section(roadmap: Roadmap) -> None:
+    elevation = np.zeros((200, 100), dtype=np.float32)
+    elevation[110:] = np.nan
+    known = np.isfinite(elevation)
+    F = field_of(np.zeros((200, 100), dtype=np.float32)).evaluation
+    field = Field(elevation, np.where(known, F, np.int8(UNKNOWN)), 0.01, np.eye(4))
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), 1.5)
+    assert isinstance(found, Crossing)
+    assert not found.complete
+    assert "known" in found.reason
+    assert max(step.touchdown[0] for step in found.steps if step.leg >= 0) < 1.10
+
+
+def test_a_stance_a_little_off_is_repaired_by_a_shift_of_the_body(roadmap: Roadmap) -> None:
+    stance = stance_at(PROFILE, START, HEIGHT)
+    feet = stance.feet.copy()
+    feet[:2, 0] = stance.body[0] + PROFILE.T_body_coxa[0, 0, 3] - 0.01  # front feet behind their axes
+    found = grown(roadmap, level(), Stance(stance.body, feet), 0.7)
+    assert isinstance(found, Crossing)
+    assert found.steps[0].leg == -1
+    assert 0.0 < np.linalg.norm(found.steps[0].body - stance.body) <= SETTINGS.repair + 1e-9
+
+
+def test_a_stance_far_off_is_told_by_leg_and_test(roadmap: Roadmap) -> None:
+    stance = stance_at(PROFILE, START, HEIGHT)
+    feet = stance.feet.copy()
+    feet[0, 0] += 0.2
+    feet[3, 1] -= 0.2
+    found = grown(roadmap, level(), Stance(stance.body, feet), 0.7)
+    assert isinstance(found, NoWay)
+    assert "left front leg: out of reach" in found.reason
+    assert "right rear leg: out of reach" in found.reason
+
+
+def test_nonsense_is_refused(roadmap: Roadmap) -> None:
+    with pytest.raises(ValueError, match="finite feet"):
+        roadmap.begin(level(), Stance(np.zeros(3), np.full((6, 3), np.nan)), 1.0, 0)
+    with pytest.raises(ValueError, match="begun"):
+        Roadmap(PROFILE, PassageSettings(nodes=100)).grow(1)
+    with pytest.raises(ValueError, match="body_moves"):
+        PassageSettings(body_moves=0)
+
+
+def test_blocks_stand_where_they_are_said_to() -> None:
+    h = heights([Block(0.2, 0.1)], GAP)
+    at = round((NEAR + 0.2) / 0.01), round((0.6 + 0.1) / 0.01)
+    assert h[at] == 0.0
+    assert (h[at[0] - 5 : at[0] + 5, at[1] - 5 : at[1] + 5] == 0.0).all()
+    assert (h[70:150] == 0.0).sum() == 100
