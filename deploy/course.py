@@ -19,6 +19,8 @@ from shared.scenario import Box, Hole, PillarField, Pillars, Plane, Puddle, Pudd
 RAISED = 0.005  # [m] over the ground beside: on something
 _NARROW = 0.20  # [m] and less is the width of pillars, stones and the like
 _SAME_HEIGHT = 1e-6  # [m] of a place and the box that it lies on
+_EDGE_JUMP = 0.02  # [m] in height, and more, is an edge of what carries a foot,
+_EDGE_STEP, _DIRECTIONS = 0.001, 64  # [m] looked for in such steps outward, in so many directions
 _IN_THE_WAY = (
     Box,
     Hole,
@@ -92,18 +94,34 @@ class Course:
         return int((self.terrain.height_at(sim) > without + RAISED).sum())
 
     def edge_distance(self, xy: Array) -> Array:
-        """Distance (n,) [m] from places (n, 2) [m] {start} to the nearest edge of the narrow top there, NaN without one."""
-        boxes, places = getattr(self.terrain, "boxes", None), self._in_sim(xy)
+        """Distance (n,) [m] from places (n, 2) [m] {start} to the nearest edge of the narrow top there, NaN without one.
+
+        Tops that touch at one height are one.
+        """
+        places = self._in_sim(xy)
         found = np.full(len(xy), np.nan)
-        if boxes is None:
-            return found
-        height = self.terrain.height_at(places)
-        for centre, half, R in zip(boxes.centre, boxes.half, boxes.R, strict=True):
-            off = half[:2] - np.abs((places - centre[:2]) @ R[:2, :2])
-            top = np.abs(height - centre[2] - half[2]) < _SAME_HEIGHT
-            here = (off.min(axis=1) >= 0) & top & (2 * half[:2].min() <= _NARROW)
-            found[here] = np.fmax(found[here], off.min(axis=1)[here])  # where several lie there, the one that reaches furthest
+        on = self._on_narrow_tops(places)
+        angle = np.arange(_DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
+        radii = np.arange(_EDGE_STEP, _NARROW, _EDGE_STEP)
+        ring = radii[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        for k in np.flatnonzero(on):
+            around = self.terrain.height_at((places[k] + ring).reshape(-1, 2)).reshape(ring.shape[:2])
+            level = float(self.terrain.height_at(places[k, None])[0])
+            over = (np.abs(around - level) > _EDGE_JUMP).any(axis=1)
+            found[k] = radii[np.argmax(over)] - _EDGE_STEP / 2 if over.any() else _NARROW
         return found
+
+    def _on_narrow_tops(self, places: Array) -> NDArray[np.bool_]:
+        """Whether places (n, 2) [m] of the simulator's world lie on tops of pillars, stones and the like."""
+        on = np.zeros(len(places), dtype=bool)
+        boxes, height = getattr(self.terrain, "boxes", None), self.terrain.height_at(places)
+        if boxes is None:
+            return on
+        for centre, half, R in zip(boxes.centre, boxes.half, boxes.R, strict=True):
+            within = (np.abs((places - centre[:2]) @ R[:2, :2]) <= half[:2]).all(axis=1)
+            top = np.abs(height - centre[2] - half[2]) < _SAME_HEIGHT
+            on |= within & top & (2 * half[:2].min() <= _NARROW)
+        return on
 
     def block_corners(self) -> Array:
         """Corners (b, 4, 2) [m] {start} of the tops of the terrain's boxes."""

@@ -25,7 +25,16 @@ def test_the_distance_to_an_edge_is_that_to_the_nearest_side(x, y, yaw):
     T = from_xyz_rpy((0.3, -0.2, 0.5), (0.0, 0.0, yaw))
     course.lay(T, 0.0)
     seen = ((np.array([0.7 + x, 0.1 + y]) - T[:2, 3]) @ T[:2, :2])[None]
-    assert course.edge_distance(seen)[0] == pytest.approx(0.05 - max(abs(x), abs(y)), abs=1e-9)
+    assert course.edge_distance(seen)[0] == pytest.approx(0.05 - max(abs(x), abs(y)), abs=0.0008)
+
+
+def test_tops_that_touch_are_one_and_another_height_is_an_edge():
+    row = tuple(Box((0.7 + 0.08 * k, 0.1), (0.081, 0.10), 0.0 if k < 3 else 0.03) for k in range(4))
+    course = Course(replace(GAP, terrain=(Plane(height=-0.4), PLATFORM, *row)), 0)
+    course.lay(np.eye(4), 0.0)
+    joint, beside_a_step = np.array([[0.74, 0.1]]), np.array([[0.88, 0.1]])
+    assert course.edge_distance(joint)[0] == pytest.approx(0.05, abs=0.0008)
+    assert course.edge_distance(beside_a_step)[0] == pytest.approx(0.02, abs=0.0012)
 
 
 def test_beside_pillars_and_on_platforms_there_is_no_edge_to_be_near():
