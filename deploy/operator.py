@@ -55,6 +55,7 @@ class Operator:
         self._goal = self._line + _OVERSHOOT
         end = (self._goal + _TOLERANCE, 0.0)
         self._route = np.array([*scenario.goal.waypoints, end]) if scenario.goal.route else None
+        self._passage = scenario.goal.passage
         self._goal_due_ns = 0
         self._walk = scenario.walk
         self._speed = min(scenario.walk.speed, profile.stance.max_speed)
@@ -90,7 +91,8 @@ class Operator:
                 yield self._steer(now, pose.T_world_body if pose is not None and known else None)
             elif not self.finished and now >= self._goal_due_ns:
                 self._goal_due_ns = now + _GOAL_NS
-                yield Goal(now, self._route, _TOLERANCE, self._speed, self._walk.body_height, self._walk.lift, self._walk.gait)
+                walk = self._walk
+                yield Goal(now, self._route, _TOLERANCE, self._speed, walk.body_height, walk.lift, walk.gait, self._passage)
             if self._route is not None and status is not None and status.state == "arrived" and self._arrived_ns is None:
                 self._arrived_ns = now
             self._watch_arrival(now, state, status)

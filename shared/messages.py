@@ -362,6 +362,7 @@ class Goal(Message):
     body_height: float  # [m] over the floor
     lift: float  # [m] clearance of swinging feet
     gait: GaitName = "tripod"
+    passage: bool = False  # True: from here straight to the last waypoint, deliberately, one leg at a time
 
 
 @dataclass(frozen=True, slots=True)

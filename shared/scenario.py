@@ -398,6 +398,7 @@ class Goal:
     corridor: float = 0.25  # [m] how far to the side it may be
     route: bool = False  # the planner is told where to go and finds the way; else the operator steers straight ahead
     waypoints: tuple[tuple[float, float], ...] = ()  # [m] from the start, x ahead and y left: of the route, before its end
+    passage: bool = False  # of a route: a deliberate crossing is ordered, from the start straight to the end
     # What is right to do: to arrive, or to stand before what cannot be crossed and to say why; either where the seed decides
     # whether it can be crossed, unless somebody has found that out and tells the scorer.
     expect: Literal["arrival", "refusal", "either"] = "arrival"
@@ -405,6 +406,7 @@ class Goal:
     def __post_init__(self) -> None:
         _expect(min(self.distance, self.corridor) > 0, "distance and corridor greater than 0 m", (self.distance, self.corridor))
         _expect(self.route or not self.waypoints, "route = true with waypoints", "false")
+        _expect(self.route or not self.passage, "route = true with passage", "false")
         _expect(len(self.waypoints) < _MOST_WAYPOINTS, f"fewer than {_MOST_WAYPOINTS} waypoints", len(self.waypoints))
 
 

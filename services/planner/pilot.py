@@ -108,7 +108,7 @@ class Pilot:
             return NoWay(nonsense)
         xy = body[:2, 3]
         # 1. Another goal: what was found on the way to the old one does not count.
-        if self._errand is None or not _same(goal, self._errand.goal):
+        if self._errand is None or not same_goal(goal, self._errand.goal):
             self._errand = _Errand(goal, xy.copy())
         errand = self._errand
         errand.goal = goal
@@ -266,7 +266,8 @@ def _command(goal: Goal, now_ns: int, velocity: Array, yaw_rate: float) -> Veloc
     return VelocityCommand(now_ns, velocity, yaw_rate, goal.body_height, goal.lift, goal.gait)
 
 
-def _same(a: Goal, b: Goal) -> bool:
+def same_goal(a: Goal, b: Goal) -> bool:
+    """Whether two goals are one place."""
     return a.tolerance == b.tolerance and np.array_equal(a.waypoints, b.waypoints)
 
 

@@ -11,7 +11,9 @@ from services.planner.by_touch import ByTouch
 from services.planner.config import Settings
 from services.planner.gait import GAITS, directions, swing_order
 from services.planner.holes import Holes
-from services.planner.pilot import Pilot
+from services.planner.passage.errand import Move, Over, Refused, Standing
+from services.planner.passage.mode import PassageMode
+from services.planner.pilot import Heading, Pilot
 from services.planner.refusals import Refusals
 from services.planner.route import NoWay
 from services.planner.stride import Blocked, Situation, Stride, StridePlanner
@@ -48,8 +50,15 @@ class Planner:
 
     name = "planner"
     paced_by: AnyTopic = topics.ACTUATOR_STATE
-    reads: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.TERRAIN, topics.VELOCITY, topics.GOAL, topics.CAMERA_STATE)
-    writes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.PLANNER_STATUS)
+    reads: tuple[AnyTopic, ...] = (
+        topics.BODY_POSE,
+        topics.TERRAIN,
+        topics.VELOCITY,
+        topics.GOAL,
+        topics.CAMERA_STATE,
+        topics.PASSAGE,
+    )
+    writes: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.PLANNER_STATUS, topics.PASSAGE_REQUEST, topics.PASSAGE_PLAN)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Begin with no plan."""
@@ -60,6 +69,7 @@ class Planner:
         self._by_touch = ByTouch(profile, settings)
         self._holes = Holes()
         self._pilot = Pilot(profile)
+        self._passage = PassageMode(profile, settings)
         self._led = False  # whether a goal is what it walks by
         self._sent: list[_Sent] = []  # that may yet be walked, the newest last
         self._running: _Sent | None = None  # what is being walked, or was last
@@ -91,6 +101,7 @@ class Planner:
                 self._sent = [*self._sent[-_KEPT:], sent]
                 self._moved = sent.stride.moved
                 yield sent.plan
+        yield from self._passage.messages(state.stamp_ns)
         if state.stamp_ns >= self._status_due_ns:
             self._status_due_ns = state.stamp_ns + _STATUS_PERIOD_NS
             yield self._status(state)
@@ -117,6 +128,8 @@ class Planner:
         command = inbox.fresh(topics.VELOCITY)
         goal = inbox.fresh(topics.GOAL) if command is None else None
         self._led = goal is not None
+        if goal is None:
+            self._passage.abandon()
         if state.mode not in (Mode.WALK, Mode.HOLD):
             self._refusals.forget()
             return self._hold("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
@@ -127,12 +140,16 @@ class Planner:
         if command is None and goal is None:
             return self._hold("resting", "no fresh velocity command, and no goal")
         terrain = self._terrain(state, pose, inbox)
+        if goal is not None and self._passage.crosses(goal):
+            return self._across(goal, state, pose, terrain, inbox)
         if terrain is None:
             blind = f", and the camera does not help: {pose.reason}" if not pose.ok else _blamed_on_camera(inbox)
             return self._hold("waiting", f"no fresh terrain map{blind}")  # never walk blind
         nonsense = terrain.nonsense()
         if nonsense:
             return self._hold("waiting", f"the terrain map makes no sense: {nonsense}")
+        if goal is not None and self._passage.under_way(goal):
+            return self._across(goal, state, pose, terrain, inbox)
         if state.phase < 1.0 and state.phase < self._settings.retarget_until:
             return self._retarget(state, pose, terrain)
         if command is not None and _is_still(command):
@@ -143,7 +160,7 @@ class Planner:
         if command is not None:
             return self._next_step(state, pose, command, terrain)
         assert goal is not None
-        return self._towards(goal, state, pose, terrain)
+        return self._towards(goal, state, pose, terrain, inbox)
 
     def _feel_ahead(self, state: ActuatorState, command: VelocityCommand, inbox: Inbox) -> "_Sent | None":
         """The next step by touch alone: no map, and where the body is by the legs' odometry since it was last known."""
@@ -178,29 +195,62 @@ class Planner:
         self._reason = "by touch: feet find the ground"
         return self._send(state, pose, found, state.step + 1, way, stop=True)
 
-    def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
+    def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain, inbox: Inbox) -> "_Sent | None":
         """The next step on the way to a goal; where one on the way does not go, walking without turning, or turning alone."""
         standing = self._standing(state, pose)
         if standing is None:
             return self._hold("waiting", _NOT_MINE)
         body, _ = standing
+        if self._passage.ordered(goal):
+            return self._across(goal, state, pose, terrain, inbox)
         with self.stages("find a way"):
             found = self._pilot.lead(goal, terrain, pose.T_world_body, body, state.stamp_ns)
         if isinstance(found, NoWay):
-            self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
-            return self._hold("blocked", found.reason)
+            return self._across(goal, state, pose, terrain, inbox, found.reason)
         if not found.commands:
             return self._hold("arrived", found.words)
+        sent = self._walk_by(found, state, pose, terrain)
+        if sent is None:
+            self._pilot.note(self._reason)
+        return sent
+
+    def _walk_by(self, found: Heading, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
+        """The next step by the first command that can be walked."""
         sent = None
         for command in found.commands:
             sent = self._next_step(state, pose, command, terrain)
             if sent is not None:
                 break
-        if sent is None:
-            self._pilot.note(self._reason)
-        else:
+        if sent is not None:
             self._reason = f"{found.words}; {self._reason}"
         return sent
+
+    def _across(
+        self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain | None, inbox: Inbox, no_way: str = ""
+    ) -> "_Sent | None":
+        """The next step of a deliberate crossing, where walking finds no way."""
+        found = self._standing(state, pose)
+        if found is None:
+            return self._hold("waiting", _NOT_MINE)
+        refused = self._refusals.reason if self._refusals.count > 1 else ""
+        if refused:
+            self._refusals.forget()
+        map_ = inbox.latest(topics.PASSAGE)
+        with self.stages("cross a passage"):
+            led = self._passage.lead(goal, state, Standing(*found), pose.T_world_body, terrain, map_, refused)
+        if isinstance(led, Heading):
+            assert terrain is not None
+            return None if state.phase < self._settings.plan_from else self._walk_by(led, state, pose, terrain)
+        if isinstance(led, Move):
+            self._state, self._reason, self._blocked_leg = "stepping", led.words, -1
+            return self._send(state, pose, led.stride, led.number, 0, stop=led.stop)
+        if isinstance(led, Refused):
+            self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
+            both = f"{no_way}; and no passage: {led.reason}" if no_way else f"no passage: {led.reason}"
+            return self._hold("blocked", both)
+        if isinstance(led, Over):
+            self._pilot = Pilot(self._profile)  # what it knew of the way does not hold here
+        return self._hold("stepping" if state.phase < 1.0 else "waiting", led.words)
 
     def _terrain(self, state: ActuatorState, pose: BodyPose, inbox: Inbox) -> Terrain | None:
         """The map, or for the blind baseline the plane of the standing feet."""

@@ -208,7 +208,9 @@ class StridePlanner:
             return Blocked(lifted.reason, lifted.leg)
         clearance = lifted
         clearance = np.where(at.swing, clearance, settings.path_margin)
-        duration = max(self.duration(at.command), self._time_to_swing(at, touchdown, clearance)[at.swing].max())
+        dearer = np.where(clearance > at.command.lift, _DEARER_YET, _DEARER)
+        swinging = time_to_swing(self._profile, settings, at.feet, touchdown, clearance, dearer)
+        duration = max(self.duration(at.command), swinging[at.swing].max())
         return Stride(at.swing, touchdown, nominal, clearance, T_end, at.feet, moved, share, duration, room)
 
     def _travel(self, command: VelocityCommand, share: float) -> tuple[Array, float]:
@@ -310,13 +312,6 @@ class StridePlanner:
         q = body_inverse(self._profile, apply(inverse(T_world_body), feet_world))
         return np.asarray(within_limits(self._profile, q).all(axis=1))
 
-    def _time_to_swing(self, at: Situation, end: Array, clearance: Array) -> Array:
-        """How long (6,) [s] a step takes that brings feet to their ends (6, 3) [m], no faster than servos can for long."""
-        up_and_down = 2.0 * clearance + np.abs((end - at.feet)[:, 2])
-        dearer = np.where(clearance > at.command.lift, _DEARER_YET, _DEARER)
-        way = np.linalg.norm((end - at.feet)[:, :2], axis=1) + dearer * up_and_down
-        return np.asarray(self._settings.handover_s + way / self._profile.stance.foot_speed)
-
     def _unreachable(self, feet_world: Array, T_world_body: Array) -> str:
         """Which leg would be overstretched at the end of the step, in words, or nothing."""
         bad = np.flatnonzero(~self.reached(feet_world, T_world_body))
@@ -343,3 +338,21 @@ class StridePlanner:
         sole = np.array([0.0, 0.0, self._profile.foot.radius])
         to_sink = clearance_to_sink(ground, feet - sole, touchdown - sole, settings.sink_margin)
         return np.asarray(np.maximum(clearance, to_sink))
+
+
+def time_to_swing(
+    profile: RobotProfile, settings: Settings, start: Array, end: Array, clearance: Array, dearer: Array | float = _DEARER
+) -> Array:
+    """How long (n,) [s] a step takes in which feet go from start to end (n, 3) [m], no faster than servos can for long.
+
+    Args:
+        profile: The robot.
+        settings: Of the planner.
+        start: (n, 3) [m] foot centres.
+        end: (n, 3) [m] likewise.
+        clearance: (n,) [m] over the higher end.
+        dearer: By how much height counts for more than way, (n,) or for all.
+    """
+    up_and_down = 2.0 * clearance + np.abs((end - start)[:, 2])
+    way = np.linalg.norm((end - start)[:, :2], axis=1) + dearer * up_and_down
+    return np.asarray(settings.handover_s + way / profile.stance.foot_speed)

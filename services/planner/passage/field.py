@@ -63,21 +63,19 @@ class Field:
             h = out
         return np.ascontiguousarray(h)
 
-    def known_until(self, start: float, half_width: float, blind: float, least: float) -> float:
-        """How far [m] the ground is known from a place on: to the first stretch with less than a share of it.
+    def known_until(self, start: float, half_width: float, least: float) -> float:
+        """How far [m] there is ground that is known, from a place on: to the last row of cells of which a share is.
+
+        What lies before may hold cells that nobody has seen, as the floor of a gap behind its edge: no foot goes there.
 
         Args:
             start: [m] from where.
             half_width: [m] of the band around the middle line that counts.
-            blind: [m] length of the stretch.
-            least: [1] share of its cells.
+            least: [1] share of the row in it.
         """
         nx, ny = self.elevation.shape
         y = (np.arange(ny) + 0.5) * self.resolution - 0.5 * ny * self.resolution
         known = (self.evaluation != UNKNOWN)[:, np.abs(y) <= half_width].mean(axis=1)
-        cells = max(1, round(blind / self.resolution))
         first = min(max(0, int(start / self.resolution)), nx)
-        over = np.convolve(known[first:], np.ones(cells) / cells, mode="valid")
-        dark = np.flatnonzero(over < least)
-        end = first + int(dark[0]) if len(dark) else nx
-        return float(end * self.resolution)
+        rows = np.flatnonzero(known[first:] >= least)
+        return float((first + (int(rows[-1]) + 1 if len(rows) else 0)) * self.resolution)

@@ -13,7 +13,7 @@ from services.planner.passage.tables import ground_of, legs_of, rules_of, tree_o
 from shared.geometry import Array
 from shared.robot import RobotProfile
 
-_DARK, _LIT = 0.15, 0.3  # [m] of the way ahead, and the share of it that is known, below which the known ground ends
+_LIT = 0.3  # [1] share of a row of cells across that is known, below which the known ground ends
 _BAND = 0.35  # [m] either side of the middle line in which it counts
 _WORTH = 0.05  # [m] of the body's way that a section must bring
 
@@ -141,7 +141,7 @@ class Roadmap:
     def _end_of_the_known(self, field: Field, stance: Stance) -> float:
         """How far [m] {strip} the body may go before its front feet step on what is not known."""
         front = float((self._legs.rest[:, 0]).max())
-        known = field.known_until(float(stance.feet[:, 0].max()), _BAND, _DARK, _LIT)
+        known = field.known_until(float(stance.feet[:, 0].max()), _BAND, _LIT)
         return np.inf if known >= field.elevation.shape[0] * field.resolution - 1e-9 else known - front - 0.03
 
     def _repaired(self, stance: Stance) -> Stance:

@@ -1,0 +1,338 @@
+"""The deliberate crossing of Masri 2016, step by step: stop, raise the body, look, plan a section, walk it, and again.
+
+Pure: time, pose and maps come in, what to do next comes out. Section 4.7 (the look) and chapter 5 of the thesis.
+"""
+
+import time
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from services.planner.config import Settings
+from services.planner.passage.field import Field
+from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
+from services.planner.passage.sections import goal_behind, without
+from services.planner.stride import Stride, time_to_swing
+from services.planner.terrain import GOOD
+from shared.geometry import Array, apply, from_xyz_rpy, inverse
+from shared.messages import MAX_TREE, ActuatorState, PassageMap, PassagePlan, PassageRequest
+from shared.robot import LEGS, RobotProfile
+
+STRIP = (2.7, 1.0)  # [m] length and width of the map that is asked for; Masri 2016, section 4.4
+_BEHIND = 0.5  # [m] of it behind the body
+_REQUEST_NS = 400_000_000  # [ns] between two requests of the map
+_STILL_NS = 700_000_000  # [ns] at rest before a map counts: the scans of this place are in it
+_PATIENCE_NS = 6_000_000_000  # [ns] that a map may take to come
+_LOOKS = 3  # at one stop, at most
+_WORTH = 60  # cells that a look must show
+_POSE_S = 2.0  # [s] for raising the body and lowering it
+_PER_TICK = 6_000  # expansions for each message of the actuator: what a core does meanwhile, in lockstep as over the wire
+_OFF_PLACE, _OFF_HEIGHT = 0.03, 0.025  # [m] of a standing foot from where the plan has it, from which it is planned anew
+_RETRIES = 3  # plannings at one place of the body, within
+_SAME_PLACE = 0.03  # [m], before it says that there is no way
+_YIELDED = 0.08  # [m] around a foot that found nothing, where ground is taken to carry none
+
+Stage = Literal["survey", "look", "return", "plan", "walk"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """The robot as it is, or will be when the running step is over."""
+
+    body: Array  # (4, 4) {world}
+    feet: Array  # (6, 3) [m] {world} foot centres
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """Nothing to do now, and why."""
+
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Over:
+    """The robot stands behind the gap."""
+
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """There is no way across, and why."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Move:
+    """A step to be sent."""
+
+    stride: Stride
+    number: int
+    stop: bool
+    words: str
+
+
+class Sections(Protocol):
+    """Who plans sections; `Roadmap` does."""
+
+    @property
+    def edges(self) -> Array:
+        """(n, 2, 3) [m] {strip} of the tree."""
+        ...
+
+    def begin(self, field: Field, stance: Stance, goal_x: float, seed: int) -> None:
+        """Start anew."""
+        ...
+
+    def grow(self, expansions: int) -> Crossing | NoWay | None:
+        """Go on; None while nothing is decided."""
+        ...
+
+
+class Errand:
+    """One passage, from where the robot stands before the gap until it stands behind it."""
+
+    def __init__(self, profile: RobotProfile, settings: Settings, roadmap: Sections, standing: Standing, target: Array):
+        """Begin where the robot stands.
+
+        Args:
+            profile: The robot.
+            settings: Of the planner.
+            roadmap: The planner of sections.
+            standing: How the robot stands, facing the way across.
+            target: (2,) [m] {world} where it is to get, straight ahead.
+        """
+        self._profile, self._settings, self._roadmap = profile, settings, roadmap
+        self._target = target.copy()
+        xy = standing.body[:2, 3]
+        self.heading = float(np.arctan2(*(target - xy)[::-1]))
+        origin = xy - _BEHIND * np.array([np.cos(self.heading), np.sin(self.heading)])
+        self._T_world_strip = from_xyz_rpy((*origin, 0.0), (0.0, 0.0, self.heading))
+        self._stage: Stage = "survey"
+        self._since_ns = -1  # when it came to rest
+        self._asked_ns = -1
+        self._looks = 0
+        self._section = 0
+        self._map_ns = -1  # of the map that was used last
+        self._field: Field | None = None
+        self._base = 0  # number of the step before the section's first
+        self._steps: tuple[PassageStep, ...] = ()
+        self._pending: Move | None = None  # of the body alone, until the legs begin it
+        self._walking_pose: Array = standing.body
+        self._yielded: list[Array] = []  # (2,) [m] {world} where feet found nothing
+        self._gave_way = ""  # which feet found nothing in this section, in words
+        self._touch_ns = np.full(6, -1, dtype=np.int64)
+        self._tried: list[Array] = []  # (2,) [m] {world} where plannings have begun
+        self._begun_ns = -1
+        self._goal = 0.0  # [m] {strip} of the section
+        self._planning_s = 0.0  # by the machine's clock
+        self._report: PassagePlan | None = None
+
+    @property
+    def report(self) -> PassagePlan | None:
+        """What the newest planning came to, once."""
+        report, self._report = self._report, None
+        return report
+
+    def request(self, now_ns: int) -> PassageRequest | None:
+        """The request for the map of the strip, when it is time to repeat it."""
+        if 0 <= now_ns - self._asked_ns < _REQUEST_NS:
+            return None
+        self._asked_ns = now_ns
+        return PassageRequest(now_ns, self._T_world_strip[:2, 3].copy(), self.heading, *STRIP)
+
+    def advance(self, state: ActuatorState, standing: Standing, map_: PassageMap | None, refused: str) -> "Outcome":
+        """What to do now.
+
+        Args:
+            state: What the legs do.
+            standing: How the robot stands when the running step is over.
+            map_: The newest map of the strip.
+            refused: Why the actuator did not take the step that was sent last, in words, or nothing.
+        """
+        resting = state.phase >= 1.0
+        self._since_ns = (state.stamp_ns if self._since_ns < 0 else self._since_ns) if resting else -1
+        self._feel(state)
+        if self._pending is not None and state.step < self._pending.number:
+            if not refused:
+                return self._pending
+            self._looks = _LOOKS  # no further look; what is known must do
+        self._pending = None
+        if self._stage == "walk":
+            return self._walk(state, standing, refused)
+        if not resting:
+            return Wait("coming to rest")
+        if self._stage == "plan":
+            return self._plan(state, standing)
+        if self._stage == "return":
+            return self._enter("plan", Wait("planning"))
+        return self._look(state, standing, map_)
+
+    # ------------------------------------------------------------------------------------------------- looking
+
+    def _look(self, state: ActuatorState, standing: Standing, map_: PassageMap | None) -> "Outcome":
+        """Wait for a map made at rest; where another view would show more, take it; then go back to walking height."""
+        still_ns = state.stamp_ns - self._since_ns
+        if map_ is None or map_.stamp_ns < self._since_ns + _STILL_NS or map_.stamp_ns == self._map_ns:
+            if still_ns > _PATIENCE_NS:
+                return Refused("the mapper sends no map of the passage")
+            return Wait("looking at the passage")
+        self._map_ns = map_.stamp_ns
+        if map_.elevation.size == 0:
+            return Refused(map_.reason)
+        if self._stage == "survey":
+            self._walking_pose = standing.body
+        if self._looks < _LOOKS and int(map_.look_shows.sum()) >= _WORTH:
+            self._looks += 1
+            words = f"raising the body by {(map_.T_world_look[2, 3] - self._walking_pose[2, 3]) * 100:.0f} cm to look"
+            return self._enter("look", self._pose(state, standing, map_.T_world_look, words))
+        self._field = self._marked(Field.of(map_))
+        if self._stage == "look":
+            return self._enter("return", self._pose(state, standing, self._walking_pose, "back from the look"))
+        return self._enter("plan", Wait("planning"))
+
+    def _pose(self, state: ActuatorState, standing: Standing, body: Array, words: str) -> Move:
+        """A step in which the body alone moves."""
+        nobody = np.zeros(6, dtype=np.bool_)
+        stride = Stride(nobody, standing.feet, standing.feet[:, :2], np.zeros(6), body, standing.feet, 0, 1.0, _POSE_S, GOOD)
+        self._pending = Move(stride, state.step + 1, True, words)
+        return self._pending
+
+    def _feel(self, state: ActuatorState) -> None:
+        """Remember where a foot found nothing to stand on."""
+        new = np.flatnonzero((state.touch_ns > self._touch_ns) & ~state.touch_carries)
+        if self._touch_ns.max() >= 0 or self._section:
+            T_world_odom = state.T_world_odom
+            self._yielded += [apply(T_world_odom, state.touch[leg])[:2] for leg in new.tolist()]
+            if len(new):
+                self._gave_way = f"no ground under the {' and '.join(LEGS[leg] for leg in new.tolist())} foot"
+        self._touch_ns = state.touch_ns.copy()
+
+    def _marked(self, field: Field) -> Field:
+        """The same ground, without what gave way under a foot."""
+        for xy in self._yielded:
+            field = without(field, apply(inverse(self._T_world_strip), np.array([*xy, 0.0]))[:2], _YIELDED)
+        return field
+
+    # ------------------------------------------------------------------------------------------------- planning
+
+    def _plan(self, state: ActuatorState, standing: Standing) -> "Outcome":
+        """Grow the roadmap by as much as there is time for; a section that is found is walked."""
+        assert self._field is not None
+        root = self._in_strip(standing)
+        if self._begun_ns < 0:
+            goal = goal_behind(self._field, float(root.body[0]), self._along(self._target))
+            if goal is None:
+                return Over("behind the gap")
+            here = standing.body[:2, 3]
+            if sum(float(np.linalg.norm(here - place)) < _SAME_PLACE for place in self._tried) >= _RETRIES:
+                return Refused(f"after {_RETRIES} plannings at one place the robot does not get on")
+            self._tried.append(here.copy())
+            self._section += 1
+            self._goal = goal
+            self._begun_ns, self._planning_s = state.stamp_ns, 0.0
+            self._roadmap.begin(self._field, root, goal, seed=self._section)
+        began = time.perf_counter()
+        found = self._roadmap.grow(_PER_TICK)
+        self._planning_s += time.perf_counter() - began
+        if found is None:
+            return Wait(f"planning section {self._section} of the passage")
+        self._begun_ns = -1
+        self._report = self._tell(state.stamp_ns, found)
+        if isinstance(found, NoWay):
+            return Refused(found.reason)
+        self._steps, self._base, self._looks = found.steps, state.step, 0
+        return self._enter("walk", Wait(f"walking section {self._section} of the passage: {len(found.steps)} steps"))
+
+    def _in_strip(self, standing: Standing) -> Stance:
+        T = inverse(self._T_world_strip)
+        return Stance(apply(T, standing.body[:3, 3]), apply(T, standing.feet))
+
+    def _along(self, xy: Array) -> float:
+        return float(apply(inverse(self._T_world_strip), np.array([*xy, 0.0]))[0])
+
+    def _enter(self, stage: Stage, first: "Outcome") -> "Outcome":
+        """Go on to another stage, which has to come to rest anew."""
+        self._stage, self._since_ns = stage, -1
+        return first
+
+    # ------------------------------------------------------------------------------------------------- walking
+
+    def _walk(self, state: ActuatorState, standing: Standing, refused: str) -> "Outcome":
+        """Send the section's next step; where the legs are not as planned, or it is over, stop and look again."""
+        assert self._field is not None
+        resting = state.phase >= 1.0
+        done = state.step - self._base  # steps of the section that have begun, or are over
+        why = self._gave_way or refused or self._astray(standing, min(done, len(self._steps)))
+        if done >= len(self._steps) or why:
+            if not resting:
+                return Wait(f"walking the last step of section {self._section}")
+            self._gave_way = ""
+            return self._enter("survey", Wait(f"{why}: looking again" if why else "section walked"))
+        if not resting and state.phase < self._settings.plan_from:
+            return Wait(self._words(done))
+        return Move(
+            self._stride(standing, self._steps[done]), state.step + 1, done == len(self._steps) - 1, self._words(done + 1)
+        )
+
+    def _stride(self, standing: Standing, step: PassageStep) -> Stride:
+        """A step of the section as it crosses the wire."""
+        assert self._field is not None
+        T = self._field.T_world_strip
+        swing = np.arange(6) == step.leg
+        touchdown = standing.feet.copy()
+        clearance = np.full(6, self._settings.path_margin)
+        if step.leg >= 0:
+            touchdown[step.leg], clearance[step.leg] = apply(T, np.asarray(step.touchdown)), step.clearance
+        body = T @ from_xyz_rpy(step.body, np.zeros(3))
+        legs = np.flatnonzero(swing)
+        swinging = time_to_swing(self._profile, self._settings, standing.feet[legs], touchdown[legs], clearance[legs])
+        duration = max([self._profile.stance.step_s, *swinging.tolist()])
+        return Stride(swing, touchdown, touchdown[:, :2], clearance, body, standing.feet, 0, 1.0, duration, GOOD)
+
+    def _astray(self, standing: Standing, done: int) -> str:
+        """Which foot will not stand where the plan has it after so many steps, in words, or nothing."""
+        assert self._field is not None
+        feet = apply(self._field.T_strip_world, standing.feet)
+        newest = {step.leg: step for step in self._steps[:done] if step.leg >= 0}
+        for step in newest.values():
+            off = feet[step.leg] - step.touchdown
+            level, height = float(np.hypot(off[0], off[1])), abs(float(off[2]))
+            if level > _OFF_PLACE or height > _OFF_HEIGHT:
+                return f"the {LEGS[step.leg]} foot is {max(level, height) * 100:.0f} cm from where it was to stand"
+        return ""
+
+    def _words(self, step: int) -> str:
+        return f"passage, section {self._section}: step {step} of {len(self._steps)}"
+
+    def _tell(self, stamp_ns: int, found: Crossing | NoWay) -> PassagePlan:
+        """What planning came to, for everybody."""
+        assert self._field is not None
+        T = self._field.T_world_strip
+        steps = [step for step in found.steps if step.leg >= 0] if isinstance(found, Crossing) else []
+        complete = isinstance(found, Crossing) and found.complete
+        state: Literal["complete", "partial", "no way"] = "complete" if complete else "partial" if steps else "no way"
+        return PassagePlan(
+            stamp_ns=stamp_ns,
+            section=self._section,
+            state=state,
+            reason=found.reason,
+            origin=T[:2, 3].copy(),
+            heading=self.heading,
+            goal=self._goal,
+            furthest=float((found.end if isinstance(found, Crossing) else found.furthest).body[0]),
+            generated=found.generated,
+            expanded=found.expanded,
+            expansions=found.expanded,
+            planning_ms=1e3 * self._planning_s,
+            leg=np.array([step.leg for step in steps], dtype=np.uint8),
+            footholds=apply(T, np.array([step.touchdown for step in steps]).reshape(-1, 3)),
+            body=apply(T, np.array([step.body for step in steps]).reshape(-1, 3)),
+            edges=apply(T, self._roadmap.edges[:MAX_TREE].reshape(-1, 3)).reshape(-1, 2, 3).astype(np.float32),
+        )
+
+
+Outcome = Move | Wait | Over | Refused

@@ -1,0 +1,56 @@
+"""Which part of a passage is planned next: to where the ground carries as anywhere again."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.planner.passage.field import Field
+from shared.geometry import Array
+from shared.messages import UNKNOWN
+
+_BEYOND = 0.40  # [m] behind the gap where the body's centre must be for the whole robot to stand behind it
+_HALF_WIDTH = 0.20  # [m] of the band ahead whose ground tells where the gap ends
+_CARRYING = 0.5  # [1] share of that band from which ground carries the robot as anywhere
+_KNOWN = 0.3  # [1] share of it that is known at the end of what is known
+_GONE = 1  # of the evaluation function: no foot stands there
+
+
+def goal_behind(field: Field, x: float, target: float) -> float | None:
+    """Where the body is to get for the whole robot to stand behind what carries it only here and there.
+
+    Args:
+        field: The strip.
+        x: [m] {strip} of the body.
+        target: [m] likewise, of what is behind it all.
+
+    Returns:
+        [m] {strip}, at most the target; None where the ground around the robot and ahead of it carries as anywhere, and where
+        it is past the target.
+    """
+    bare = _bare(field)
+    centres = field.corner[0] + field.resolution * np.arange(len(bare))
+    ahead = np.flatnonzero(bare & (centres > x - _BEYOND) & (centres < target))
+    if not len(ahead) or x >= target:
+        return None
+    return min(target, float(centres[ahead[-1]]) + _BEYOND)
+
+
+def without(field: Field, xy: Array, radius: float) -> Field:
+    """The same ground, of which a disc around a place (2,) [m] {strip} carries nothing."""
+    nx, ny = field.evaluation.shape
+    x0, y0 = field.corner
+    x, y = x0 + field.resolution * np.arange(nx), y0 + field.resolution * np.arange(ny)
+    inside = np.hypot(x[:, None] - xy[0], y - xy[1]) <= radius
+    gone = inside & (field.evaluation != UNKNOWN)
+    return replace(field, evaluation=np.where(gone, np.maximum(field.evaluation, np.int8(_GONE)), field.evaluation))
+
+
+def _bare(field: Field) -> NDArray[np.bool_]:
+    """Which (nx,) rows of cells across carry a foot only here and there; beyond what is known none does."""
+    y = field.corner[1] + field.resolution * np.arange(field.evaluation.shape[1])
+    band = field.evaluation[:, np.abs(y) <= _HALF_WIDTH]
+    known = np.flatnonzero((band != UNKNOWN).mean(axis=1) > _KNOWN)
+    bare = (band < 0).mean(axis=1) < _CARRYING
+    bare[known[-1] + 1 if len(known) else 0 :] = False
+    return np.asarray(bare)

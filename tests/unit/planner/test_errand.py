@@ -1,0 +1,241 @@
+"""The deliberate crossing, stage by stage: a robot that does what it is told, a map that says what the test wants."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from services.planner.config import Settings
+from services.planner.passage.errand import STRIP, Errand, Move, Outcome, Over, Refused, Standing, Wait
+from services.planner.passage.field import Field
+from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
+from shared.geometry import Array, apply, from_xyz_rpy, inverse
+from shared.messages import UNKNOWN, PassageMap
+from shared.robot import load_profile
+from tests.support.states import actuator_state
+
+PROFILE = load_profile("phantomx_mk2")
+HEIGHT = 0.10
+MS = 1_000_000
+GOAL = np.array([1.9, 0.0])
+GAP = (1.1, 1.9)  # [m] {strip}
+NX, NY = (round(length / 0.01) for length in STRIP)
+
+
+class Planned:
+    """Stands in for the roadmap: finds what it is told to, after a while."""
+
+    def __init__(self, *found: Crossing | NoWay) -> None:
+        self.found = list(found)
+        self.begun: list[tuple[Field, Stance, float, int]] = []
+        self.grown = 0
+        self.edges: Array = np.zeros((3, 2, 3))
+
+    def begin(self, field: Field, stance: Stance, goal_x: float, seed: int) -> None:
+        self.begun.append((field, stance, goal_x, seed))
+        self.grown = 0
+
+    def grow(self, expansions: int) -> Crossing | NoWay | None:
+        assert expansions > 0
+        self.grown += 1
+        return self.found.pop(0) if self.grown == 3 else None
+
+
+class Robot:
+    """Walks what the errand asks for and shows it a map twice a second."""
+
+    def __init__(self, sections: Planned, looks: int = 0, gap: bool = True) -> None:
+        self.T = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+        self.feet = apply(self.T, PROFILE.rest_feet(HEIGHT))
+        self.sections, self.looks, self.gap = sections, looks, gap
+        self.errand = Errand(PROFILE, Settings(), sections, self.standing, GOAL)
+        self.state = actuator_state(PROFILE, T_odom_body=self.T, body_ref=self.T)
+        self.now_ns = 0
+        self.map: PassageMap | None = None
+        self.maps, self.moves, self.heard = True, list[Move](), list[str]()
+        self.refuse = ""
+
+    @property
+    def standing(self) -> Standing:
+        return Standing(self.T, self.feet)
+
+    def tick(self) -> Outcome:
+        self.now_ns += 40 * MS
+        self.state = replace(self.state, stamp_ns=self.now_ns)
+        if self.maps and self.now_ns % (480 * MS) == 0:
+            self.map = self.look()
+        outcome = self.errand.advance(self.state, self.standing, self.map, self.refuse)
+        if isinstance(outcome, Wait):
+            self.heard.append(outcome.words)
+        if isinstance(outcome, Move) and not self.refuse:
+            self.walk(outcome)
+        return outcome
+
+    def walk(self, move: Move) -> None:
+        """The step is over at the next tick."""
+        self.moves.append(move)
+        self.T = move.stride.body_goal
+        self.feet = np.where(move.stride.swing[:, None], move.stride.touchdown, self.feet)
+        self.looks -= not move.stride.swing.any()
+        self.state = replace(self.state, step=move.number)
+
+    def look(self) -> PassageMap:
+        heights = np.zeros((NX, NY), dtype=np.float32)
+        evaluation = np.full((NX, NY), -9, dtype=np.int8)
+        if self.gap:
+            evaluation[round(GAP[0] * 100) : round(GAP[1] * 100)] = 5
+        shows = np.zeros((NX, NY), dtype=np.bool_)
+        shows[150:170, 40:60] = self.looks > 0
+        raised = self.T.copy()
+        raised[2, 3] += 0.07
+        (request,) = [r for r in [self.errand.request(self.now_ns + 10**9)] if r is not None]
+        T = from_xyz_rpy((*request.origin, 0.0), (0.0, 0.0, request.heading))
+        return PassageMap(
+            self.now_ns, 0.01, apply(T, np.array([0.005, 0.005 - STRIP[1] / 2, 0.0]))[:2], request.heading, heights,
+            np.zeros((NX, NY, 3), np.int16), heights, np.zeros((NX, NY), np.bool_), evaluation, 0.1, "", raised, shows,
+        )  # fmt: skip
+
+    def until(self, done: Callable[[], bool]) -> None:
+        for _ in range(2000):
+            if done():
+                return
+            self.tick()
+        raise AssertionError(f"waited in vain: {self.heard[-3:]}")
+
+    def until_end(self, ticks: int = 2000) -> Over | Refused:
+        for _ in range(ticks):
+            outcome = self.tick()
+            if isinstance(outcome, Over | Refused):
+                return outcome
+        raise AssertionError(f"no end after {ticks} ticks: {self.heard[-3:]}")
+
+
+def section(x: float, to: float, count: int = 6) -> Crossing:
+    """Six legs that go as far as the body, in {strip}: 0.5 m behind the robot's first place."""
+    rest = PROFILE.rest_feet(HEIGHT)
+    bodies = [np.array([0.5 + x + (to - x) * (k + 1) / count, 0.0, HEIGHT]) for k in range(count)]
+    feet = rest + np.array([0.5 + to, 0.0, HEIGHT])
+    steps = tuple(PassageStep(k, feet[k], 0.03, bodies[k], 0.05) for k in range(count))
+    return Crossing(steps, True, "at the goal", 9, 4, Stance(bodies[-1], feet))
+
+
+def no_way(reason: str = "nothing carries") -> NoWay:
+    return NoWay(reason, False, Stance(np.array([0.6, 0.0, HEIGHT]), np.zeros((6, 3))), 5, 5, {})
+
+
+def test_it_looks_plans_walks_and_ends_behind_the_gap() -> None:
+    robot = Robot(Planned(section(0.0, 0.9), section(0.9, 1.85)), looks=2)
+    assert robot.until_end() == Over("behind the gap")
+    raised, higher, back, *steps = robot.moves
+    assert [m.stride.swing.any() for m in (raised, higher, back)] == [False] * 3
+    assert raised.stride.body_goal[2, 3] == pytest.approx(HEIGHT + 0.07)
+    np.testing.assert_allclose(back.stride.body_goal, from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)), atol=1e-9)
+    assert [int(np.flatnonzero(m.stride.swing)[0]) for m in steps] == [*range(6)] * 2
+    assert [m.number for m in robot.moves] == list(range(1, 16))
+    assert [m.stop for m in steps] == ([False] * 5 + [True]) * 2
+    np.testing.assert_allclose(robot.T[:3, 3], [1.85, 0.0, HEIGHT], atol=1e-9)
+
+
+def test_a_section_is_planned_from_where_the_robot_stands_to_behind_the_gap() -> None:
+    robot = Robot(Planned(section(0.0, 1.85)))
+    robot.until_end()
+    (field, stance, goal, _), *_ = robot.sections.begun
+    np.testing.assert_allclose(stance.body, [0.5, 0.0, HEIGHT], atol=1e-9)
+    np.testing.assert_allclose(apply(field.T_strip_world, robot.moves[0].stride.start), stance.feet, atol=1e-9)
+    assert goal == pytest.approx(GAP[1] + 0.40, abs=0.011)
+
+
+def test_what_planning_came_to_is_told_once() -> None:
+    robot = Robot(Planned(no_way()))
+    reports = []
+    while not reports:
+        robot.tick()
+        reports += [r for r in [robot.errand.report] if r is not None]
+    assert robot.errand.report is None
+    (report,) = reports
+    assert (report.state, report.section, report.generated, report.expanded) == ("no way", 1, 5, 5)
+
+
+def test_no_way_is_refused_in_the_planners_words() -> None:
+    assert Robot(Planned(no_way("left front leg: out of reach"))).until_end() == Refused("left front leg: out of reach")
+
+
+def test_over_ground_that_carries_anywhere_there_is_nothing_to_cross() -> None:
+    robot = Robot(Planned(), gap=False)
+    assert robot.until_end() == Over("behind the gap")
+    assert robot.sections.begun == []
+
+
+def test_the_map_is_asked_for_again_and_again_and_none_is_waited_for_in_vain() -> None:
+    robot = Robot(Planned())
+    robot.maps = False
+    asked = 0
+    for _ in range(100):
+        robot.tick()
+        asked += robot.errand.request(robot.now_ns) is not None
+    assert 9 <= asked <= 11
+    assert robot.until_end() == Refused("the mapper sends no map of the passage")
+
+
+def test_a_map_from_before_the_robot_stood_still_does_not_count() -> None:
+    robot = Robot(Planned(section(0.0, 1.85)))
+    for _ in range(16):  # 0.64 s
+        assert isinstance(robot.tick(), Wait)
+    assert robot.sections.begun == []
+
+
+def test_a_foot_that_is_not_where_it_was_to_stand_has_the_rest_planned_anew() -> None:
+    robot = Robot(Planned(section(0.0, 1.85), section(0.3, 1.85)))
+    robot.until(lambda: len(robot.moves) == 2)
+    robot.feet[0, 2] -= 0.05
+    robot.until(lambda: len(robot.sections.begun) == 2)
+    assert len(robot.moves) == 2
+    assert any("left front foot is 5 cm from where it was to stand" in words for words in robot.heard)
+
+
+def test_where_a_foot_found_nothing_no_foot_is_planned_again() -> None:
+    robot = Robot(Planned(section(0.0, 1.85), section(0.3, 1.85)))
+    robot.until(lambda: len(robot.moves) == 1)
+    gone = np.array([0.45, 0.2, -0.03])
+    touch, carries, touch_ns = np.zeros((6, 3)), np.ones(6, dtype=np.bool_), np.full(6, -1, dtype=np.int64)
+    touch[0], carries[0], touch_ns[0] = gone, False, robot.now_ns
+    robot.state = replace(robot.state, touch=touch, touch_carries=carries, touch_ns=touch_ns)
+    robot.until(lambda: len(robot.sections.begun) == 2)
+    field = robot.sections.begun[1][0]
+    x, y, _ = apply(inverse(field.T_world_strip), gone)
+    i, j = round((x - field.corner[0]) / 0.01), round((y - field.corner[1]) / 0.01)
+    assert (field.evaluation[i - 5 : i + 6, j - 5 : j + 6] > 0).all()
+    assert field.evaluation[i - 15, j] < 0
+
+
+def test_refused_steps_lead_to_another_look_and_in_the_end_to_a_refusal() -> None:
+    robot = Robot(Planned(*[section(0.0, 1.85)] * 5))
+    robot.until(lambda: bool(robot.sections.begun))
+    robot.refuse = "out of reach"
+    end = robot.until_end()
+    assert isinstance(end, Refused)
+    assert "does not get on" in end.reason
+
+
+def test_a_refused_look_is_done_without() -> None:
+    robot = Robot(Planned(section(0.0, 1.85)), looks=5)
+    robot.refuse = "the body would turn too far"
+    robot.until(lambda: bool(robot.sections.begun))
+    assert robot.moves == []
+
+
+def test_unknown_ground_is_told_from_bare() -> None:
+    """Where nothing was seen beyond the near side the goal is not behind what may be there."""
+    robot = Robot(Planned(no_way()))
+    look = robot.look
+
+    def short() -> PassageMap:
+        map_ = look()
+        evaluation = map_.evaluation.copy()
+        evaluation[150:] = UNKNOWN
+        return replace(map_, evaluation=evaluation)
+
+    robot.look = short  # type: ignore[method-assign]
+    robot.until_end()
+    assert robot.sections.begun[0][2] == pytest.approx(1.5 + 0.40, abs=0.011)

@@ -1,0 +1,72 @@
+"""Where a gap begins on the straight way to a goal."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from services.planner.passage.verge import Verge, gap_ahead
+from services.planner.terrain import Terrain
+from shared.geometry import Array
+
+Maker = Callable[..., Terrain]
+GOAL = np.array([1.6, 0.0])
+HERE = np.array([0.0, 0.0])
+
+
+def ditch(begin: float, end: float, floor: float = -0.4) -> Callable[[Array, Array], Array]:
+    return lambda x, y: np.where((x > begin) & (x < end), floor, 0.0) + 0.0 * y
+
+
+def score(begin: float, end: float) -> Callable[[Array, Array], Array]:
+    return lambda x, y: np.where((x > begin) & (x < end), 9.0, 0.0) + 0.0 * y
+
+
+@pytest.mark.parametrize("begin", [0.2, 0.437, 0.9])
+@pytest.mark.parametrize("length", [0.1, 0.5])
+def test_a_gap_begins_where_the_ground_ends(make_terrain: Maker, begin: float, length: float) -> None:
+    terrain = make_terrain(ditch(begin, begin + length), score(begin, begin + length))
+    found = gap_ahead(terrain, HERE, GOAL, 0.0)
+    assert isinstance(found, Verge)
+    assert found.distance == pytest.approx(begin, abs=0.021)
+    assert found.heading == pytest.approx(0.0)
+
+
+def test_over_level_ground_there_is_none(make_terrain: Maker) -> None:
+    assert gap_ahead(make_terrain(ditch(3.0, 4.0), score(3.0, 4.0)), HERE, GOAL, 0.0) == "no gap on the straight way to it"
+
+
+def test_what_is_narrower_than_a_step_is_none(make_terrain: Maker) -> None:
+    assert isinstance(gap_ahead(make_terrain(ditch(0.5, 0.54), score(0.5, 0.54)), HERE, GOAL, 0.0), str)
+
+
+def test_a_wall_before_it_is_said(make_terrain: Maker) -> None:
+    terrain = make_terrain(
+        lambda x, y: np.where((x > 0.4) & (x < 0.6), 0.3, np.where(x > 0.9, -0.4, 0.0)) + 0.0 * y, score(0.38, 9.0)
+    )
+    found = gap_ahead(terrain, HERE, GOAL, 0.0)
+    assert isinstance(found, str)
+    assert "something high" in found
+
+
+def test_unseen_ground_is_no_gap_yet(make_terrain: Maker) -> None:
+    terrain = make_terrain(
+        lambda x, y: np.where(x > 0.6, np.nan, 0.0) + 0.0 * y, lambda x, y: np.where(x > 0.6, np.nan, 0.0) + 0.0 * y
+    )
+    assert isinstance(gap_ahead(terrain, HERE, GOAL, 0.0), str)
+
+
+def test_across_pillars_it_is_a_gap_all_the_same(make_terrain: Maker) -> None:
+    def pillars(x: Array, y: Array) -> Array:
+        return (np.abs(np.abs(y) - 0.17) < 0.05) & (np.abs(x % 0.2 - 0.1) < 0.05)
+
+    def inside(x: Array) -> Array:
+        return (x > 0.5) & (x < 1.3)
+
+    terrain = make_terrain(
+        lambda x, y: np.where(inside(x) & ~pillars(x, y), -0.4, 0.0),
+        lambda x, y: np.where(inside(x) & ~pillars(x, y), 9.0, 0.0),
+    )
+    found = gap_ahead(terrain, HERE, GOAL, 0.0)
+    assert isinstance(found, Verge)
+    assert found.distance == pytest.approx(0.5, abs=0.021)
