@@ -43,12 +43,12 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         title(figure, report)
         planned, walked, aside = (
             figure.add_axes((0.070, bottom, 0.860, height))
-            for bottom, height in ((0.640, 0.265), (0.335, 0.265), (0.235, 0.08))
+            for bottom, height in ((0.627, 0.265), (0.325, 0.265), (0.230, 0.08))
         )
         _draw_planned(figure, planned, trace)
         _draw_walked(figure, walked, report, trace)
         box = walked.get_position()  # by now with the map's proportions
-        aside.set_position((box.x0, 0.235, box.width, 0.08))
+        aside.set_position((box.x0, 0.230, box.width, 0.08))
         _draw_aside(aside, trace)
         _draw_sections(figure.add_axes((0.055, 0.015, 0.600, 0.165)), trace)
         draw_table(figure.add_axes((0.685, 0.015, 0.295, 0.165)), _numbers(report))
@@ -257,7 +257,8 @@ def _draw_sections(axes: Any, trace: Trace) -> None:
 def _cells(number: int, section: PlannedSection) -> list[str]:
     plan = section.plan
     reach = f"{100 * plan.furthest:.0f} of {100 * plan.goal:.0f} cm"
-    counts = [str(plan.generated), str(plan.expanded), f"{plan.planning_ms:.1f} ms", str(len(plan.leg))]
+    time = f"{plan.planning_ms:.1f} ms" if plan.planning_ms < 1000 else f"{plan.planning_ms / 1e3:.1f} s"
+    counts = [str(plan.generated), str(plan.expanded), time, str(len(plan.leg))]
     return [str(number + 1), plan.state, *counts, reach]
 
 
