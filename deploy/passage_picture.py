@@ -1,6 +1,7 @@
 """One picture of a run that planned its way over a passage: what it saw and planned at each stop, and where it went."""
 
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ _TRUE, _BAD = "#111111", "#b3261e"
 _BEFORE, _AFTER, _SIDE = 0.35, 0.35, 0.45  # [m] shown before the start, after the goal, and to both sides
 _FURTHEST, _DEEPEST = 8, -5  # [cells] of the evaluation function, beyond which its colour changes no more
 _ROWS = 6  # stops in the table
+_SAME = 0.02  # [m] between the heights of ground that has not changed
 _UNDER = 0.10  # [m] shown below the start's ground, from aside
 
 
@@ -64,9 +66,7 @@ def _draw_planned(figure: Any, axes: Any, trace: Trace) -> None:
     from matplotlib.collections import LineCollection
 
     _frame(axes, trace)
-    for section in trace.sections:
-        if section.map is not None:
-            image = _draw_evaluation(axes, section.map)
+    images = [_draw_evaluation(axes, *strip) for strip in _strips([s.map for s in trace.sections if s.map is not None])]
     draw_blocks(axes, trace)
     for number, section in enumerate(trace.sections):
         plan, color = section.plan, _color(number)
@@ -80,8 +80,8 @@ def _draw_planned(figure: Any, axes: Any, trace: Trace) -> None:
         axes.scatter(xy[:, 0], xy[:, 1], s=34, c=color, edgecolors="white", linewidths=0.7, zorder=6, label=LEGS[leg])
     axes.set_ylabel("planned:\nleft [m]")
     axes.tick_params(labelbottom=False)
-    if any(section.map is not None for section in trace.sections):
-        _bar(figure, axes, image)
+    if images:
+        _bar(figure, axes, images[-1])
     handles = [*axes.get_legend_handles_labels()[0], *_planned_legend(_color(0))]
     axes.legend(
         handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=9, frameon=False, fontsize=11, columnspacing=1.2
@@ -95,14 +95,36 @@ def _planned_legend(color: str) -> list[Any]:
     return [Line2D([], [], color=color, lw=width, label=label) for label, width in lines]
 
 
-def _draw_evaluation(axes: Any, known: PassageMap) -> Any:
+def _strips(maps: Sequence[PassageMap]) -> list[tuple[PassageMap, Array]]:
+    """A map of each strip, with the evaluation function (nx, ny) of all its maps [cells], NaN where nothing is known.
+
+    A newer one counts, but for ground that lies as high as when it was a better foothold: that is beside what it has forgotten.
+    """
+    strips: list[tuple[PassageMap, Array, Array]] = []
+    for known in maps:
+        cells = np.where(known.evaluation == UNKNOWN, np.nan, known.evaluation.astype(np.float64))
+        heights = known.elevation.astype(np.float64)
+        cells[np.isnan(heights)] = np.nan
+        if strips and _lies_as(known, strips[-1][0]):
+            _, before, was = strips.pop()
+            same = np.abs(heights - was) < _SAME
+            cells = np.where(np.isnan(cells) | (same & (before < cells)), before, cells)
+            heights = np.where(np.isnan(heights), was, heights)
+        strips.append((known, cells, heights))
+    return [(known, cells) for known, cells, _ in strips]
+
+
+def _lies_as(a: PassageMap, b: PassageMap) -> bool:
+    same = a.elevation.shape == b.elevation.shape and a.resolution == b.resolution and a.heading == b.heading
+    return same and np.array_equal(a.origin, b.origin)
+
+
+def _draw_evaluation(axes: Any, known: PassageMap, cells: Array) -> Any:
     """A strip's evaluation function where it lies; what is unknown lets through what is below."""
     from matplotlib.colors import TwoSlopeNorm
     from matplotlib.transforms import Affine2D
 
-    r, (nx, ny) = known.resolution, known.evaluation.shape
-    cells = np.clip(known.evaluation.astype(np.float64), _DEEPEST, _FURTHEST)
-    cells[(known.evaluation == UNKNOWN) | np.isnan(known.elevation)] = np.nan
+    r, (nx, ny) = known.resolution, cells.shape
     extent = (-r / 2, r * nx - r / 2, -r / 2, r * ny - r / 2)
     scale: dict[str, Any] = {"cmap": _evaluation_colors(), "norm": TwoSlopeNorm(0.0, _DEEPEST, _FURTHEST)}
     image = axes.imshow(cells.T, origin="lower", extent=extent, interpolation="nearest", **scale)

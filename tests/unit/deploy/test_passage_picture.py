@@ -89,3 +89,22 @@ def test_a_run_with_sections_leaves_this_picture_and_another_run_does_not(tmp_pa
         attendance.leave_behind(told.judged().result(), tmp_path / scenario.name)
         assert (tmp_path / scenario.name / "summary.png").exists() == (sections == 0)
     assert drawn == ["summary.png"]
+
+
+def test_what_a_newer_map_has_forgotten_is_shown_as_it_was_and_what_gave_way_as_it_is(story):
+    older = story(scenario=PASSAGE, level=True).passage(0, 2)
+    pillar, platform = (46, 51), (15, 40)  # cells of a foothold each
+    assert older.evaluation[pillar] < 0 > older.evaluation[platform]
+    forgotten, sunk = older.elevation.copy(), older.elevation.copy()
+    forgotten[:10] = np.nan
+    border = older.evaluation.copy()
+    border[:16] = 3  # for what lies beside the unknown is beside the vacant
+    sunk[pillar[0] - 7 : pillar[0] + 8, pillar[1] - 5 : pillar[1] + 6] -= 0.06
+    gone = older.evaluation.copy()
+    gone[pillar] = 4
+    ((_, cells),) = passage_picture._strips([older, replace(older, elevation=forgotten, evaluation=border)])
+    np.testing.assert_array_equal(cells, older.evaluation)
+    ((_, cells),) = passage_picture._strips([older, replace(older, elevation=sunk, evaluation=gone)])
+    assert cells[pillar] == 4
+    elsewhere = replace(older, origin=older.origin + 0.3)
+    assert len(passage_picture._strips([older, elsewhere])) == 2
