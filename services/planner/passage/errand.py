@@ -29,6 +29,7 @@ _WORTH = 60  # cells that a look must show
 _POSE_S = 2.0  # [s] for raising the body and lowering it
 _PER_TICK = 6_000  # expansions for each message of the actuator: what a core does meanwhile, in lockstep as over the wire
 _OFF_PLACE, _OFF_HEIGHT = 0.03, 0.025  # [m] of a standing foot from where the plan has it, from which it is planned anew
+_SEEDS = 3  # attempts at planning a section, each with other samples
 _RETRIES = 3  # plannings at one place of the body, within
 _SAME_PLACE = 0.03  # [m], before it says that there is no way
 _YIELDED = 0.08  # [m] around a foot that found nothing, where ground is taken to carry none
@@ -116,6 +117,7 @@ class Errand:
         self._asked_ns = -1
         self._looks = 0
         self._section = 0
+        self._seed = _SEEDS  # of the section: so many attempts have been made
         self._map_ns = -1  # of the map that was used last
         self._field: Field | None = None
         self._base = 0  # number of the step before the section's first
@@ -227,14 +229,15 @@ class Errand:
             goal = goal_behind(self._field, float(root.body[0]), self._along(self._target))
             if goal is None:
                 return Over("behind the gap")
-            here = standing.body[:2, 3]
-            if sum(float(np.linalg.norm(here - place)) < _SAME_PLACE for place in self._tried) >= _RETRIES:
-                return Refused(f"after {_RETRIES} plannings at one place the robot does not get on")
-            self._tried.append(here.copy())
-            self._section += 1
+            if self._seed == _SEEDS:
+                refusal = self._once_more_here(standing.body[:2, 3])
+                if refusal:
+                    return Refused(refusal)
+                self._section, self._seed = self._section + 1, 0
+            self._seed += 1
             self._goal = goal
             self._begun_ns, self._planning_s = state.stamp_ns, 0.0
-            self._roadmap.begin(self._field, root, goal, seed=self._section)
+            self._roadmap.begin(self._field, root, goal, seed=_SEEDS * self._section + self._seed)
         began = time.perf_counter()
         found = self._roadmap.grow(_PER_TICK)
         self._planning_s += time.perf_counter() - began
@@ -243,9 +246,18 @@ class Errand:
         self._begun_ns = -1
         self._report = self._tell(state.stamp_ns, found)
         if isinstance(found, NoWay):
+            if self._seed < _SEEDS:
+                return Wait(f"planning section {self._section} of the passage once more: {found.reason}")
             return Refused(found.reason)
-        self._steps, self._base, self._looks = found.steps, state.step, 0
+        self._steps, self._base, self._looks, self._seed = found.steps, state.step, 0, _SEEDS
         return self._enter("walk", Wait(f"walking section {self._section} of the passage: {len(found.steps)} steps"))
+
+    def _once_more_here(self, xy: Array) -> str:
+        """Note that a section begins at a place (2,) [m] {world}; why it is no use to try again there, in words, or nothing."""
+        if sum(float(np.linalg.norm(xy - place)) < _SAME_PLACE for place in self._tried) >= _RETRIES:
+            return f"after {_RETRIES} plannings at one place the robot does not get on"
+        self._tried.append(xy.copy())
+        return ""
 
     def _in_strip(self, standing: Standing) -> Stance:
         T = inverse(self._T_world_strip)
@@ -266,7 +278,13 @@ class Errand:
         assert self._field is not None
         resting = state.phase >= 1.0
         done = state.step - self._base  # steps of the section that have begun, or are over
-        why = self._gave_way or refused or self._astray(standing, min(done, len(self._steps)))
+        why = self._astray(standing, min(done, len(self._steps)))
+        if why and resting and done > 0 and not self._astray(standing, done - 1):
+            if state.stamp_ns - self._since_ns < _STILL_NS:
+                return Wait("a foot had no hold; standing")
+            # The step was not taken: some foot had to find its ground first. It is due again.
+            self._base, done, why = self._base + 1, done - 1, ""
+        why = self._gave_way or refused or why
         if done >= len(self._steps) or why:
             if not resting:
                 return Wait(f"walking the last step of section {self._section}")

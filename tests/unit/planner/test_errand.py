@@ -147,7 +147,7 @@ def test_a_section_is_planned_from_where_the_robot_stands_to_behind_the_gap() ->
 
 
 def test_what_planning_came_to_is_told_once() -> None:
-    robot = Robot(Planned(no_way()))
+    robot = Robot(Planned(*[no_way()] * 3))
     reports = []
     while not reports:
         robot.tick()
@@ -157,8 +157,22 @@ def test_what_planning_came_to_is_told_once() -> None:
     assert (report.state, report.section, report.generated, report.expanded) == ("no way", 1, 5, 5)
 
 
-def test_no_way_is_refused_in_the_planners_words() -> None:
-    assert Robot(Planned(no_way("left front leg: out of reach"))).until_end() == Refused("left front leg: out of reach")
+def test_no_way_is_refused_in_the_planners_words_once_other_samples_found_none_either() -> None:
+    robot = Robot(Planned(no_way("all"), no_way("some"), no_way("left front leg: out of reach")))
+    assert robot.until_end() == Refused("left front leg: out of reach")
+    assert len({seed for *_, seed in robot.sections.begun}) == 3
+
+
+def test_a_step_that_was_not_taken_is_due_again() -> None:
+    """A foot that was to carry had to look for its ground first: the actuator counts the step, its leg has not moved."""
+    robot = Robot(Planned(section(0.0, 1.85)))
+    robot.until(lambda: len(robot.moves) == 2)
+    lost = robot.moves.pop()
+    robot.feet = np.where(lost.stride.swing[:, None], lost.stride.start, robot.feet)
+    robot.T = robot.moves[-1].stride.body_goal
+    robot.until(lambda: len(robot.moves) == 6)
+    assert [int(np.flatnonzero(m.stride.swing)[0]) for m in robot.moves] == [*range(6)]
+    assert len(robot.sections.begun) == 1
 
 
 def test_over_ground_that_carries_anywhere_there_is_nothing_to_cross() -> None:
@@ -227,7 +241,7 @@ def test_a_refused_look_is_done_without() -> None:
 
 def test_unknown_ground_is_told_from_bare() -> None:
     """Where nothing was seen beyond the near side the goal is not behind what may be there."""
-    robot = Robot(Planned(no_way()))
+    robot = Robot(Planned(*[no_way()] * 3))
     look = robot.look
 
     def short() -> PassageMap:
