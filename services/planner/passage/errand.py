@@ -32,7 +32,7 @@ _OFF_PLACE, _OFF_HEIGHT = 0.03, 0.025  # [m] of a standing foot from where the p
 _SEEDS = 3  # attempts at planning a section, each with other samples
 _RETRIES = 3  # plannings at one place of the body, within
 _SAME_PLACE = 0.03  # [m], before it says that there is no way
-_YIELDED = 0.08  # [m] around a foot that found nothing, where ground is taken to carry none
+_YIELDED = 0.06  # [m] around a foot that found nothing, where ground is taken to carry none
 
 Stage = Literal["survey", "look", "return", "plan", "walk"]
 
@@ -289,6 +289,7 @@ class Errand:
             if not resting:
                 return Wait(f"walking the last step of section {self._section}")
             self._gave_way = ""
+            self._yielded += self._sunk(standing, min(done, len(self._steps)))
             return self._enter("survey", Wait(f"{why}: looking again" if why else "section walked"))
         if not resting and state.phase < self._settings.plan_from:
             return Wait(self._words(done))
@@ -322,6 +323,14 @@ class Errand:
             if level > _OFF_PLACE or height > _OFF_HEIGHT:
                 return f"the {LEGS[step.leg]} foot is {max(level, height) * 100:.0f} cm from where it was to stand"
         return ""
+
+    def _sunk(self, standing: Standing, done: int) -> list[Array]:
+        """Places (2,) [m] {world} where a foot stands lower than the ground was: it has given way."""
+        assert self._field is not None
+        feet = apply(self._field.T_strip_world, standing.feet)
+        newest = {step.leg: step for step in self._steps[:done] if step.leg >= 0}
+        low = [leg for leg, step in newest.items() if feet[leg, 2] < step.touchdown[2] - _OFF_HEIGHT]
+        return [standing.feet[leg, :2].copy() for leg in low]
 
     def _words(self, step: int) -> str:
         return f"passage, section {self._section}: step {step} of {len(self._steps)}"
