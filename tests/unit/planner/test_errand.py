@@ -219,7 +219,7 @@ def test_where_a_foot_found_nothing_no_foot_is_planned_again() -> None:
     field = robot.sections.begun[1][0]
     x, y, _ = apply(inverse(field.T_world_strip), gone)
     i, j = round((x - field.corner[0]) / 0.01), round((y - field.corner[1]) / 0.01)
-    assert (field.evaluation[i - 4 : i + 5, j - 4 : j + 5] > 0).all()
+    assert (field.evaluation[i - 3 : i + 4, j - 3 : j + 4] > 0).all()
     assert field.evaluation[i - 15, j] < 0
 
 
