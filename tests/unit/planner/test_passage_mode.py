@@ -1,0 +1,91 @@
+"""When a passage is begun: by a goal that cannot be walked to, or by order; what goes out, and who takes over."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from services.planner.terrain import Terrain
+from shared.geometry import Array, yaw_of
+from shared.messages import Goal, Message, PassageRequest, PlannerStatus, StepPlan, TerrainMap, VelocityCommand
+from tests.unit.planner.conftest import terrain_of
+from tests.unit.planner.test_service import HEIGHT, Rig
+
+EDGE = 0.6  # [m] where the gap begins
+GOAL = Goal(0, np.array([[2.5, 0.0]]), 0.05, 0.1, HEIGHT, 0.03)
+
+
+def gap(width: float = 9.0) -> TerrainMap:
+    """Level ground that ends right across the way, and all around further out."""
+
+    def out(x: Array, y: Array) -> Array:
+        beyond = (x > EDGE) & (x < EDGE + width)
+        return beyond | (np.abs(y) > 0.75) | (x < -0.75)
+
+    terrain: Terrain = terrain_of(
+        lambda x, y: np.where(out(x, y), -0.4, 0.0), lambda x, y: np.where(out(x, y), 9.0, 0.0), half=3.0
+    )
+    return terrain.map
+
+
+def led(goal: Goal, map_: TerrainMap, cycles: int = 6000) -> tuple[Rig, list[Message]]:
+    """A robot that does what it is told until it asks for a strip, or stands blocked."""
+    rig = Rig()
+    rig.command, rig.goal, rig.terrain = None, goal, map_
+    heard: list[Message] = []
+    for _ in range(cycles):
+        said = rig.cycle()
+        heard += said
+        if any(isinstance(m, PassageRequest) for m in said):
+            break
+        if any(isinstance(m, PlannerStatus) and m.state == "blocked" for m in said):
+            break
+        for plan in (m for m in said if isinstance(m, StepPlan)):
+            rig.begin(plan)
+            rig.finish(plan)
+            assert rig.pose is not None
+            rig.pose = replace(rig.pose, T_world_body=rig.state.T_odom_body)
+    return rig, heard
+
+
+@pytest.mark.parametrize("ordered", [False, True])
+def test_before_a_gap_it_walks_to_its_verge_faces_it_and_asks_for_the_strip(ordered: bool) -> None:
+    rig, heard = led(replace(GOAL, passage=ordered), gap(0.8))
+    request = heard[-1] if isinstance(heard[-1], PassageRequest) else next(m for m in heard if isinstance(m, PassageRequest))
+    body = rig.state.T_odom_body
+    assert body[0, 3] == pytest.approx(EDGE - 0.36, abs=0.07)
+    assert abs(np.degrees(yaw_of(body) - np.arctan2(-body[1, 3], 2.5 - body[0, 3]))) < 2.0
+    assert request.heading == pytest.approx(yaw_of(body), abs=np.radians(2.0))
+    ahead = np.array([np.cos(request.heading), np.sin(request.heading)])
+    np.testing.assert_allclose(request.origin, body[:2, 3] - 0.5 * ahead, atol=1e-6)
+
+
+def test_where_nothing_is_to_be_crossed_the_refusal_says_both() -> None:
+    """Walls all around are no gap."""
+    terrain = terrain_of(
+        lambda x, y: np.where(np.maximum(np.abs(x), np.abs(y)) > 0.6, 0.3, 0.0),
+        lambda x, y: np.where(np.maximum(np.abs(x), np.abs(y)) > 0.58, 9.0, 0.0),
+        half=3.0,
+    )
+    rig, _ = led(GOAL, terrain.map)
+    status = rig.status()
+    assert status.state == "blocked"
+    assert status.reason.startswith("no way to (2.5, 0.0)")
+    assert "and no passage: the straight way to it ends at something high after 0.6 m" in status.reason
+
+
+def test_an_operator_who_steers_takes_over_from_a_passage() -> None:
+    rig, _ = led(replace(GOAL, passage=True), gap(0.8))
+    rig.command = VelocityCommand(0, np.array([-0.05, 0.0]), 0.0, HEIGHT, 0.03)
+    said = [m for _ in range(40) for m in rig.cycle()]
+    assert any(isinstance(m, StepPlan) and m.body_goal[0, 3] < rig.state.T_odom_body[0, 3] for m in said)
+    assert not any(isinstance(m, PassageRequest) for m in said[1:])
+
+
+def test_an_ordered_crossing_is_looked_at_from_where_the_robot_stands_if_the_map_shows_no_gap() -> None:
+    rig = Rig()
+    rig.command, rig.goal = None, replace(GOAL, passage=True)
+    heard = [m for _ in range(60) for m in rig.cycle()]
+    assert not any(isinstance(m, StepPlan) for m in heard)
+    request = next(m for m in heard if isinstance(m, PassageRequest))
+    np.testing.assert_allclose(request.origin, [-0.5, 0.0], atol=1e-6)
