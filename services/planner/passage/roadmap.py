@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from services.planner.passage import search
 from services.planner.passage.field import Field
@@ -16,6 +17,7 @@ from shared.robot import RobotProfile
 _LIT = 0.3  # [1] share of a row of cells across that is known, below which the known ground ends
 _BAND = 0.35  # [m] either side of the middle line in which it counts
 _WORTH = 0.05  # [m] of the body's way that a section must bring
+_RETREAT = 0.06  # [m] of the body before the furthest that was reached
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,20 +64,21 @@ class NoWay:
 
 
 class Roadmap:
-    """Grows a tree of configurations from a stance towards a place along the strip. Same input and seed: same plan."""
+    """Grows trees of configurations from a stance towards a place along the strip. Same input and seed: same plan.
+
+    How long a search takes has a long tail: one that finds nothing in its share of the budget begins anew, with other samples.
+    """
 
     def __init__(self, profile: RobotProfile, settings: PassageSettings | None = None):
         """Make room for a robot's configurations."""
         self._profile, self._settings = profile, settings or PassageSettings()
         self._legs, self._rules = legs_of(profile, self._settings), rules_of(profile, self._settings)
         self._tree = tree_of(self._settings.nodes)
-        self._exhaustive = False
         self._field: Field | None = None
-        self._outcome: Crossing | NoWay | None = None
 
     @property
     def edges(self) -> Array:
-        """(n, 2, 3) [m] {strip} body places at both ends of every step that was proven, for the picture."""
+        """(n, 2, 3) [m] {strip} body places at both ends of every step that was proven, of the newest tree, for the picture."""
         n = int(self._tree.counts[search.NODES])
         proven = np.flatnonzero((self._tree.state[:n] == search.PROVEN) & (self._tree.parent[:n] >= 0))
         return np.stack([self._tree.body[self._tree.parent[proven]], self._tree.body[proven]], axis=1)
@@ -83,7 +86,12 @@ class Roadmap:
     @property
     def expanded(self) -> int:
         """n_e so far."""
-        return int(self._tree.counts[search.EXPANDED])
+        return self._expanded_before + int(self._tree.counts[search.EXPANDED])
+
+    @property
+    def generated(self) -> int:
+        """n_g so far."""
+        return self._generated_before + int(self._tree.counts[search.NODES])
 
     def begin(self, field: Field, stance: Stance, goal_x: float, seed: int, exhaustive: bool = False) -> None:
         """Start anew.
@@ -93,31 +101,24 @@ class Roadmap:
             stance: Where the robot stands.
             goal_x: [m] {strip} where its body shall be.
             seed: Of the samples.
-            exhaustive: Try every motion of the lattice and every foothold instead of samples; for `passable`.
+            exhaustive: Try every motion of the lattice and every foothold instead of samples, in one tree; for `passable`.
 
         Raises:
             ValueError: A stance that is none.
         """
         if stance.body.shape != (3,) or stance.feet.shape != (6, 3) or not np.isfinite(stance.feet).all():
             raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
-        self._field, self._exhaustive, self._outcome = field, exhaustive, None
+        self._field, self._exhaustive = field, exhaustive
+        self._outcome: Crossing | NoWay | None = None
         self._rules = rules_of(self._profile, self._settings, exhaustive)
         self._ground = ground_of(field, self._settings, exhaustive)
-        self._goal_x = goal_x
-        self._seen_to = self._end_of_the_known(field, stance)
-        tree, root = self._tree, self._repaired(stance)
-        used = int(tree.counts[search.NODES])
-        tree.counts[:] = 0
-        tree.counts[search.GOAL] = -1
-        tree.counts[search.NODES] = 1
-        tree.fails[:], tree.table[:] = 0, -1
-        tree.foot[: used + 1] = search.ROOT_FOOT
-        tree.root[:], tree.body[0] = root.feet, root.body
-        tree.parent[0], tree.leg[0], tree.depth[0], tree.state[0], tree.cost[0] = -1, -1, 0, search.PROVEN, 0.0
-        tree.random[0] = np.uint64((seed * 2654435761 + 88172645463325252) % (2**64 - 1) + 1)
-        tree.goal[0] = min(goal_x, self._seen_to)
-        tree.key[0], tree.queued[0], tree.turn[0] = 0.0, 0, 0
-        tree.counts[search.QUEUED] = 1
+        self._goal_x, self._seen_to = goal_x, self._end_of_the_known(field, stance)
+        self._root = self._repaired(stance)
+        self._tree.random[0] = np.uint64((seed * 2654435761 + 88172645463325252) % (2**64 - 1) + 1)
+        self._tries = self._expanded_before = self._generated_before = 0
+        self._fails = np.zeros(search.TESTS, dtype=np.int64)
+        self._best: _Furthest | None = None
+        self._plant()
 
     def grow(self, expansions: int) -> Crossing | NoWay | None:
         """Go on for so many expansions; None while the budget is not used up and nothing is found.
@@ -127,16 +128,41 @@ class Roadmap:
         """
         if self._field is None:
             raise ValueError("a search that was begun expected: call begin() first")
-        if self._outcome is not None:
-            return self._outcome
-        left = self._settings.budget - self.expanded if not self._exhaustive else expansions
-        if not self._blame:
-            search.grow(self._tree, self._ground, self._legs, self._rules, min(expansions, left), self._exhaustive)
-        count = self._tree.counts
-        spent = count[search.QUEUED] == 0 or (self.expanded >= self._settings.budget and not self._exhaustive)
-        if count[search.GOAL] >= 0 or spent or self._blame:
-            self._outcome = self._conclude()
+        counts, budget = self._tree.counts, np.inf if self._exhaustive else self._settings.budget
+        while self._outcome is None and expansions > 0:
+            if self._blame:
+                self._outcome = self._no_way(self._blame, False)
+                break
+            portion = int(min(expansions, budget - self.expanded, self._share() - counts[search.EXPANDED]))
+            expansions -= search.grow(self._tree, self._ground, self._legs, self._rules, portion, self._exhaustive)
+            ended = counts[search.QUEUED] == 0 or counts[search.EXPANDED] >= self._share()
+            if counts[search.GOAL] >= 0:
+                self._outcome = self._crossing(int(counts[search.GOAL]))
+            elif self.expanded >= budget or (ended and self._exhaustive):
+                self._note_furthest()
+                self._outcome = self._nothing_found()
+            elif ended:
+                self._note_furthest()
+                self._expanded_before, self._generated_before = self.expanded, self.generated
+                self._tries += 1
+                self._plant()
         return self._outcome
+
+    def _share(self) -> float:
+        """Expansions that a tree may have before another one is tried: twice as many every second time."""
+        return np.inf if self._exhaustive else float(self._settings.patience * 2 ** (self._tries // 2))
+
+    def _plant(self) -> None:
+        """Leave nothing but the root."""
+        tree = self._tree
+        tree.counts[:] = 0
+        tree.counts[search.GOAL] = -1
+        tree.counts[search.NODES] = tree.counts[search.QUEUED] = 1
+        tree.fails[:], tree.visits[:], tree.table[:] = 0, 0, -1
+        tree.root[:], tree.body[0], tree.foot[0] = self._root.feet, self._root.body, search.ROOT_FOOT
+        tree.parent[0], tree.leg[0], tree.depth[0], tree.state[0], tree.cost[0] = -1, -1, 0, search.PROVEN, 0.0
+        tree.goal[0] = min(self._goal_x, self._seen_to)
+        tree.key[0], tree.queued[0], tree.turn[0] = 0.0, 0, 0
 
     def _end_of_the_known(self, field: Field, stance: Stance) -> float:
         """How far [m] {strip} the body may go before its front feet step on what is not known."""
@@ -164,28 +190,48 @@ class Roadmap:
         self._blame = fault_in_words(first, self._settings.repair)
         return stance
 
-    def _conclude(self) -> Crossing | NoWay:
-        """What came of it."""
-        count, tree = self._tree.counts, self._tree
-        generated, expanded = int(count[search.NODES]), int(count[search.EXPANDED])
-        goal, furthest = int(count[search.GOAL]), int(count[search.FURTHEST])
-        if goal >= 0:
-            complete = self._goal_x <= tree.goal[0] + 1e-9
-            reason = "at the goal" if complete else f"the ground is known to {self._seen_to:.2f} m only"
-            return Crossing(self._steps(goal), complete, reason, generated, expanded, self._stance(goal))
-        fails = tree.fails[0].sum(axis=1)
+    def _crossing(self, goal: int) -> Crossing | NoWay:
+        """The section to a configuration."""
+        x = float(self._tree.body[goal, 0])
+        if x >= self._goal_x - 1e-9:
+            return self._section(goal, True, "at the goal")
+        if x < self._root.body[0] + _WORTH:
+            return self._no_way(f"the ground is known to {self._seen_to:.2f} m only: look again", True)
+        if x >= self._tree.goal[0] - 1e-9:
+            return self._section(goal, False, f"the ground is known to {self._seen_to:.2f} m only")
+        return self._section(goal, False, f"so far in {self._settings.cycles} cycles of the gait")
+
+    def _nothing_found(self) -> Crossing | NoWay:
+        """What is left when the budget is used up, or everything was tried."""
+        best = self._best
+        assert best is not None
+        spent = not self._exhaustive
+        reason, unseen = in_words(best.fails, best.stance.body, best.stance.feet, self._field, spent)
+        if unseen and best.retreat:
+            return Crossing(best.retreat, False, reason, self.generated, self.expanded, best.retreat_stance)
+        return self._no_way(reason, unseen)
+
+    def _note_furthest(self) -> None:
+        """Keep how far this tree came, if none came further."""
+        tree = self._tree
+        self._fails += tree.fails[0].sum(axis=1)
+        furthest = int(tree.counts[search.FURTHEST])
+        if self._best is not None and tree.body[furthest, 0] <= self._best.stance.body[0]:
+            return
+        # A place to wait for another look lies a little before the last one that was reached, which may be a dead end.
+        back = next((n for n in self._back(furthest) if tree.body[n, 0] <= tree.body[furthest, 0] - _RETREAT), 0)
+        worth = tree.body[back, 0] >= self._root.body[0] + _WORTH
+        steps = self._steps(back) if worth else ()
+        self._best = _Furthest(self._stance(furthest), tree.fails[1].copy(), steps, self._stance(back))
+
+    def _section(self, node: int, complete: bool, reason: str) -> Crossing:
+        return Crossing(self._steps(node), complete, reason, self.generated, self.expanded, self._stance(node))
+
+    def _no_way(self, reason: str, unseen: bool) -> NoWay:
+        fails = self._fails if self._best is not None else self._tree.fails[0].sum(axis=1)
         counts = {WORDS[test]: int(fails[test]) for test in range(1, search.TESTS) if fails[test]}
-        at_end = tree.depth[furthest] >= self._rules.depth
-        if at_end and tree.body[furthest, 0] - tree.body[0, 0] >= _WORTH:
-            reason = f"so far in {self._settings.cycles} cycles of the gait"
-            return Crossing(self._steps(furthest), False, reason, generated, expanded, self._stance(furthest))
-        reason, unseen = self._blame, False
-        if not reason:
-            spent = count[search.QUEUED] > 0
-            reason, unseen = in_words(
-                tree.fails[1], self._stance(furthest).body, self._stance(furthest).feet, self._field, spent
-            )
-        return NoWay(reason, unseen, self._stance(furthest), generated, expanded, counts)
+        furthest = self._best.stance if self._best is not None else self._root
+        return NoWay(reason, unseen, furthest, self.generated, self.expanded, counts)
 
     def _stance(self, node: int) -> Stance:
         return Stance(self._tree.body[node].copy(), np.array([self._foot(node, leg) for leg in range(6)]))
@@ -215,6 +261,16 @@ class Roadmap:
         tree, leg = self._tree, int(self._tree.leg[node])
         touchdown = self._foot(node, leg) if leg >= 0 else tree.body[node].copy()
         return PassageStep(leg, touchdown, float(tree.lift[node]), tree.body[node].copy(), float(tree.margin[node]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Furthest:
+    """How far the trees came."""
+
+    stance: Stance
+    fails: NDArray[np.int64]  # (tests, 7) what stopped it there
+    retreat: tuple[PassageStep, ...]  # to a stance a little before
+    retreat_stance: Stance
 
 
 def passable(profile: RobotProfile, settings: PassageSettings, field: Field, stance: Stance, goal_x: float) -> Crossing | NoWay:

@@ -26,33 +26,36 @@ COUNTS = 7
 ALL_STAND = -1  # in place of the leg that swings
 ROOT_FOOT = -1  # in place of a cell: the foot has not moved since the root
 _NEVER_SEEN = 127
+CROWDS, _CROWD = 512, 0.01  # places of equal progress, and [m] the length of one
 _SAMPLES = 9  # of a swing
-_PAIR = 2
+_LEVEL_SHARE = 0.8  # of its clearance at which a swing is taken to fly
+
+
+# Columns of `Legs.table`.
+_MOUNT, _YAW, _COXA, _FEMUR, _KNEE, _WAY, _LINKS, _FORE, _ROOM = 0, 3, 5, 10, 15, 17, 19, 22, 23
+LEG_COLUMNS = 25
 
 
 class Legs(NamedTuple):
-    """What the tests know of the legs. Leading axis 2: within limits by a spare, and by the limits themselves."""
+    """What the tests know of the legs.
 
-    mount: Array  # (6, 3) [m] {body}
-    yaw: Array  # (6, 2) cosine and sine of the neutral direction
-    coxa: Array  # (2, 6, 5) directions of the lower and upper limit as (cos, sin, cos, sin), 1 if more than half a turn apart
-    femur: Array  # (2, 6, 5) likewise
-    knee: Array  # (2, 6, 2) least and greatest cosine of the tibia angle
-    way: Array  # (2, 6, 2) [m] shortest and longest way from femur axis to foot
+    The table is one array, since each that is passed costs a call its count of references. Its leading axis: within limits by
+    a spare, and by the limits themselves. Its columns: mount (3) [m] {body}; cosine and sine of the neutral direction; coxa (5)
+    and femur (5), directions of the lower and upper limit as (cos, sin, cos, sin), and 1 if they are more than half a turn
+    apart; least and greatest cosine of the tibia angle; shortest and longest way [m] from femur axis to foot; lengths of coxa,
+    femur and tibia [m]; 1 for front legs, -1 for rear legs, 0 between; half length and half width of the body [m].
+    """
+
+    table: Array  # (2, 6, 25)
     rest: Array  # (6, 2) [m] {body} nominal feet
-    stroke: Array  # (6,) [m] by which a foot may fall back behind its nominal place
-    fore: NDArray[np.int64]  # (6,) 1 for front legs, -1 for rear legs, 0 between
+    stroke: Array  # (6, 2) [m] by which a foot may stand behind and before its nominal place
     order: NDArray[np.int64]  # (6,) in which legs take turns
-    place: NDArray[np.int64]  # (6,) of each leg in that order
     swing: Array  # (3, 9) of a swing: share of the time, share of the way, share of the height
 
 
 class Rules(NamedTuple):
     """Lengths and limits of the tests, in SI units."""
 
-    coxa: float
-    femur: float
-    tibia: float
     foot_radius: float
     half_length: float  # of the body
     half_width: float
@@ -78,10 +81,10 @@ class Rules(NamedTuple):
     body_low: float  # [m] d_bmin
     body_high: float  # [m] d_bmax
     body_angle: float  # [rad] alpha
-    foot_low: float  # [m] d_lmin
-    foot_high: float  # [m] d_lmax
+    foot_low: float  # d_lmin, as a share of the leg's stroke
+    foot_high: float  # d_lmax, likewise
     foot_angle: float  # [rad] beta
-    foot_back: float  # [m] from the nominal place back to the tip of the cone of footholds
+    foot_back: float  # [m] from the end of the leg's stroke back to the tip of the cone of footholds
     strong: int  # [cells] F from which a place is taken as it is
     wide: int  # [cells] F of a local minimum from which ground is wide
     weakest: int  # [cells] F that a local minimum must have
@@ -90,6 +93,7 @@ class Rules(NamedTuple):
     step_gain: float  # [m] by which a step brings robot and feet on, for the cost to go
     eager: float  # weight of the cost to go
     lag_price: float  # of a foot that has its whole stroke behind it
+    crowd_price: float  # of each expansion at the same progress
     turn_price: float
     still_price: float  # of a step in which all stand
     foothold_price: float
@@ -109,6 +113,7 @@ class Ground(NamedTuple):
     top: NDArray[np.float32]  # (nx, ny) [m] highest within a cell around, -inf where nothing is known
     evaluation: NDArray[np.int8]  # (nx, ny) Masri's F
     candidate: NDArray[np.bool_]  # (nx, ny) footholds of the exhaustive search
+    meant: NDArray[np.int32]  # (nx, ny) cell that a sampled cell stands for, -1 where it is not known yet
     resolution: float
     x0: float
     y0: float
@@ -133,6 +138,7 @@ class Tree(NamedTuple):
     table: NDArray[np.int32]  # (2^k,) nodes by hash, -1 empty
     counts: NDArray[np.int64]  # (7,)
     fails: NDArray[np.int64]  # (2, tests, 7) over all, and by those as far as any; last axis legs, then none
+    visits: NDArray[np.int64]  # (512,) expansions by progress
     random: NDArray[np.uint64]  # (1,)
     goal: Array  # (1,) [m] {strip} x of the body
 
@@ -161,18 +167,18 @@ def _bell(state: NDArray[np.uint64]) -> float:
 
 
 @compiled
-def _between(c: float, s: float, limit: Array) -> bool:
-    """Whether a direction lies between two limits; it need not have length one."""
-    after = limit[0] * s - limit[1] * c >= 0.0
-    before = c * limit[3] - s * limit[2] >= 0.0
-    return bool((after or before) if limit[4] > 0.0 else (after and before))
+def _between(c: float, s: float, table: Array, strict: int, leg: int, column: int) -> bool:
+    """Whether a direction lies between the two limits of a leg that begin at a column."""
+    after = table[strict, leg, column] * s - table[strict, leg, column + 1] * c >= 0.0
+    before = c * table[strict, leg, column + 3] - s * table[strict, leg, column + 2] >= 0.0
+    return bool((after or before) if table[strict, leg, column + 4] > 0.0 else (after and before))
 
 
 @compiled
 def _leg(
-    legs: Legs, rules: Rules, strict: int, leg: int, bx: float, by: float, bz: float, fx: float, fy: float, fz: float
+    table: Array, strict: int, leg: int, x: float, y: float, z: float
 ) -> tuple[int, float, float, float, float, float, float]:
-    """Whether a leg can hold its foot (fx, fy, fz) with the body at (bx, by, bz), both {strip}.
+    """Whether a leg can hold its foot at (x, y, z) {body}.
 
     Returns:
         OK or REACH; horizontal reach from the femur axis and the shank's part of it [m]; femur axis and knee as the
@@ -180,34 +186,35 @@ def _leg(
 
     Source: Masri 2016, eq. (3.3)-(3.10) and (3.14)-(3.16), as `shared.kinematics` reads them.
     """
-    px, py, z = fx - bx - legs.mount[leg, 0], fy - by - legs.mount[leg, 1], fz - bz - legs.mount[leg, 2]
+    px, py, pz = x - table[0, leg, _MOUNT], y - table[0, leg, _MOUNT + 1], z - table[0, leg, _MOUNT + 2]
+    coxa, f, t = table[0, leg, _LINKS], table[0, leg, _LINKS + 1], table[0, leg, _LINKS + 2]
     out = math.sqrt(px * px + py * py)
-    reach = out - rules.coxa
-    d2 = reach * reach + z * z
-    f, t = rules.femur, rules.tibia
+    reach = out - coxa
+    d2 = reach * reach + pz * pz
     knee = (d2 - f * f - t * t) / (2.0 * f * t)
-    if out < 1e-6 or knee < legs.knee[strict, leg, 0] or knee > legs.knee[strict, leg, 1]:
+    if out < 1e-6 or knee < table[strict, leg, _KNEE] or knee > table[strict, leg, _KNEE + 1]:
         return REACH, reach, 0.0, 1.0, 0.0, 0.0, 0.0
     across = -t * math.sqrt(max(1.0 - knee * knee, 0.0))
     along = f + t * knee
     # Direction of the femur, times the squared way.
-    fc, fs = reach * along + z * across, z * along - reach * across
-    c, s = legs.yaw[leg, 0], legs.yaw[leg, 1]
-    ok = _between(px * c + py * s, py * c - px * s, legs.coxa[strict, leg]) and _between(fc, fs, legs.femur[strict, leg])
+    fc, fs = reach * along + pz * across, pz * along - reach * across
+    c, s = table[0, leg, _YAW], table[0, leg, _YAW + 1]
+    ok = _between(px * c + py * s, py * c - px * s, table, strict, leg, _COXA)
+    ok = ok and _between(fc, fs, table, strict, leg, _FEMUR)
     knee_out, knee_up = f * fc / d2, f * fs / d2
     return (OK if ok else REACH), reach, reach - knee_out, px / out, py / out, knee_out, knee_up
 
 
 @compiled
-def _placed(legs: Legs, rules: Rules, leg: int, x: float, y: float) -> int:
+def _placed(table: Array, leg: int, x: float, y: float) -> int:
     """Whether a foot at (x, y) {body} may be there (Masri 2016, sections 5.1.1 and 5.2.1).
 
     Not under the body; front feet not behind its front, rear feet not before its rear. What that guards is balance, which
     the support margin measures; so the level is that of the leg's own axis, and no more than the thesis' joint limits say.
     """
-    if abs(x) < rules.half_length and abs(y) < rules.half_width:
+    if abs(x) < table[0, leg, _ROOM] and abs(y) < table[0, leg, _ROOM + 1]:
         return UNDER
-    if legs.fore[leg] * (x - legs.mount[leg, 0]) < 0.0:
+    if table[0, leg, _FORE] * (x - table[0, leg, _MOUNT]) < 0.0:
         return LEVEL
     return OK
 
@@ -267,7 +274,7 @@ def _floor(feet: Array, swing: int, radius: float) -> float:
 
 @compiled
 def _stands(
-    legs: Legs, rules: Rules, codes: Array, feet: Array, swing: int, bx: float, by: float, bz: float, loads: bool
+    table: Array, rules: Rules, codes: Array, feet: Array, swing: int, bx: float, by: float, bz: float, loads: bool
 ) -> tuple[int, int, float]:
     """Whether the standing legs hold a body: the test that fails, the leg, and the greatest torque [N m].
 
@@ -295,9 +302,9 @@ def _stands(
             continue
         at_root = codes[leg] == ROOT_FOOT
         x, y = feet[leg, 0], feet[leg, 1]
-        test, reach, shank, _, _, _, _ = _leg(legs, rules, 1 if at_root else 0, leg, bx, by, bz, x, y, feet[leg, 2])
+        test, reach, shank, _, _, _, _ = _leg(table, 1 if at_root else 0, leg, x - bx, y - by, feet[leg, 2] - bz)
         if test == OK and not at_root:
-            test = _placed(legs, rules, leg, x - bx, y - by)
+            test = _placed(table, leg, x - bx, y - by)
         if test != OK:
             return test, leg, 0.0
         force = rules.weight * max(1.0 / n + kx * (x - mx) + ky * (y - my), 0.0)
@@ -381,64 +388,65 @@ def candidates(F: NDArray[np.int8], strong: int, wide: int, weakest: int, coarse
 
 
 @compiled
-def _squared_between(p: Array, q: Array, r: Array, s: Array) -> float:
-    """Squared distance [m^2] of the segments p-q and r-s (Ericson, Real-Time Collision Detection, section 5.1.9)."""
-    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    vx, vy, vz = s[0] - r[0], s[1] - r[1], s[2] - r[2]
-    wx, wy, wz = p[0] - r[0], p[1] - r[1], p[2] - r[2]
-    a, e, b = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
-    c, f = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
-    denominator = a * e - b * b
-    m = min(max((b * f - c * e) / denominator, 0.0), 1.0) if denominator > 1e-12 else 0.0
-    k = (b * m + f) / e
-    if k < 0.0:
-        k, m = 0.0, min(max(-c / a, 0.0), 1.0)
-    elif k > 1.0:
-        k, m = 1.0, min(max((b - c) / a, 0.0), 1.0)
-    dx, dy, dz = wx + ux * m - vx * k, wy + uy * m - vy * k, wz + uz * m - vz * k
-    return float(dx * dx + dy * dy + dz * dz)
-
-
-@compiled
-def _pose(legs: Legs, rules: Rules, leg: int, bx: float, by: float, bz: float, foot: Array, points: Array) -> int:
-    """Femur axis, knee and foot of a leg into points (3, 3) [m] {strip}; REACH where it cannot, by its limits themselves."""
-    test, _, _, ux, uy, out, up = _leg(legs, rules, 1, leg, bx, by, bz, foot[0], foot[1], foot[2])
-    x, y, z = bx + legs.mount[leg, 0], by + legs.mount[leg, 1], bz + legs.mount[leg, 2]
-    points[0, 0], points[0, 1], points[0, 2] = x + rules.coxa * ux, y + rules.coxa * uy, z
-    points[1, 0], points[1, 1], points[1, 2] = x + (rules.coxa + out) * ux, y + (rules.coxa + out) * uy, z + up
-    points[2, 0], points[2, 1], points[2, 2] = foot[0], foot[1], foot[2]
+def _pose(table: Array, leg: int, bx: float, by: float, bz: float, x: float, y: float, z: float, poses: Array) -> int:
+    """Femur axis, knee and foot of a leg into its row of poses (6, 9) [m] {strip}; REACH where its limits do not allow it."""
+    test, _, _, ux, uy, out, up = _leg(table, 1, leg, x - bx, y - by, z - bz)
+    coxa = table[0, leg, _LINKS]
+    mx, my, mz = bx + table[0, leg, _MOUNT], by + table[0, leg, _MOUNT + 1], bz + table[0, leg, _MOUNT + 2]
+    poses[leg, 0], poses[leg, 1], poses[leg, 2] = mx + coxa * ux, my + coxa * uy, mz
+    poses[leg, 3], poses[leg, 4], poses[leg, 5] = mx + (coxa + out) * ux, my + (coxa + out) * uy, mz + up
+    poses[leg, 6], poses[leg, 7], poses[leg, 8] = x, y, z
     return test
 
 
 @compiled
-def _legs_collide(a: Array, b: Array, apart: float) -> bool:
-    """Whether femur or tibia of one leg (3, 3) come nearer to those of another than so much [m]."""
-    for k in range(2):
-        for m in range(2):
-            if _squared_between(a[k], a[k + 1], b[m], b[m + 1]) < apart * apart:
+def _collide(poses: Array, one: int, other: int, apart: float) -> bool:
+    """Whether femur or tibia of one leg come nearer to those of another than so much [m].
+
+    Source: Ericson, Real-Time Collision Detection, section 5.1.9.
+    """
+    for i in range(0, 6, 3):
+        px, py, pz = poses[one, i], poses[one, i + 1], poses[one, i + 2]
+        ux, uy, uz = poses[one, i + 3] - px, poses[one, i + 4] - py, poses[one, i + 5] - pz
+        a = ux * ux + uy * uy + uz * uz
+        for j in range(0, 6, 3):
+            rx, ry, rz = poses[other, j], poses[other, j + 1], poses[other, j + 2]
+            vx, vy, vz = poses[other, j + 3] - rx, poses[other, j + 4] - ry, poses[other, j + 5] - rz
+            wx, wy, wz = px - rx, py - ry, pz - rz
+            e, b = vx * vx + vy * vy + vz * vz, ux * vx + uy * vy + uz * vz
+            c, f = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
+            denominator = a * e - b * b
+            m = min(max((b * f - c * e) / denominator, 0.0), 1.0) if denominator > 1e-12 else 0.0
+            k = (b * m + f) / e
+            if k < 0.0:
+                k, m = 0.0, min(max(-c / a, 0.0), 1.0)
+            elif k > 1.0:
+                k, m = 1.0, min(max((b - c) / a, 0.0), 1.0)
+            dx, dy, dz = wx + ux * m - vx * k, wy + uy * m - vy * k, wz + uz * m - vz * k
+            if dx * dx + dy * dy + dz * dz < apart * apart:
                 return True
     return False
 
 
 @compiled
-def _top(ground: Ground, x: float, y: float) -> float:
+def _top(top: NDArray[np.float32], resolution: float, x0: float, y0: float, x: float, y: float) -> float:
     """Highest known ground [m] within a cell of a place, -inf where none is."""
-    i, j = (
-        math.floor((x - ground.x0) / ground.resolution + 0.5),
-        math.floor((y - ground.y0) / ground.resolution + 0.5),
-    )
-    if i < 0 or j < 0 or i >= ground.top.shape[0] or j >= ground.top.shape[1]:
+    i, j = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
+    if i < 0 or j < 0 or i >= top.shape[0] or j >= top.shape[1]:
         return -np.inf
-    return float(ground.top[i, j])
+    return float(top[i, j])
 
 
 @compiled
-def _shank_clear(ground: Ground, points: Array, clear: float) -> bool:
-    """Whether a leg's tibia and knee (3, 3) stay over the ground by so much [m]; near its foot the foot's place counts."""
+def _shank_clear(
+    top: NDArray[np.float32], resolution: float, x0: float, y0: float, poses: Array, leg: int, clear: float
+) -> bool:
+    """Whether a leg's tibia and knee stay over the ground by so much [m]; near its foot the foot's place counts."""
+    fx, fy, fz = poses[leg, 6], poses[leg, 7], poses[leg, 8]
     for k in range(1, 5):
         s = 0.25 * k
-        x, y = points[2, 0] + s * (points[1, 0] - points[2, 0]), points[2, 1] + s * (points[1, 1] - points[2, 1])
-        if points[2, 2] + s * (points[1, 2] - points[2, 2]) - _top(ground, x, y) < clear:
+        x, y, z = fx + s * (poses[leg, 3] - fx), fy + s * (poses[leg, 4] - fy), fz + s * (poses[leg, 5] - fz)
+        if z - _top(top, resolution, x0, y0, x, y) < clear:
             return False
     return True
 
@@ -446,36 +454,38 @@ def _shank_clear(ground: Ground, points: Array, clear: float) -> bool:
 @compiled
 def _body_clear(ground: Ground, rules: Rules, bx: float, by: float, bz: float) -> bool:
     """Whether the trunk stays over all ground under it."""
+    top, resolution = ground.top, ground.resolution
     least = bz - rules.half_height - rules.body_clear
     x = -rules.half_length
     while x <= rules.half_length + 1e-9:
         y = -rules.half_width
         while y <= rules.half_width + 1e-9:
-            if _top(ground, bx + x, by + y) > least:
+            if _top(top, resolution, ground.x0, ground.y0, bx + x, by + y) > least:
                 return False
-            y += 2.0 * ground.resolution  # `top` looks a cell around
-        x += 2.0 * ground.resolution
+            y += 2.0 * resolution  # `top` looks a cell around
+        x += 2.0 * resolution
     return True
 
 
 @compiled
-def _into_reach(legs: Legs, rules: Rules, leg: int, bx: float, by: float, bz: float, foot: Array) -> float:
-    """Move a foot (3,) to the nearest place that its leg's knee allows; by how much [m] (Masri 2016, section 5.4)."""
-    x, y, z = bx + legs.mount[leg, 0], by + legs.mount[leg, 1], foot[2] - bz - legs.mount[leg, 2]
-    px, py = foot[0] - x, foot[1] - y
+def _into_reach(
+    table: Array, leg: int, bx: float, by: float, bz: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """A foot at the nearest place that its leg's knee allows, and by how much it was moved [m] (Masri 2016, section 5.4)."""
+    mx, my, up = bx + table[0, leg, _MOUNT], by + table[0, leg, _MOUNT + 1], z - bz - table[0, leg, _MOUNT + 2]
+    coxa, short, far = table[0, leg, _LINKS], table[1, leg, _WAY] + 1e-4, table[1, leg, _WAY + 1] - 1e-4
+    px, py = x - mx, y - my
     out = max(math.sqrt(px * px + py * py), 1e-6)
-    reach = out - rules.coxa
-    way = math.sqrt(reach * reach + z * z)
-    short, far = legs.way[1, leg, 0] + 1e-4, legs.way[1, leg, 1] - 1e-4
+    reach = out - coxa
+    way = math.sqrt(reach * reach + up * up)
     if short <= way <= far:
-        return 0.0
+        return x, y, z, 0.0
     if way > far:
-        new, new_z = reach * far / way, z * far / way
+        new, new_up = reach * far / way, up * far / way
     else:
-        new, new_z = math.sqrt(max(short * short - z * z, 0.0)), z
-    scale = (rules.coxa + new) / out
-    foot[0], foot[1], foot[2] = x + px * scale, y + py * scale, foot[2] + new_z - z
-    return math.sqrt((new - reach) ** 2 + (new_z - z) ** 2)
+        new, new_up = math.sqrt(max(short * short - up * up, 0.0)), up
+    scale = (coxa + new) / out
+    return mx + px * scale, my + py * scale, z + new_up - up, math.sqrt((new - reach) ** 2 + (new_up - up) ** 2)
 
 
 # The lazy proof of a step ---------------------------------------------------------------------------------------------------
@@ -483,43 +493,68 @@ def _into_reach(legs: Legs, rules: Rules, leg: int, bx: float, by: float, bz: fl
 
 @compiled
 def _swing_test(
-    legs: Legs, rules: Rules, ground: Ground, feet: Array, goal: Array, leg: int, b0: Array, b1: Array, lift: float
+    table: Array,
+    shape: Array,
+    rules: Rules,
+    ground: Ground,
+    feet: Array,
+    goal: Array,
+    leg: int,
+    b0: Array,
+    b1: Array,
+    lift: float,
 ) -> int:
     """Whether a swing with a clearance may be flown: in reach, over the ground, beside its neighbours."""
-    way = np.empty((_SAMPLES, 3))
-    foot = np.empty(3)
-    own, other = np.empty((3, 3)), np.empty((3, 3))
-    level = max(feet[leg, 2], goal[2]) + 0.8 * lift
+    top, resolution, x0, y0 = ground.top, ground.resolution, ground.x0, ground.y0
+    poses = np.empty((6, 9))
+    level = max(feet[leg, 2], goal[2]) + _LEVEL_SHARE * lift
+    last_x, last_y, last_z = feet[leg, 0], feet[leg, 1], feet[leg, 2]
     for k in range(_SAMPLES):
-        s, along, up = legs.swing[0, k], legs.swing[1, k], legs.swing[2, k]
+        s, along, up = shape[0, k], shape[1, k], shape[2, k]
         end_z = feet[leg, 2] if k < _SAMPLES // 2 else goal[2]
-        foot[0] = feet[leg, 0] + along * (goal[0] - feet[leg, 0])
-        foot[1] = feet[leg, 1] + along * (goal[1] - feet[leg, 1])
-        foot[2] = end_z + up * (level - end_z)
+        x, y = feet[leg, 0] + along * (goal[0] - feet[leg, 0]), feet[leg, 1] + along * (goal[1] - feet[leg, 1])
         bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
-        if _into_reach(legs, rules, leg, bx, by, bz, foot) > (rules.moved_most if 0 < k < _SAMPLES - 1 else 0.0) + 1e-3:
+        x, y, z, moved = _into_reach(table, leg, bx, by, bz, x, y, end_z + up * (level - end_z))
+        if moved > (rules.moved_most if 0 < k < _SAMPLES - 1 else 1e-3):
             return REACH
-        way[k] = foot
-        if _pose(legs, rules, leg, bx, by, bz, foot, own) != OK and k > 0:
+        if _pose(table, leg, bx, by, bz, x, y, z, poses) != OK and k > 0:
             return REACH
-        if not _shank_clear(ground, own, rules.leg_clear):
+        if not _shank_clear(top, resolution, x0, y0, poses, leg, rules.leg_clear):
             return GROUND
-        for side in (1, 5):
+        for side in range(1, 6, 4):
             beside = (leg + side) % 6
-            _pose(legs, rules, beside, bx, by, bz, feet[beside], other)
-            if _legs_collide(own, other, rules.legs_apart):
+            _pose(table, beside, bx, by, bz, feet[beside, 0], feet[beside, 1], feet[beside, 2], poses)
+            if _collide(poses, leg, beside, rules.legs_apart):
                 return LEGS
-    # The foot's own way, every centimetre: 2 cm over the ground, but for its rise and its fall.
-    for k in range(_SAMPLES - 1):
-        dx, dy = way[k + 1, 0] - way[k, 0], way[k + 1, 1] - way[k, 1]
-        pieces = 1 + int(math.sqrt(dx * dx + dy * dy) / ground.resolution)
-        for m in range(pieces + 1):
+        # The foot's own way, every centimetre: 2 cm over the ground, but for its rise and its fall.
+        dx, dy, dz = x - last_x, y - last_y, z - last_z
+        pieces = 1 + int(math.sqrt(dx * dx + dy * dy) / resolution)
+        for m in range(1, pieces + 1):
             s = m / pieces
-            x, y, z = way[k, 0] + s * dx, way[k, 1] + s * dy, way[k, 2] + s * (way[k + 1, 2] - way[k, 2])
-            off = min((x - way[0, 0]) ** 2 + (y - way[0, 1]) ** 2, (x - goal[0]) ** 2 + (y - goal[1]) ** 2)
+            u, v = last_x + s * dx, last_y + s * dy
+            off = min((u - feet[leg, 0]) ** 2 + (v - feet[leg, 1]) ** 2, (u - goal[0]) ** 2 + (v - goal[1]) ** 2)
             needed = min(rules.swing_clear, 0.5 * math.sqrt(off) - 0.005)
-            if z - rules.foot_radius - _top(ground, x, y) < needed:
+            if last_z + s * dz - rules.foot_radius - _top(top, resolution, x0, y0, u, v) < needed:
                 return SWING
+        last_x, last_y, last_z = x, y, z
+    return OK
+
+
+@compiled
+def _stand_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: int, b0: Array, b1: Array, poses: Array) -> int:
+    """Whether the standing legs stay clear of each other and of the ground half way and at the end of the body's motion."""
+    for half in range(1, 3):
+        s = 0.5 * half
+        bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
+        for k in range(6):
+            if k != leg:
+                _pose(table, k, bx, by, bz, feet[k, 0], feet[k, 1], feet[k, 2], poses)
+                if not _shank_clear(ground.top, ground.resolution, ground.x0, ground.y0, poses, k, rules.leg_clear):
+                    return GROUND
+        for k in range(6):
+            after = (k + 1) % 6
+            if leg not in (k, after) and _collide(poses, k, after, rules.legs_apart):
+                return LEGS
     return OK
 
 
@@ -529,30 +564,17 @@ def _proof(legs: Legs, rules: Rules, ground: Ground, tree: Tree, node: int) -> i
     parent, leg = tree.parent[node], tree.leg[node]
     feet, goal = np.empty((6, 3)), np.empty(3)
     for k in range(6):
-        feet[k] = _foot(tree, ground, rules, tree.foot[parent, k], k)
+        feet[k, 0], feet[k, 1], feet[k, 2] = _foot(tree, ground, rules, tree.foot[parent, k], k)
     b0, b1 = tree.body[parent], tree.body[node]
     if not _body_clear(ground, rules, b1[0], b1[1], b1[2]):
         return GROUND
-    # Standing legs beside each other, half way and at the end.
-    poses = np.empty((6, 3, 3))
-    for half in range(1, 3):
-        s = 0.5 * half
-        bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
-        for k in range(6):
-            if k != leg:
-                _pose(legs, rules, k, bx, by, bz, feet[k], poses[k])
-                if not _shank_clear(ground, poses[k], rules.leg_clear):
-                    return GROUND
-        for k in range(6):
-            after = (k + 1) % 6
-            if leg not in (k, after) and _legs_collide(poses[k], poses[after], rules.legs_apart):
-                return LEGS
-    if leg == ALL_STAND:
-        return OK
-    goal[:] = _foot(tree, ground, rules, tree.foot[node, leg], leg)
-    lift, test = rules.least_lift, SWING
+    test = _stand_clear(legs.table, rules, ground, feet, leg, b0, b1, np.empty((6, 9)))
+    if test != OK or leg == ALL_STAND:
+        return test
+    goal[0], goal[1], goal[2] = _foot(tree, ground, rules, tree.foot[node, leg], leg)
+    lift = rules.least_lift
     while lift <= rules.most_lift + 1e-9:
-        test = _swing_test(legs, rules, ground, feet, goal, leg, b0, b1, lift)
+        test = _swing_test(legs.table, legs.swing, rules, ground, feet, goal, leg, b0, b1, lift)
         if test == OK:
             tree.lift[node] = lift
             return OK
@@ -608,34 +630,35 @@ def _mixed(h: np.uint64, value: int) -> np.uint64:
 
 
 @compiled
-def _alike(tree: Tree, ground: Ground, rules: Rules, node: int, digits: NDArray[np.int64]) -> None:
-    """What configurations that count as one have in common: the square of the body's place, and those of the feet (8,)."""
-    ny = ground.evaluation.shape[1]
-    digits[0] = math.floor(tree.body[node, 0] / rules.alike_body + 0.5)
-    digits[1] = math.floor(tree.body[node, 1] / rules.alike_body + 0.5)
-    for leg in range(6):
-        code = tree.foot[node, leg]
-        if code >= 0 and rules.alike_foot > 1:
-            code = (code // ny) // rules.alike_foot * ny + (code % ny) // rules.alike_foot
-        digits[2 + leg] = code
+def _square(foot: NDArray[np.int32], node: int, leg: int, ny: int, edge: int) -> int:
+    """The square of so many cells in which a foot of a configuration stands."""
+    code = foot[node, leg]
+    return int((code // ny) // edge * ny + (code % ny) // edge if code >= 0 and edge > 1 else code)
 
 
 @compiled
-def _known(tree: Tree, ground: Ground, rules: Rules, node: int) -> bool:
-    """Whether there is a configuration already that counts as the one in the place of a node; if not, the node is noted."""
-    mine, other = np.empty(8, np.int64), np.empty(8, np.int64)
-    _alike(tree, ground, rules, node, mine)
-    h = np.uint64(88172645463325252)
-    for value in mine:
-        h = _mixed(h, int(value))
-    mask = np.int64(len(tree.table) - 1)
+def _known(
+    body: Array, foot: NDArray[np.int32], table: NDArray[np.int32], node: int, edge: float, foot_edge: int, ny: int
+) -> bool:
+    """Whether there is a configuration already that counts as the one in the place of a node; if not, the node is noted.
+
+    Those count as one whose body and feet stand in the same squares.
+    """
+    ix, iy = math.floor(body[node, 0] / edge + 0.5), math.floor(body[node, 1] / edge + 0.5)
+    h = _mixed(_mixed(np.uint64(88172645463325252), ix), iy)
+    for leg in range(6):
+        h = _mixed(h, _square(foot, node, leg, ny, foot_edge))
+    mask = np.int64(len(table) - 1)
     at = np.int64(h & np.uint64(mask))
-    while tree.table[at] >= 0:
-        _alike(tree, ground, rules, tree.table[at], other)
-        if (mine == other).all():
+    while table[at] >= 0:
+        other = table[at]
+        same = math.floor(body[other, 0] / edge + 0.5) == ix and math.floor(body[other, 1] / edge + 0.5) == iy
+        for leg in range(6):
+            same = same and _square(foot, node, leg, ny, foot_edge) == _square(foot, other, leg, ny, foot_edge)
+        if same:
             return True
         at = (at + 1) & mask
-    tree.table[at] = node
+    table[at] = node
     return False
 
 
@@ -658,8 +681,30 @@ def _to_go(tree: Tree, legs: Legs, rules: Rules, feet: Array, bx: float) -> floa
     for leg in range(6):
         behind = bx + legs.rest[leg, 0] - feet[leg, 0]
         lag += max(ahead + behind, 0.0) / 6.0
-        lagging += (max(behind, 0.0) / legs.stroke[leg]) ** 2
+        lagging += (max(behind, 0.0) / legs.stroke[leg, 0]) ** 2
     return float(0.5 * (ahead + lag) / rules.step_gain + rules.lag_price * lagging)
+
+
+@compiled
+def _crowd(tree: Tree, rest: Array, feet: Array, bx: float) -> int:
+    """The number of those that are about as far along as a configuration: by its body, and by its feet."""
+    progress = bx
+    for leg in range(6):
+        progress += (feet[leg, 0] - rest[leg, 0]) / 6.0
+    return min(max(math.floor(0.5 * progress / _CROWD), 0), len(tree.visits) - 1)
+
+
+@compiled
+def _key(tree: Tree, legs: Legs, rules: Rules, node: int, feet: Array, turn: int) -> float:
+    """By what a configuration is queued: the least first.
+
+    The weight of Masri 2016, eq. (5.5), as it must be meant: he takes F - d_g / d and expands the least, which would reward
+    distance still to go; here it is added. F is in the cost, as what each foothold falls short of the best. A place where
+    many have been expanded already becomes dearer, so that a search that got stuck turns to what lies further back.
+    """
+    crowded = rules.crowd_price * tree.visits[_crowd(tree, legs.rest, feet, tree.body[node, 0])]
+    again = rules.turn_price * (turn + 7.0 * (turn // 7))
+    return float(tree.cost[node] + rules.eager * _to_go(tree, legs, rules, feet, tree.body[node, 0]) + again + crowded)
 
 
 @compiled
@@ -684,28 +729,47 @@ def _add(
     tree.foot[node] = tree.foot[parent]
     if leg >= 0:
         tree.foot[node, leg] = code
-    if _known(tree, ground, rules, node):
+    ny = ground.evaluation.shape[1]
+    if _known(tree.body, tree.foot, tree.table, node, rules.alike_body, rules.alike_foot, ny):
         return True
     tree.counts[NODES] = node + 1
     tree.parent[node], tree.leg[node], tree.depth[node] = parent, leg, tree.depth[parent] + 1
     tree.state[node], tree.lift[node], tree.margin[node] = OPEN, 0.0, margin
     cost = tree.cost[parent] + 1.0 + price
     tree.cost[node] = cost
-    return _push(tree, cost + rules.eager * _to_go(tree, legs, rules, feet, body[0]), node, 0)
+    return _push(tree, _key(tree, legs, rules, node, feet, 0), node, 0)
 
 
 @compiled
-def _next_leg(tree: Tree, legs: Legs, node: int, turn: int) -> int:
-    """The leg that a configuration is expanded for: the one whose turn it is, then the others in order, then none."""
-    turn = turn % 7
-    if turn == 6:
+def _swung_last(tree: Tree, node: int) -> int:
+    """The leg that swung last on the way to a configuration, or none."""
+    while tree.leg[node] < 0 and tree.parent[node] >= 0:
+        node = tree.parent[node]
+    return int(tree.leg[node])
+
+
+@compiled
+def _next_leg(rest: Array, stroke: Array, order: NDArray[np.int64], feet: Array, bx: float, last: int, turn: int) -> int:
+    """The leg that a configuration is expanded for: the one in turn, then the others as they have fallen back, then none."""
+    due = order[0]
+    for k in range(6):
+        if order[k] == last:
+            due = order[(k + 1) % 6]
+    if turn == 0:
+        return int(due)
+    if turn > 5:
         return ALL_STAND
-    last = tree.leg[node]
-    up = node
-    while last < 0 and tree.parent[up] >= 0:
-        up = tree.parent[up]
-        last = tree.leg[up]
-    return int(legs.order[((legs.place[last] + 1 if last >= 0 else 0) + turn) % 6])
+    # The one that has fallen back the most of those not yet taken: few legs, so count who is before each.
+    for leg in range(6):
+        lag = (bx + rest[leg, 0] - feet[leg, 0]) / stroke[leg, 0]
+        before = 0
+        for k in range(6):
+            other = (bx + rest[k, 0] - feet[k, 0]) / stroke[k, 0]
+            if k != due and k != leg and (other > lag or (other == lag and k < leg)):
+                before += 1
+        if leg != due and before == turn - 1:
+            return leg
+    return ALL_STAND
 
 
 @compiled
@@ -723,18 +787,16 @@ def _expand_for(
 ) -> bool:
     """Add what one leg can do from a configuration: up to m motions of the body with up to n footholds each.
 
-    Returns False when there is no room for more.
+    Its feet are the first six rows of `work` (12, 3). Returns False when there is no room for more.
     """
     feet, after = work[:6], work[6:12]
     codes = tree.foot[node]
     b0 = tree.body[node]
-    for k in range(6):
-        feet[k] = _foot(tree, ground, rules, codes[k], k)
     begin = _support(feet, leg, b0[0], b0[1])
     if begin < rules.margin:
         _fail(tree, far, MARGIN, leg)
         return True
-    test, which, strained = _stands(legs, rules, codes, feet, leg, b0[0], b0[1], b0[2], True)
+    test, which, strained = _stands(legs.table, rules, codes, feet, leg, b0[0], b0[1], b0[2], True)
     if test == TORQUE:
         _fail(tree, far, test, which)
         return True
@@ -773,10 +835,10 @@ def _expand_for(
         if margin < rules.margin:
             _fail(tree, far, MARGIN, leg)
             continue
-        test, which, torque = _stands(legs, rules, codes, feet, leg, body[0], body[1], body[2], True)
+        test, which, torque = _stands(legs.table, rules, codes, feet, leg, body[0], body[1], body[2], True)
         if test == OK:
             mid = 0.5 * (b0 + body)
-            test, which, _ = _stands(legs, rules, codes, feet, leg, mid[0], mid[1], mid[2], False)
+            test, which, _ = _stands(legs.table, rules, codes, feet, leg, mid[0], mid[1], mid[2], False)
         if test != OK:
             _fail(tree, far, test, which)
             continue
@@ -811,10 +873,18 @@ def _footholds(
     """Add configurations with a leg's footholds for one motion of the body; False when there is no room for more."""
     F = ground.evaluation
     nx, ny = F.shape
-    tip_x, tip_y = body[0] + legs.rest[leg, 0] - rules.foot_back, body[1] + legs.rest[leg, 1]
+    tip_x = body[0] + legs.rest[leg, 0] - legs.stroke[leg, 0] - rules.foot_back
+    tip_y = body[1] + legs.rest[leg, 1]
+    whole = legs.stroke[leg, 0] + legs.stroke[leg, 1]
+    farthest = rules.foot_back + rules.foot_high * whole
+    nearest = rules.foot_back + rules.foot_low * whole
+    if not exhaustive:
+        nearest = max(nearest, feet[leg, 0] - tip_x)  # forward
+        if nearest >= farthest:
+            return True
     i0, j0 = int((tip_x - ground.x0) / ground.resolution), int((tip_y - ground.y0) / ground.resolution)
-    deep = int(rules.foot_high / ground.resolution)
-    across = int(rules.foot_high * math.sin(min(rules.foot_angle, 1.5)) / ground.resolution)
+    deep = int(farthest / ground.resolution)
+    across = int(farthest * math.sin(min(rules.foot_angle, 1.5)) / ground.resolution)
     wide = 2 * across + 1
     tries = (deep + 1) * wide if exhaustive else rules.foot_samples
     tried = np.empty(rules.foot_samples, np.int64)
@@ -825,15 +895,19 @@ def _footholds(
                 continue
         else:
             tried[n] = -1
-            distance = rules.foot_low + (rules.foot_high - rules.foot_low) * _uniform(tree.random)
+            distance = nearest + (farthest - nearest) * _uniform(tree.random)
             phi = rules.foot_angle * _bell(tree.random)
             i = math.floor((tip_x + distance * math.cos(phi) - ground.x0) / ground.resolution + 0.5)
             j = math.floor((tip_y + distance * math.sin(phi) - ground.y0) / ground.resolution + 0.5)
             if not (0 <= i < nx and 0 <= j < ny) or F[i, j] == _NEVER_SEEN:
                 _fail(tree, far, UNKNOWN, leg)
                 continue
-            i, j = _resolved(F, i, j, rules.strong, rules.wide)
-            code = i * ny + j
+            code = ground.meant[i, j]
+            if code < 0:
+                a, b = _resolved(F, i, j, rules.strong, rules.wide)
+                code = a * ny + b
+                ground.meant[i, j] = code
+            i, j = code // ny, code % ny
             known = False
             for k in range(n):
                 known = known or tried[k] == code
@@ -847,9 +921,9 @@ def _footholds(
         x, y, z = _foot(tree, ground, rules, code, leg)
         if x < feet[leg, 0] - rules.backward or code == tree.foot[node, leg]:
             continue
-        test = _placed(legs, rules, leg, x - body[0], y - body[1])
+        test = _placed(legs.table, leg, x - body[0], y - body[1])
         if test == OK:
-            test, _, _, _, _, _, _ = _leg(legs, rules, 0, leg, body[0], body[1], body[2], x, y, z)
+            test, _, _, _, _, _, _ = _leg(legs.table, 0, leg, x - body[0], y - body[1], z - body[2])
         if test == OK:
             for k in range(6):
                 if k != leg and (feet[k, 0] - x) ** 2 + (feet[k, 1] - y) ** 2 < rules.feet_apart**2:
@@ -874,7 +948,7 @@ def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int, 
     work = np.empty((12, 3))
     done = 0
     while done < expansions and tree.counts[QUEUED] > 0 and tree.counts[GOAL] < 0:
-        key, node, turn = _pop(tree)
+        _, node, turn = _pop(tree)
         if tree.state[node] == OPEN:
             test = _proof(legs, rules, ground, tree, node)
             tree.counts[PROVED] += 1
@@ -885,20 +959,22 @@ def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int, 
                 tree.counts[EXPANDED] += 1
                 continue
             tree.state[node] = PROVEN
-            if tree.body[node, 0] >= tree.goal[0] - 1e-9:
+            if tree.body[node, 0] >= tree.goal[0] - 1e-9 or tree.depth[node] >= rules.depth:
                 tree.counts[GOAL] = node
                 done += 1
                 break
             if tree.body[node, 0] > tree.body[tree.counts[FURTHEST], 0] + 1e-9:
                 tree.counts[FURTHEST] = node
                 tree.fails[1] = 0
-            if tree.depth[node] >= rules.depth:
-                continue
         far = tree.body[node, 0] > tree.body[tree.counts[FURTHEST], 0] - 0.02
-        leg = _next_leg(tree, legs, node, turn)
+        for k in range(6):
+            work[k, 0], work[k, 1], work[k, 2] = _foot(tree, ground, rules, tree.foot[node, k], k)
+        bx = tree.body[node, 0]
+        leg = _next_leg(legs.rest, legs.stroke, legs.order, work, bx, _swung_last(tree, node), turn % 7)
+        tree.visits[_crowd(tree, legs.rest, work, bx)] += 1
         room = _expand_for(tree, ground, legs, rules, node, leg, exhaustive, far, work)
         if turn + 1 < (7 if exhaustive else 7 * rules.rounds):
-            room = _push(tree, key + rules.turn_price * (1.0 + turn // 7), node, turn + 1) and room
+            room = _push(tree, _key(tree, legs, rules, node, work, turn + 1), node, turn + 1) and room
         done += 1
         tree.counts[EXPANDED] += 1
         if not room:
@@ -911,7 +987,7 @@ def faults(legs: Legs, rules: Rules, strict: int, feet: Array, body: Array, foun
     """The test that each leg of a stance fails in (7,), the last that of the whole robot; by the limits themselves if 1."""
     for leg in range(6):
         test, _, _, _, _, _, _ = _leg(
-            legs, rules, strict, leg, body[0], body[1], body[2], feet[leg, 0], feet[leg, 1], feet[leg, 2]
+            legs.table, strict, leg, feet[leg, 0] - body[0], feet[leg, 1] - body[1], feet[leg, 2] - body[2]
         )
         found[leg] = test
     found[6] = OK if _support(feet, ALL_STAND, body[0], body[1]) >= rules.margin else MARGIN

@@ -13,13 +13,13 @@ class PassageSettings:
     """
 
     body_height: float = 0.0  # [m] over the floor; 0 for the profile's own
-    body_moves: int = 4  # m
-    footholds: int = 5  # n
-    cycles: int = 10  # l, of six steps each
+    body_moves: int = 3  # m
+    footholds: int = 3  # n
+    cycles: int = 14  # l, of six steps each
     body_step: tuple[float, float] = (0.0, 0.26)  # d_bmin and d_bmax *
     body_angle_deg: float = 45.0  # alpha
-    foot_step: tuple[float, float] = (0.20, 1.30)  # d_lmin and d_lmax *, from the tip of the cone,
-    foot_back: float = 0.50  # * behind the leg's nominal place
+    foot_step: tuple[float, float] = (0.1, 1.0)  # d_lmin and d_lmax, shares of the leg's stroke; the cone's tip is
+    foot_back: float = 0.50  # * behind its end
     foot_angle_deg: float = 35.0  # beta
     drift: float = 0.12  # [m] Delta y
     lattice: float = 0.01  # [m] of the body's places
@@ -34,17 +34,19 @@ class PassageSettings:
     torque: float = 0.6  # of stall that a servo may give during a step, which it bears for minutes; a third it bears for hours
     spare_deg: float = 1.0  # [deg] kept from each joint's limits, and
     spare: float = 0.003  # [m] from the ends of each leg's reach
-    moved_most: float = 0.05  # [m] by which a point of a swing may be moved into reach
+    moved_most: float = 0.08  # [m] by which a point of a swing may be moved into reach
     repair: float = 0.03  # [m] by which a start stance may be wrong
-    budget: int = 10_000  # expansions for one section
+    budget: int = 30_000  # expansions for one section
+    patience: int = 1200  # expansions of the first tree, before another one is tried
     nodes: int = 100_000  # most configurations kept
-    eager: float = 3.0  # weight of the cost to go
+    eager: float = 4.0  # weight of the cost to go
     lag_price: float = 1.0  # [steps] of a foot that has its whole stroke behind it
+    crowd_price: float = 0.05  # [steps] of each expansion that came as far before
     alike: int = 3  # [cells] of body and feet within which configurations count as one
-    rounds: int = 3  # of all legs that a configuration may have
+    rounds: int = 2  # of all legs that a configuration may have
 
     def __post_init__(self) -> None:
-        for name in ("body_moves", "footholds", "cycles", "budget", "nodes", "rounds"):
+        for name in ("body_moves", "footholds", "cycles", "budget", "patience", "nodes", "rounds"):
             if not 0 < getattr(self, name) < 2**31:
                 raise ValueError(f"a positive {name} expected, found {getattr(self, name)}")
         for name in ("body_step", "foot_step"):

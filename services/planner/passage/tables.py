@@ -4,7 +4,7 @@ import numpy as np
 
 from services.planner.leg_clearance import SWING_TIME, swing_shape
 from services.planner.passage.field import Field
-from services.planner.passage.search import COUNTS, ROOT_FOOT, TESTS, Ground, Legs, Rules, Tree, candidates
+from services.planner.passage.search import COUNTS, CROWDS, ROOT_FOOT, TESTS, Ground, Legs, Rules, Tree, candidates
 from services.planner.passage.settings import PassageSettings
 from shared.geometry import Array
 from shared.kinematics import body_inverse, within_limits
@@ -18,33 +18,25 @@ _EASY = 1.0 / 3.0  # of stall: what a servo gives for hours (facts of the AX-12A
 
 def legs_of(profile: RobotProfile, settings: PassageSettings) -> Legs:
     """What the tests know of a robot's legs."""
-    spare, links = np.radians(settings.spare_deg), profile.links
-    coxa, femur, knee, way = np.empty((2, 6, 5)), np.empty((2, 6, 5)), np.empty((2, 6, 2)), np.empty((2, 6, 2))
-    for k, (angle, length) in enumerate(((spare, settings.spare), (1e-6, 0.0))):
-        limits = profile.joint_limits + np.array([angle, -angle])
-        coxa[k], femur[k] = _directions(limits[:, 0]), _directions(limits[:, 1])
-        folded, stretched = np.maximum(limits[:, 2, 0], -np.pi), np.minimum(limits[:, 2, 1], 0.0)
-        ways = [
-            np.sqrt(links.femur**2 + links.tibia**2 + 2 * links.femur * links.tibia * np.cos(q)) for q in (folded, stretched)
-        ]
-        way[k] = np.column_stack([ways[0] + length, ways[1] - length])
-        knee[k] = (way[k] ** 2 - links.femur**2 - links.tibia**2) / (2 * links.femur * links.tibia)
-    mount = profile.T_body_coxa[:, :3, 3].copy()
-    neutral = np.arctan2(profile.T_body_coxa[:, 1, 0], profile.T_body_coxa[:, 0, 0])
-    fore = np.where(np.abs(mount[:, 0]) < 0.25 * profile.body.size[0], 0, np.sign(mount[:, 0])).astype(np.int64)
+    links, mount = profile.links, profile.T_body_coxa[:, :3, 3]
+    fore = np.where(np.abs(mount[:, 0]) < 0.25 * profile.body.size[0], 0.0, np.sign(mount[:, 0]))
     unit = swing_shape(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]]), np.array([1.0 / _LEVEL]))[:, 0]
+    table = []
+    for angle, length in ((np.radians(settings.spare_deg), settings.spare), (0.0, 0.0)):
+        limits = profile.joint_limits + np.array([angle, -angle])
+        ends = np.maximum(limits[:, 2, 0], -np.pi), np.minimum(limits[:, 2, 1], 0.0)
+        way = np.column_stack(
+            [np.sqrt(links.femur**2 + links.tibia**2 + 2.0 * links.femur * links.tibia * np.cos(q)) for q in ends]
+        ) + np.array([length, -length])
+        knee = (way**2 - links.femur**2 - links.tibia**2) / (2.0 * links.femur * links.tibia)
+        parts = [mount, profile.T_body_coxa[:, :2, 0], _directions(limits[:, 0]), _directions(limits[:, 1]), knee, way]
+        same = [links.coxa, links.femur, links.tibia], fore, [profile.body.size[0] / 2, profile.body.size[1] / 2]
+        table.append(np.column_stack([*parts, np.tile(same[0], (6, 1)), same[1], np.tile(same[2], (6, 1))]))
     return Legs(
-        mount=mount,
-        yaw=np.column_stack([np.cos(neutral), np.sin(neutral)]),
-        coxa=coxa,
-        femur=femur,
-        knee=knee,
-        way=way,
+        table=np.ascontiguousarray(table),
         rest=profile.rest_feet()[:, :2].copy(),
-        stroke=_strokes(profile, mount, settings),
-        fore=fore,
+        stroke=_strokes(profile, settings),
         order=np.array(ORDER),
-        place=np.argsort(ORDER),
         swing=np.ascontiguousarray(np.stack([SWING_TIME, unit[:, 0], unit[:, 2]])),
     )
 
@@ -54,9 +46,6 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool 
     links, stance, body = profile.links, profile.stance, profile.body
     size = links.femur + links.tibia
     return Rules(
-        coxa=links.coxa,
-        femur=links.femur,
-        tibia=links.tibia,
         foot_radius=profile.foot.radius,
         half_length=body.size[0] / 2,
         half_width=body.size[1] / 2,
@@ -72,7 +61,7 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool 
         body_clear=settings.body_clear,
         leg_clear=settings.leg_clear,
         swing_clear=settings.swing_clear,
-        least_lift=stance.rough_lift,
+        least_lift=settings.swing_clear + 0.01,
         most_lift=stance.max_lift,
         lift_step=0.015,
         moved_most=settings.moved_most,
@@ -82,8 +71,8 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool 
         body_low=settings.body_step[0] * size,
         body_high=settings.body_step[1] * size,
         body_angle=float(np.radians(settings.body_angle_deg)),
-        foot_low=settings.foot_step[0] * size,
-        foot_high=settings.foot_step[1] * size,
+        foot_low=settings.foot_step[0],
+        foot_high=settings.foot_step[1],
         foot_angle=float(np.radians(settings.foot_angle_deg)),
         foot_back=settings.foot_back * size,
         strong=settings.strong,
@@ -94,11 +83,12 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool 
         step_gain=0.15 * size,
         eager=settings.eager,
         lag_price=settings.lag_price,
+        crowd_price=settings.crowd_price,
         turn_price=0.4,
         still_price=0.3,
         foothold_price=0.2,
         margin_price=10.0,
-        torque_price=1.0,
+        torque_price=0.5,
         aside_price=4.0,
         move_samples=settings.body_moves,
         foot_samples=settings.footholds,
@@ -113,7 +103,15 @@ def ground_of(field: Field, settings: PassageSettings, exhaustive: bool = False)
     if exhaustive:
         coarse = max(1, round(0.04 / field.resolution))
         candidates(field.evaluation, settings.strong, settings.wide, settings.weakest, coarse, candidate)
-    return Ground(field.elevation, field.top, field.evaluation, candidate, field.resolution, *field.corner)
+    return Ground(
+        field.elevation,
+        field.top,
+        field.evaluation,
+        candidate,
+        np.full(field.evaluation.shape, -1, dtype=np.int32),
+        field.resolution,
+        *field.corner,
+    )
 
 
 def tree_of(nodes: int) -> Tree:
@@ -138,6 +136,7 @@ def tree_of(nodes: int) -> Tree:
         table=np.full(slots, -1, dtype=np.int32),
         counts=np.zeros(COUNTS, dtype=np.int64),
         fails=np.zeros((2, TESTS, 7), dtype=np.int64),
+        visits=np.zeros(CROWDS, dtype=np.int64),
         random=np.ones(1, dtype=np.uint64),
         goal=np.zeros(1),
     )
@@ -149,14 +148,15 @@ def _directions(limits: Array) -> Array:
     return np.column_stack([np.cos(low), np.sin(low), np.cos(high), np.sin(high), high - low > np.pi])
 
 
-def _strokes(profile: RobotProfile, mount: Array, settings: PassageSettings) -> Array:
-    """How far (6,) [m] a foot may fall back behind its nominal place on level ground before its leg's limits stop it."""
+def _strokes(profile: RobotProfile, settings: PassageSettings) -> Array:
+    """How far (6, 2) [m] a foot may stand behind and before its nominal place on level ground, by its leg's limits."""
     feet = profile.rest_feet(settings.body_height or profile.stance.body_height)
-    back = 0.005 * np.arange(1, 80)
-    out = np.empty(6)
+    off = 0.005 * np.arange(1, 80)
+    out = np.empty((6, 2))
     for leg in range(6):
-        line = np.repeat(feet[None], len(back), axis=0)
-        line[:, leg, 0] -= back
-        ok = np.asarray(within_limits(profile, body_inverse(profile, line))[:, leg].all(axis=1))
-        out[leg] = back[np.argmin(ok) - 1] if not ok.all() and ok[0] else back[0] if not ok[0] else back[-1]
+        for side, sign in enumerate((-1.0, 1.0)):
+            line = np.repeat(feet[None], len(off), axis=0)
+            line[:, leg, 0] += sign * off
+            ok = np.asarray(within_limits(profile, body_inverse(profile, line))[:, leg].all(axis=1))
+            out[leg, side] = off[max(int(np.argmin(ok)) - 1, 0)] if not ok.all() else off[-1]
     return out

@@ -11,9 +11,9 @@ from shared.messages import UNKNOWN
 from shared.robot import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
-HEIGHT = 0.10
+HEIGHT = 0.11
 GAP = 0.8
-SETTINGS = PassageSettings(body_height=HEIGHT, budget=8000)
+SETTINGS = PassageSettings(body_height=HEIGHT)
 
 
 @pytest.fixture(scope="module")
