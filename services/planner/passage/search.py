@@ -400,6 +400,19 @@ def _pose(table: Array, leg: int, bx: float, by: float, bz: float, x: float, y: 
 
 
 @compiled
+def _turns(table: Array, leg: int, x: float, y: float, z: float) -> bool:
+    """Whether coxa and femur may point as they must for a foot at (x, y, z) {body} at the end of the knee's reach or within."""
+    px, py, pz = x - table[0, leg, _MOUNT], y - table[0, leg, _MOUNT + 1], z - table[0, leg, _MOUNT + 2]
+    f, t = table[0, leg, _LINKS + 1], table[0, leg, _LINKS + 2]
+    reach = math.sqrt(px * px + py * py) - table[0, leg, _LINKS]
+    knee = min(max((reach * reach + pz * pz - f * f - t * t) / (2.0 * f * t), -1.0), 1.0)
+    across, along = -t * math.sqrt(1.0 - knee * knee), f + t * knee
+    c, s = table[0, leg, _YAW], table[0, leg, _YAW + 1]
+    turned = _between(px * c + py * s, py * c - px * s, table, 0, leg, _COXA)
+    return turned and _between(reach * along + pz * across, pz * along - reach * across, table, 0, leg, _FEMUR)
+
+
+@compiled
 def _collide(poses: Array, one: int, other: int, apart: float) -> bool:
     """Whether femur or tibia of one leg come nearer to those of another than so much [m].
 
@@ -509,16 +522,28 @@ def _swing_test(
     poses = np.empty((6, 9))
     level = max(feet[leg, 2], goal[2]) + _LEVEL_SHARE * lift
     last_x, last_y, last_z = feet[leg, 0], feet[leg, 1], feet[leg, 2]
+    # A foot hardly moves at first and at last, while the body does.
+    s = 0.5 * shape[0, 1]
+    x, y, z = feet[leg, 0] - b0[0] - s * (b1[0] - b0[0]), feet[leg, 1] - b0[1] - s * (b1[1] - b0[1]), feet[leg, 2] - b0[2]
+    if not _turns(table, leg, x, y, z):
+        return REACH
+    s = 0.5 * (1.0 - shape[0, _SAMPLES - 2])
+    x, y, z = goal[0] - b1[0] + s * (b1[0] - b0[0]), goal[1] - b1[1] + s * (b1[1] - b0[1]), goal[2] - b1[2]
+    if not _turns(table, leg, x, y, z):
+        return REACH
     for k in range(_SAMPLES):
         s, along, up = shape[0, k], shape[1, k], shape[2, k]
         end_z = feet[leg, 2] if k < _SAMPLES // 2 else goal[2]
         x, y = feet[leg, 0] + along * (goal[0] - feet[leg, 0]), feet[leg, 1] + along * (goal[1] - feet[leg, 1])
         bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
+        # It flies between the level that is sure, which the ground asks for, and its whole clearance: limits must allow both.
+        hx, hy, hz, _ = _into_reach(table, leg, bx, by, bz, x, y, end_z + up * (level + (1.0 - _LEVEL_SHARE) * lift - end_z))
         x, y, z, moved = _into_reach(table, leg, bx, by, bz, x, y, end_z + up * (level - end_z))
-        if moved > (rules.moved_most if 0 < k < _SAMPLES - 1 else 1e-3):
+        if k > 0 and moved > (rules.moved_most if k < _SAMPLES - 1 else 1e-3):
             return REACH
-        if _pose(table, leg, bx, by, bz, x, y, z, poses) != OK and k > 0:
+        if k > 0 and not (_turns(table, leg, hx - bx, hy - by, hz - bz) and _turns(table, leg, x - bx, y - by, z - bz)):
             return REACH
+        _pose(table, leg, bx, by, bz, x, y, z, poses)
         if not _shank_clear(top, resolution, x0, y0, poses, leg, rules.leg_clear):
             return GROUND
         for side in range(1, 6, 4):

@@ -27,14 +27,14 @@ class PassageSettings:
     wide: int = -4  # [cells] that a local minimum has from which ground is wide
     weakest: int = -1  # [cells] that its local minimum must have
     margin: float = 0.03  # [m] of support: 2 cm, the feet being believed off by 1 cm
-    legs_apart: float = 0.04  # [m] between the middle lines of neighbouring legs
+    legs_apart: float = 0.046  # [m] between the middle lines of neighbouring legs
     body_clear: float = 0.02  # [m] of the trunk over the ground
     leg_clear: float = 0.01  # [m] of the shanks' middle lines over the ground
-    swing_clear: float = 0.02  # [m] of a swinging foot over the ground
+    swing_clear: float = 0.023  # [m] of a swinging foot over the ground: 2 cm, its way being sampled
     torque: float = 0.6  # of stall that a servo may give during a step, which it bears for minutes; a third it bears for hours
     spare_deg: float = 1.0  # [deg] kept from each joint's limits, and
     spare: float = 0.003  # [m] from the ends of each leg's reach
-    moved_most: float = 0.08  # [m] by which a point of a swing may be moved into reach
+    moved_most: float = 0.05  # [m] by which a point of a swing may be moved into reach
     repair: float = 0.03  # [m] by which a start stance may be wrong
     budget: int = 30_000  # expansions for one section
     patience: int = 1200  # expansions of the first tree, before another one is tried

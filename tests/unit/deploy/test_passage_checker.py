@@ -1,0 +1,82 @@
+"""The checker finds what is wrong with a plan, and nothing in those that the roadmap makes."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, random_blocks, stance_at, thesis_blocks
+from deploy.passage_checker import violations
+from services.planner.passage.field import Field
+from services.planner.passage.roadmap import Crossing, PassageStep, Roadmap
+from services.planner.passage.settings import PassageSettings
+from shared.robot import load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+GAP, HEIGHT = 0.8, 0.11
+START_STANCE = stance_at(PROFILE, START, HEIGHT)
+
+
+def bridged(scenario: int) -> Field:
+    return field_of(heights(thesis_blocks(scenario, GAP, 0.17, 0.20, 0.03, 0.28), GAP))
+
+
+def scattered(seed: int, relief: float) -> Field:
+    return field_of(heights(random_blocks(np.random.default_rng(seed), GAP, 0.12, 0.9, 0.10, relief), GAP))
+
+
+@pytest.fixture(scope="module")
+def roadmap() -> Roadmap:
+    return Roadmap(PROFILE, PassageSettings(body_height=HEIGHT))
+
+
+def planned(roadmap: Roadmap, field: Field, seed: int) -> Crossing:
+    roadmap.begin(field, START_STANCE, NEAR + GAP + BEYOND, seed)
+    found = roadmap.grow(10**6)
+    assert isinstance(found, Crossing)
+    return found
+
+
+@pytest.mark.parametrize("scenario", [1, 2, 3])
+def test_nothing_is_wrong_with_plans_over_bridges(roadmap: Roadmap, scenario: int) -> None:
+    field = bridged(scenario)
+    assert violations(PROFILE, field, START_STANCE, planned(roadmap, field, scenario).steps) == []
+
+
+@pytest.mark.parametrize(("seed", "relief"), [(1, 0.0), (2, 0.0), (3, 0.015), (4, 0.015)])
+def test_nothing_is_wrong_with_plans_over_scattered_pillars(roadmap: Roadmap, seed: int, relief: float) -> None:
+    field = scattered(seed, relief)
+    assert violations(PROFILE, field, START_STANCE, planned(roadmap, field, seed).steps) == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda step: replace(step, touchdown=step.touchdown + np.array([0.0, 0.0, 0.02])), "over the ground"),
+        (lambda step: replace(step, touchdown=step.touchdown + np.array([0.4, 0.0, 0.0])), "leg: "),
+        (lambda step: replace(step, body=step.body + np.array([0.12, 0.0, 0.0])), "the body goes"),
+        (lambda step: replace(step, body=step.body - np.array([0.0, 0.0, 0.08])), "the trunk"),
+        (lambda step: replace(step, clearance=0.001), "passes"),
+        (lambda step: replace(step, clearance=0.2), "clearance"),
+    ],
+)
+def test_what_is_spoilt_is_found(roadmap: Roadmap, spoil: Callable[[PassageStep], PassageStep], said: str) -> None:
+    field = bridged(1)
+    steps = list(planned(roadmap, field, 1).steps)
+    at = next(k for k, step in enumerate(steps) if step.leg >= 0 and k > 3)
+    steps[at] = spoil(steps[at])
+    assert any(said in words for words in violations(PROFILE, field, START_STANCE, steps[: at + 1]))
+
+
+def test_a_foot_on_no_foothold_is_found(roadmap: Roadmap) -> None:
+    field = bridged(1)
+    steps = planned(roadmap, field, 1).steps
+    bare = Field(field.elevation, np.full_like(field.evaluation, 3), field.resolution, field.T_world_strip)
+    assert any("on a cell of value 3" in words for words in violations(PROFILE, bare, START_STANCE, steps))
+
+
+def test_a_body_outside_its_feet_is_found() -> None:
+    leant = replace(START_STANCE, body=START_STANCE.body + np.array([0.0, 0.19, 0.0]))
+    stay = PassageStep(-1, leant.body, 0.0, leant.body, 0.03)
+    assert any("inside its standing feet" in words for words in violations(PROFILE, bridged(1), leant, [stay]))
