@@ -22,6 +22,7 @@ _GRAVITY = 9.81  # [m/s^2]
 _TIMES = 31  # instants of a step
 _ALONG = np.linspace(0.0, 1.0, 13)  # places along a link at which its distance to others is taken
 _ROUNDING = 1e-6
+_MOVED = 1e-3  # [m] by which a touchdown may be beyond reach
 _SMALL_TURN = 1e-6  # [rad]
 
 
@@ -111,7 +112,10 @@ class _Check:
         local = feet - bodies[:, None]
         for leg in np.flatnonzero(swing):  # as the actuator flies
             T, back = profile.T_coxa_body[leg], profile.T_body_coxa[leg]
-            local[:, leg] = apply(back, leg_nearest_reachable(apply(T, local[:, leg]), profile.leg_reach[leg], profile.links))
+            wanted = local[:, leg].copy()
+            local[:, leg] = apply(back, leg_nearest_reachable(apply(T, wanted), profile.leg_reach[leg], profile.links))
+            if np.linalg.norm(local[-1, leg] - wanted[-1]) > _MOVED:
+                yield f"{LEGS[leg]} leg: its touchdown is out of reach"
         q = body_inverse(profile, local)
         yield from self._joints(q, swing, planned)
         yield from self._places(local, swing, planned)
