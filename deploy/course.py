@@ -132,6 +132,11 @@ class Course:
         top = np.einsum("bij,bkj->bki", boxes.R, corners) + boxes.centre[:, None]
         return apply(self.T_start_sim, top)[..., :2]
 
+    def weak_blocks(self) -> NDArray[np.intp]:
+        """Which of them give way under a foot."""
+        weak = getattr(self.terrain, "weak", None)
+        return np.zeros(0, dtype=np.intp) if weak is None else np.asarray(weak.box)
+
     def views(self, poses: Iterable[Array], camera: Camera) -> Iterator[tuple[NDArray[np.float32], Array]] | None:
         """What an undisturbed camera at poses (4, 4) of the simulator's world sees: depths (h, w) [m], and poses in {start}.
 

@@ -182,6 +182,9 @@ def _draw_walked(figure: Any, axes: Any, report: Report, trace: Trace) -> None:
     if trace.mosaic is not None:
         draw_ground(figure, axes, trace.mosaic, low, high)
     draw_blocks(axes, trace)
+    for corners in trace.blocks[trace.weak]:
+        axes.fill(*corners.T, facecolor="none", edgecolor=_BAD, hatch="xx", lw=1.6, zorder=4)
+        axes.annotate("gives way", corners.max(axis=0), (2, 2), textcoords="offset points", color=_BAD, size=11, zorder=9)
     draw_course(axes, trace)
     draw_footholds(axes, trace)
     draw_paths(axes, trace, report)

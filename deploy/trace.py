@@ -48,6 +48,7 @@ class Trace:
     sections: tuple[PlannedSection, ...]  # of passages
     routes: tuple[Array, ...]  # (k, 2) [m] {start} corners of the ways to a goal that the planner took, each from the robot on
     blocks: Array  # (b, 4, 2) [m] {start} corners of the boxes of the true terrain
+    weak: NDArray[np.intp]  # which of them give way under a foot
     goal_distance: float  # [m]
     corridor: float  # [m]
     profile: RobotProfile
@@ -75,6 +76,7 @@ def trace_of(
         sections=_sections(walk, heard),
         routes=tuple(heard.routes),
         blocks=course.block_corners(),
+        weak=course.weak_blocks(),
         goal_distance=scenario.goal.distance,
         corridor=scenario.goal.corridor,
         profile=profile,

@@ -7,7 +7,7 @@ import pytest
 from deploy import passage_picture
 from deploy.attendance import Attendance
 from deploy.passage_picture import stance_at_end
-from shared.scenario import load_scenario
+from shared.scenario import Pillars, load_scenario
 
 PASSAGE = load_scenario("passage2")
 PLANNED = (slice(150, 530), slice(120, 1430))  # where the plans are drawn
@@ -65,6 +65,16 @@ def test_where_there_is_no_way_it_shows_how_far_one_got_and_why(tmp_path, story,
     column = 0.07 * 1600 + 0.86 * 1600 * 0.85 / (PASSAGE.goal.distance + 0.7)
     across = (PLANNED[0], slice(round(column) - 20, round(column) + 20))
     assert np.all(np.abs(none[across].astype(int) - BLUE) < 40, axis=-1).any(axis=1).mean() > 0.4
+
+
+def test_what_gives_way_is_marked(tmp_path, story, crossed):
+    shaky = replace(PASSAGE, terrain=tuple(replace(p, weak=1) if isinstance(p, Pillars) else p for p in PASSAGE.terrain))
+    walked = (slice(630, 1010), slice(120, 1430))
+    pixels = _drawn(tmp_path / "shaky.png", story(scenario=shaky, level=True, sections=1).judged())
+    firm, _ = crossed(story)
+    red = (0xB3, 0x26, 0x1E)
+    assert not len(firm.trace.weak)
+    assert _share(pixels, red, walked) > _share(crossed(story)[1], red, walked) + 1e-3
 
 
 def test_a_section_ends_where_each_leg_stepped_last_or_stands(story, crossed):
