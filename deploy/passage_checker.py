@@ -124,11 +124,12 @@ class _Check:
         if margin < demands.margin - _ROUNDING:
             yield f"the body {margin * 1e3:.0f} mm inside its standing feet"
         yield from self._torques(q, local, swing)
+        yield from self._trunk(bodies)
         if np.isnan(q).any():
             return  # said already
         points = leg_points(profile, q) + bodies[:, None, None]
         yield from self._distances(points)
-        yield from self._over_ground(bodies, points, np.flatnonzero(swing))
+        yield from self._over_ground(points, np.flatnonzero(swing))
 
     def _joints(self, q: Array, swing: NDArray[np.bool_], planned: NDArray[np.bool_]) -> Iterator[str]:
         """Masri 2016, eq. (3.14)-(3.16). A foot where the robot found itself may be a shade beyond."""
@@ -179,14 +180,17 @@ class _Check:
             if gap < self._demands.legs_apart:
                 yield f"{LEGS[leg]} and {LEGS[other]} legs {gap:.3f} m apart"
 
-    def _over_ground(self, bodies: Array, points: Array, legs: NDArray[np.intp]) -> Iterator[str]:
-        """Trunk, legs and the swinging foot over the map."""
+    def _trunk(self, bodies: Array) -> Iterator[str]:
+        """The trunk over the map."""
         length, width, height = self._profile.body.size
         x, y = np.meshgrid(np.arange(-length / 2, length / 2, 0.01), np.arange(-width / 2, width / 2, 0.01), indexing="ij")
         for body in bodies[[0, len(bodies) // 2, -1]]:
             under = self._ground(body[0] + x, body[1] + y)
             if body[2] - height / 2 - under.max() < self._demands.body_clear - _ROUNDING:
                 yield f"the trunk {body[2] - height / 2 - under.max():.3f} m over the ground"
+
+    def _over_ground(self, points: Array, legs: NDArray[np.intp]) -> Iterator[str]:
+        """Legs and the swinging foot over the map."""
         shank = (
             points[:, :, 3, None] + np.array([0.35, 0.5, 0.75, 1.0])[:, None] * (points[:, :, 2] - points[:, :, 3])[:, :, None]
         )
