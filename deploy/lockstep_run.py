@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from deploy.attendance import Attendance, about
+from deploy.passage_warm_up import plan_passage
 from deploy.pose_error import MODELS, Erring
 from deploy.progress import Progress, Silent
 from deploy.recording import Recorder
@@ -48,6 +49,8 @@ class LockstepRun:
         every_frame: bool = True,
     ):
         keep_memory()
+        if scenario.goal.passage:
+            plan_passage(scenario.robot)
         self.scenario = scenario
         self.attendance = Attendance(profile, scenario, seed)
         self._lockstep: Lockstep | None = None

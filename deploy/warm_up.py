@@ -9,6 +9,7 @@ import sys
 import numpy as np
 
 from deploy.lockstep_run import assemble
+from deploy.passage_warm_up import plan_passage
 from services.mapper.cloud import Strip
 from services.mapper.elevation import ElevationGrid
 from services.mapper.survey import Survey
@@ -32,6 +33,7 @@ def main() -> int:
     profile = load_profile(scenario.robot)
     assemble(scenario, 0, profile).run(_WALK_NS)
     _survey(profile)
+    plan_passage(scenario.robot)
     colored = load_scenario("puddle")
     assemble(colored, 0, load_profile(colored.robot)).run(_LOOK_NS)
     return 0

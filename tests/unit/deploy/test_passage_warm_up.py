@@ -1,0 +1,29 @@
+"""After the warm-up nothing is compiled while it should work."""
+
+import sys
+
+from deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, stance_at, thesis_blocks
+from deploy.passage_warm_up import plan_passage
+from services.planner.passage.roadmap import Roadmap
+from services.planner.passage.settings import PassageSettings
+from shared.robot import load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+
+
+def compiled() -> int:
+    """How many signatures of functions of the passage planner have been compiled or loaded."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("services.planner.passage.")]
+    found = {id(f): f for module in modules for f in vars(module).values() if hasattr(f, "signatures")}
+    return sum(len(f.signatures) for f in found.values())
+
+
+def test_a_passage_is_planned_without_compiling_anything() -> None:
+    plan_passage("phantomx_mk2")
+    before = compiled()
+    assert before > 0
+    field = field_of(heights(thesis_blocks(3, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105)
+    roadmap = Roadmap(PROFILE, PassageSettings(body_height=0.105))
+    roadmap.begin(field, stance_at(PROFILE, START, 0.105), NEAR + 0.8 + BEYOND, seed=1)
+    assert roadmap.grow(30_000) is not None
+    assert compiled() == before
