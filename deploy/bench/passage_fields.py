@@ -13,6 +13,7 @@ from shared.geometry import Array
 from shared.robot import RobotProfile
 
 RESOLUTION = 0.01  # [m]
+GAP = 0.80  # [m]
 NEAR, FAR, WIDTH = 0.70, 0.80, 1.20  # [m] platform before the gap and behind it, and the strip across
 FLOOR = -0.30  # [m]
 START, BEYOND = 0.44, 0.25  # [m] of the body along the strip, and behind the gap, where it stands with all its feet

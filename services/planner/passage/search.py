@@ -274,7 +274,7 @@ def _floor(feet: Array, swing: int, radius: float) -> float:
 
 @compiled
 def _stands(
-    table: Array, rules: Rules, codes: Array, feet: Array, swing: int, bx: float, by: float, bz: float, loads: bool
+    table: Array, rules: Rules, codes: NDArray[np.int32], feet: Array, swing: int, bx: float, by: float, bz: float, loads: bool
 ) -> tuple[int, int, float]:
     """Whether the standing legs hold a body: the test that fails, the leg, and the greatest torque [N m].
 
@@ -313,6 +313,19 @@ def _stands(
             return TORQUE, leg, torque
         worst = max(worst, torque)
     return OK, ALL_STAND, worst
+
+
+@compiled
+def _landing(table: Array, rules: Rules, feet: Array, leg: int, body: Array, goal: Array) -> int:
+    """Whether a leg may set its foot down at a place (3,), the body being there and the others standing."""
+    test = _placed(table, leg, goal[0] - body[0], goal[1] - body[1])
+    if test == OK:
+        test, _, _, _, _, _, _ = _leg(table, 0, leg, goal[0] - body[0], goal[1] - body[1], goal[2] - body[2])
+    if test == OK:
+        for k in range(6):
+            if k != leg and (feet[k, 0] - goal[0]) ** 2 + (feet[k, 1] - goal[1]) ** 2 < rules.feet_apart**2:
+                test = APART
+    return int(test)
 
 
 # Footholds ------------------------------------------------------------------------------------------------------------------
@@ -584,27 +597,102 @@ def _stand_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: i
 
 
 @compiled
+def _proven(
+    table: Array, shape: Array, rules: Rules, ground: Ground, feet: Array, goal: Array, leg: int, b0: Array, b1: Array
+) -> tuple[int, float]:
+    """What is dear to know of a step: the test that it fails, or OK, and the clearance [m] with which its foot swings."""
+    test = _way_clear(table, rules, ground, feet, leg, b0, b1)
+    if test != OK or leg == ALL_STAND:
+        return test, 0.0
+    return _lifted(table, shape, rules, ground, feet, goal, leg, b0, b1)
+
+
+@compiled
+def _way_clear(table: Array, rules: Rules, ground: Ground, feet: Array, leg: int, b0: Array, b1: Array) -> int:
+    """Whether trunk and standing legs stay clear of the ground, and the legs of each other."""
+    if not _body_clear(ground, rules, b1[0], b1[1], b1[2]):
+        return GROUND
+    return _stand_clear(table, rules, ground, feet, leg, b0, b1, np.empty((6, 9)))
+
+
+@compiled
+def _lifted(
+    table: Array, shape: Array, rules: Rules, ground: Ground, feet: Array, goal: Array, leg: int, b0: Array, b1: Array
+) -> tuple[int, float]:
+    """The least clearance [m] with which a foot may swing, or the test that fails with the greatest."""
+    test = SWING
+    lift = rules.least_lift
+    while lift <= rules.most_lift + 1e-9:
+        test = _swing_test(table, shape, rules, ground, feet, goal, leg, b0, b1, lift)
+        if test == OK:
+            return OK, lift
+        lift += rules.lift_step
+    return test, 0.0
+
+
+@compiled
 def _proof(legs: Legs, rules: Rules, ground: Ground, tree: Tree, node: int) -> int:
     """Prove the step that leads to a configuration and note its clearance; the test that fails, or OK."""
     parent, leg = tree.parent[node], tree.leg[node]
-    feet, goal = np.empty((6, 3)), np.empty(3)
+    feet, goal = np.empty((6, 3)), np.zeros(3)
     for k in range(6):
         feet[k, 0], feet[k, 1], feet[k, 2] = _foot(tree, ground, rules, tree.foot[parent, k], k)
+    if leg != ALL_STAND:
+        goal[0], goal[1], goal[2] = _foot(tree, ground, rules, tree.foot[node, leg], leg)
     b0, b1 = tree.body[parent], tree.body[node]
-    if not _body_clear(ground, rules, b1[0], b1[1], b1[2]):
-        return GROUND
-    test = _stand_clear(legs.table, rules, ground, feet, leg, b0, b1, np.empty((6, 9)))
-    if test != OK or leg == ALL_STAND:
-        return test
-    goal[0], goal[1], goal[2] = _foot(tree, ground, rules, tree.foot[node, leg], leg)
-    lift = rules.least_lift
-    while lift <= rules.most_lift + 1e-9:
-        test = _swing_test(legs.table, legs.swing, rules, ground, feet, goal, leg, b0, b1, lift)
-        if test == OK:
-            tree.lift[node] = lift
-            return OK
-        lift += rules.lift_step
+    test, tree.lift[node] = _proven(legs.table, legs.swing, rules, ground, feet, goal, leg, b0, b1)
     return test
+
+
+@compiled
+def judge(
+    legs: Legs,
+    rules: Rules,
+    ground: Ground,
+    feet: Array,
+    leg: int,
+    b0: Array,
+    bodies: Array,
+    goals: Array,
+    verdict: NDArray[np.int64],
+    lifts: Array,
+) -> None:
+    """All tests of an expansion on given samples, as `grow` makes them, for the bench.
+
+    Args:
+        legs, rules, ground: What the tests know.
+        feet: (6, 3) [m] {strip} standing, none of them as it was found.
+        leg: That swings.
+        b0: (3,) [m] {strip} the body.
+        bodies: (m, 3) [m] {strip} where it may go.
+        goals: (m, n, 3) [m] {strip} footholds for each.
+        verdict: (m, n) out: the first test that fails, or OK.
+        lifts: (m, n) [m] out: clearances.
+    """
+    table, codes = legs.table, np.zeros(6, np.int32)
+    verdict[:], lifts[:] = OK, 0.0
+    begin = _support(feet, leg, b0[0], b0[1])
+    strained, _, _ = _stands(table, rules, codes, feet, leg, b0[0], b0[1], b0[2], True)
+    for m in range(len(bodies)):
+        b1 = bodies[m]
+        test, _, _ = _stands(table, rules, codes, feet, leg, b1[0], b1[1], b1[2], True)
+        if test == OK:
+            mid = 0.5 * (b0 + b1)
+            test, _, _ = _stands(table, rules, codes, feet, leg, mid[0], mid[1], mid[2], False)
+        if begin < rules.margin or (strained != TORQUE and _support(feet, leg, b1[0], b1[1]) < rules.margin):
+            test = MARGIN
+        elif strained == TORQUE:
+            test = TORQUE
+        clear = -1
+        for n in range(goals.shape[1]):
+            verdict[m, n] = test if test != OK else _landing(table, rules, feet, leg, b1, goals[m, n])
+            if verdict[m, n] != OK:
+                continue
+            if clear < 0:
+                clear = _way_clear(table, rules, ground, feet, leg, b0, b1)
+            verdict[m, n] = clear
+            if clear == OK:
+                verdict[m, n], lifts[m, n] = _lifted(table, legs.swing, rules, ground, feet, goals[m, n], leg, b0, b1)
 
 
 # Queue and table ------------------------------------------------------------------------------------------------------------
@@ -946,18 +1034,12 @@ def _footholds(
         x, y, z = _foot(tree, ground, rules, code, leg)
         if x < feet[leg, 0] - rules.backward or code == tree.foot[node, leg]:
             continue
-        test = _placed(legs.table, leg, x - body[0], y - body[1])
-        if test == OK:
-            test, _, _, _, _, _, _ = _leg(legs.table, 0, leg, x - body[0], y - body[1], z - body[2])
-        if test == OK:
-            for k in range(6):
-                if k != leg and (feet[k, 0] - x) ** 2 + (feet[k, 1] - y) ** 2 < rules.feet_apart**2:
-                    test = APART
+        after[:] = feet
+        after[leg, 0], after[leg, 1], after[leg, 2] = x, y, z
+        test = _landing(legs.table, rules, feet, leg, body, after[leg])
         if test != OK:
             _fail(tree, far, test, leg)
             continue
-        after[:] = feet
-        after[leg, 0], after[leg, 1], after[leg, 2] = x, y, z
         place = _place_price(rules, legs, ground, leg, code, x, y, body[0])
         if not _add(tree, ground, legs, rules, node, leg, body, code, after, price + place, margin):
             return False
