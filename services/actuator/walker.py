@@ -6,8 +6,8 @@ a path that joins the last step's speed; they take up their load again. What is 
     {cmd}           the frame in which standing feet are held still; it follows {odom} slowly in x, y and yaw, since feet roll
                     and slip, so that what is commanded and what is measured never part
     ref             where the body should be {cmd}
-    correction      slow integral of (ref - measured) in height, roll and pitch, so that sag does not stay
-    ref + correction  what the feet are placed against
+    pressed         how much lower than that each standing foot is told to be: slow integral of (ref - measured) in height, roll
+                    and pitch over it, so that sag does not stay; a foot that carries nothing has nothing to make up for
 """
 
 import math
@@ -37,8 +37,10 @@ from shared.robot import LEGS
 _ARCS: dict[str, type[Swing] | type[SixthOrderArc]] = {"flow": Swing, "sixth_order": SixthOrderArc}
 _LOWERING_S = 1.0  # [s]
 _FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
+_UP = np.array([0.0, 0.0, 1.0])
 _LEVEL = np.array([1.0, 1.0, 0.0])  # of x, y, z, or of roll, pitch, yaw
-_LEVELLED = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of x, y, z, roll, pitch, yaw: those that a load bends
+_PRESSED_LIMIT = 0.025  # [m]
+_RELEASE_S = 0.1  # [s] time constant in which a foot without load is told to be where it should be
 _LISTEN_FROM, _STOP_FROM = 0.35, 0.45  # shares of a swing from which its feet are felt, and from which they may be stopped
 _EARLY = 0.006  # [m] over its target from which a touch stops a foot; lower, the leg gives way as much
 _SETTLE_S = 0.05  # [s] time constant in which a foot that was stopped is told to be where it is
@@ -48,7 +50,6 @@ _FEEL_FROM_S = 0.03  # [s] before its legs are lifted from which a step wants to
 _SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is measured at rest
 _WAIT_S = 0.07  # [s] for which it waits for them
 _BACK_S = 1.4  # [s] in which a step is taken back
-_CORRECTION_LIMIT = np.array([0.0, 0.0, 0.025, np.radians(4), np.radians(4), 0.0])  # [m] and [rad]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +99,7 @@ class Walker:
         self._T_odom_cmd = np.eye(4)
         self._ref = _coordinates(T_odom_body)  # {cmd}
         self._velocity = np.zeros(6)
-        self._correction = np.zeros(6)
+        self._pressed = np.zeros(6)  # [m] by which each foot is told to be lower
         self._feet = apply(T_odom_body, feet)  # (6, 3) [m] {cmd}
         self._ground = self._feet[:, 2].copy() if ground is None else ground.copy()
         self._share = np.ones(6)
@@ -426,14 +427,20 @@ class Walker:
         self._T_odom_cmd = step @ self._T_odom_cmd
 
     def _correct(self, dt: float, T_odom_body: Array) -> None:
+        """Press standing feet down, or draw them up, until the body is as high and level as it should be; let go of the others.
+
+        A foot that came down as the others are pressed would miss its place by that, and be loaded, or hang, as much.
+        """
         error = self._ref - _coordinates(inverse(self._T_odom_cmd) @ T_odom_body)
         error[3:] = _wrapped(error[3:])
-        step = _LEVELLED * self._settings.level_gain * error * dt
-        self._correction = np.minimum(np.maximum(self._correction + step, -_CORRECTION_LIMIT), _CORRECTION_LIMIT)
+        feet = apply(inverse(_pose(self._ref)), self._feet)
+        low = error[2] + error[3] * feet[:, 1] - error[4] * feet[:, 0]
+        self._pressed += dt * (self._share * self._settings.level_gain * low - (1.0 - self._share) / _RELEASE_S * self._pressed)
+        self._pressed = np.minimum(np.maximum(self._pressed, -_PRESSED_LIMIT), _PRESSED_LIMIT)
 
     def _targets(self) -> Targets:
         level = rotation_from_rpy(self._ref[3:] * _LEVEL)
-        feet = apply(inverse(_pose(self._ref + self._correction)), self._feet)
+        feet = apply(inverse(_pose(self._ref)), self._feet - self._pressed[:, None] * _UP)
         return Targets(feet, self._share.copy(), level)
 
 

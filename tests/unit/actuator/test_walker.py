@@ -260,6 +260,38 @@ def test_sag_is_pushed_against(axis: int, size: float) -> None:
     assert np.abs(targets.feet[:, 2] - REST[:, 2]).max() < 0.03
 
 
+@given(st.floats(-0.008, 0.008), st.floats(-0.025, 0.025), st.floats(-0.025, 0.025))
+@settings(max_examples=10, deadline=None)
+def test_feet_come_down_where_the_plan_says_whatever_the_others_make_up_for(sag: float, roll: float, pitch: float) -> None:
+    """What standing feet are pressed down by, or drawn up, is none of those in the air: else they land low or high by it."""
+    walker = new_walker()
+    walker.accept(plan_to(1, body_at(0.03)))
+    off = from_xyz_rpy((0.0, 0.0, -sag), (roll, pitch, 0.0))
+    while walker.phase == 1.0 or walker.load_share[TRIPOD].max() > 0 or walker.phase < 0.5:
+        walker.update(DT, walker.body_ref @ off)
+    while walker.load_share[TRIPOD].max() == 0:
+        targets = walker.update(DT, walker.body_ref @ off)
+    told = apply(walker.body_ref, targets.feet) - walker.feet_odom
+    assert np.abs(told[TRIPOD]).max() < 1e-3
+    arms = np.abs(REST[~TRIPOD, :2]).max()
+    assert np.abs(told[~TRIPOD]).max() > 0.5 * max(abs(sag), abs(roll) * arms, abs(pitch) * arms) - 1e-9
+
+
+def test_a_foot_lands_without_what_it_was_pressed_by_in_its_last_stance() -> None:
+    """What one stance took is no forecast of the next, on other ground."""
+    walker = new_walker()
+    low = from_xyz_rpy((0.0, 0.0, -0.004), np.zeros(3))
+    for _ in range(25):
+        walker.update(DT, walker.body_ref @ low)
+    pressed = walker.feet_odom[:, 2] - apply(walker.body_ref, cycle(walker).feet)[:, 2]
+    assert (pressed > 0.005).all()
+    walk(walker, [plan_to(1, body_at(0.03))])
+    told = apply(walker.body_ref, cycle(walker).feet)
+    pressed = walker.feet_odom[:, 2] - told[:, 2]
+    assert np.abs(pressed[TRIPOD]).max() < 3e-4
+    assert (pressed[~TRIPOD] > 0.005).all()
+
+
 def test_yaw_takes_the_short_way_across_half_a_turn() -> None:
     start = from_xyz_rpy(START[:3, 3], (0.0, 0.0, np.pi - 0.02))
     walker = Walker(SETTINGS, REST.copy(), start)
