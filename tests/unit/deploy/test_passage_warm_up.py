@@ -2,8 +2,10 @@
 
 import sys
 
+import numpy as np
+
 from deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, stance_at, thesis_blocks
-from deploy.passage_warm_up import plan_passage
+from deploy.passage_warm_up import as_told, plan_passage
 from services.planner.passage.roadmap import Roadmap
 from services.planner.passage.settings import PassageSettings
 from shared.robot import load_profile
@@ -22,8 +24,17 @@ def test_a_passage_is_planned_without_compiling_anything() -> None:
     plan_passage("phantomx_mk2")
     before = compiled()
     assert before > 0
-    field = field_of(heights(thesis_blocks(3, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105)
+    field = as_told(field_of(heights(thesis_blocks(3, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105))
     roadmap = Roadmap(PROFILE, PassageSettings(body_height=0.105))
     roadmap.begin(field, stance_at(PROFILE, START, 0.105), NEAR + 0.8 + BEYOND, seed=1)
     assert roadmap.grow(30_000) is not None
     assert compiled() == before
+
+
+def test_what_is_told_is_the_same_ground() -> None:
+    field = field_of(heights(thesis_blocks(2, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105)
+    told = as_told(field)
+    np.testing.assert_array_equal(told.elevation, field.elevation)
+    np.testing.assert_array_equal(told.evaluation, field.evaluation)
+    np.testing.assert_allclose(told.T_world_strip, field.T_world_strip, atol=1e-12)
+    assert not told.elevation.flags.writeable
