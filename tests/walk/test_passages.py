@@ -1,0 +1,39 @@
+"""Gaps that only pillars bridge, crossed in lockstep: looked at, planned, walked one leg at a time."""
+
+from itertools import pairwise
+
+import pytest
+
+from services.planner.passage.errand import STRIP
+from shared import topics
+from shared.scenario import load_scenario
+from tests.support.walks import walk
+
+WANTED = (topics.PASSAGE_PLAN, topics.PASSAGE_REQUEST, topics.ACTUATOR_STATE)
+
+
+@pytest.mark.parametrize("name", ["passage1", "passage3"])
+def test_a_passage_is_crossed_from_one_side_to_the_other(name: str) -> None:
+    scenario = load_scenario(name)
+    found = walk(scenario, 1000, WANTED)
+    report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
+    assert report.success, report.reason
+    assert (report.falls, report.shutdowns, report.missteps, report.passage.feet_off) == (0, 0, 0, 0)
+    assert report.distance_m >= scenario.goal.distance
+    assert report.min_stability_margin_m >= 0.02
+    assert report.passage.pillar_touchdowns >= 6
+    assert report.passage.foothold_edge_m.median >= 0.03
+    assert [plan.state for plan in plans] == [section.state for section in report.passage.sections]
+    assert len(plans) <= 4
+    assert plans[-1].state == "complete"
+    assert {(r.length, r.width) for r in found.heard.of(topics.PASSAGE_REQUEST)} == {STRIP}
+    # The body is raised to look before it is planned.
+    before = [s.body_ref[2, 3] for s in found.states() if s.stamp_ns < plans[0].stamp_ns]
+    assert max(before) > scenario.walk.body_height + 0.03
+    # One leg at a time, and none goes back.
+    crossing = [s for s in found.states() if plans[0].stamp_ns < s.stamp_ns < plans[-1].stamp_ns]
+    assert max(int(s.swing.sum()) for s in crossing) == 1
+    for plan in plans:
+        for leg in range(6):
+            ahead = plan.footholds[plan.leg == leg][:, 0].tolist()
+            assert all(b > a for a, b in pairwise(ahead))
