@@ -124,7 +124,7 @@ class Errand:
         self._steps: tuple[PassageStep, ...] = ()
         self._pending: Move | None = None  # of the body alone, until the legs begin it
         self._walking_pose: Array = standing.body
-        self._yielded: list[Array] = []  # (2,) [m] {world} where feet found nothing
+        self._yielded: list[Array] = []  # (3,) [m] {world} undersides of feet that found nothing, or ground lower than it was
         self._gave_way = ""  # which feet found nothing in this section, in words
         self._touch_ns = np.full(6, -1, dtype=np.int64)
         self._tried: list[Array] = []  # (2,) [m] {world} where plannings have begun
@@ -208,15 +208,15 @@ class Errand:
         new = np.flatnonzero((state.touch_ns > self._touch_ns) & ~state.touch_carries)
         if self._touch_ns.max() >= 0 or self._section:
             T_world_odom = state.T_world_odom
-            self._yielded += [apply(T_world_odom, state.touch[leg])[:2] for leg in new.tolist()]
+            self._yielded += [apply(T_world_odom, state.touch[leg]) for leg in new.tolist()]
             if len(new):
                 self._gave_way = f"no ground under the {' and '.join(LEGS[leg] for leg in new.tolist())} foot"
         self._touch_ns = state.touch_ns.copy()
 
     def _marked(self, field: Field) -> Field:
         """The same ground, without what gave way under a foot."""
-        for xy in self._yielded:
-            field = without(field, apply(inverse(self._T_world_strip), np.array([*xy, 0.0]))[:2], _YIELDED)
+        for place in self._yielded:
+            field = without(field, apply(field.T_strip_world, place), _YIELDED)
         return field
 
     # ------------------------------------------------------------------------------------------------- planning
@@ -325,12 +325,12 @@ class Errand:
         return ""
 
     def _sunk(self, standing: Standing, done: int) -> list[Array]:
-        """Places (2,) [m] {world} where a foot stands lower than the ground was: it has given way."""
+        """Undersides (3,) [m] {world} of feet that stand lower than the ground was: it has given way."""
         assert self._field is not None
         feet = apply(self._field.T_strip_world, standing.feet)
         newest = {step.leg: step for step in self._steps[:done] if step.leg >= 0}
         low = [leg for leg, step in newest.items() if feet[leg, 2] < step.touchdown[2] - _OFF_HEIGHT]
-        return [standing.feet[leg, :2].copy() for leg in low]
+        return [standing.feet[leg] - [0.0, 0.0, self._profile.foot.radius] for leg in low]
 
     def _words(self, step: int) -> str:
         return f"passage, section {self._section}: step {step} of {len(self._steps)}"

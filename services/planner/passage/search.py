@@ -968,6 +968,17 @@ def _expand_for(
 
 
 @compiled
+def _has_sunk(ground: Ground, code: int, x: float, y: float) -> bool:
+    """Whether a foot stands since the root where the map says that none can: on what gave way under it, so it may step back."""
+    if code != ROOT_FOOT:
+        return False
+    i = math.floor((x - ground.x0) / ground.resolution + 0.5)
+    j = math.floor((y - ground.y0) / ground.resolution + 0.5)
+    nx, ny = ground.evaluation.shape
+    return bool(0 <= i < nx and 0 <= j < ny and ground.evaluation[i, j] >= 0)
+
+
+@compiled
 def _footholds(
     tree: Tree,
     ground: Ground,
@@ -991,7 +1002,7 @@ def _footholds(
     whole = legs.stroke[leg, 0] + legs.stroke[leg, 1]
     farthest = rules.foot_back + rules.foot_high * whole
     nearest = rules.foot_back + rules.foot_low * whole
-    if not exhaustive:
+    if not exhaustive and not _has_sunk(ground, tree.foot[node, leg], feet[leg, 0], feet[leg, 1]):
         nearest = max(nearest, feet[leg, 0] - tip_x)  # forward
         if nearest >= farthest:
             return True

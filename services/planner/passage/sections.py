@@ -13,6 +13,7 @@ _BEYOND = 0.40  # [m] behind the gap where the body's centre must be for the who
 _HALF_WIDTH = 0.20  # [m] of the band ahead whose ground tells where the gap ends
 _CARRYING = 0.5  # [1] share of that band from which ground carries the robot as anywhere
 _KNOWN = 0.3  # [1] share of it that is known at the end of what is known
+_UNDER = 0.7  # [1] share of the radius of what gave way, in which the ground has sunk with the foot for certain
 _GONE = 1  # of the evaluation function: no foot stands there
 
 
@@ -36,14 +37,23 @@ def goal_behind(field: Field, x: float, target: float) -> float | None:
     return min(target, float(centres[ahead[-1]]) + _BEYOND)
 
 
-def without(field: Field, xy: Array, radius: float) -> Field:
-    """The same ground, of which a disc around a place (2,) [m] {strip} carries nothing."""
+def without(field: Field, sole: Array, radius: float) -> Field:
+    """The same ground, of which a disc carries nothing, since it gave way under a foot.
+
+    Args:
+        field: The strip.
+        sole: (3,) [m] {strip} underside of the foot: as low as it went, the ground under it is at the most.
+        radius: [m] within which no foot shall stand; the ground is lower in the inner part of the disc.
+    """
     nx, ny = field.evaluation.shape
     x0, y0 = field.corner
     x, y = x0 + field.resolution * np.arange(nx), y0 + field.resolution * np.arange(ny)
-    inside = np.hypot(x[:, None] - xy[0], y - xy[1]) <= radius
-    gone = inside & (field.evaluation != UNKNOWN)
-    return replace(field, evaluation=np.where(gone, np.maximum(field.evaluation, np.int8(_GONE)), field.evaluation))
+    off = np.hypot(x[:, None] - sole[0], y - sole[1])
+    gone = (off <= radius) & (field.evaluation != UNKNOWN)
+    low = np.where(off <= _UNDER * radius, np.minimum(field.elevation, np.float32(sole[2])), field.elevation)
+    return replace(
+        field, elevation=low, evaluation=np.where(gone, np.maximum(field.evaluation, np.int8(_GONE)), field.evaluation)
+    )
 
 
 def _bare(field: Field) -> NDArray[np.bool_]:
