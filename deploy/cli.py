@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from deploy.commands.benches import bench_accuracy, bench_speed, bench_stages, replay
+from deploy.commands.benches import bench_accuracy, bench_passage, bench_speed, bench_stages, replay
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor, list_topics
 from deploy.commands.trials import table, trials
@@ -179,6 +179,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_bench(one)
     one = add("stages", bench_stages, "time the stages of the map beside their peers, frame by frame in one run", group)
     _add_frames(one)
+    _add_bench(one)
+    one = add("passage", bench_passage, "time the passage planner beside its peers, and check its plans", group)
     _add_bench(one)
 
     group = commands.add_parser("topics", help="what travels on the wire").add_subparsers(required=True, metavar="WHAT")

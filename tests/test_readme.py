@@ -40,6 +40,7 @@ RUN_BY = {
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
     "bench accuracy": "tests/unit/deploy/test_bench.py::test_the_accuracy_command_leaves_its_tables",
     "bench speed": "tests/unit/deploy/test_bench.py::test_the_speed_command_leaves_its_timings",
+    "bench passage": "tests/unit/deploy/test_bench.py::test_the_passage_command_leaves_its_table",
     "bench stages": "tests/unit/deploy/test_bench.py::test_the_stages_command_leaves_timings_and_a_picture",
     "compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
     "doctor": "tests/unit/deploy/test_cli.py::test_the_doctor_fails_when_a_check_does",

@@ -24,6 +24,7 @@ from services.planner.passage.search import (
 from shared.geometry import Array
 
 Verdicts = NDArray[np.int64]
+_PIECES = 4  # of the way from one instant to the next
 _FLIES = 0.8  # share of its clearance at which a swing is taken to fly
 
 
@@ -212,23 +213,25 @@ class NumpyTests:
         sides = np.array([(leg + 1) % 6, (leg + 5) % 6])
         beside = self._poses(sides, bodies, np.broadcast_to(feet[sides], (*bodies.shape[:-1], 2, 3)))
         near = _collide(np.broadcast_to(own, beside.shape), beside, rules.legs_apart).any(axis=-1)
-        low_way = self._passes_low(way, start, goals)
+        low_way = self._passes_low(leg, bodies, low, start, goals)
         tests = np.where(reach, REACH, np.where(ground, GROUND, np.where(near, LEGS, np.where(low_way, SWING, OK))))
         return np.where(stuck, REACH, _first(tests))
 
-    def _passes_low(self, way: Array, start: Array, goals: Array) -> NDArray[np.bool_]:
-        """Where (k, 9) the stretch that ends at an instant passes too low over the ground."""
-        rules = self._rules
-        before = np.concatenate([np.broadcast_to(start, way[:, :1].shape), way[:, :-1]], axis=1)
-        d = way - before
-        pieces = 1 + (np.sqrt(d[..., 0] * d[..., 0] + d[..., 1] * d[..., 1]) / self._ground.resolution).astype(np.int64)
-        at = np.arange(1, int(pieces.max()) + 1)
-        s = at / pieces[..., None]
-        p = before[..., None, :] + s[..., None] * d[..., None, :]
+    def _passes_low(self, leg: int, bodies: Array, way: Array, start: Array, goals: Array) -> NDArray[np.bool_]:
+        """Where (k, 9) the stretch that ends at an instant passes too low, on a way (k, 9, 3) not yet in reach."""
+        rules, parts = self._rules, np.arange(1, _PIECES + 1) / _PIECES
+        bodies, p = (
+            np.concatenate(
+                [v[:, :1, None].repeat(_PIECES, axis=2), v[:, :-1, None] + parts[:, None] * np.diff(v, axis=1)[:, :, None]], 1
+            )
+            for v in (bodies, way)
+        )
+        p, _ = self._into_reach(leg, bodies, p)
         off = np.minimum(((p - start)[..., :2] ** 2).sum(axis=-1), ((p - goals[:, None, None])[..., :2] ** 2).sum(axis=-1))
         needed = np.minimum(rules.swing_clear, 0.5 * np.sqrt(off) - 0.005)
-        low = p[..., 2] - rules.foot_radius - self._top(p[..., 0], p[..., 1]) < needed
-        return np.asarray((low & (at <= pieces[..., None])).any(axis=-1))
+        low = (p[..., 2] - rules.foot_radius - self._top(p[..., 0], p[..., 1]) < needed).any(axis=-1)
+        low[:, 0] = False
+        return np.asarray(low)
 
     def _into_reach(self, leg: int, bodies: Array, p: Array) -> tuple[Array, Array]:
         """Feet (..., 3) at the nearest places that the knee allows, and by how much they were moved [m]."""

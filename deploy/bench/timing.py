@@ -20,7 +20,7 @@ import numpy as np
 
 from shared.geometry import Array
 
-_PACKAGES = ("numpy", "numba", "opencv-python-headless", "scipy", "scikit-image", "open3d", "small-gicp", "kiss-icp")
+_PACKAGES = ("numpy", "numba", "opencv-python-headless", "scipy", "scikit-image", "open3d", "small-gicp", "kiss-icp", "ompl")
 
 Made = TypeVar("Made")
 

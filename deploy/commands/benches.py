@@ -39,6 +39,19 @@ def bench_stages(arguments: argparse.Namespace) -> int:
     return _tell_bench(words, text, out / "stages.json", arguments.json)
 
 
+def bench_passage(arguments: argparse.Namespace) -> int:
+    """`sextant bench passage`: how fast the passage planner is beside its peers, and whether its plans hold."""
+    from deploy.bench import chart, passage, timing
+
+    out = out_folder(arguments, "bench-passage")
+    found = passage.measure(arguments.seeds, say=open_progress(arguments.json).say)
+    chart.draw(out / "passage.png", "The passage planner beside its peers", found.timings, found.missing)
+    words = f"{timing.in_words(found.timings, found.missing, passage.HEADINGS)}\n{passage.in_words(found)}"
+    sections = passage.sections_for_scripts(found)
+    text = timing.to_json(found.timings, found.missing, sections=sections, wrong=found.wrong)
+    return _tell_bench(words, text, out / "passage.json", arguments.json)
+
+
 def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:
     path.write_text(text, encoding="utf-8")
     say(text.rstrip() if as_json else f"{words}\nwritten to {path}")

@@ -93,6 +93,10 @@ class Roadmap:
         """n_g so far."""
         return self._generated_before + int(self._tree.counts[search.NODES])
 
+    def sampled(self, rng: np.random.Generator, n: int) -> list[Stance]:
+        """Some stances (n) of the newest tree, for the bench."""
+        return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[search.NODES]), n)]
+
     def begin(self, field: Field, stance: Stance, goal_x: float, seed: int, exhaustive: bool = False) -> None:
         """Start anew.
 

@@ -28,6 +28,7 @@ ROOT_FOOT = -1  # in place of a cell: the foot has not moved since the root
 _NEVER_SEEN = 127
 CROWDS, _CROWD = 512, 0.01  # places of equal progress, and [m] the length of one
 _SAMPLES = 9  # of a swing
+_PIECES = 4  # of the way from one sample to the next
 _LEVEL_SHARE = 0.8  # of its clearance at which a swing is taken to fly
 
 
@@ -534,7 +535,7 @@ def _swing_test(
     top, resolution, x0, y0 = ground.top, ground.resolution, ground.x0, ground.y0
     poses = np.empty((6, 9))
     level = max(feet[leg, 2], goal[2]) + _LEVEL_SHARE * lift
-    last_x, last_y, last_z = feet[leg, 0], feet[leg, 1], feet[leg, 2]
+    last_x, last_y, last_z, last_bx, last_by, last_bz = feet[leg, 0], feet[leg, 1], feet[leg, 2], b0[0], b0[1], b0[2]
     # A foot hardly moves at first and at last, while the body does.
     s = 0.5 * shape[0, 1]
     x, y, z = feet[leg, 0] - b0[0] - s * (b1[0] - b0[0]), feet[leg, 1] - b0[1] - s * (b1[1] - b0[1]), feet[leg, 2] - b0[2]
@@ -551,7 +552,8 @@ def _swing_test(
         bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
         # It flies between the level that is sure, which the ground asks for, and its whole clearance: limits must allow both.
         hx, hy, hz, _ = _into_reach(table, leg, bx, by, bz, x, y, end_z + up * (level + (1.0 - _LEVEL_SHARE) * lift - end_z))
-        x, y, z, moved = _into_reach(table, leg, bx, by, bz, x, y, end_z + up * (level - end_z))
+        raw_x, raw_y, raw_z = x, y, end_z + up * (level - end_z)
+        x, y, z, moved = _into_reach(table, leg, bx, by, bz, raw_x, raw_y, raw_z)
         if k > 0 and moved > (rules.moved_most if k < _SAMPLES - 1 else 1e-3):
             return REACH
         if k > 0 and not (_turns(table, leg, hx - bx, hy - by, hz - bz) and _turns(table, leg, x - bx, y - by, z - bz)):
@@ -564,17 +566,24 @@ def _swing_test(
             _pose(table, beside, bx, by, bz, feet[beside, 0], feet[beside, 1], feet[beside, 2], poses)
             if _collide(poses, leg, beside, rules.legs_apart):
                 return LEGS
-        # The foot's own way, every centimetre: 2 cm over the ground, but for its rise and its fall.
-        dx, dy, dz = x - last_x, y - last_y, z - last_z
-        pieces = 1 + int(math.sqrt(dx * dx + dy * dy) / resolution)
-        for m in range(1, pieces + 1):
-            s = m / pieces
-            u, v = last_x + s * dx, last_y + s * dy
+        # The foot's own way, about every centimetre: 2 cm over the ground, but for its rise and its fall.
+        for m in range(1, _PIECES + 1 if k > 0 else 1):
+            part = m / _PIECES
+            u, v, w, _ = _into_reach(
+                table,
+                leg,
+                last_bx + part * (bx - last_bx),
+                last_by + part * (by - last_by),
+                last_bz + part * (bz - last_bz),
+                last_x + part * (raw_x - last_x),
+                last_y + part * (raw_y - last_y),
+                last_z + part * (raw_z - last_z),
+            )
             off = min((u - feet[leg, 0]) ** 2 + (v - feet[leg, 1]) ** 2, (u - goal[0]) ** 2 + (v - goal[1]) ** 2)
             needed = min(rules.swing_clear, 0.5 * math.sqrt(off) - 0.005)
-            if last_z + s * dz - rules.foot_radius - _top(top, resolution, x0, y0, u, v) < needed:
+            if w - rules.foot_radius - _top(top, resolution, x0, y0, u, v) < needed:
                 return SWING
-        last_x, last_y, last_z = x, y, z
+        last_x, last_y, last_z, last_bx, last_by, last_bz = raw_x, raw_y, raw_z, bx, by, bz
     return OK
 
 
@@ -693,6 +702,24 @@ def judge(
             verdict[m, n] = clear
             if clear == OK:
                 verdict[m, n], lifts[m, n] = _lifted(table, legs.swing, rules, ground, feet, goals[m, n], leg, b0, b1)
+
+
+@compiled
+def judge_all(
+    legs: Legs,
+    rules: Rules,
+    ground: Ground,
+    feet: Array,
+    leg: NDArray[np.int64],
+    b0: Array,
+    bodies: Array,
+    goals: Array,
+    verdict: NDArray[np.int64],
+    lifts: Array,
+) -> None:
+    """`judge` for many expansions: all arguments with one more leading axis."""
+    for k in range(len(leg)):
+        judge(legs, rules, ground, feet[k], leg[k], b0[k], bodies[k], goals[k], verdict[k], lifts[k])
 
 
 # Queue and table ------------------------------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ class PassageSettings:
     torque: float = 0.6  # of stall that a servo may give during a step, which it bears for minutes; a third it bears for hours
     spare_deg: float = 1.0  # [deg] kept from each joint's limits, and
     spare: float = 0.003  # [m] from the ends of each leg's reach
-    moved_most: float = 0.05  # [m] by which a point of a swing may be moved into reach
+    moved_most: float = 0.08  # [m] by which a point of a swing may be moved into reach
     repair: float = 0.03  # [m] by which a start stance may be wrong
     budget: int = 30_000  # expansions for one section
     patience: int = 1200  # expansions of the first tree, before another one is tried

@@ -1,0 +1,62 @@
+"""OMPL's planner for the body alone: where each leg finds a foothold. It plans no footstep, so it has less to do."""
+
+from typing import Any
+
+import numpy as np
+
+from services.planner.passage.field import Field
+from services.planner.passage.roadmap import Stance
+from shared.geometry import Array
+from shared.kinematics import leg_inverse
+from shared.robot import RobotProfile
+
+_DRIFT = 0.12  # [m] to either side
+_STRONG = -2  # [cells] of the evaluation function
+_REACH = 0.35  # [m] around the body in which footholds are looked for
+_LONGEST_S = 1.0  # [s] of the wall
+
+
+class BodyPlanner:
+    """RRT-Connect over the body's place."""
+
+    def __init__(self, profile: RobotProfile):
+        """Plan for a robot.
+
+        Raises:
+            ImportError: OMPL is not installed, or not for this machine.
+        """
+        from ompl import base, geometric, util
+
+        util.setLogLevel(util.LogLevel.LOG_ERROR)
+        self._base, self._geometric, self._profile = base, geometric, profile
+
+    def plan(self, field: Field, stance: Stance, goal_x: float) -> bool:
+        """Whether there is a way for the body of a stance to a place [m] along the strip."""
+        i, j = np.nonzero(field.evaluation <= _STRONG)
+        places = np.column_stack([i, j]) * field.resolution + field.corner
+        footholds = np.column_stack([places, field.elevation[i, j] + self._profile.foot.radius])
+        space = self._base.RealVectorStateSpace(2)
+        bounds = self._base.RealVectorBounds(2)
+        for axis, (low, high) in enumerate(((stance.body[0] - 0.1, goal_x + 0.1), (-_DRIFT, _DRIFT))):
+            bounds.setLow(axis, float(low))
+            bounds.setHigh(axis, float(high))
+        space.setBounds(bounds)
+        setup = self._geometric.SimpleSetup(space)
+        setup.setStateValidityChecker(lambda state: self._stands(np.array([state[0], state[1], stance.body[2]]), footholds))
+        begin, end = space.allocState(), space.allocState()
+        begin[0], begin[1] = float(stance.body[0]), float(stance.body[1])
+        end[0], end[1] = float(goal_x), 0.0
+        setup.setStartAndGoalStates(begin, end)
+        setup.setPlanner(self._geometric.RRTConnect(setup.getSpaceInformation()))
+        solved: Any = setup.solve(_LONGEST_S)
+        return bool(solved) and bool(setup.haveExactSolutionPath())
+
+    def _stands(self, body: Array, footholds: Array) -> bool:
+        """Whether each leg has a foothold within its limits."""
+        near = footholds[np.abs(footholds[:, 0] - body[0]) < _REACH] - body
+        T, limits = self._profile.T_coxa_body, self._profile.joint_limits
+        for leg in range(6):
+            q = leg_inverse(near @ T[leg, :3, :3].T + T[leg, :3, 3], self._profile.links)
+            if not ((q >= limits[leg, :, 0]) & (q <= limits[leg, :, 1])).all(axis=1).any():
+                return False
+        return True
