@@ -9,7 +9,7 @@ from shared import topics
 from shared.scenario import load_scenario
 from tests.support.walks import walk
 
-WANTED = (topics.PASSAGE_PLAN, topics.PASSAGE_REQUEST, topics.ACTUATOR_STATE)
+WANTED = (topics.PASSAGE_PLAN, topics.PASSAGE_REQUEST, topics.ACTUATOR_STATE, topics.PLANNER_STATUS)
 
 
 @pytest.mark.parametrize("name", ["passage1", "passage3"])
@@ -37,3 +37,13 @@ def test_a_passage_is_crossed_from_one_side_to_the_other(name: str) -> None:
         for leg in range(6):
             ahead = plan.footholds[plan.leg == leg][:, 0].tolist()
             assert all(b > a for a, b in pairwise(ahead))
+
+
+def test_a_pillar_that_gives_way_is_found_out_by_touch_and_another_way_is_taken() -> None:
+    found = walk(load_scenario("passage_gives_way"), 1000, WANTED)
+    report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
+    assert report.success, report.reason
+    assert (report.falls, report.shutdowns) == (0, 0)
+    assert len(plans) >= 2, "after a foot has sunk the rest is planned anew"
+    statuses = found.heard.of(topics.PLANNER_STATUS)
+    assert any("from where it was to stand: looking again" in s.reason or "no ground under" in s.reason for s in statuses)

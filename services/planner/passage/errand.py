@@ -32,7 +32,7 @@ _OFF_PLACE, _OFF_HEIGHT = 0.03, 0.025  # [m] of a standing foot from where the p
 _SEEDS = 3  # attempts at planning a section, each with other samples
 _RETRIES = 3  # plannings at one place of the body, within
 _SAME_PLACE = 0.03  # [m], before it says that there is no way
-_YIELDED = 0.06  # [m] around a foot that found nothing, where ground is taken to carry none
+_YIELDED = 0.055  # [m] around a foot that found nothing, where ground is taken to carry none
 
 Stage = Literal["survey", "look", "return", "plan", "walk"]
 

@@ -11,7 +11,7 @@ from shared.messages import UNKNOWN
 
 _BEYOND = 0.40  # [m] behind the gap where the body's centre must be for the whole robot to stand behind it
 _HALF_WIDTH = 0.20  # [m] of the band ahead whose ground tells where the gap ends
-_CARRYING = 0.5  # [1] share of that band from which ground carries the robot as anywhere
+_CARRYING = 0.8  # [1] share of that band from which ground carries the robot as anywhere
 _KNOWN = 0.3  # [1] share of it that is known at the end of what is known
 _UNDER = 0.7  # [1] share of the radius of what gave way, in which the ground has sunk with the foot for certain
 _GONE = 1  # of the evaluation function: no foot stands there

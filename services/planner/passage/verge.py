@@ -9,7 +9,8 @@ from services.planner.terrain import ACCEPTABLE, Terrain
 from shared.geometry import Array
 
 _HALF_WIDTH = 0.20  # [m] of the band ahead that is looked at: about where the feet go
-_CARRYING = 0.5  # [1] share of the band across from which ground carries the robot as anywhere
+_CARRYING = 0.8  # [1] share of the band across from which ground carries the robot as anywhere
+_KNOWN = 0.5  # [1] share of it that must be known
 _HIGHER = 0.1  # [1] share of the band that stands higher than legs step, from which it is a wall
 _BASE = 0.10  # [m] before a wall in which its foot carries nothing, either
 _WIDE = 0.06  # [m] along the way that must carry so little: what is narrower is stepped over
@@ -44,7 +45,7 @@ def gap_ahead(terrain: Terrain, xy: Array, target: Array, ground: float) -> Verg
     heights = terrain.heights(places)
     wall = (heights > ground + MAX_STEP).mean(axis=1) > _HIGHER
     bare = _wide((terrain.scores(places) <= ACCEPTABLE).mean(axis=1) < _CARRYING, round(_WIDE / terrain.map.resolution))
-    known = np.isfinite(heights).mean(axis=1) > _CARRYING
+    known = np.isfinite(heights).mean(axis=1) > _KNOWN
     first_wall, first_bare = (int(np.argmax(which)) if which.any() else len(along) for which in (wall, bare & known))
     if first_bare == len(along):
         return "no gap on the straight way to it"
