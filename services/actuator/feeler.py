@@ -33,6 +33,7 @@ class Felt:
     feet: Array  # (6, 3) [m] {odom} measured foot centres
     pushes: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) legs that push the ground, if they hardly move
     heaves: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that seem to lift the body
+    leans: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that bear if the next reading is like the last
 
 
 class Feeler:
@@ -99,6 +100,11 @@ class Feeler:
     def bears(self) -> NDArray[np.bool_]:
         """(6,) feet that stand on something: those that share their load with five others may bear little of it."""
         return self._above(_BEARS_N, _BEARS_HARD_N)
+
+    @property
+    def leans(self) -> NDArray[np.bool_]:
+        """(6,) feet that push as one that stands by their newest reading, which one more has yet to bear out."""
+        return np.asarray(self._push[0] / self._heavier > _BEARS_N)
 
     def _above(self, twice: float, once: float) -> NDArray[np.bool_]:
         """Feet (6,) whose push is above one limit [N] in two readings, or above another in one."""

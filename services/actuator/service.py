@@ -290,7 +290,8 @@ class Actuator:
             stands = self._feeler.bears | self._feeler.silent(self._clock())
             feet, awaiting = self._odometry.feet, self._walker.awaiting
             heaves = self._plumb.heaves(T_odom_body, feet, awaiting, now_ns)
-            felt = Felt(self._feeler.touches, stands, apply(T_odom_body, feet), self._contact.firm, heaves)
+            feeler, firm = self._feeler, self._contact.firm
+            felt = Felt(feeler.touches, stands, apply(T_odom_body, feet), firm, heaves, feeler.leans)
             targets = self._walker.update(dt, T_odom_body, felt)
         self._reach_for(targets, dt)
         if self._stand_up is not None and self._stand_up.done:

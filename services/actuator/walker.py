@@ -48,7 +48,7 @@ _REACH, _REACH_SPEED = 0.04, 0.04  # [m] by which a foot looks for ground below 
 _PUSHED_DOWN = 0.005  # [m] of it after which a foot that stood all the while pushes so that all joints of its leg tell
 _FEEL_FROM_S = 0.03  # [s] before its legs are lifted from which a step wants to know that the others stand
 _SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is measured at rest
-_WAIT_S = 0.07  # [s] for which it waits for them
+_WAIT_S, _LONGER_S = 0.07, 0.12  # [s] for which it waits for them, and for those that by their last reading may stand
 _BACK_S = 1.4  # [s] in which a step is taken back
 
 
@@ -279,7 +279,8 @@ class Walker:
             if felt is not None and unproven.any():
                 self._waited += self._elapsed - before
                 self._elapsed, self._velocity = before, np.zeros(6)  # time stands still
-                if self._waited > _WAIT_S:
+                lost = unproven & ~felt.leans if self._waited <= _LONGER_S else unproven
+                if self._waited > _WAIT_S and lost.any():
                     self._call_off(unproven)
                 return
             self._lift_off(plan)

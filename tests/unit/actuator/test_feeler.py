@@ -105,6 +105,17 @@ def test_a_push_at_rest_is_a_foot_that_bears() -> None:
         assert not feeler.bears.any()
 
 
+def test_a_foot_leans_by_one_reading_and_bears_by_two() -> None:
+    feeler, arm = Feeler(PROFILE), 0.1
+    held = link_torques(PROFILE, Q)
+    for cycle, newton in enumerate((0.0, 0.0, 1.5, 1.5, 0.0)):
+        feeler.see(Q, Q)
+        for leg in range(6):
+            feeler.read(leg, 0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD)
+        assert feeler.leans.all() == feeler.leans.any() == (newton > 0)
+        assert feeler.bears.all() == feeler.bears.any() == (cycle == 3)
+
+
 def test_readings_far_apart_say_nothing() -> None:
     feeler = Feeler(PROFILE)
     for cycle in range(5):

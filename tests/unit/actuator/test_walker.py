@@ -451,6 +451,35 @@ def test_a_foot_over_lower_ground_reaches_down_to_it_before_others_lift(depth: f
     np.testing.assert_allclose(walker.feet_odom[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)  # nobody has lifted
 
 
+def called_off_after(leg: int, leans: bool, bears_from: int) -> int | None:
+    """Cycles of waiting for a leg that leans, or bears from one of them on, before the next step is called off, if it is."""
+    walker, waiting, waited = new_walker(), list(STEPS_2), 0
+    while not (walker.step == 2 and walker.load_share[~TRIPOD].max() == 0):  # others lift
+        if waiting and walker.resting:
+            walker.accept(waiting.pop(0))
+        waited += bool(walker.step == 2 and walker.awaiting[leg])
+        bears, feels = ~walker.swing, np.zeros(6, dtype=bool)
+        bears[leg], feels[leg] = waited >= bears_from, leans
+        walker.update(DT, walker.body_ref, Felt(~ALL, bears, walker.feet_odom, leans=feels))
+        if walker.searching.any():
+            return waited
+    return None
+
+
+@pytest.mark.parametrize("leg", [0, 2, 4])
+def test_a_foot_that_leans_on_the_ground_is_waited_for_a_little_longer(leg: int) -> None:
+    """By its last reading it may stand: the next one tells. Of a foot that feels nothing the wait is as short as ever."""
+    short, long = called_off_after(leg, False, 99), called_off_after(leg, True, 99)
+    assert short is not None
+    assert long is not None
+    assert short * DT < 0.12
+    assert short < long < short + 4
+    assert called_off_after(leg, False, short) is None
+    assert called_off_after(leg, False, short + 1) == short
+    assert called_off_after(leg, True, long) is None
+    assert called_off_after(leg, True, long + 1) == long
+
+
 def test_a_foot_that_stood_all_the_while_unfelt_pushes_its_body_by_millimetres_and_no_more() -> None:
     """Of a foot below its femur's axis the femur feels nothing; all joints together do once the leg hardly moves."""
     walker, leg = new_walker(), 2
