@@ -93,6 +93,11 @@ class Roadmap:
         """n_g so far."""
         return self._generated_before + int(self._tree.counts[search.NODES])
 
+    @property
+    def full(self) -> bool:
+        """Whether the newest tree ended for want of room."""
+        return int(self._tree.counts[search.NODES]) >= self._settings.nodes
+
     def sampled(self, rng: np.random.Generator, n: int) -> list[Stance]:
         """Some stances (n) of the newest tree, for the bench."""
         return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[search.NODES]), n)]
@@ -209,7 +214,7 @@ class Roadmap:
         """What is left when the budget is used up, or everything was tried."""
         best = self._best
         assert best is not None
-        spent = not self._exhaustive
+        spent = not self._exhaustive or self.full
         reason, unseen = in_words(best.fails, best.stance.body, best.stance.feet, self._field, spent)
         if unseen and best.retreat:
             return Crossing(best.retreat, False, reason, self.generated, self.expanded, best.retreat_stance)
@@ -277,13 +282,22 @@ class _Furthest:
     retreat_stance: Stance
 
 
-def passable(profile: RobotProfile, settings: PassageSettings, field: Field, stance: Stance, goal_x: float) -> Crossing | NoWay:
-    """Whether there is any way at all at this discretisation: all motions, all footholds, no budget but `settings.nodes`."""
+def passable(profile: RobotProfile, settings: PassageSettings, field: Field, stance: Stance, goal_x: float) -> bool | None:
+    """Whether there is any way at all at this discretisation: all motions, all footholds, no budget of expansions.
+
+    Footholds are the middle and the two ends of narrow ground and a lattice on wide ground; bodies in the same square of
+    3 cm count as one. Offline: it takes up to minutes.
+
+    Returns:
+        True or False; None where `settings.nodes` configurations are too few to decide.
+    """
     roadmap = Roadmap(profile, settings)
     roadmap.begin(field, stance, goal_x, seed=0, exhaustive=True)
     while (outcome := roadmap.grow(1_000_000)) is None:
         pass
-    return outcome
+    if isinstance(outcome, Crossing):
+        return True
+    return None if roadmap.full else False
 
 
 def _shifts(most: float, step: float) -> Iterator[Array]:

@@ -39,10 +39,10 @@ class PassageSettings:
     budget: int = 30_000  # expansions for one section
     patience: int = 1200  # expansions of the first tree, before another one is tried
     nodes: int = 100_000  # most configurations kept
-    eager: float = 4.0  # weight of the cost to go
+    eager: float = 5.0  # weight of the cost to go
     lag_price: float = 1.0  # [steps] of a foot that has its whole stroke behind it
     crowd_price: float = 0.05  # [steps] of each expansion that came as far before
-    alike: int = 3  # [cells] of body and feet within which configurations count as one
+    alike: int = 2  # [cells] of body and feet within which configurations count as one
     rounds: int = 2  # of all legs that a configuration may have
 
     def __post_init__(self) -> None:

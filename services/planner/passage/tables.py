@@ -12,6 +12,8 @@ from shared.robot import RobotProfile
 
 ORDER = (4, 3, 5, 2, 0, 1)  # rear to front, sides alternating
 _GRAVITY = 9.81  # [m/s^2]
+_COARSE = 0.08  # [m] of the lattice of footholds on wide ground, of an exhaustive search
+_SQUARE = 3  # [lattice] in which its bodies count as one
 _LEVEL = 0.8  # of its clearance at which a swing is taken to fly
 _EASY = 1.0 / 3.0  # of stall: what a servo gives for hours (facts of the AX-12A; RX-64 is taken alike)
 
@@ -66,7 +68,7 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool 
         lift_step=0.015,
         moved_most=settings.moved_most,
         lattice=settings.lattice,
-        alike_body=settings.lattice if exhaustive else settings.alike * settings.lattice,
+        alike_body=_SQUARE * settings.lattice if exhaustive else settings.alike * settings.lattice,
         alike_foot=1 if exhaustive else settings.alike,
         body_low=settings.body_step[0] * size,
         body_high=settings.body_step[1] * size,
@@ -101,7 +103,7 @@ def ground_of(field: Field, settings: PassageSettings, exhaustive: bool = False)
     """What the search sees of a strip; the footholds of an exhaustive search only where there is to be one."""
     candidate = np.zeros(field.evaluation.shape if exhaustive else (1, 1), dtype=np.bool_)
     if exhaustive:
-        coarse = max(1, round(0.04 / field.resolution))
+        coarse = max(1, round(_COARSE / field.resolution))
         candidates(field.evaluation, settings.strong, settings.wide, settings.weakest, coarse, candidate)
     return Ground(
         field.elevation,

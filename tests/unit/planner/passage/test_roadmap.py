@@ -5,7 +5,7 @@ import pytest
 
 from deploy.bench.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
 from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance
+from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance, passable
 from services.planner.passage.settings import PassageSettings
 from shared.messages import UNKNOWN
 from shared.robot import load_profile
@@ -132,3 +132,19 @@ def test_blocks_stand_where_they_are_said_to() -> None:
     assert h[at] == 0.0
     assert (h[at[0] - 5 : at[0] + 5, at[1] - 5 : at[1] + 5] == 0.0).all()
     assert (h[70:150] == 0.0).sum() == 100
+
+
+def test_an_exhaustive_search_finds_a_way_where_there_is_one_and_does_not_decide_without_room() -> None:
+    field = field_of(heights(thesis_blocks(1, GAP, 0.15, 0.16, 0.0, 0.26), GAP), HEIGHT)
+    stance, goal_x = stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND
+    assert passable(PROFILE, PassageSettings(body_height=HEIGHT, nodes=300_000), field, stance, goal_x)
+    assert passable(PROFILE, PassageSettings(body_height=HEIGHT, nodes=1000), field, stance, goal_x) is None
+
+
+def test_an_exhaustive_search_comes_to_an_end_where_there_is_no_way() -> None:
+    stance = stance_at(PROFILE, 0.40, HEIGHT)
+    h = np.full((80, 60), -0.3, dtype=np.float32)
+    for x, y in stance.feet[:, :2]:  # a pillar under each foot, and nothing else
+        i, j = round(x / 0.01), round((y + 0.3) / 0.01)
+        h[i - 5 : i + 5, j - 5 : j + 5] = 0.0
+    assert passable(PROFILE, PassageSettings(body_height=HEIGHT, nodes=300_000), field_of(h, HEIGHT), stance, 0.7) is False
