@@ -144,7 +144,7 @@ def test_an_exhaustive_search_finds_a_way_where_there_is_one_and_does_not_decide
 def test_an_exhaustive_search_comes_to_an_end_where_there_is_no_way() -> None:
     stance = stance_at(PROFILE, 0.40, HEIGHT)
     h = np.full((80, 60), -0.3, dtype=np.float32)
-    for x, y in stance.feet[:, :2]:  # a pillar under each foot, and nothing else
+    for x, y in stance.feet[:, :2]:  # a narrow pillar under each foot, and nothing else
         i, j = round(x / 0.01), round((y + 0.3) / 0.01)
-        h[i - 5 : i + 5, j - 5 : j + 5] = 0.0
+        h[i - 4 : i + 4, j - 4 : j + 4] = 0.0
     assert passable(PROFILE, PassageSettings(body_height=HEIGHT, nodes=300_000), field_of(h, HEIGHT), stance, 0.7) is False
