@@ -125,6 +125,7 @@ class Errand:
         self._pending: Move | None = None  # of the body alone, until the legs begin it
         self._walking_pose: Array = standing.body
         self._yielded: list[Array] = []  # (3,) [m] {world} undersides of feet that found nothing, or ground lower than it was
+        self._because = ""  # why the newest section was not walked to its end, in words
         self._gave_way = ""  # which feet found nothing in this section, in words
         self._touch_ns = np.full(6, -1, dtype=np.int64)
         self._tried: list[Array] = []  # (2,) [m] {world} where plannings have begun
@@ -181,7 +182,7 @@ class Errand:
         if map_ is None or map_.stamp_ns < self._since_ns + _STILL_NS or map_.stamp_ns == self._map_ns:
             if still_ns > _PATIENCE_NS:
                 return Refused("the mapper sends no map of the passage")
-            return Wait("looking at the passage")
+            return Wait(f"looking at the passage{self._because}")
         self._map_ns = map_.stamp_ns
         if map_.elevation.size == 0:
             return Refused(map_.reason)
@@ -290,7 +291,8 @@ class Errand:
                 return Wait(f"walking the last step of section {self._section}")
             self._gave_way = ""
             self._yielded += self._sunk(standing, min(done, len(self._steps)))
-            return self._enter("survey", Wait(f"{why}: looking again" if why else "section walked"))
+            self._because = f" again: {why}" if why else ""
+            return self._enter("survey", Wait(f"looking at the passage{self._because}"))
         if not resting and state.phase < self._settings.plan_from:
             return Wait(self._words(done))
         return Move(
