@@ -24,7 +24,8 @@ from services.planner.passage.search import (
 from shared.geometry import Array
 
 Verdicts = NDArray[np.int64]
-_PIECES = 4  # of the way from one instant to the next
+_AXIS = 0.035  # [m] that a foot keeps from its coxa axis
+_PIECES = 12  # of the way from one instant to the next
 _FLIES = 0.8  # share of its clearance at which a swing is taken to fly
 
 
@@ -85,7 +86,7 @@ class NumpyTests:
         reach, z = out - coxa, local[..., 2]
         d2 = reach * reach + z * z
         knee = (d2 - f * f - t * t) / (2.0 * f * t)
-        bent = (out >= 1e-6) & (knee >= self._knee[strict, legs, 0]) & (knee <= self._knee[strict, legs, 1])
+        bent = (out >= _AXIS) & (knee >= self._knee[strict, legs, 0]) & (knee <= self._knee[strict, legs, 1])
         across = -t * np.sqrt(np.maximum(1.0 - knee * knee, 0.0))
         along = f + t * knee
         fc, fs = reach * along + z * across, z * along - reach * across
@@ -185,12 +186,15 @@ class NumpyTests:
             left = np.flatnonzero(test != OK)
             if not len(left):
                 break
-            test[left] = self._swing(feet, leg, b0, b1[left], goals[left], lift)
+            test[left] = self._swing(feet, leg, b0, b1[left], goals[left], lift, False)
+            left = left[test[left] == OK]
+            if len(left):
+                test[left] = self._swing(feet, leg, b0, b1[left], goals[left], lift, True)
             lifts[left[test[left] == OK]] = lift
             lift += rules.lift_step
         return test, lifts
 
-    def _swing(self, feet: Array, leg: int, b0: Array, b1: Array, goals: Array, lift: float) -> Verdicts:
+    def _swing(self, feet: Array, leg: int, b0: Array, b1: Array, goals: Array, lift: float, smooth: bool) -> Verdicts:
         rules, (time, along, up), start = self._rules, self._shape, feet[leg]
         move = b1 - b0
         early, late = 0.5 * time[1], 0.5 * (1.0 - time[-2])
@@ -200,14 +204,17 @@ class NumpyTests:
         level = np.maximum(start[2], goals[:, 2]) + _FLIES * lift
         end_z = np.where(np.arange(len(time)) < len(time) // 2, start[2], goals[:, 2:])
         xy = start[:2] + along[:, None] * (goals[:, None, :2] - start[:2])
-        bodies = b0 + time[:, None] * move[:, None]
+        share = time * time * (3.0 - 2.0 * time) if smooth else time
+        bodies = b0 + share[:, None] * move[:, None]
         low = np.concatenate([xy, (end_z + up * (level[:, None] - end_z))[..., None]], axis=-1)
         high = np.concatenate([xy, (end_z + up * (level[:, None] + (1.0 - _FLIES) * lift - end_z))[..., None]], axis=-1)
         high, _ = self._into_reach(leg, bodies, high)
         way, moved = self._into_reach(leg, bodies, low)
         inner = np.arange(len(time)) > 0
+        local = low - bodies - self._mount[leg]
+        whirls = local[..., 0] * local[..., 0] + local[..., 1] * local[..., 1] < _AXIS * _AXIS
         most = np.where(np.arange(len(time)) < len(time) - 1, rules.moved_most, 1e-3)
-        reach = inner & ((moved > most) | ~(self._turns(leg, high - bodies) & self._turns(leg, way - bodies)))
+        reach = inner & (whirls | (moved > most) | ~(self._turns(leg, high - bodies) & self._turns(leg, way - bodies)))
         own = self._poses(np.array([leg]), bodies, way[..., None, :])
         ground = ~self._shank_clear(own)[..., 0]
         sides = np.array([(leg + 1) % 6, (leg + 5) % 6])
@@ -270,8 +277,9 @@ def _collide(one: Array, other: Array, apart: float) -> NDArray[np.bool_]:
     denominator = a * e - b * b
     wide = denominator > 1e-12
     m = np.where(wide, np.clip((b * f - c * e) / np.where(wide, denominator, 1.0), 0.0, 1.0), 0.0)
-    k = (b * m + f) / e
-    m = np.where(k < 0.0, np.clip(-c / a, 0.0, 1.0), np.where(k > 1.0, np.clip((b - c) / a, 0.0, 1.0), m))
+    with np.errstate(invalid="ignore", divide="ignore"):  # a leg that cannot be placed is refused for that
+        k = (b * m + f) / e
+        m = np.where(k < 0.0, np.clip(-c / a, 0.0, 1.0), np.where(k > 1.0, np.clip((b - c) / a, 0.0, 1.0), m))
     k = np.clip(k, 0.0, 1.0)
     d = w + u * m[..., None] - v * k[..., None]
     return np.asarray(((d * d).sum(axis=-1) < apart * apart).any(axis=(-1, -2)))

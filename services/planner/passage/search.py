@@ -28,7 +28,8 @@ ROOT_FOOT = -1  # in place of a cell: the foot has not moved since the root
 _NEVER_SEEN = 127
 CROWDS, _CROWD = 512, 0.01  # places of equal progress, and [m] the length of one
 _SAMPLES = 9  # of a swing
-_PIECES = 4  # of the way from one sample to the next
+_AXIS = 0.035  # [m] from its coxa axis: nearer, a foot asks the coxa to whirl, and there is no telling where it is pushed
+_PIECES = 12  # of the way from one sample to the next
 _LEVEL_SHARE = 0.8  # of its clearance at which a swing is taken to fly
 
 
@@ -193,7 +194,7 @@ def _leg(
     reach = out - coxa
     d2 = reach * reach + pz * pz
     knee = (d2 - f * f - t * t) / (2.0 * f * t)
-    if out < 1e-6 or knee < table[strict, leg, _KNEE] or knee > table[strict, leg, _KNEE + 1]:
+    if out < _AXIS or knee < table[strict, leg, _KNEE] or knee > table[strict, leg, _KNEE + 1]:
         return REACH, reach, 0.0, 1.0, 0.0, 0.0, 0.0
     across = -t * math.sqrt(max(1.0 - knee * knee, 0.0))
     along = f + t * knee
@@ -530,8 +531,12 @@ def _swing_test(
     b0: Array,
     b1: Array,
     lift: float,
+    smooth: bool,
 ) -> int:
-    """Whether a swing with a clearance may be flown: in reach, over the ground, beside its neighbours."""
+    """Whether a swing with a clearance may be flown: in reach, over the ground, beside its neighbours.
+
+    The body meanwhile goes evenly, as between steps that join, or starts and stops.
+    """
     top, resolution, x0, y0 = ground.top, ground.resolution, ground.x0, ground.y0
     poses = np.empty((6, 9))
     level = max(feet[leg, 2], goal[2]) + _LEVEL_SHARE * lift
@@ -547,12 +552,17 @@ def _swing_test(
         return REACH
     for k in range(_SAMPLES):
         s, along, up = shape[0, k], shape[1, k], shape[2, k]
+        if smooth:
+            s = s * s * (3.0 - 2.0 * s)
         end_z = feet[leg, 2] if k < _SAMPLES // 2 else goal[2]
         x, y = feet[leg, 0] + along * (goal[0] - feet[leg, 0]), feet[leg, 1] + along * (goal[1] - feet[leg, 1])
         bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
         # It flies between the level that is sure, which the ground asks for, and its whole clearance: limits must allow both.
         hx, hy, hz, _ = _into_reach(table, leg, bx, by, bz, x, y, end_z + up * (level + (1.0 - _LEVEL_SHARE) * lift - end_z))
         raw_x, raw_y, raw_z = x, y, end_z + up * (level - end_z)
+        off_x, off_y = x - bx - table[0, leg, _MOUNT], y - by - table[0, leg, _MOUNT + 1]
+        if k > 0 and off_x * off_x + off_y * off_y < _AXIS * _AXIS:
+            return REACH
         x, y, z, moved = _into_reach(table, leg, bx, by, bz, raw_x, raw_y, raw_z)
         if k > 0 and moved > (rules.moved_most if k < _SAMPLES - 1 else 1e-3):
             return REACH
@@ -566,7 +576,7 @@ def _swing_test(
             _pose(table, beside, bx, by, bz, feet[beside, 0], feet[beside, 1], feet[beside, 2], poses)
             if _collide(poses, leg, beside, rules.legs_apart):
                 return LEGS
-        # The foot's own way, about every centimetre: 2 cm over the ground, but for its rise and its fall.
+        # The foot's own way, closely, since one that is pushed outward is so at once: 2 cm, but for its rise and its fall.
         for m in range(1, _PIECES + 1 if k > 0 else 1):
             part = m / _PIECES
             u, v, w, _ = _into_reach(
@@ -632,7 +642,9 @@ def _lifted(
     test = SWING
     lift = rules.least_lift
     while lift <= rules.most_lift + 1e-9:
-        test = _swing_test(table, shape, rules, ground, feet, goal, leg, b0, b1, lift)
+        test = _swing_test(table, shape, rules, ground, feet, goal, leg, b0, b1, lift, False)
+        if test == OK:
+            test = _swing_test(table, shape, rules, ground, feet, goal, leg, b0, b1, lift, True)
         if test == OK:
             return OK, lift
         lift += rules.lift_step
