@@ -288,14 +288,14 @@ class PassagePlan(Message):
 
     section: int  # counts up from 1 within a passage
     state: Literal["complete", "partial", "no way"]  # up to the goal; as far as the map or the cycles asked for go; nowhere
-    reason: str  # which test stops it where, in words; empty when it is complete
+    reason: str  # why it ends where it does, in words; where there is no way, which test stops it
     origin: Annotated[NDArray[np.float64], Dims(2)]  # [m] {world} middle of the near side of the strip that was planned on
     heading: float  # [rad] {world} of its length
     goal: float  # [m] from the origin along the strip, where the body is to get
     furthest: float  # [m] likewise, where it gets in the furthest configuration found
     generated: int  # nodes of the tree, Masri's n_g
     expanded: int  # nodes that were expanded, his n_e
-    expansions: int  # of the budget that were spent, those that led to nothing included
+    expansions: int  # of the budget that were spent
     planning_ms: float  # [ms] that it took by the machine's clock: timing, so not the same twice
     leg: Annotated[NDArray[np.uint8], Dims("step", most=5, lengths=(0, MAX_SECTION))]  # that swings in each step
     footholds: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]  # [m] {world} foot centre at its end

@@ -13,7 +13,7 @@ from services.planner.gait import GAITS, directions, swing_order
 from services.planner.holes import Holes
 from services.planner.passage.errand import Move, Over, Refused, Standing
 from services.planner.passage.mode import PassageMode
-from services.planner.pilot import Heading, Pilot
+from services.planner.pilot import Heading, Pilot, objection
 from services.planner.refusals import Refusals
 from services.planner.route import NoWay
 from services.planner.stride import Blocked, Situation, Stride, StridePlanner
@@ -39,6 +39,7 @@ State = Literal["waiting", "resting", "stepping", "blocked", "arrived"]
 _STATUS_PERIOD_NS = 100_000_000
 _TRY_AGAIN_NS = 2_000_000_000  # [ns] after every way of taking a step was refused
 _MEASURED_NS = 300_000_000  # [ns] of rest in which feet are measured that have met ground somewhere
+_DOUBT_NS = 1_000_000_000  # [ns] that a crossing goes by the legs alone
 _KEPT = 15  # plans remembered besides the newest
 _NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] by which a command must differ to be another one
 _STILL = 1e-3  # [m/s] and [rad/s]
@@ -77,6 +78,7 @@ class Planner:
         self._asked: VelocityCommand | None = None  # what was commanded when they began
         self._looked_at: tuple[Stride, TerrainMap] | None = None  # for the last retargeting
         self._due_ns = 0
+        self._sure_ns = 0  # when perception was last sure of where the robot is
         self._moved_ns = 0  # when legs last moved, by touch
         self._status_due_ns = 0
         self._state: State = "waiting"
@@ -128,9 +130,10 @@ class Planner:
         command = inbox.fresh(topics.VELOCITY)
         goal = inbox.fresh(topics.GOAL) if command is None else None
         self._led = goal is not None
-        if goal is None:
-            self._passage.abandon()
+        if command is not None and not _is_still(command):
+            self._passage.abandon()  # who falls silent, or rests, may want it later
         if state.mode not in (Mode.WALK, Mode.HOLD):
+            self._passage.abandon()
             self._refusals.forget()
             return self._hold("waiting", f"the actuator is in mode {state.mode}: {state.reason}")
         if command is not None and command.by_touch:
@@ -139,8 +142,11 @@ class Planner:
             return self._hold("waiting", f"no fresh pose from perception{_blamed_on_camera(inbox)}")
         if command is None and goal is None:
             return self._hold("resting", "no fresh velocity command, and no goal")
+        self._sure_ns = state.stamp_ns if pose.ok else self._sure_ns
         terrain = self._terrain(state, pose, inbox)
         if goal is not None and self._passage.crosses(goal):
+            if state.stamp_ns - self._sure_ns > _DOUBT_NS:
+                return self._hold("waiting", f"where the robot is has been in doubt for a second: {pose.reason}")
             return self._across(goal, state, pose, terrain, inbox)
         if terrain is None:
             blind = f", and the camera does not help: {pose.reason}" if not pose.ok else _blamed_on_camera(inbox)
@@ -148,10 +154,10 @@ class Planner:
         nonsense = terrain.nonsense()
         if nonsense:
             return self._hold("waiting", f"the terrain map makes no sense: {nonsense}")
-        if goal is not None and self._passage.under_way(goal):
-            return self._across(goal, state, pose, terrain, inbox)
         if state.phase < 1.0 and state.phase < self._settings.retarget_until:
             return self._retarget(state, pose, terrain)
+        if goal is not None and self._passage.under_way(goal):
+            return self._across(goal, state, pose, terrain, inbox)
         if command is not None and _is_still(command):
             self._refusals.forget()
             return self._hold("resting", "no velocity is commanded")
@@ -201,6 +207,10 @@ class Planner:
         if standing is None:
             return self._hold("waiting", _NOT_MINE)
         body, _ = standing
+        asked = VelocityCommand(state.stamp_ns, np.zeros(2), 0.0, goal.body_height, goal.lift, goal.gait)
+        nonsense = objection(goal) or self._strides.objection(asked)
+        if nonsense:
+            return self._hold("blocked", nonsense)
         if self._passage.ordered(goal):
             return self._across(goal, state, pose, terrain, inbox)
         with self.stages("find a way"):

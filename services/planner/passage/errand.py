@@ -4,19 +4,21 @@ Pure: time, pose and maps come in, what to do next comes out. Section 4.7 (the l
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
 
 from services.planner.config import Settings
+from services.planner.passage.checked_map import is_near, objection
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
 from services.planner.passage.sections import goal_behind, without
 from services.planner.stride import Stride, time_to_swing
 from services.planner.terrain import GOOD
-from shared.geometry import Array, apply, from_xyz_rpy, inverse
-from shared.messages import MAX_TREE, ActuatorState, PassageMap, PassagePlan, PassageRequest
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from shared.messages import MAX_TREE, ActuatorState, Mode, PassageMap, PassagePlan, PassageRequest
 from shared.robot import LEGS, RobotProfile
 
 STRIP = (2.7, 1.0)  # [m] length and width of the map that is asked for; Masri 2016, section 4.4
@@ -26,6 +28,11 @@ _STILL_NS = 700_000_000  # [ns] at rest before a map counts: the scans of this p
 _PATIENCE_NS = 6_000_000_000  # [ns] that a map may take to come
 _LOOKS = 3  # at one stop, at most
 _WORTH = 60  # cells that a look must show
+_LEAST_WORTH = 20  # likewise, once no way was found for want of seeing
+_RISE = 0.01  # [m] from which a look is from higher up
+_BACK, _BACK_TURN, _RETURNS = 0.015, np.radians(3.0), 2  # [m] and [rad] from where it looked off, and tries to get there
+_NEARLY = 0.02  # [m] short of its goal where a section has come to it
+_ASIDE, _TURNED = 0.30, np.radians(10.0)  # [m] and [rad] off the strip, from which the robot is elsewhere
 _POSE_S = 2.0  # [s] for raising the body and lowering it
 _PER_TICK = 6_000  # expansions for each message of the actuator: what a core does meanwhile, in lockstep as over the wire
 _OFF_PLACE, _OFF_HEIGHT = 0.03, 0.025  # [m] of a standing foot from where the plan has it, from which it is planned anew
@@ -96,7 +103,10 @@ class Sections(Protocol):
 class Errand:
     """One passage, from where the robot stands before the gap until it stands behind it."""
 
-    def __init__(self, profile: RobotProfile, settings: Settings, roadmap: Sections, standing: Standing, target: Array):
+    def __init__(
+        self, profile: RobotProfile, settings: Settings, roadmap: Sections, standing: Standing, target: Array,
+        yielded: list[Array], clock: Callable[[], float] = time.perf_counter,
+    ):  # fmt: skip
         """Begin where the robot stands.
 
         Args:
@@ -105,8 +115,10 @@ class Errand:
             roadmap: The planner of sections.
             standing: How the robot stands, facing the way across.
             target: (2,) [m] {world} where it is to get, straight ahead.
+            yielded: (3,) [m] {world} undersides of feet that found nothing, or ground lower than it was; it adds to them.
+            clock: [s] that tells how long planning takes; nothing goes by it.
         """
-        self._profile, self._settings, self._roadmap = profile, settings, roadmap
+        self._profile, self._settings, self._roadmap, self._clock = profile, settings, roadmap, clock
         self._target = target.copy()
         xy = standing.body[:2, 3]
         self.heading = float(np.arctan2(*(target - xy)[::-1]))
@@ -124,7 +136,9 @@ class Errand:
         self._steps: tuple[PassageStep, ...] = ()
         self._pending: Move | None = None  # of the body alone, until the legs begin it
         self._walking_pose: Array = standing.body
-        self._yielded: list[Array] = []  # (3,) [m] {world} undersides of feet that found nothing, or ground lower than it was
+        self._yielded = yielded
+        self._newest_step = -1  # of the actuator
+        self._worth, self._returns = _WORTH, 0
         self._because = ""  # why the newest section was not walked to its end, in words
         self._gave_way = ""  # which feet found nothing in this section, in words
         self._touch_ns = np.full(6, -1, dtype=np.int64)
@@ -156,9 +170,13 @@ class Errand:
             map_: The newest map of the strip.
             refused: Why the actuator did not take the step that was sent last, in words, or nothing.
         """
-        resting = state.phase >= 1.0
+        resting = _rests(state)
         self._since_ns = (state.stamp_ns if self._since_ns < 0 else self._since_ns) if resting else -1
         self._feel(state)
+        anew, self._newest_step = state.step < self._newest_step, state.step
+        if anew:
+            self._pending, self._because = None, " again: the actuator has begun anew"
+            return self._enter("survey", Wait(f"looking at the passage{self._because}"))
         if self._pending is not None and state.step < self._pending.number:
             if not refused:
                 return self._pending
@@ -171,7 +189,7 @@ class Errand:
         if self._stage == "plan":
             return self._plan(state, standing)
         if self._stage == "return":
-            return self._enter("plan", Wait("planning"))
+            return self._return(state, standing)
         return self._look(state, standing, map_)
 
     # ------------------------------------------------------------------------------------------------- looking
@@ -179,23 +197,35 @@ class Errand:
     def _look(self, state: ActuatorState, standing: Standing, map_: PassageMap | None) -> "Outcome":
         """Wait for a map made at rest; where another view would show more, take it; then go back to walking height."""
         still_ns = state.stamp_ns - self._since_ns
-        if map_ is None or map_.stamp_ns < self._since_ns + _STILL_NS or map_.stamp_ns == self._map_ns:
+        came = map_ is not None and map_.stamp_ns >= self._since_ns + _STILL_NS and map_.stamp_ns != self._map_ns
+        wrong = objection(map_, self._T_world_strip, STRIP) if map_ is not None and came else ""
+        if map_ is None or not came or wrong:
             if still_ns > _PATIENCE_NS:
-                return Refused("the mapper sends no map of the passage")
-            return Wait(f"looking at the passage{self._because}")
+                return Refused(f"no map of the passage comes from the mapper{wrong and f': {wrong}'}")
+            return Wait(f"looking at the passage{self._because}{wrong and f'; its map is of no use: {wrong}'}")
         self._map_ns = map_.stamp_ns
-        if map_.elevation.size == 0:
-            return Refused(map_.reason)
         if self._stage == "survey":
             self._walking_pose = standing.body
-        if self._looks < _LOOKS and int(map_.look_shows.sum()) >= _WORTH:
+        shows = self._looks < _LOOKS and int(map_.look_shows.sum()) >= self._worth
+        if shows and is_near(map_.T_world_look, self._walking_pose):
             self._looks += 1
-            words = f"raising the body by {(map_.T_world_look[2, 3] - self._walking_pose[2, 3]) * 100:.0f} cm to look"
+            rise = float(map_.T_world_look[2, 3] - self._walking_pose[2, 3])
+            words = f"raising the body by {rise * 100:.0f} cm to look" if rise > _RISE else "turning the body to look"
             return self._enter("look", self._pose(state, standing, map_.T_world_look, words))
         self._field = self._marked(Field.of(map_))
         if self._stage == "look":
-            return self._enter("return", self._pose(state, standing, self._walking_pose, "back from the look"))
+            self._returns = 0
+            return self._return(state, standing)
         return self._enter("plan", Wait("planning"))
+
+    def _return(self, state: ActuatorState, standing: Standing) -> "Outcome":
+        """Go back from a look to where the robot stood, once more if it did not get there; then plan."""
+        off = inverse(self._walking_pose) @ standing.body
+        back = np.linalg.norm(off[:3, 3]) < _BACK and np.abs(rpy_from_rotation(off[:3, :3])).max() < _BACK_TURN
+        if back or self._returns >= _RETURNS:
+            return self._enter("plan", Wait("planning"))
+        self._returns += 1
+        return self._enter("return", self._pose(state, standing, self._walking_pose, "back from the look"))
 
     def _pose(self, state: ActuatorState, standing: Standing, body: Array, words: str) -> Move:
         """A step in which the body alone moves."""
@@ -227,7 +257,12 @@ class Errand:
         assert self._field is not None
         root = self._in_strip(standing)
         if self._begun_ns < 0:
-            goal = goal_behind(self._field, float(root.body[0]), self._along(self._target))
+            turned = abs(float(rpy_from_rotation(self._T_world_strip[:3, :3].T @ standing.body[:3, :3])[2]))
+            if abs(root.body[1]) > _ASIDE or turned > _TURNED:
+                return Refused(
+                    f"the robot is {root.body[1]:.2f} m beside the strip and {np.degrees(turned):.0f} deg off its way"
+                )
+            goal = goal_behind(self._field, float(root.body[0]) + _NEARLY, self._along(self._target))
             if goal is None:
                 return Over("behind the gap")
             if self._seed == _SEEDS:
@@ -239,9 +274,9 @@ class Errand:
             self._goal = goal
             self._begun_ns, self._planning_s = state.stamp_ns, 0.0
             self._roadmap.begin(self._field, root, goal, seed=_SEEDS * self._section + self._seed)
-        began = time.perf_counter()
+        began = self._clock()
         found = self._roadmap.grow(_PER_TICK)
-        self._planning_s += time.perf_counter() - began
+        self._planning_s += self._clock() - began
         if found is None:
             return Wait(f"planning section {self._section} of the passage")
         self._begun_ns = -1
@@ -249,8 +284,11 @@ class Errand:
         if isinstance(found, NoWay):
             if self._seed < _SEEDS:
                 return Wait(f"planning section {self._section} of the passage once more: {found.reason}")
+            if found.unseen and self._worth > _LEAST_WORTH and self._looks < _LOOKS:
+                self._worth, self._because = _LEAST_WORTH, f" again: {found.reason}"  # a look that shows little may do
+                return self._enter("survey", Wait(f"looking at the passage{self._because}"))
             return Refused(found.reason)
-        self._steps, self._base, self._looks, self._seed = found.steps, state.step, 0, _SEEDS
+        self._steps, self._base, self._looks, self._seed, self._worth = found.steps, state.step, 0, _SEEDS, _WORTH
         return self._enter("walk", Wait(f"walking section {self._section} of the passage: {len(found.steps)} steps"))
 
     def _once_more_here(self, xy: Array) -> str:
@@ -277,7 +315,7 @@ class Errand:
     def _walk(self, state: ActuatorState, standing: Standing, refused: str) -> "Outcome":
         """Send the section's next step; where the legs are not as planned, or it is over, stop and look again."""
         assert self._field is not None
-        resting = state.phase >= 1.0
+        resting = _rests(state)
         done = state.step - self._base  # steps of the section that have begun, or are over
         why = self._astray(standing, min(done, len(self._steps)))
         if why and resting and done > 0 and not self._astray(standing, done - 1):
@@ -293,7 +331,7 @@ class Errand:
             self._yielded += self._sunk(standing, min(done, len(self._steps)))
             self._because = f" again: {why}" if why else ""
             return self._enter("survey", Wait(f"looking at the passage{self._because}"))
-        if not resting and state.phase < self._settings.plan_from:
+        if not resting and not self._settings.plan_from <= state.phase < 1.0:  # at 1 without rest a foot looks for its ground
             return Wait(self._words(done))
         return Move(
             self._stride(standing, self._steps[done]), state.step + 1, done == len(self._steps) - 1, self._words(done + 1)
@@ -362,6 +400,11 @@ class Errand:
             body=apply(T, np.array([step.body for step in steps]).reshape(-1, 3)),
             edges=apply(T, self._roadmap.edges[:MAX_TREE].reshape(-1, 3)).reshape(-1, 2, 3).astype(np.float32),
         )
+
+
+def _rests(state: ActuatorState) -> bool:
+    """Whether no step is walked, and no foot looks for its ground."""
+    return state.phase >= 1.0 and state.mode is Mode.HOLD
 
 
 Outcome = Move | Wait | Over | Refused

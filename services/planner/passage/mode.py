@@ -23,6 +23,9 @@ _AT_VERGE = 0.05  # [m] from there within which it has come
 _ALIGNED = radians(1.5)  # off the way across within which it begins
 _TURN_GAIN, _TURN = 1.0, 0.15  # [1/s] and [rad/s] at most
 _REST_NS = 300_000_000  # [ns] of rest after the last turn
+_LAPSES_NS = 30_000_000_000  # [ns] after which a refusal is looked into again
+_TURNING_NS = 30_000_000_000  # [ns] that the turn may take
+_INCLINED = radians(15.0)  # off the way within which a robot that cannot go back to the verge crosses as it faces
 _ELSEWHERE = 0.30  # [m] from where there was no way across, from which it is tried again
 
 
@@ -36,10 +39,13 @@ class PassageMode:
         self._errand: Errand | None = None
         self._approach: Pilot | None = None
         self._verge: tuple[Array, Array] | None = None  # (2,) [m] {world} where it begins, and what it heads for
-        self._still_ns = -1
+        self._still_ns = self._turning_ns = -1
         self._refused = ""
         self._refused_at = np.zeros(2)
+        self._refused_ns = 0
         self._crossed = False
+        self._crossed_at = np.zeros(2)
+        self._yielded: list[Array] = []  # (3,) [m] {world} where ground gave way under feet; it stays so, whatever the goal
         self._reports: list[PassagePlan] = []  # that nobody has been told of yet
 
     def under_way(self, goal: Goal) -> bool:
@@ -86,27 +92,30 @@ class PassageMode:
             self.abandon()
             self._goal = goal
         xy = standing.body[:2, 3]
-        if self._refused and float(np.linalg.norm(xy - self._refused_at)) < _ELSEWHERE:
+        lately = state.stamp_ns - self._refused_ns < _LAPSES_NS
+        if self._refused and lately and float(np.linalg.norm(xy - self._refused_at)) < _ELSEWHERE:
             return Refused(self._refused)
         self._refused = ""
+        if self._crossed and not self.under_way(goal) and float(np.linalg.norm(xy - self._crossed_at)) < _ELSEWHERE:
+            return Refused("the gap is crossed, and no other is seen from here")
         if self._errand is None:
             assert terrain is not None
             led = self._to_verge(goal, state, standing, T_world_body, terrain)
             if led is not None:
-                return self._noted(led, xy)
+                return self._noted(led, xy, state.stamp_ns)
         assert self._errand is not None
         outcome = self._errand.advance(state, standing, map_, refused)
         report = self._errand.report
         self._reports += [] if report is None else [report]
-        return self._noted(outcome, xy)
+        return self._noted(outcome, xy, state.stamp_ns)
 
-    def _noted(self, outcome: Heading | Outcome, xy: Array) -> Heading | Outcome:
+    def _noted(self, outcome: Heading | Outcome, xy: Array, now_ns: int) -> Heading | Outcome:
         """The same, remembered if it is an end."""
         if isinstance(outcome, Over):
-            self._errand, self._verge, self._crossed = None, None, True
+            self._errand, self._verge, self._crossed, self._crossed_at = None, None, True, xy.copy()
         elif isinstance(outcome, Refused):
             self._errand, self._verge = None, None
-            self._refused, self._refused_at = outcome.reason, xy.copy()
+            self._refused, self._refused_at, self._refused_ns = outcome.reason, xy.copy(), now_ns
         return outcome
 
     def _to_verge(
@@ -118,7 +127,12 @@ class PassageMode:
             start = self._start(goal, standing, terrain)
             if isinstance(start, str):
                 return Refused(start)
-            self._verge, self._approach = (start, target.copy()), Pilot(self._profile)
+            self._verge, self._approach, self._turning_ns = (start, target.copy()), Pilot(self._profile), -1
+            facing = np.array([np.cos(yaw_of(standing.body)), np.sin(yaw_of(standing.body))])
+            way = target - xy
+            if float(np.linalg.norm(start - xy)) < _AT_VERGE and facing @ way > np.cos(_INCLINED) * np.linalg.norm(way):
+                # It may stand on pillars, where turning is no small matter: straight ahead is as good.
+                self._verge, self._approach = (start, xy + float(np.linalg.norm(way)) * facing), None
         place, target = self._verge
         if self._approach is not None:
             there = replace(goal, waypoints=place[None], tolerance=_AT_VERGE, passage=False)
@@ -132,6 +146,9 @@ class PassageMode:
         error = float((np.arctan2(way[1], way[0]) - yaw_of(standing.body) + np.pi) % (2.0 * np.pi) - np.pi)
         if abs(error) > _ALIGNED:
             self._still_ns = -1
+            self._turning_ns = state.stamp_ns if self._turning_ns < 0 else self._turning_ns
+            if state.stamp_ns - self._turning_ns > _TURNING_NS:
+                return Refused(f"the robot does not get to face the passage: {np.degrees(error):.0f} deg are left")
             turn = min(max(_TURN_GAIN * error, -_TURN), _TURN)
             command = VelocityCommand(state.stamp_ns, np.zeros(2), turn, goal.body_height, goal.lift, goal.gait)
             return Heading((command,), f"turning by {np.degrees(error):.0f} deg towards the passage")
@@ -142,7 +159,7 @@ class PassageMode:
         if state.stamp_ns - self._still_ns < _REST_NS:
             return Wait("coming to rest before the passage")
         roadmap = Roadmap(self._profile, PassageSettings(body_height=goal.body_height))
-        self._errand = Errand(self._profile, self._settings, roadmap, standing, target)
+        self._errand = Errand(self._profile, self._settings, roadmap, standing, target, self._yielded)
         return None
 
     def _start(self, goal: Goal, standing: Standing, terrain: Terrain) -> Array | str:

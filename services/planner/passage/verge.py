@@ -38,7 +38,8 @@ def gap_ahead(terrain: Terrain, xy: Array, target: Array, ground: float) -> Verg
     if length < terrain.map.resolution:
         return "the goal is here"
     heading = float(np.arctan2(way[1], way[0]))
-    along = np.arange(0.0, length, terrain.map.resolution)
+    reach = float(np.hypot(*terrain.map.elevation.shape)) * terrain.map.resolution  # no further is anything known
+    along = np.arange(0.0, min(length, reach), terrain.map.resolution)
     across = np.arange(-_HALF_WIDTH, _HALF_WIDTH + 1e-9, terrain.map.resolution)
     ahead = way / length
     places = xy + along[:, None, None] * ahead + across[:, None] * np.array([-ahead[1], ahead[0]])

@@ -11,7 +11,7 @@ from services.planner.passage.errand import STRIP, Errand, Move, Outcome, Over, 
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
 from shared.geometry import Array, apply, from_xyz_rpy, inverse
-from shared.messages import UNKNOWN, PassageMap
+from shared.messages import UNKNOWN, Mode, PassageMap
 from shared.robot import load_profile
 from tests.support.states import actuator_state
 
@@ -49,7 +49,7 @@ class Robot:
         self.T = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
         self.feet = apply(self.T, PROFILE.rest_feet(HEIGHT))
         self.sections, self.looks, self.gap = sections, looks, gap
-        self.errand = Errand(PROFILE, Settings(), sections, self.standing, GOAL)
+        self.errand = Errand(PROFILE, Settings(), sections, self.standing, GOAL, [])
         self.state = actuator_state(PROFILE, T_odom_body=self.T, body_ref=self.T)
         self.now_ns = 0
         self.map: PassageMap | None = None
@@ -189,7 +189,7 @@ def test_the_map_is_asked_for_again_and_again_and_none_is_waited_for_in_vain() -
         robot.tick()
         asked += robot.errand.request(robot.now_ns) is not None
     assert 9 <= asked <= 11
-    assert robot.until_end() == Refused("the mapper sends no map of the passage")
+    assert robot.until_end() == Refused("no map of the passage comes from the mapper")
 
 
 def test_a_map_from_before_the_robot_stood_still_does_not_count() -> None:
@@ -253,3 +253,66 @@ def test_unknown_ground_is_told_from_bare() -> None:
     robot.look = short  # type: ignore[method-assign]
     robot.until_end()
     assert robot.sections.begun[0][2] == pytest.approx(1.5 + 0.40, abs=0.011)
+
+
+def test_an_actuator_that_begins_anew_has_the_robot_look_again() -> None:
+    """Its steps count from 0: neither a look nor a step of the section goes on by the old numbers."""
+    robot = Robot(Planned(section(0.0, 1.85), section(0.1, 1.85)))
+    robot.until(lambda: len(robot.moves) == 3)
+    robot.state = replace(robot.state, step=0)
+    robot.until(lambda: len(robot.sections.begun) == 2)
+    assert any("the actuator has begun anew" in words for words in robot.heard)
+    robot.until(lambda: len(robot.moves) == 4)
+    assert robot.moves[-1].number == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"heading": 1.0}, "of another strip"),
+        ({"origin": np.array([3.0, 1.0])}, "of another strip"),
+        ({"resolution": 0.5}, "cells of 0.002 to 0.1 m expected"),
+        ({"T_world_look": np.zeros((4, 4))}, "no pose"),
+    ],
+)
+def test_a_map_that_is_none_of_the_strip_is_not_planned_on(changes: dict[str, object], words: str) -> None:
+    robot = Robot(Planned())
+    look = robot.look
+    robot.look = lambda: replace(look(), **changes)  # type: ignore[arg-type, method-assign]
+    end = robot.until_end()
+    assert isinstance(end, Refused)
+    assert words in end.reason
+    assert robot.sections.begun == []
+
+
+def test_a_look_from_far_away_is_not_taken() -> None:
+    robot = Robot(Planned(*[no_way()] * 3), looks=5)
+    look = robot.look
+    robot.look = lambda: replace(look(), T_world_look=from_xyz_rpy((0.0, 0.0, 0.9), np.zeros(3)))  # type: ignore[method-assign]
+    robot.until_end()
+    assert robot.moves == []
+
+
+def test_while_a_foot_looks_for_its_ground_nothing_is_sent() -> None:
+    robot = Robot(Planned(section(0.0, 1.85)))
+    robot.until(lambda: len(robot.moves) == 2)
+    robot.state = replace(robot.state, mode=Mode.WALK)
+    for _ in range(50):
+        assert isinstance(robot.tick(), Wait)
+    robot.state = replace(robot.state, mode=Mode.HOLD)
+    robot.until(lambda: len(robot.moves) == 6)
+
+
+def test_unseen_ground_is_looked_at_again_before_it_is_no_way() -> None:
+    blind = replace(no_way("ground unknown"), unseen=True)
+    robot = Robot(Planned(*[blind] * 3, section(0.0, 1.85)))
+    robot.until(lambda: bool(robot.moves))
+    assert len(robot.sections.begun) == 4
+
+
+def test_a_robot_that_was_carried_aside_does_not_go_on() -> None:
+    robot = Robot(Planned())
+    robot.T = from_xyz_rpy((0.0, 0.5, HEIGHT), np.zeros(3))
+    end = robot.until_end()
+    assert isinstance(end, Refused)
+    assert "0.50 m beside the strip" in end.reason
