@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli, kept
+from deploy import cli, kept, passage_table
 from deploy.campaign_table import WALKED, Campaign, markdown, of_runs
 
 ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
+PASSAGES = ROOT / "docs" / "passages.jsonl"
 
 # What a `make` target comes to.
 MAKE = {
@@ -125,6 +126,13 @@ def test_the_table_of_walks_by_touch_is_the_one_that_a_command_prints() -> None:
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     for words in markdown(of_runs(kept.read(BY_TOUCH)), "walks").splitlines():
         assert words in text
+
+
+def test_the_tables_of_the_passages_are_those_that_a_command_prints() -> None:
+    text, runs = (ROOT / "docs" / "results.md").read_text(encoding="utf-8"), kept.read(PASSAGES)
+    for printed in (markdown(of_runs(runs), "passages"), passage_table.markdown(runs)):
+        for words in printed.splitlines():
+            assert words in text
 
 
 def test_the_table_of_missteps_has_the_headings_that_a_command_prints() -> None:
