@@ -100,15 +100,19 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool 
 
 
 def ground_of(field: Field, settings: PassageSettings, exhaustive: bool = False) -> Ground:
-    """What the search sees of a strip; the footholds of an exhaustive search only where there is to be one."""
+    """What the search sees of a strip; the footholds of an exhaustive search only where there is to be one.
+
+    Layers are copied: views of a message, or what was made of them, are arrays of other types, for each of which the search
+    would be compiled anew when it comes, with the robot in mid-gap.
+    """
     candidate = np.zeros(field.evaluation.shape if exhaustive else (1, 1), dtype=np.bool_)
     if exhaustive:
         coarse = max(1, round(_COARSE / field.resolution))
         candidates(field.evaluation, settings.strong, settings.wide, settings.weakest, coarse, candidate)
     return Ground(
-        field.elevation,
+        field.elevation.copy(),
         field.top,
-        field.evaluation,
+        field.evaluation.copy(),
         candidate,
         np.full(field.evaluation.shape, -1, dtype=np.int32),
         field.resolution,

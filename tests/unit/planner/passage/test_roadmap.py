@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from deploy.bench.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
+from services.planner.passage import search
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance, passable
 from services.planner.passage.settings import PassageSettings
@@ -148,3 +149,15 @@ def test_an_exhaustive_search_comes_to_an_end_where_there_is_no_way() -> None:
         i, j = round(x / 0.01), round((y + 0.3) / 0.01)
         h[i - 4 : i + 4, j - 4 : j + 4] = 0.0
     assert passable(PROFILE, PassageSettings(body_height=HEIGHT, nodes=300_000), field_of(h, HEIGHT), stance, 0.7) is False
+
+
+def test_of_whatever_kind_a_fields_arrays_are_the_search_is_compiled_once(roadmap: Roadmap) -> None:
+    """A message's cannot be written and may lie anywhere; what gave way under a foot makes others of them."""
+    grown(roadmap, level(), stance_at(PROFILE, START, HEIGHT), 0.7)
+    compiled = len(search.grow.signatures)  # type: ignore[attr-defined]
+    field = level()
+    raw = np.frombuffer(b"x" + field.elevation.tobytes(), dtype=np.uint8)[1:].view(np.float32).reshape(field.elevation.shape)
+    evaluation = field.evaluation.copy()
+    evaluation.setflags(write=False)
+    grown(roadmap, Field(raw, evaluation, field.resolution, np.eye(4)), stance_at(PROFILE, START, HEIGHT), 0.7)
+    assert len(search.grow.signatures) == compiled  # type: ignore[attr-defined]
