@@ -15,10 +15,9 @@ from services.planner.passage.field import Field
 from services.planner.passage.roadmap import PassageStep, Stance
 from shared.geometry import Array, apply
 from shared.kinematics import body_inverse, joint_torques, leg_nearest_reachable, leg_points
-from shared.robot import JOINTS, LEGS, RobotProfile
+from shared.robot import GRAVITY, JOINTS, LEGS, RobotProfile
 from shared.stability import support_margin
 
-_GRAVITY = 9.81  # [m/s^2]
 _TIMES = 31  # instants of a step
 _ALONG = np.linspace(0.0, 1.0, 13)  # places along a link at which its distance to others is taken
 _ROUNDING = 1e-6
@@ -160,7 +159,7 @@ class _Check:
     def _torques(self, q: Array, local: Array, swing: NDArray[np.bool_]) -> Iterator[str]:
         """Static torques of the standing legs, which share the weight with the least squares of forces that balance it."""
         most = self._demands.torque * self._profile.servo.stall_torque
-        weight = self._profile.body.total_mass * _GRAVITY
+        weight = self._profile.body.total_mass * GRAVITY
         for k in (0, len(q) - 1):
             places = local[k][~swing]
             balance = np.vstack([np.ones(len(places)), places[:, 0], places[:, 1]])

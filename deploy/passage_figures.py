@@ -28,7 +28,7 @@ def passage_figures(walk: Walk, heard: Heard, trace: Trace, course: Course, pass
         feet_off=feet_off(walk.feet[..., 2] - trace.profile.foot.radius, walk.ground, _standing(walk)),
         passable=passable,
         sections=tuple(
-            Section(plan.state, plan.reason, plan.generated, plan.expanded, plan.expansions, plan.planning_ms, len(plan.leg))
+            Section(plan.state, plan.reason, plan.generated, plan.expanded, plan.planning_ms, len(plan.leg))
             for plan, _ in heard.passage_plans
         ),
     )

@@ -95,8 +95,7 @@ class Section:
     state: str
     reason: str
     generated: int  # nodes, Masri's n_g
-    expanded: int  # of them, his n_e
-    expansions: int  # spent, in vain or not
+    expanded: int  # expansions, in vain or not, his n_e
     planning_ms: float  # timing
     steps: int  # planned
 

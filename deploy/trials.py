@@ -217,7 +217,7 @@ def _passages(runs: Sequence[Run]) -> Passages | None:
         expanded=_figure([float(section.expanded) for section in sections]),
         planning_p50_ms=_over(np.median, times),
         planning_p99_ms=_over(lambda known: np.percentile(known, 99), times),
-        expansions_per_s=sum(section.expansions for section in sections) / seconds if seconds > 0 else float("nan"),
+        expansions_per_s=sum(section.expanded for section in sections) / seconds if seconds > 0 else float("nan"),
         passable=sum(passage.passable is True for passage in passages),
         impassable=sum(passage.passable is False for passage in passages),
         entered_in_vain=sum(passage.passable is False and passage.pillar_touchdowns > 0 for passage in passages),

@@ -294,8 +294,7 @@ class PassagePlan(Message):
     goal: float  # [m] from the origin along the strip, where the body is to get
     furthest: float  # [m] likewise, where it gets in the furthest configuration found
     generated: int  # nodes of the tree, Masri's n_g
-    expanded: int  # nodes that were expanded, his n_e
-    expansions: int  # of the budget that were spent
+    expanded: int  # expansions of the budget that were spent, his n_e
     planning_ms: float  # [ms] that it took by the machine's clock: timing, so not the same twice
     leg: Annotated[NDArray[np.uint8], Dims("step", most=5, lengths=(0, MAX_SECTION))]  # that swings in each step
     footholds: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]  # [m] {world} foot centre at its end

@@ -23,6 +23,7 @@ from shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
 
 LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
 JOINTS = ("coxa", "femur", "tibia")
+GRAVITY = 9.81  # [m/s^2]
 
 
 @dataclass(frozen=True, slots=True)

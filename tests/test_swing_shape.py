@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from services.actuator.swing import Swing
-from services.planner.leg_clearance import clearance_to_sink, swing_shape
+from services.planner.leg_clearance import LEVEL, clearance_to_sink, swing_shape
+from services.planner.passage import search
 from shared.geometry import Array
 
 CYCLES = 60
@@ -45,3 +46,8 @@ def test_a_foot_comes_down_over_what_stands_before_its_touchdown(
 def test_even_ground_asks_for_nothing() -> None:
     ground = np.linspace(0.0, 0.03, 21)[:, None]
     assert clearance_to_sink(ground, np.zeros((1, 3)), np.array([[0.2, 0.0, 0.03]]), 0.008)[0] == -np.inf
+
+
+def test_the_compiled_search_takes_swings_to_fly_as_high_as_the_planner_does() -> None:
+    """It may not read the other file's number: its cache would not notice a change of it."""
+    assert search._LEVEL_SHARE == LEVEL

@@ -30,7 +30,7 @@ OURS = "Sextant"
 CASES = ("scenario 1", "scenario 2", "scenario 3", "strewn pillars")
 HEADINGS = {"per_s": ("per second", 1.0, 0)}
 _HEIGHT = 0.105  # [m] of the body
-_Y, _LENGTH, _SHIFT, _TWO = 0.15, 0.16, 0.03, 0.26  # [m] of the scenarios' pillars, as shared/scenarios/passage1 to 3 have them
+Y, LENGTH, SHIFT, TWO = 0.16, 0.17, 0.035, 0.27  # [m] of the scenarios' pillars, as shared/scenarios/passage1 to 3 have them
 _PITCH, _SHARE, _SIZE = 0.13, 0.85, 0.10  # [m] of strewn pillars, and the share of places that have one
 _STANCES, _REPEATS = 100, 3  # of each search whose expansions are raced, all in one call, and how often
 _OFF = 0.01  # [m] by which pillars stand elsewhere with each seed
@@ -98,7 +98,7 @@ def ground(case: str, seed: int) -> Field:
     rng = np.random.default_rng(seed)
     if case == "strewn pillars":
         return field_of(heights(random_blocks(rng, GAP, _PITCH, _SHARE, _SIZE), GAP), _HEIGHT)
-    blocks = thesis_blocks(CASES.index(case) + 1, GAP, _Y, _LENGTH, _SHIFT, _TWO)
+    blocks = thesis_blocks(CASES.index(case) + 1, GAP, Y, LENGTH, SHIFT, TWO)
     moved = [(block, rng.uniform(-_OFF, _OFF, 2)) for block in blocks]
     return field_of(heights([type(b)(b.x + dx, b.y + dy, b.length, b.width, b.top) for b, (dx, dy) in moved], GAP), _HEIGHT)
 

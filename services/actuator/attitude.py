@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared.geometry import Array, exp_so3, rotation_from_rpy
+from shared.robot import GRAVITY
 
-_G = 9.81  # [m/s^2]
 _GAIN = 0.7  # [1/s] at which gravity as it is felt pulls the estimate, the paper's k_P
 _BIAS_GAIN = 0.05  # [1/s^2] at which a lasting pull is put down to the gyro, its k_I
 _BIAS_FROM = np.radians(5.0)  # larger pulls are a beginning or a push, no bias
@@ -68,12 +68,12 @@ class AttitudeEstimator:
         length = math.sqrt(float(specific_force @ specific_force))
         if self._up is None:
             # Whatever cannot be gravity says nothing; upright is a guess as good as any.
-            self._up = specific_force / length if abs(length - _G) < 4 * _PUSH else np.array([0.0, 0.0, 1.0])
+            self._up = specific_force / length if abs(length - GRAVITY) < 4 * _PUSH else np.array([0.0, 0.0, 1.0])
             return self._attitude(self._up)
         if still and np.abs(gyro - self.bias).max() < _STILL:
             self.bias = self.bias + min(dt / _STILL_S, 1.0) * (gyro - self.bias)
         rate = gyro - self.bias
-        belief = math.exp(-math.log(2.0) * ((length - _G) / _PUSH) ** 2)
+        belief = math.exp(-math.log(2.0) * ((length - GRAVITY) / _PUSH) ** 2)
         turned = exp_so3(-dt * rate) @ self._up  # as the force is felt at the end of dt
         pull = _cross(specific_force / max(length, 1e-9), turned)
         size = math.sqrt(float(pull @ pull))

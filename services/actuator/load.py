@@ -9,9 +9,8 @@ import numpy as np
 
 from shared.geometry import Array
 from shared.kinematics import joint_torques, leg_points
-from shared.robot import RobotProfile
+from shared.robot import GRAVITY, RobotProfile
 
-GRAVITY = 9.81  # [m/s^2]
 # Keeps the forces bounded while a tripod degenerates; it is 1e-6 of what a standing leg gives.
 _DAMPING = np.diag([1e-6, 1e-8, 1e-8])
 

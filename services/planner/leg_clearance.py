@@ -18,7 +18,7 @@ from shared.robot import LEGS, LegLinks, RobotProfile
 SWING_TIME = np.array([0.0, 0.15, 0.32, 0.42, 0.50, 0.57, 0.68, 0.83, 1.0])
 _ALONG = np.array([0.0, 0.08, 0.25, 0.40, 0.50, 0.62, 0.75, 0.90, 1.0])  # share of the way over the ground
 _RISEN = np.array([0.0, 0.40, 0.90, 1.0, 1.0, 0.95, 0.85, 0.50, 0.0])  # share of the height over start, then over touchdown
-_LEVEL = 0.8  # of the clearance, over the higher end: there it flies
+LEVEL = 0.8  # of the clearance, over the higher end: there it flies
 # The same for its end, closer: what of the level's height over the touchdown is left at shares of the way.
 _SINKS_AT, _SINKS_TO = [0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95], [1.0, 0.97, 0.92, 0.80, 0.69, 0.54, 0.33]
 _BESIDE = 0.02  # [m] around its touchdown, where the foot comes straight down beside what stands there
@@ -107,7 +107,7 @@ def swing_shape(start: Array, end: Array, clearance: Array) -> Array:
     Returns:
         (9, n, 3) [m].
     """
-    level = np.maximum(start[:, 2], end[:, 2]) + _LEVEL * clearance
+    level = np.maximum(start[:, 2], end[:, 2]) + LEVEL * clearance
     feet = start + _ALONG[:, None, None] * (end - start)
     lower = np.where(SWING_TIME[:, None] < 0.5, start[:, 2], end[:, 2])
     feet[..., 2] = lower + _RISEN[:, None] * (level - lower)
@@ -130,7 +130,7 @@ def clearance_to_sink(ground: Array, start: Array, end: Array, margin: float) ->
     left = (1.0 - share) * np.linalg.norm((end - start)[:, :2], axis=1)
     stands = (share >= _SINKS_AT[0]) & (left >= _BESIDE) & (ground > end[:, 2] + margin)
     level = end[:, 2] + (np.where(stands, ground, -np.inf) + margin - end[:, 2]) / np.interp(share, _SINKS_AT, _SINKS_TO)
-    return np.asarray((level.max(axis=0) - np.maximum(start[:, 2], end[:, 2])) / _LEVEL)
+    return np.asarray((level.max(axis=0) - np.maximum(start[:, 2], end[:, 2])) / LEVEL)
 
 
 def links_at(q: Array, links: LegLinks) -> Array:

@@ -122,17 +122,11 @@ class PassageMode:
         self, goal: Goal, state: ActuatorState, standing: Standing, T_world_body: Array, terrain: Terrain
     ) -> Heading | Outcome | None:
         """What to do to stand before the gap facing across; None where the robot does, and the errand has begun."""
-        xy, target = standing.body[:2, 3], goal.waypoints[-1]
         if self._verge is None:
-            start = self._start(goal, standing, terrain)
-            if isinstance(start, str):
-                return Refused(start)
-            self._verge, self._approach, self._turning_ns = (start, target.copy()), Pilot(self._profile), -1
-            facing = np.array([np.cos(yaw_of(standing.body)), np.sin(yaw_of(standing.body))])
-            way = target - xy
-            if float(np.linalg.norm(start - xy)) < _AT_VERGE and facing @ way > np.cos(_INCLINED) * np.linalg.norm(way):
-                # It may stand on pillars, where turning is no small matter: straight ahead is as good.
-                self._verge, self._approach = (start, xy + float(np.linalg.norm(way)) * facing), None
+            refusal = self._choose_verge(goal, standing, terrain)
+            if refusal:
+                return Refused(refusal)
+        assert self._verge is not None
         place, target = self._verge
         if self._approach is not None:
             there = replace(goal, waypoints=place[None], tolerance=_AT_VERGE, passage=False)
@@ -142,8 +136,30 @@ class PassageMode:
             if led.commands:
                 return Heading(led.commands, f"to the verge of a gap, {led.words}")
             self._approach = None
+        unready = self._face(goal, state, standing.body, target)
+        if unready is None:
+            roadmap = Roadmap(self._profile, PassageSettings(body_height=goal.body_height))
+            self._errand = Errand(self._profile, self._settings, roadmap, standing, target, self._yielded)
+        return unready
+
+    def _choose_verge(self, goal: Goal, standing: Standing, terrain: Terrain) -> str:
+        """Settle where the crossing begins and what it heads for, or say why there is nothing to cross."""
+        xy, target = standing.body[:2, 3], goal.waypoints[-1]
+        start = self._start(goal, standing, terrain)
+        if isinstance(start, str):
+            return start
+        self._verge, self._approach, self._turning_ns = (start, target.copy()), Pilot(self._profile), -1
+        facing = np.array([np.cos(yaw_of(standing.body)), np.sin(yaw_of(standing.body))])
         way = target - xy
-        error = float((np.arctan2(way[1], way[0]) - yaw_of(standing.body) + np.pi) % (2.0 * np.pi) - np.pi)
+        if float(np.linalg.norm(start - xy)) < _AT_VERGE and facing @ way > np.cos(_INCLINED) * np.linalg.norm(way):
+            # It may stand on pillars, where turning is no small matter: straight ahead is as good.
+            self._verge, self._approach = (start, xy + float(np.linalg.norm(way)) * facing), None
+        return ""
+
+    def _face(self, goal: Goal, state: ActuatorState, body: Array, target: Array) -> Heading | Outcome | None:
+        """What to do to face a place (2,) [m] {world} with the body (4, 4) {world} and to be at rest; None when both is so."""
+        way = target - body[:2, 3]
+        error = float((np.arctan2(way[1], way[0]) - yaw_of(body) + np.pi) % (2.0 * np.pi) - np.pi)
         if abs(error) > _ALIGNED:
             self._still_ns = -1
             self._turning_ns = state.stamp_ns if self._turning_ns < 0 else self._turning_ns
@@ -158,8 +174,6 @@ class PassageMode:
         self._still_ns = state.stamp_ns if self._still_ns < 0 else self._still_ns
         if state.stamp_ns - self._still_ns < _REST_NS:
             return Wait("coming to rest before the passage")
-        roadmap = Roadmap(self._profile, PassageSettings(body_height=goal.body_height))
-        self._errand = Errand(self._profile, self._settings, roadmap, standing, target, self._yielded)
         return None
 
     def _start(self, goal: Goal, standing: Standing, terrain: Terrain) -> Array | str:

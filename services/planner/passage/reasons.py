@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from services.planner.passage import search
 from services.planner.passage.field import Field
-from shared.geometry import Array
+from shared.geometry import Array, apply
 from shared.robot import LEGS
 
 WORDS = (
@@ -38,17 +38,19 @@ def fault_in_words(found: NDArray[np.int64], repair: float) -> str:
     return f"the robot stands badly, and no shift of {repair * 100:.0f} cm helps: {'; '.join(legs + whole)}"
 
 
-def in_words(fails: NDArray[np.int64], body: Array, feet: Array, field: Field | None, spent: bool) -> tuple[str, bool]:
+def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: Field, spent: bool) -> tuple[str, bool]:
     """Why nothing leads on from the furthest configurations, and whether it is for want of known ground.
 
     Args:
         fails: (tests, 7) how often each test failed there, by leg, the last for none.
         body: (3,) [m] {strip} of the furthest.
         feet: (6, 3) [m] {strip}.
+        strokes: (6,) [m] by which each foot can be set forward while the body stands.
         field: The strip.
         spent: Whether the budget ended before all was tried.
     """
-    where = f"{body[0]:.2f} m along the strip"
+    x, y, _ = apply(field.T_world_strip, body)
+    where = f"({x:.2f}, {y:.2f}) m"
     if not fails.any():
         return f"nothing leads on at {where}", False
     blind = fails[search.UNKNOWN].sum() > 0.2 * fails.sum()
@@ -57,14 +59,14 @@ def in_words(fails: NDArray[np.int64], body: Array, feet: Array, field: Field | 
     test, leg = (int(k) for k in np.unravel_index(int(np.argmax(told)), told.shape))
     who = f"{LEGS[leg]} leg: " if leg < 6 else ""
     tried = "not all was tried" if spent else "all was tried"
-    gap = _gap(feet, field) if field is not None else ""
+    gap = _gap(feet, strokes, field)
     look = "; cells ahead are unknown: look again" if blind else ""
     return f"at {where} {who}{WORDS[test]} ({told[test, leg]} of {told.sum()} refusals; {tried}){gap}{look}", bool(blind)
 
 
-def _gap(feet: Array, field: Field) -> str:
-    """The widest stretch without a foothold before any foot, in words."""
-    widest, whose = 0.0, -1
+def _gap(feet: Array, strokes: Array, field: Field) -> str:
+    """The stretch without a foothold before a foot that is the widest beside the leg's stroke, in words."""
+    widest, whose = -np.inf, -1
     x0, y0 = field.corner
     for leg in range(6):
         i = int((feet[leg, 0] - x0) / field.resolution) + 1
@@ -78,6 +80,10 @@ def _gap(feet: Array, field: Field) -> str:
         begin = int(bare[0])
         beyond = np.flatnonzero(carries[begin:])
         width = (int(beyond[0]) if len(beyond) else len(carries) - begin) * field.resolution
-        if width > widest:
-            widest, whose = width, leg
-    return f"; before the {LEGS[whose]} foot {widest * 100:.0f} cm carry none" if whose >= 0 else ""
+        if width - strokes[leg] > widest:
+            widest, whose = width - strokes[leg], leg
+    if whose < 0:
+        return ""
+    width, reach = widest + strokes[whose], f"{strokes[whose] * 100:.0f} cm"
+    by = f", {widest * 100:.0f} cm more than" if widest > 0.0 else " of"
+    return f"; before the {LEGS[whose]} foot {width * 100:.0f} cm carry none{by} the {reach} that its leg goes"

@@ -201,21 +201,23 @@ class Roadmap:
 
     def _crossing(self, goal: int) -> Crossing | NoWay:
         """The section to a configuration."""
-        x = float(self._tree.body[goal, 0])
+        x, known = float(self._tree.body[goal, 0]), self._seen_to - float(self._root.body[0])
+        seen = f"ground is known for {known:.2f} m ahead only"
         if x >= self._goal_x - 1e-9:
             return self._section(goal, True, "at the goal")
         if x < self._root.body[0] + _WORTH:
-            return self._no_way(f"the ground is known to {self._seen_to:.2f} m only: look again", True)
+            return self._no_way(f"{seen}: look again", True)
         if x >= self._tree.goal[0] - 1e-9:
-            return self._section(goal, False, f"the ground is known to {self._seen_to:.2f} m only")
+            return self._section(goal, False, seen)
         return self._section(goal, False, f"so far in {self._settings.cycles} cycles of the gait")
 
     def _nothing_found(self) -> Crossing | NoWay:
         """What is left when the budget is used up, or everything was tried."""
         best = self._best
         assert best is not None
-        spent = not self._exhaustive or self.full
-        reason, unseen = in_words(best.fails, best.stance.body, best.stance.feet, self._field, spent)
+        assert self._field is not None
+        spent, strokes = not self._exhaustive or self.full, self._legs.stroke.sum(axis=1)
+        reason, unseen = in_words(best.fails, best.stance.body, best.stance.feet, strokes, self._field, spent)
         if unseen and best.retreat:
             return Crossing(best.retreat, False, reason, self.generated, self.expanded, best.retreat_stance)
         return self._no_way(reason, unseen)

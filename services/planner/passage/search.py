@@ -1041,7 +1041,10 @@ def _footholds(
     whole = legs.stroke[leg, 0] + legs.stroke[leg, 1]
     farthest = rules.foot_back + rules.foot_high * whole
     nearest = rules.foot_back + rules.foot_low * whole
-    if not exhaustive and not _has_sunk(ground, tree.foot[node, leg], feet[leg, 0], feet[leg, 1]):
+    rearmost = feet[leg, 0] - rules.backward
+    if _has_sunk(ground, tree.foot[node, leg], feet[leg, 0], feet[leg, 1]):
+        rearmost, nearest = -np.inf, rules.foot_back  # as far back as its leg reaches
+    elif not exhaustive:
         nearest = max(nearest, feet[leg, 0] - tip_x)  # forward
         if nearest >= farthest:
             return True
@@ -1082,7 +1085,7 @@ def _footholds(
             _fail(tree, far, FOOTHOLD, leg)
             continue
         x, y, z = _foot(tree, ground, rules, code, leg)
-        if x < feet[leg, 0] - rules.backward or code == tree.foot[node, leg]:
+        if x < rearmost or code == tree.foot[node, leg]:
             continue
         after[:] = feet
         after[leg, 0], after[leg, 1], after[leg, 2] = x, y, z

@@ -53,12 +53,12 @@ class PassageSettings:
             low, high = getattr(self, name)
             if not 0.0 <= low < high < np.inf:
                 raise ValueError(f"{name} from at least 0 upwards expected, found {low} to {high}")
-        for name in ("lattice", "torque", "eager"):
+        for name in ("lattice", "torque", "eager", "alike"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"a positive {name} expected, found {getattr(self, name)}")
         for name in (
             "body_height", "foot_back", "drift", "margin", "legs_apart", "body_clear", "leg_clear", "swing_clear",
-            "spare_deg", "spare", "moved_most", "repair",
+            "spare_deg", "spare", "moved_most", "repair", "lag_price", "crowd_price",
         ):  # fmt: skip
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"a {name} of at least 0 expected, found {getattr(self, name)}")

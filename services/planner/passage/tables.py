@@ -2,19 +2,17 @@
 
 import numpy as np
 
-from services.planner.leg_clearance import SWING_TIME, swing_shape
+from services.planner.leg_clearance import LEVEL, SWING_TIME, swing_shape
 from services.planner.passage.field import Field
 from services.planner.passage.search import COUNTS, CROWDS, ROOT_FOOT, TESTS, Ground, Legs, Rules, Tree, candidates
 from services.planner.passage.settings import PassageSettings
 from shared.geometry import Array
 from shared.kinematics import body_inverse, within_limits
-from shared.robot import RobotProfile
+from shared.robot import GRAVITY, RobotProfile
 
 ORDER = (4, 3, 5, 2, 0, 1)  # rear to front, sides alternating
-_GRAVITY = 9.81  # [m/s^2]
 _COARSE = 0.08  # [m] of the lattice of footholds on wide ground, of an exhaustive search
 _SQUARE = 3  # [lattice] in which its bodies count as one
-_LEVEL = 0.8  # of its clearance at which a swing is taken to fly
 _EASY = 1.0 / 3.0  # of stall: what a servo gives for hours (facts of the AX-12A; RX-64 is taken alike)
 
 
@@ -22,7 +20,7 @@ def legs_of(profile: RobotProfile, settings: PassageSettings) -> Legs:
     """What the tests know of a robot's legs."""
     links, mount = profile.links, profile.T_body_coxa[:, :3, 3]
     fore = np.where(np.abs(mount[:, 0]) < 0.25 * profile.body.size[0], 0.0, np.sign(mount[:, 0]))
-    unit = swing_shape(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]]), np.array([1.0 / _LEVEL]))[:, 0]
+    unit = swing_shape(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]]), np.array([1.0 / LEVEL]))[:, 0]
     table = []
     for angle, length in ((np.radians(settings.spare_deg), settings.spare), (0.0, 0.0)):
         limits = profile.joint_limits + np.array([angle, -angle])
@@ -52,7 +50,7 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool 
         half_length=body.size[0] / 2,
         half_width=body.size[1] / 2,
         half_height=body.size[2] / 2,
-        weight=body.total_mass * _GRAVITY,
+        weight=body.total_mass * GRAVITY,
         torque=settings.torque * profile.servo.stall_torque,
         easy_torque=_EASY * profile.servo.stall_torque,
         height=settings.body_height or stance.body_height,

@@ -200,7 +200,7 @@ class Story:
         edges = np.stack([tips - [0.05, 0.0, 0.0] - tips * [0.0, 1.0, 0.0], tips], axis=1).astype(np.float32)
         where, counts = (
             (np.zeros(2), 0.0, self.scenario.goal.distance, begin + 0.5),
-            (100 * number, 10 * number, 11 * number, 12.5),
+            (100 * number, 10 * number, 12.5),
         )
         state, reason = (
             ("partial", "cells ahead are unknown: look again") if self.way else ("no way", "the gap is 4 cm wider than reach")

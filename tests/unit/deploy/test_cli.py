@@ -316,7 +316,7 @@ def test_trials_of_all_passages_print_their_table_and_the_thesis_one(
     from deploy import campaign_table, lockstep_run
     from deploy.report import Passage, Section
 
-    passage = Passage(30, sections=(Section("complete", "", 640, 70, 75, 9.0, 40),))
+    passage = Passage(30, sections=(Section("complete", "", 640, 70, 9.0, 40),))
     monkeypatch.setattr(
         lockstep_run, "run_lockstep", lambda s, seed, *_: replace(report(True, seed), scenario=s.name, passage=passage)
     )

@@ -67,7 +67,7 @@ def test_a_line_of_before_there_were_passages_is_read_and_written_as_it_was(tmp_
 
 
 def test_a_passage_and_its_machine_are_kept(tmp_path):
-    passage = Passage(12, FootholdEdge(0.02, 0.04), 0, None, (Section("complete", "", 900, 80, 90, 12.5, 40),))
+    passage = Passage(12, FootholdEdge(0.02, 0.04), 0, None, (Section("complete", "", 900, 80, 12.5, 40),))
     run = Run.read({**_entry(replace(REPORT, passage=passage)), "machine": "a fast one"})
     kept.keep(tmp_path / "campaign.jsonl", [run])
     assert kept.read(tmp_path / "campaign.jsonl") == [run]

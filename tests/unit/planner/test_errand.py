@@ -316,3 +316,10 @@ def test_a_robot_that_was_carried_aside_does_not_go_on() -> None:
     end = robot.until_end()
     assert isinstance(end, Refused)
     assert "0.50 m beside the strip" in end.reason
+
+
+def test_a_map_from_the_future_is_not_planned_on() -> None:
+    robot = Robot(Planned())
+    look = robot.look
+    robot.look = lambda: replace(look(), stamp_ns=robot.now_ns + 10**10)  # type: ignore[method-assign]
+    assert robot.until_end() == Refused("no map of the passage comes from the mapper")

@@ -1,10 +1,12 @@
 """When a passage is begun: by a goal that cannot be walked to, or by order; what goes out, and who takes over."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from services.planner.passage.verge import Verge, gap_ahead
 from services.planner.terrain import Terrain
 from shared.geometry import Array, yaw_of
 from shared.messages import Goal, Message, PassageRequest, PlannerStatus, StepPlan, TerrainMap, VelocityCommand
@@ -89,3 +91,37 @@ def test_an_ordered_crossing_is_looked_at_from_where_the_robot_stands_if_the_map
     assert not any(isinstance(m, StepPlan) for m in heard)
     request = next(m for m in heard if isinstance(m, PassageRequest))
     np.testing.assert_allclose(request.origin, [-0.5, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("passage", [False, True])
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"waypoints": np.array([[1e300, 0.0]])}, "waypoints within 10000 m"),
+        ({"body_height": -0.1}, "a body height of"),
+        ({"lift": 3.0}, "a lift of"),
+        ({"speed": 0.0}, "speed greater than 0"),
+    ],
+)
+def test_a_goal_that_is_none_is_refused_in_words(changes: dict[str, Any], words: str, passage: bool) -> None:
+    rig = Rig()
+    rig.command, rig.goal = None, replace(GOAL, passage=passage, **changes)
+    assert rig.plans(20) == []
+    assert rig.status().state == "blocked"
+    assert words in rig.status().reason
+
+
+def test_a_goal_far_beyond_the_map_takes_no_more_room_than_the_map() -> None:
+    terrain = Terrain(gap(0.8))
+    near, far = (gap_ahead(terrain, np.zeros(2), np.array([x, 0.0]), 0.0) for x in (2.5, 9e3))
+    assert isinstance(near, Verge)
+    assert near == far
+
+
+def test_a_crossing_without_a_map_is_refused_and_looked_into_again_later() -> None:
+    rig = Rig()
+    rig.command, rig.goal = None, replace(GOAL, passage=True)
+    rig.plans(400)  # 8 s
+    assert rig.status().reason.startswith("no passage: no map of the passage comes from the mapper")
+    heard = [m for _ in range(1600) for m in rig.cycle()]
+    assert any(isinstance(m, PassageRequest) for m in heard)

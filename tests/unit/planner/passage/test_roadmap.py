@@ -1,5 +1,7 @@
 """The roadmap planner on level ground and over pillars: what it plans can be walked, and it says why it cannot."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from services.planner.passage import search
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance, passable
 from services.planner.passage.settings import PassageSettings
+from shared.geometry import from_xyz_rpy
 from shared.messages import UNKNOWN
 from shared.robot import load_profile
 
@@ -161,3 +164,31 @@ def test_of_whatever_kind_a_fields_arrays_are_the_search_is_compiled_once(roadma
     evaluation.setflags(write=False)
     grown(roadmap, Field(raw, evaluation, field.resolution, np.eye(4)), stance_at(PROFILE, START, HEIGHT), 0.7)
     assert len(search.grow.signatures) == compiled  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("sunk", [False, True])
+def test_a_foot_steps_back_only_out_of_ground_that_has_sunk_under_it(roadmap: Roadmap, sunk: bool) -> None:
+    plain, stance = level(), stance_at(PROFILE, START, HEIGHT)
+    feet = stance.feet.copy()
+    feet[0, 0] += 0.05
+    i, j = np.rint((feet[0, :2] - plain.corner) / plain.resolution).astype(int)
+    evaluation = plain.evaluation.copy()
+    evaluation[i - 4 :, evaluation.shape[1] // 2 :] = 5  # nothing beside it and ahead of it
+    if not sunk:
+        evaluation[i - 2 : i + 3, j - 2 : j + 3] = -5  # but where it stands
+    field = Field(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
+    grown(roadmap, field, Stance(stance.body, feet), 1.9, part=2000)
+    reached = roadmap.sampled(np.random.default_rng(0), 4000)
+    back = min(float(s.feet[0, 0]) for s in reached)
+    assert bool(back < feet[0, 0] - 0.03) is sunk
+
+
+def test_where_it_ends_is_said_in_the_world_and_by_how_much_the_gap_is_too_wide(roadmap: Roadmap) -> None:
+    elevation = heights([], 0.8)
+    plain = field_of(elevation, HEIGHT)
+    elsewhere = from_xyz_rpy((5.0, 2.0, 0.0), np.zeros(3))
+    field = Field(plain.elevation, plain.evaluation, plain.resolution, elsewhere)
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + 0.8 + BEYOND)
+    assert isinstance(found, NoWay)
+    assert re.match(r"at \(5\.\d\d, (1\.9|2\.0)\d\) m ", found.reason), found.reason
+    assert re.search(r"carry none, \d+ cm more than the \d+ cm that its leg goes", found.reason), found.reason
