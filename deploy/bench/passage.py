@@ -42,7 +42,8 @@ class Section:
 
     case: str
     plans: int  # tried
-    solved: int
+    solved: int  # up to the goal
+    checked: int  # plans that went through the checker, some not up to the goal
     ms_median: float  # of the core, unsolved ones at their full budget
     ms_p99: float
     generated: float  # n_g, median
@@ -75,18 +76,18 @@ def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[st
         for case in CASES:
             race = Race("crossing", case)
             race.start({OURS: _planned_by(roadmap), **{name: peer.plan for name, peer in peers.items()}})
-            crossings: list[tuple[Field, Crossing]] = []
+            plans: list[tuple[Field, Crossing]] = []  # that could be walked, some not to their goal
             counts: list[tuple[int, int]] = []
             for seed in seeds:
                 field = ground(case, seed)
                 found = race.run(field, stance, NEAR + GAP + BEYOND)[OURS]
                 counts.append((found.generated, found.expanded))
-                if isinstance(found, Crossing) and found.complete:
-                    crossings.append((field, found))
+                if isinstance(found, Crossing):
+                    plans.append((field, found))
                 _race_expansions(expansion, roadmap, profile, settings, field, seed)
-            found_wrong = [violations(profile, field, stance, crossing.steps) for field, crossing in crossings]
+            found_wrong = [violations(profile, field, stance, plan.steps) for field, plan in plans]
             wrong += [f"{case}: {words}" for each in found_wrong for words in each]
-            sections.append(_section(case, race.ms(OURS), counts, crossings, sum(bool(each) for each in found_wrong)))
+            sections.append(_section(case, race.ms(OURS), counts, plans, sum(bool(each) for each in found_wrong)))
             timings += race.timings({})
             say(f"passage: {case} done")
     rates = {name: {"per_s": 1e3 * _STANCES / float(np.median(expansion.ms(name)))} for name in (OURS, "NumPy")}
@@ -115,12 +116,12 @@ def in_words(measured: Measured) -> str:
         ("edge cm", 9),
         ("margin cm", 11),
     )
-    lines = [f"{'crossing':<16}" + "".join(f"{name:>{width}}" for name, width in columns) + f"{'wrong':>7}"]
+    lines = [f"{'crossing':<16}" + "".join(f"{name:>{width}}" for name, width in columns) + f"{'checked':>9}{'wrong':>7}"]
     for s in measured.sections:
         solved = f"{s.solved}/{s.plans}"
         lines.append(
             f"{s.case:<16}{solved:>10}{s.ms_median:>11.1f}{s.ms_p99:>8.0f}{s.generated:>8.0f}{s.expanded:>8.0f}{s.steps:>7.0f}"
-            f"{s.edge_m * 100:>9.1f}{s.margin_m * 100:>11.1f}{s.violations:>7}"
+            f"{s.edge_m * 100:>9.1f}{s.margin_m * 100:>11.1f}{s.checked:>9}{s.violations:>7}"
         )
     return "\n".join(lines + [f"wrong: {words}" for words in measured.wrong])
 
@@ -182,14 +183,16 @@ def _expansions(
 
 
 def _section(
-    case: str, ms: Array, counts: Sequence[tuple[int, int]], crossings: Sequence[tuple[Field, Crossing]], wrong: int
+    case: str, ms: Array, counts: Sequence[tuple[int, int]], plans: Sequence[tuple[Field, Crossing]], wrong: int
 ) -> Section:
+    crossings = [(field, plan) for field, plan in plans if plan.complete]
     edges = [edge for field, crossing in crossings for edge in _edges(field, crossing)]
     generated, expanded = np.median(np.array(counts), axis=0).tolist()
     return Section(
         case=case,
         plans=len(ms),
         solved=len(crossings),
+        checked=len(plans),
         ms_median=float(np.median(ms)),
         ms_p99=float(np.percentile(ms, 99)),
         generated=generated,
