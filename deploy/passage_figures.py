@@ -11,6 +11,8 @@ from deploy.walk import Walk
 from deploy.walk_metrics import runs
 from shared import topics
 from shared.geometry import Array
+from shared.messages import PassagePlan
+from shared.robot import LEGS
 
 _OVER_NOTHING = 0.03  # [m] of air under a standing foot's underside: what holds it, if anything, is an edge beside it
 _FALLEN = 0.08  # [m] under the other feet's undersides: it stands in the gap
@@ -28,10 +30,15 @@ def passage_figures(walk: Walk, heard: Heard, trace: Trace, course: Course, pass
         feet_off=feet_off(walk.feet[..., 2] - trace.profile.foot.radius, walk.ground, _standing(walk)),
         passable=passable,
         sections=tuple(
-            Section(plan.state, plan.reason, plan.generated, plan.expanded, plan.planning_ms, len(plan.leg))
+            Section(plan.state, plan.reason, plan.generated, plan.expanded, plan.planning_ms, steps_of(plan))
             for plan, _ in heard.passage_plans
         ),
     )
+
+
+def steps_of(plan: PassagePlan) -> int:
+    """How many steps of legs a plan has for walking: none where there is no way, for it shows only how far one would come."""
+    return 0 if plan.state == "no way" else int(np.count_nonzero(plan.leg < len(LEGS)))
 
 
 def feet_off(underside: Array, ground: Array, standing: NDArray[np.bool_]) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.layers_picture import UNSEEN
+from deploy.passage_figures import steps_of
 from deploy.report import Report
 from deploy.summary import draw_blocks, draw_course, draw_footholds, draw_ground, draw_paths, draw_table, title
 from deploy.trace import PlannedSection, Trace
@@ -19,11 +20,12 @@ from shared.robot import LEGS, RobotProfile
 
 _SIZE, _DPI, _FONT = (16.0, 15.0), 100, 13
 _SECTIONS = ("#1f5fd0", "#8a2be2", "#00796b", "#b26a00", "#c2185b", "#455a64")  # colours, over again from the seventh on
-_TRUE, _BAD = "#111111", "#b3261e"
+_TRUE, _BAD, _MUTED = "#111111", "#b3261e", "#5f6368"
 _BEFORE, _AFTER, _SIDE = 0.35, 0.35, 0.45  # [m] shown before the start, after the goal, and to both sides
 _FURTHEST, _DEEPEST = 8, -5  # [cells] of the evaluation function, beyond which its colour changes no more
 _ROWS = 6  # stops in the table
 _SAME = 0.02  # [m] between the heights of ground that has not changed
+_DASHES = (0, (5, 3))
 _UNDER = 0.10  # [m] shown below the start's ground, from aside
 
 
@@ -71,12 +73,15 @@ def _draw_planned(figure: Any, axes: Any, trace: Trace) -> None:
     for number, section in enumerate(trace.sections):
         plan, color = section.plan, _color(number)
         axes.add_collection(LineCollection(list(plan.edges[..., :2]), colors=color, linewidths=0.5, alpha=0.55, zorder=3))
-        path = np.vstack([section.p[:2], plan.body[:, :2]])
-        axes.plot(path[:, 0], path[:, 1], color=color, lw=2.0, zorder=5)
-        _draw_stance(axes, trace.profile, section, color)
-        _draw_furthest(axes, section, color)
+        if plan.state != "no way":
+            _draw_way(axes, section, color)
+            _draw_stance(axes, trace.profile, section, color)
+    last = trace.sections[-1]
+    if last.plan.state == "no way":  # others before it were followed by another look or other samples
+        _draw_dead_end(axes, trace.profile, last, _color(len(trace.sections) - 1))
+    ways = [s.plan for s in trace.sections if s.plan.state != "no way"]
     for leg, color in enumerate(LEG_COLORS):
-        xy = np.concatenate([s.plan.footholds[s.plan.leg == leg, :2] for s in trace.sections])
+        xy = np.concatenate([np.zeros((0, 2)), *(plan.footholds[plan.leg == leg, :2] for plan in ways)])
         axes.scatter(xy[:, 0], xy[:, 1], s=34, c=color, edgecolors="white", linewidths=0.7, zorder=6, label=LEGS[leg])
     axes.set_ylabel("planned:\nleft [m]")
     axes.tick_params(labelbottom=False)
@@ -139,39 +144,51 @@ def _evaluation_colors() -> Any:
     return LinearSegmentedColormap.from_list("evaluation", ["#3fa796", "#d5eee9", "#fdf3e3", "#d3b48a"])
 
 
-def _draw_stance(axes: Any, profile: RobotProfile, section: PlannedSection, color: str) -> None:
-    """The body and its legs as they are to stand at a section's end."""
+def _draw_way(axes: Any, section: PlannedSection, color: str, **style: Any) -> None:
+    """The body's way from where it stood."""
+    path = np.vstack([section.p[:2], section.plan.body[:, :2]])
+    axes.plot(path[:, 0], path[:, 1], color=color, **{"lw": 2.0, "zorder": 5} | style)
+
+
+def _draw_stance(axes: Any, profile: RobotProfile, section: PlannedSection, color: str, **style: Any) -> None:
+    """The body and its legs as they are to stand at a section's end, or where they stand if it has no step."""
     plan = section.plan
-    if not len(plan.leg):
-        return
     feet = stance_at_end(section)
-    T = transform(rotation_z(plan.heading), plan.body[-1])
+    T = transform(rotation_z(plan.heading), plan.body[-1] if len(plan.body) else section.p)
     half = np.array(profile.body.size) / 2
     corners = apply(T, np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0], [1, 1, 0]]) * half)
-    axes.plot(corners[:, 0], corners[:, 1], color=color, lw=1.6, zorder=5)
+    axes.plot(corners[:, 0], corners[:, 1], color=color, **{"lw": 1.6, "zorder": 5} | style)
     coxae = apply(T, profile.T_body_coxa[:, :3, 3])
     for coxa, foot in zip(coxae, feet, strict=True):
-        axes.plot([coxa[0], foot[0]], [coxa[1], foot[1]], color=color, lw=1.6, alpha=0.8, zorder=5)
+        axes.plot([coxa[0], foot[0]], [coxa[1], foot[1]], color=color, **{"lw": 1.6, "alpha": 0.8, "zorder": 5} | style)
 
 
 def stance_at_end(section: PlannedSection) -> Array:
     """Foot centres (6, 3) [m] {start} at a section's end: the last foothold of each leg, or where it stood."""
     feet = section.feet.copy()
     for leg, foothold in zip(section.plan.leg, section.plan.footholds, strict=True):
-        feet[leg] = foothold
+        if leg < len(LEGS):
+            feet[leg] = foothold
     return feet
 
 
-def _draw_furthest(axes: Any, section: PlannedSection, color: str) -> None:
-    """Where the furthest configuration has the body, across the strip, when there was no way."""
+def _draw_dead_end(axes: Any, profile: RobotProfile, section: PlannedSection, color: str) -> None:
+    """How far one would come where there was no way: path, footholds and stance, and the foot or body that fails a test."""
     plan = section.plan
-    if plan.state != "no way":
-        return
+    _draw_way(axes, section, _MUTED, lw=1.4, ls=_DASHES)
+    _draw_stance(axes, profile, section, _MUTED, lw=1.3, ls=_DASHES)
+    for leg, leg_color in enumerate(LEG_COLORS):
+        xy = plan.footholds[plan.leg == leg, :2]
+        axes.scatter(xy[:, 0], xy[:, 1], s=20, facecolors="none", edgecolors=leg_color, linewidths=1.0, alpha=0.8, zorder=6)
+    axes.scatter(plan.stopped[:, 0], plan.stopped[:, 1], s=150, c=_BAD, marker="X", edgecolors="white", zorder=8)
+    for place in plan.stopped:
+        style: dict[str, Any] = {"textcoords": "offset points", "color": _BAD, "size": 11, "weight": "bold", "zorder": 9}
+        axes.annotate("stopped here", place[:2], (9, 6), **style)
     along = np.array([np.cos(plan.heading), np.sin(plan.heading)])
     across = np.array([-along[1], along[0]])
     middle = plan.origin + plan.furthest * along
     ends = np.stack([middle - _SIDE * across, middle + _SIDE * across])
-    axes.plot(ends[:, 0], ends[:, 1], color=color, lw=2.0, ls=(0, (5, 3)), zorder=7)
+    axes.plot(ends[:, 0], ends[:, 1], color=color, lw=2.0, ls=_DASHES, zorder=7)
     words = f"furthest {100 * plan.furthest:.0f} of {100 * plan.goal:.0f} cm"
     axes.annotate(words, ends[0], (4, 4), textcoords="offset points", color=color, size=11, weight="bold", zorder=9)
 
@@ -283,7 +300,7 @@ def _cells(number: int, section: PlannedSection) -> list[str]:
     plan = section.plan
     reach = f"{100 * plan.furthest:.0f} of {100 * plan.goal:.0f} cm"
     time = f"{plan.planning_ms:.1f} ms" if plan.planning_ms < 1000 else f"{plan.planning_ms / 1e3:.1f} s"
-    counts = [str(plan.generated), str(plan.expanded), time, str(len(plan.leg))]
+    counts = [str(plan.generated), str(plan.expanded), time, str(steps_of(plan))]
     return [str(number + 1), plan.state, *counts, reach]
 
 

@@ -97,7 +97,7 @@ class Section:
     generated: int  # nodes, Masri's n_g
     expanded: int  # expansions, in vain or not, his n_e
     planning_ms: float  # timing
-    steps: int  # planned
+    steps: int  # of legs, that are planned to be walked: none where there is no way
 
 
 @dataclass(frozen=True, slots=True)

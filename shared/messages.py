@@ -284,7 +284,10 @@ class PassageMap(Message):
 
 @dataclass(frozen=True, slots=True)
 class PassagePlan(Message):
-    """What planning at one stop of a passage came to, a section to be walked or none; planner -> console, scorer."""
+    """What planning at one stop of a passage came to; planner -> console, scorer.
+
+    Its steps are the section that is walked; where there is no way, those to the furthest configuration, which nobody walks.
+    """
 
     section: int  # counts up from 1 within a passage
     state: Literal["complete", "partial", "no way"]  # up to the goal; as far as the map or the cycles asked for go; nowhere
@@ -296,12 +299,15 @@ class PassagePlan(Message):
     generated: int  # nodes of the tree, Masri's n_g
     expanded: int  # expansions of the budget that were spent, his n_e
     planning_ms: float  # [ms] that it took by the machine's clock: timing, so not the same twice
-    leg: Annotated[NDArray[np.uint8], Dims("step", most=5, lengths=(0, MAX_SECTION))]  # that swings in each step
-    footholds: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]  # [m] {world} foot centre at its end
+    # that swings in each step, 6 where the body moves alone; [m] {world} its foot's centre at the end, or then the body
+    leg: Annotated[NDArray[np.uint8], Dims("step", most=6, lengths=(0, MAX_SECTION))]
+    footholds: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]
     body: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]  # [m] {world} body at its end
     edges: Annotated[
         NDArray[np.float32], Dims("edge", 2, 3, lengths=(0, MAX_TREE))
     ]  # [m] {world} body positions of nodes and of those expanded from them
+    # [m] {world} foot whose leg fails the test that stops the furthest configuration, or the body; none where there is a way
+    stopped: Annotated[NDArray[np.float64], Dims("stop", 3, lengths=(0, 1))]
 
 
 @dataclass(frozen=True, slots=True)

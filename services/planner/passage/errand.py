@@ -16,10 +16,11 @@ from services.planner.passage.checked_map import is_near, objection
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
 from services.planner.passage.sections import goal_behind, without
+from services.planner.passage.telling import told
 from services.planner.stride import Stride, time_to_swing
 from services.planner.terrain import GOOD
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
-from shared.messages import MAX_TREE, ActuatorState, Mode, PassageMap, PassagePlan, PassageRequest
+from shared.messages import ActuatorState, Mode, PassageMap, PassagePlan, PassageRequest
 from shared.robot import LEGS, RobotProfile
 
 STRIP = (2.7, 1.0)  # [m] length and width of the map that is asked for; Masri 2016, section 4.4
@@ -381,27 +382,8 @@ class Errand:
     def _tell(self, stamp_ns: int, found: Crossing | NoWay) -> PassagePlan:
         """What planning came to, for everybody."""
         assert self._field is not None
-        T = self._field.T_world_strip
-        steps = [step for step in found.steps if step.leg >= 0] if isinstance(found, Crossing) else []
-        complete = isinstance(found, Crossing) and found.complete
-        state: Literal["complete", "partial", "no way"] = "complete" if complete else "partial" if steps else "no way"
-        return PassagePlan(
-            stamp_ns=stamp_ns,
-            section=self._section,
-            state=state,
-            reason=found.reason,
-            origin=T[:2, 3].copy(),
-            heading=self.heading,
-            goal=self._goal,
-            furthest=float((found.end if isinstance(found, Crossing) else found.furthest).body[0]),
-            generated=found.generated,
-            expanded=found.expanded,
-            planning_ms=1e3 * self._planning_s,
-            leg=np.array([step.leg for step in steps], dtype=np.uint8),
-            footholds=apply(T, np.array([step.touchdown for step in steps]).reshape(-1, 3)),
-            body=apply(T, np.array([step.body for step in steps]).reshape(-1, 3)),
-            edges=apply(T, self._roadmap.edges[:MAX_TREE].reshape(-1, 3)).reshape(-1, 2, 3).astype(np.float32),
-        )
+        T, edges = self._field.T_world_strip, self._roadmap.edges
+        return told(stamp_ns, self._section, found, T, self._goal, edges, self._planning_s)
 
 
 def _rests(state: ActuatorState) -> bool:

@@ -1,5 +1,7 @@
 """Why a search ended without a way, in words: which test stops which leg where, and how wide the gap is."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,8 +24,17 @@ WORDS = (
     "body or leg too close to the ground",
     "no room to swing",
 )
-_AHEAD = 0.6  # [m] in which the next foothold is looked for
+NOBODY = 6  # in place of a leg: the whole robot
 _BESIDE = 0.05  # [m] of a leg's line that count as before it
+_WORTH_TELLING = 0.5  # [1] share of a leg's stroke from which a bare stretch is an obstacle
+
+
+class Why(NamedTuple):
+    """Why nothing leads on."""
+
+    words: str
+    unseen: bool  # whether it is for want of known ground
+    leg: int  # that fails the test, NOBODY for the whole robot
 
 
 def fault_in_words(found: NDArray[np.int64], repair: float) -> str:
@@ -38,8 +49,8 @@ def fault_in_words(found: NDArray[np.int64], repair: float) -> str:
     return f"the robot stands badly, and no shift of {repair * 100:.0f} cm helps: {'; '.join(legs + whole)}"
 
 
-def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: Field, spent: bool) -> tuple[str, bool]:
-    """Why nothing leads on from the furthest configurations, and whether it is for want of known ground.
+def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: Field, spent: bool) -> Why:
+    """Why nothing leads on from the furthest configurations.
 
     Args:
         fails: (tests, 7) how often each test failed there, by leg, the last for none.
@@ -52,38 +63,45 @@ def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array,
     x, y, _ = apply(field.T_world_strip, body)
     where = f"({x:.2f}, {y:.2f}) m"
     if not fails.any():
-        return f"nothing leads on at {where}", False
-    blind = fails[search.UNKNOWN].sum() > 0.2 * fails.sum()
+        return Why(f"nothing leads on at {where}", False, NOBODY)
+    blind = bool(fails[search.UNKNOWN].sum() > 0.2 * fails.sum())
     told = fails.copy()
     told[0] = 0
     test, leg = (int(k) for k in np.unravel_index(int(np.argmax(told)), told.shape))
-    who = f"{LEGS[leg]} leg: " if leg < 6 else ""
+    who = "" if leg == NOBODY else f"{LEGS[leg]} leg: "
     tried = "not all was tried" if spent else "all was tried"
     gap = _gap(feet, strokes, field)
     look = "; cells ahead are unknown: look again" if blind else ""
-    return f"at {where} {who}{WORDS[test]} ({told[test, leg]} of {told.sum()} refusals; {tried}){gap}{look}", bool(blind)
+    return Why(f"at {where} {who}{WORDS[test]} ({told[test, leg]} of {told.sum()} refusals; {tried}){gap}{look}", blind, leg)
 
 
 def _gap(feet: Array, strokes: Array, field: Field) -> str:
-    """The stretch without a foothold before a foot that is the widest beside the leg's stroke, in words."""
-    widest, whose = -np.inf, -1
-    x0, y0 = field.corner
-    for leg in range(6):
-        i = int((feet[leg, 0] - x0) / field.resolution) + 1
-        j = round((feet[leg, 1] - y0) / field.resolution)
-        half = round(_BESIDE / field.resolution)
-        ahead = field.evaluation[i : i + round(_AHEAD / field.resolution), max(0, j - half) : j + half + 1]
-        carries = np.asarray((ahead < 0).any(axis=1))
-        bare = np.flatnonzero(~carries)
-        if not len(bare):
-            continue
-        begin = int(bare[0])
-        beyond = np.flatnonzero(carries[begin:])
-        width = (int(beyond[0]) if len(beyond) else len(carries) - begin) * field.resolution
-        if width - strokes[leg] > widest:
-            widest, whose = width - strokes[leg], leg
-    if whose < 0:
+    """The stretch without a foothold that is the widest beside the stroke of the leg before which it lies, in words.
+
+    Nothing where it is no obstacle.
+    """
+    stretches = [_bare_before(foot, stroke, field) for foot, stroke in zip(feet, strokes, strict=True)]
+    widths = np.array([width for width, _ in stretches])
+    leg = int(np.argmax(widths - strokes))
+    width, ends = stretches[leg]
+    if width < _WORTH_TELLING * strokes[leg]:
         return ""
-    width, reach = widest + strokes[whose], f"{strokes[whose] * 100:.0f} cm"
-    by = f", {widest * 100:.0f} cm more than" if widest > 0.0 else " of"
-    return f"; before the {LEGS[whose]} foot {width * 100:.0f} cm carry none{by} the {reach} that its leg goes"
+    bare, reach = round(100 * width), round(100 * float(strokes[leg]))
+    by = f", {bare - reach} cm more than" if bare > reach else " of"
+    stretch = f"{bare} cm{'' if ends else ' or more'}"
+    return f"; before the {LEGS[leg]} foot {stretch} carry none{by} the {reach} cm that its leg goes"
+
+
+def _bare_before(foot: Array, stroke: float, field: Field) -> tuple[float, bool]:
+    """The widest stretch [m] ahead of a foot (3,) [m] {strip} that carries none and begins within a stroke; whether it ends."""
+    x0, y0 = field.corner
+    half = round(_BESIDE / field.resolution)
+    i, j = round((foot[0] - x0) / field.resolution) + 1, round((foot[1] - y0) / field.resolution)
+    carries = np.asarray((field.evaluation[max(0, i) :, max(0, j - half) : max(0, j + half + 1)] < 0).any(axis=1))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], ~carries, [0]])))
+    begins, ends = edges[::2], edges[1::2]
+    near = begins * field.resolution <= stroke
+    if not near.any():
+        return 0.0, True
+    widest = int(np.argmax((ends - begins)[near]))
+    return float(ends[widest] - begins[widest]) * field.resolution, bool(ends[widest] < len(carries))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from services.planner.passage import search
 from services.planner.passage.field import Field
-from services.planner.passage.reasons import WORDS, fault_in_words, in_words
+from services.planner.passage.reasons import NOBODY, WORDS, fault_in_words, in_words
 from services.planner.passage.settings import PassageSettings
 from services.planner.passage.tables import ground_of, legs_of, rules_of, tree_of
 from shared.geometry import Array
@@ -61,6 +61,8 @@ class NoWay:
     generated: int
     expanded: int
     fails: dict[str, int]  # how often each test failed
+    steps: tuple[PassageStep, ...] = ()  # to the furthest, for whoever wants to see it: nobody walks them
+    leg: int = NOBODY  # that fails the test which stops it there, NOBODY for the whole robot
 
 
 class Roadmap:
@@ -140,7 +142,7 @@ class Roadmap:
         counts, budget = self._tree.counts, np.inf if self._exhaustive else self._settings.budget
         while self._outcome is None and expansions > 0:
             if self._blame:
-                self._outcome = self._no_way(self._blame, False)
+                self._outcome = self._no_way(self._blame, False, self._reached(0), self._blamed)
                 break
             portion = int(min(expansions, budget - self.expanded, self._share() - counts[search.EXPANDED]))
             expansions -= search.grow(self._tree, self._ground, self._legs, self._rules, portion, self._exhaustive)
@@ -181,7 +183,7 @@ class Roadmap:
 
     def _repaired(self, stance: Stance) -> Stance:
         """The stance with its body moved by no more than allowed so that all legs hold it; notes what cannot be helped."""
-        self._blame, self._shift = "", np.zeros(3)
+        self._blame, self._blamed, self._shift = "", NOBODY, np.zeros(3)
         found = np.zeros(7, dtype=np.int64)
         search.faults(self._legs, self._rules, 1, stance.feet, stance.body, found)
         if not found.any():
@@ -196,7 +198,7 @@ class Roadmap:
                     return replace(stance, body=body)
         if np.count_nonzero(first[:6]) == 1 and not first[6]:
             return stance  # that leg's own step repairs it
-        self._blame = fault_in_words(first, self._settings.repair)
+        self._blame, self._blamed = fault_in_words(first, self._settings.repair), int(np.flatnonzero(first)[0])
         return stance
 
     def _crossing(self, goal: int) -> Crossing | NoWay:
@@ -206,7 +208,7 @@ class Roadmap:
         if x >= self._goal_x - 1e-9:
             return self._section(goal, True, "at the goal")
         if x < self._root.body[0] + _WORTH:
-            return self._no_way(f"{seen}: look again", True)
+            return self._no_way(f"{seen}: look again", True, self._reached(goal))
         if x >= self._tree.goal[0] - 1e-9:
             return self._section(goal, False, seen)
         return self._section(goal, False, f"so far in {self._settings.cycles} cycles of the gait")
@@ -217,10 +219,10 @@ class Roadmap:
         assert best is not None
         assert self._field is not None
         spent, strokes = not self._exhaustive or self.full, self._legs.stroke.sum(axis=1)
-        reason, unseen = in_words(best.fails, best.stance.body, best.stance.feet, strokes, self._field, spent)
-        if unseen and best.retreat:
-            return Crossing(best.retreat, False, reason, self.generated, self.expanded, best.retreat_stance)
-        return self._no_way(reason, unseen)
+        why = in_words(best.fails, best.stance.body, best.stance.feet, strokes, self._field, spent)
+        if why.unseen and best.retreat:
+            return Crossing(best.retreat, False, why.words, self.generated, self.expanded, best.retreat_stance)
+        return self._no_way(why.words, why.unseen, best, why.leg)
 
     def _note_furthest(self) -> None:
         """Keep how far this tree came, if none came further."""
@@ -229,20 +231,24 @@ class Roadmap:
         furthest = int(tree.counts[search.FURTHEST])
         if self._best is not None and tree.body[furthest, 0] <= self._best.stance.body[0]:
             return
+        self._best = self._reached(furthest)
+
+    def _reached(self, node: int) -> "_Furthest":
+        """How far a configuration is, and what stops it there if it is the furthest."""
+        tree = self._tree
         # A place to wait for another look lies a little before the last one that was reached, which may be a dead end.
-        back = next((n for n in self._back(furthest) if tree.body[n, 0] <= tree.body[furthest, 0] - _RETREAT), 0)
+        back = next((n for n in self._back(node) if tree.body[n, 0] <= tree.body[node, 0] - _RETREAT), 0)
         worth = tree.body[back, 0] >= self._root.body[0] + _WORTH
-        steps = self._steps(back) if worth else ()
-        self._best = _Furthest(self._stance(furthest), tree.fails[1].copy(), steps, self._stance(back))
+        retreat = self._steps(back) if worth else ()
+        return _Furthest(self._stance(node), tree.fails[1].copy(), self._steps(node), retreat, self._stance(back))
 
     def _section(self, node: int, complete: bool, reason: str) -> Crossing:
         return Crossing(self._steps(node), complete, reason, self.generated, self.expanded, self._stance(node))
 
-    def _no_way(self, reason: str, unseen: bool) -> NoWay:
+    def _no_way(self, reason: str, unseen: bool, furthest: "_Furthest", leg: int = NOBODY) -> NoWay:
         fails = self._fails if self._best is not None else self._tree.fails[0].sum(axis=1)
         counts = {WORDS[test]: int(fails[test]) for test in range(1, search.TESTS) if fails[test]}
-        furthest = self._best.stance if self._best is not None else self._root
-        return NoWay(reason, unseen, furthest, self.generated, self.expanded, counts)
+        return NoWay(reason, unseen, furthest.stance, self.generated, self.expanded, counts, furthest.steps, leg)
 
     def _stance(self, node: int) -> Stance:
         return Stance(self._tree.body[node].copy(), np.array([self._foot(node, leg) for leg in range(6)]))
@@ -280,6 +286,7 @@ class _Furthest:
 
     stance: Stance
     fails: NDArray[np.int64]  # (tests, 7) what stopped it there
+    steps: tuple[PassageStep, ...]  # to it
     retreat: tuple[PassageStep, ...]  # to a stance a little before
     retreat_stance: Stance
 

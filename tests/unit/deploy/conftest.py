@@ -189,8 +189,8 @@ class Story:
         )
 
     def section(self, ms: int, number: int) -> PassagePlan:
-        """A section of 0.5 m, one leg after the other, in a tree of twigs to both sides, or none."""
-        begin, k = 0.5 * (number - 1), np.arange(12 if self.way else 0)
+        """A section of 0.5 m, one leg after the other, in a tree of twigs to both sides; without a way it would come as far."""
+        begin, k = 0.5 * (number - 1), np.arange(12)
         body = np.column_stack([begin + 0.5 * (k + 1) / 12, 0.0 * k, np.full(len(k), self.scenario.walk.body_height)])
         legs = (k % 6).astype(np.uint8)
         footholds = self.profile.rest_feet()[legs] + body + [0.04, 0.0, 0.0]
@@ -205,7 +205,8 @@ class Story:
         state, reason = (
             ("partial", "cells ahead are unknown: look again") if self.way else ("no way", "the gap is 4 cm wider than reach")
         )
-        return PassagePlan(ms * _MS, number, state, reason, *where, *counts, legs, footholds, body, edges)
+        stopped = footholds[-6:-5] if not self.way else np.zeros((0, 3))  # left front foot
+        return PassagePlan(ms * _MS, number, state, reason, *where, *counts, legs, footholds, body, edges, stopped)
 
     def passage(self, ms: int, number: int) -> PassageMap:
         """A strip of 1.2 m from where a section begins, seen as it truly is, its near fifth taken for granted."""

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from deploy import report as reports
 from deploy.course import Course
-from deploy.passage_figures import feet_off
+from deploy.passage_figures import feet_off, steps_of
 from deploy.report import FootholdEdge, Passage, Section
 from shared.geometry import from_xyz_rpy
 from shared.scenario import Box, Goal, Pillars, Plane, Scenario
@@ -123,6 +123,13 @@ def test_what_the_planner_says_of_its_sections_is_reported(story):
         ("partial", 200, 20, 12),
     ]
     assert story().judged().result().passage.sections == ()
+
+
+def test_of_steps_only_those_count_in_which_a_leg_walks(story):
+    plan = story(sections=1).section(0, 1)
+    assert steps_of(plan) == 12
+    assert steps_of(replace(plan, leg=np.array([0, 6, *range(6), 6, 1, 2, 3], dtype=np.uint8))) == 10
+    assert steps_of(replace(plan, state="no way")) == 0
 
 
 def test_on_level_ground_no_foot_is_off_and_none_is_on_a_pillar(story):

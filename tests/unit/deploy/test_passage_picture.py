@@ -67,6 +67,31 @@ def test_where_there_is_no_way_it_shows_how_far_one_got_and_why(tmp_path, story,
     assert np.all(np.abs(none[across].astype(int) - BLUE) < 40, axis=-1).any(axis=1).mean() > 0.4
 
 
+def test_what_stops_it_is_marked_and_the_stance_there_is_drawn_in_grey(tmp_path, story, crossed):
+    scorer = story(scenario=PASSAGE, level=True, sections=1, way=False).judged()
+    (section,) = scorer.trace.sections
+    none = _drawn(tmp_path / "none.png", scorer)
+    bare = replace(section.plan, leg=section.plan.leg[:0], footholds=section.plan.footholds[:0], body=section.plan.body[:0])
+    stays = _drawn(tmp_path / "stays.png", scorer, replace(scorer.trace, sections=(replace(section, plan=bare),)))
+    scale = min(0.86 * 1600 / (PASSAGE.goal.distance + 0.7), 0.265 * 1500 / 0.9)  # [pixels/m]
+    x, y = section.plan.stopped[0, :2]
+    place = (round(1500 * (1 - 0.627 - 0.1325) - scale * y), round(0.07 * 1600 + scale * (0.35 + x)))
+    mark = tuple(slice(c - 9, c + 10) for c in place)
+    red, grey = (0xB3, 0x26, 0x1E), (0x5F, 0x63, 0x68)
+    some = crossed(story)[1]
+    assert _share(none, red, mark) > 0.2 > _share(some, red, mark)
+    assert _share(some, grey, PLANNED) < _share(stays, grey, PLANNED) < _share(none, grey, PLANNED)
+
+
+def test_an_attempt_that_others_followed_is_not_marked(tmp_path, story, crossed):
+    scorer, some = crossed(story)
+    first, *others = scorer.trace.sections
+    failed = replace(first, plan=replace(first.plan, state="no way", stopped=first.plan.footholds[:1]))
+    pixels = _drawn(tmp_path / "p.png", scorer, replace(scorer.trace, sections=(failed, *others)))
+    red = (0xB3, 0x26, 0x1E)
+    assert _share(pixels, red, PLANNED) <= _share(some, red, PLANNED) + 1e-4
+
+
 def test_what_gives_way_is_marked(tmp_path, story, crossed):
     shaky = replace(PASSAGE, terrain=tuple(replace(p, weak=1) if isinstance(p, Pillars) else p for p in PASSAGE.terrain))
     walked = (slice(630, 1010), slice(120, 1430))
@@ -87,6 +112,8 @@ def test_a_section_ends_where_each_leg_stepped_last_or_stands(story, crossed):
     stays = replace(section.plan, leg=section.plan.leg[:1], footholds=section.plan.footholds[:1], body=section.plan.body[:1])
     feet = stance_at_end(replace(section, plan=stays))
     np.testing.assert_array_equal(feet[1:], section.feet[1:])
+    leant = replace(stays, leg=np.array([6], dtype=np.uint8))
+    np.testing.assert_array_equal(stance_at_end(replace(section, plan=leant)), section.feet)
 
 
 def test_a_run_with_sections_leaves_this_picture_and_another_run_does_not(tmp_path, story, crossed, monkeypatch):

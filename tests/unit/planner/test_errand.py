@@ -157,6 +157,36 @@ def test_what_planning_came_to_is_told_once() -> None:
     assert (report.state, report.section, report.generated, report.expanded) == ("no way", 1, 5, 5)
 
 
+@pytest.mark.parametrize("leg", [2, 6])
+def test_a_refusal_is_told_with_the_way_to_the_furthest_and_what_fails_there(leg: int) -> None:
+    steps = section(0.0, 0.2).steps
+    body = steps[-1].body + np.array([0.02, 0.0, 0.0])
+    leant = PassageStep(-1, body, 0.0, body, 0.04)
+    furthest = Stance(leant.body, np.array([step.touchdown for step in steps]))
+    found = replace(no_way(), furthest=furthest, steps=(*steps, leant), leg=leg)
+    robot = Robot(Planned(*[found] * 3))
+    report = None
+    while report is None:
+        robot.tick()
+        report = robot.errand.report
+    assert report.state == "no way"
+    assert report.leg.tolist() == [*range(6), 6]
+    (field, *_), *_ = robot.sections.begun
+    np.testing.assert_allclose(apply(field.T_strip_world, report.body[-1]), leant.body, atol=1e-9)
+    (stopped,) = apply(field.T_strip_world, report.stopped)
+    np.testing.assert_allclose(stopped, leant.body if leg == 6 else furthest.feet[leg], atol=1e-9)
+    assert report.furthest == leant.body[0]
+
+
+def test_a_way_is_told_with_nothing_that_stops_it() -> None:
+    robot = Robot(Planned(section(0.0, 1.85)))
+    report = None
+    while report is None:
+        robot.tick()
+        report = robot.errand.report
+    assert (report.state, len(report.stopped), report.leg.tolist()) == ("complete", 0, [*range(6)])
+
+
 def test_no_way_is_refused_in_the_planners_words_once_other_samples_found_none_either() -> None:
     robot = Robot(Planned(no_way("all"), no_way("some"), no_way("left front leg: out of reach")))
     assert robot.until_end() == Refused("left front leg: out of reach")

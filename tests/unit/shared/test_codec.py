@@ -52,8 +52,8 @@ def messages(draw: st.DrawFn, kind: type[Message]) -> Message:
     """Any message of a type, made from its declaration."""
     fields = m.schema(kind)
     arrays = [detail[1] for _, base, detail in fields if base is np.ndarray]
-    names = {n: (dims.lengths or (0, 5))[0] for dims in arrays for n in dims.shape if isinstance(n, str)}
-    lengths = {n: draw(st.integers(least, 5), label=n) for n, least in sorted(names.items())}
+    names = {n: dims.lengths or (0, 5) for dims in arrays for n in dims.shape if isinstance(n, str)}
+    lengths = {n: draw(st.integers(least, min(most, 5)), label=n) for n, (least, most) in sorted(names.items())}
     return kind(**{name: draw(field_values(base, detail, lengths)) for name, base, detail in fields})
 
 
@@ -61,7 +61,8 @@ def example(kind: type[Message]) -> Message:
     values: dict[str, Any] = {}
     for name, base, detail in m.schema(kind):
         if base is np.ndarray:
-            values[name] = np.ones([n if isinstance(n, int) else 3 for n in detail[1].shape], detail[0])
+            free = min(3, (detail[1].lengths or (0, 3))[1])
+            values[name] = np.ones([n if isinstance(n, int) else free for n in detail[1].shape], detail[0])
         elif base is tuple:
             values[name] = ("text",)
         elif isinstance(base, type) and issubclass(base, StrEnum):

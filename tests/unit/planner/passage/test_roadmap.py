@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from deploy.bench.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
+from deploy.passage_checker import violations
 from services.planner.passage import search
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance, passable
 from services.planner.passage.settings import PassageSettings
 from shared.geometry import from_xyz_rpy
 from shared.messages import UNKNOWN
-from shared.robot import load_profile
+from shared.robot import LEGS, load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = 0.11
@@ -87,6 +88,20 @@ def test_a_gap_without_pillars_is_told_by_its_width(roadmap: Roadmap) -> None:
     assert sum(found.fails.values()) > 0
 
 
+def test_without_a_way_it_tells_the_steps_to_the_furthest_stance_and_whose_test_fails(roadmap: Roadmap) -> None:
+    field, stance = field_of(heights([], GAP), HEIGHT), stance_at(PROFILE, START, HEIGHT)
+    found = grown(roadmap, field, stance, NEAR + GAP + BEYOND)
+    assert isinstance(found, NoWay)
+    np.testing.assert_array_equal(found.steps[-1].body, found.furthest.body)
+    feet = stance.feet.copy()
+    for step in found.steps:
+        if step.leg >= 0:
+            feet[step.leg] = step.touchdown
+    np.testing.assert_array_equal(feet, found.furthest.feet)
+    assert violations(PROFILE, field, stance, found.steps) == []
+    assert f"{LEGS[found.leg]} leg" in found.reason
+
+
 def test_unknown_ground_is_not_stepped_on_and_ends_a_section(roadmap: Roadmap) -> None:
     elevation = np.zeros((200, 100), dtype=np.float32)
     elevation[110:] = np.nan
@@ -119,6 +134,8 @@ def test_a_stance_far_off_is_told_by_leg_and_test(roadmap: Roadmap) -> None:
     assert isinstance(found, NoWay)
     assert "left front leg: out of reach" in found.reason
     assert "right rear leg: out of reach" in found.reason
+    assert (found.leg, found.steps) == (0, ())
+    np.testing.assert_array_equal(found.furthest.feet, feet)
 
 
 def test_nonsense_is_refused(roadmap: Roadmap) -> None:
