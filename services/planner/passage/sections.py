@@ -13,6 +13,7 @@ _BEYOND = 0.40  # [m] behind the gap where the body's centre must be for the who
 _HALF_WIDTH = 0.20  # [m] of the band ahead whose ground tells where the gap ends
 _CARRYING = 0.8  # [1] share of that band from which ground carries the robot as anywhere
 _KNOWN = 0.3  # [1] share of it that is known at the end of what is known
+_BORDER = 0.05  # [m] at the strip's far end that tells of no gap: what lies beside a strip counts as vacant
 _UNDER = 0.7  # [1] share of the radius of what gave way, in which the ground has sunk with the foot for certain
 _GONE = 1  # of the evaluation function: no foot stands there
 
@@ -57,10 +58,11 @@ def without(field: Field, sole: Array, radius: float) -> Field:
 
 
 def _bare(field: Field) -> NDArray[np.bool_]:
-    """Which (nx,) rows of cells across carry a foot only here and there; beyond what is known none does."""
+    """Which (nx,) rows of cells across carry a foot only here and there; none beyond what is known or at the strip's end."""
     y = field.corner[1] + field.resolution * np.arange(field.evaluation.shape[1])
     band = field.evaluation[:, np.abs(y) <= _HALF_WIDTH]
     known = np.flatnonzero((band != UNKNOWN).mean(axis=1) > _KNOWN)
     bare = (band < 0).mean(axis=1) < _CARRYING
     bare[known[-1] + 1 if len(known) else 0 :] = False
+    bare[-round(_BORDER / field.resolution) - 1 :] = False
     return np.asarray(bare)
