@@ -33,7 +33,7 @@ class Demands:
     legs_apart: float = 0.04  # [m] between the middle lines of femurs and tibias of neighbouring legs
     body_clear: float = 0.02  # [m] of the trunk over the ground
     leg_clear: float = 0.01  # [m] of knees and upper shanks over the ground
-    swing_clear: float = 0.02  # [m] of a swinging foot over the ground, less within 5 cm of both its ends
+    swing_clear: float = 0.02  # [m] of a swinging foot over the ground, less within 6 cm of both its ends
     torque: float = 0.6  # of stall
     worst_foothold: int = -1  # [cells] of the evaluation function
     body_step: float = 0.055  # [m] of the body in one step, at most
@@ -55,6 +55,8 @@ def violations(
     out: list[str] = []
     body, feet, planned = start.body.copy(), start.feet.copy(), np.zeros(6, dtype=bool)
     for number, step in enumerate(steps):
+        if not (np.isfinite(step.body).all() and np.isfinite(step.touchdown).all() and -1 <= step.leg < len(LEGS)):
+            return [*out, f"step {number + 1}: none that could be taken"]
         found = [*check.step(body, feet, planned, step)]
         out += [f"step {number + 1}: {words}" for words in dict.fromkeys(found)]
         body = step.body
@@ -182,7 +184,10 @@ class _Check:
     def _trunk(self, bodies: Array) -> Iterator[str]:
         """The trunk over the map."""
         length, width, height = self._profile.body.size
-        x, y = np.meshgrid(np.arange(-length / 2, length / 2, 0.01), np.arange(-width / 2, width / 2, 0.01), indexing="ij")
+        along, across = (
+            np.linspace(-size / 2, size / 2, 1 + round(2 * size / self._field.resolution)) for size in (length, width)
+        )
+        x, y = np.meshgrid(along, across, indexing="ij")
         for body in bodies[[0, len(bodies) // 2, -1]]:
             under = self._ground(body[0] + x, body[1] + y)
             if body[2] - height / 2 - under.max() < self._demands.body_clear - _ROUNDING:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, random_blocks, stance_at, thesis_blocks
-from deploy.passage_checker import violations
+from deploy.passage_checker import Demands, violations
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, PassageStep, Roadmap
 from services.planner.passage.settings import PassageSettings
@@ -59,6 +59,11 @@ def test_nothing_is_wrong_with_plans_over_scattered_pillars(roadmap: Roadmap, se
         (lambda step: replace(step, body=step.body - np.array([0.0, 0.0, 0.08])), "the trunk"),
         (lambda step: replace(step, clearance=0.001), "passes"),
         (lambda step: replace(step, clearance=0.2), "clearance"),
+        (lambda step: replace(step, clearance=np.nan), "clearance"),
+        (lambda step: replace(step, touchdown=step.touchdown * np.nan), "none that could be taken"),
+        (lambda step: replace(step, body=np.full(3, np.inf)), "none that could be taken"),
+        (lambda step: replace(step, leg=6), "none that could be taken"),
+        (lambda step: replace(step, touchdown=step.touchdown + np.array([9.0, 0.0, 0.0])), "beside the strip"),
     ],
 )
 def test_what_is_spoilt_is_found(roadmap: Roadmap, spoil: Callable[[PassageStep], PassageStep], said: str) -> None:
@@ -74,6 +79,35 @@ def test_a_foot_on_no_foothold_is_found(roadmap: Roadmap) -> None:
     steps = planned(roadmap, field, 1).steps
     bare = Field(field.elevation, np.full_like(field.evaluation, 3), field.resolution, field.T_world_strip)
     assert any("on a cell of value 3" in words for words in violations(PROFILE, bare, START_STANCE, steps))
+
+
+def test_a_foot_beside_another_is_found() -> None:
+    rear, middle = START_STANCE.feet[4], START_STANCE.feet[5]
+    assert np.linalg.norm(rear - middle) > 0.1
+    step = PassageStep(4, middle - np.array([0.04, 0.0, 0.0]), 0.03, START_STANCE.body, 0.03)
+    words = violations(PROFILE, bridged(1), START_STANCE, [step])
+    assert any("rear foot 0.040 m from another" in each for each in words)
+    assert any("legs" in each and "apart" in each for each in words)
+
+
+def test_a_leg_that_bears_too_much_is_found() -> None:
+    demands = Demands(torque=0.05)
+    stay = PassageStep(-1, START_STANCE.body, 0.0, START_STANCE.body, 0.03)
+    assert violations(PROFILE, bridged(1), START_STANCE, [stay]) == []
+    assert any(" N m at the " in words for words in violations(PROFILE, bridged(1), START_STANCE, [stay], demands))
+
+
+def test_what_rises_under_the_body_is_found_to_its_very_edge() -> None:
+    length, width, height = PROFILE.body.size
+    stay = PassageStep(-1, START_STANCE.body, 0.0, START_STANCE.body, 0.03)
+    for inside in (np.array([length, width]) / 2, np.full(2, 0.004)):  # [m] of the corner
+        field = bridged(1)
+        elevation = field.elevation.copy()
+        place = START_STANCE.body[:2] + np.array([length, width]) / 2 - inside
+        i, j = np.rint((place - field.corner) / field.resolution).astype(int)
+        elevation[i, j] = START_STANCE.body[2] - height / 2 - 0.01
+        risen = replace(field, elevation=elevation)
+        assert any("the trunk 0.010 m over" in words for words in violations(PROFILE, risen, START_STANCE, [stay]))
 
 
 def test_a_body_outside_its_feet_is_found() -> None:
