@@ -107,7 +107,7 @@ class Passage:
     pillar_touchdowns: int = 0
     foothold_edge_m: FootholdEdge = FootholdEdge()
     feet_off: int = 0  # times a foot that should stand was over nothing, beside a pillar, or in the gap
-    passable: bool | None = None  # by an exhaustive search offline; null where nobody has looked
+    passable: bool | None = None  # by an exhaustive search offline; null where nobody has looked, or it cannot tell
     sections: tuple[Section, ...] = ()  # in their order: one for each time it stopped to plan
 
 

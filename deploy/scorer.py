@@ -71,10 +71,10 @@ class Scorer:
             scenario: What it is to do.
             seed: The run's.
             terrain: The ground, in place of the scenario's.
-            passable: Whether there is a way at all, where the seed decides; None for who has not looked.
+            passable: Whether there is a way at all, where the seed decides; None for who has not looked: it looks itself.
         """
         self.stages = Stages()
-        self.finished = False
+        self.finished = self._looked = False
         self._profile, self._scenario, self._seed, self._passable = profile, scenario, seed, passable
         self._course = Course(scenario, seed, terrain)
         self._heard = Heard()
@@ -250,9 +250,12 @@ class Scorer:
             reason: Why the run was ended, where the scorer did not end it (what the operator or the launcher says).
             real_time_factor: Simulated over elapsed time.
             stages_ms: How long the services' stages took.
-            in_a_hurry: Leave out the map of the whole course, whose judge takes a second or two to get going.
+            in_a_hurry: Leave out the map of the whole course, whose judge takes a second or two to get going, and whether there
+                is a way at all, which may take a minute.
         """
         scenario, profile = self._scenario, self._profile
+        if not in_a_hurry and len(self._heard.truth) > 1:
+            self._look_for_a_way()
         shutdowns = int(self._heard.truth[-1].shutdown.sum()) if self._heard.truth else 0
         arrived, right = self._goal_ns is not None, self._did_right()
         collisions = self._collisions() if len(self._heard.truth) > 1 else 0
@@ -278,6 +281,16 @@ class Scorer:
         if len(self._heard.truth) < 2:
             return report
         return self._measured(report, in_a_hurry)
+
+    def _look_for_a_way(self) -> None:
+        """Find out whether there is a way at all, once, where the seed decides and nobody has looked."""
+        if self._looked or self._passable is not None:
+            return
+        from deploy.passage_truth import decided_by_seed, way_exists  # the planner, which not every scorer has beside it
+
+        self._looked = True
+        if decided_by_seed(self._scenario):
+            self._passable = way_exists(self._profile, self._scenario, self._course)
 
     def _did_right(self) -> bool:
         """Whether the robot arrived, or stood and said why, whichever is right here; who turns back on a pillar is wrong."""

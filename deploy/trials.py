@@ -56,9 +56,11 @@ class Passages:
     planning_p50_ms: float  # over all sections; those without a way count with all that was spent on them
     planning_p99_ms: float
     expansions_per_s: float  # of all sections together
-    passable: int  # grounds on which there is a way, where somebody has looked
+    passable: int  # grounds on which there is a way, where the seed decides
+    crossed: int  # runs over those that came to their goal
     impassable: int
     entered_in_vain: int  # runs on pillars of those on which there is none
+    undecided: int  # grounds of which the search cannot tell, beside others of which it can
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +207,7 @@ def _passages(runs: Sequence[Run]) -> Passages | None:
     sections = [section for passage in passages for section in passage.sections]
     if not sections and not any(passage.pillar_touchdowns for passage in passages):
         return None
-    times = [section.planning_ms for section in sections]
+    times, looked = [section.planning_ms for section in sections], any(p.passable is not None for p in passages)
     seconds = sum(times) / 1e3
     return Passages(
         feet_off=sum(passage.feet_off for passage in passages),
@@ -219,8 +221,10 @@ def _passages(runs: Sequence[Run]) -> Passages | None:
         planning_p99_ms=_over(lambda known: np.percentile(known, 99), times),
         expansions_per_s=sum(section.expanded for section in sections) / seconds if seconds > 0 else float("nan"),
         passable=sum(passage.passable is True for passage in passages),
+        crossed=sum(run.success and run.passage.passable is True for run in runs),
         impassable=sum(passage.passable is False for passage in passages),
         entered_in_vain=sum(passage.passable is False and passage.pillar_touchdowns > 0 for passage in passages),
+        undecided=sum(passage.passable is None for passage in passages) if looked else 0,
     )
 
 
@@ -287,7 +291,10 @@ def _passage_words(p: Passages) -> list[str]:
         f"{p.expansions_per_s:.0f} expansions/s",
     ]
     if p.passable + p.impassable:
-        lines.append(f"  passable {p.passable}, impassable {p.impassable}, of which entered {p.entered_in_vain}")
+        lines.append(
+            f"  passable {p.passable}, of which crossed {p.crossed}; impassable {p.impassable}, "
+            f"of which entered {p.entered_in_vain}; undecided {p.undecided}"
+        )
     return lines
 
 

@@ -291,24 +291,6 @@ class _Furthest:
     retreat_stance: Stance
 
 
-def passable(profile: RobotProfile, settings: PassageSettings, field: Field, stance: Stance, goal_x: float) -> bool | None:
-    """Whether there is any way at all at this discretisation: all motions, all footholds, no budget of expansions.
-
-    Footholds are the middle and the two ends of narrow ground and a lattice on wide ground; bodies in the same square of
-    3 cm count as one. Offline: it takes up to minutes.
-
-    Returns:
-        True or False; None where `settings.nodes` configurations are too few to decide.
-    """
-    roadmap = Roadmap(profile, settings)
-    roadmap.begin(field, stance, goal_x, seed=0, exhaustive=True)
-    while (outcome := roadmap.grow(1_000_000)) is None:
-        pass
-    if isinstance(outcome, Crossing):
-        return True
-    return None if roadmap.full else False
-
-
 def _shifts(most: float, step: float) -> Iterator[Array]:
     """Body shifts [m] of at most so much, the shortest first."""
     n = int(most / step + 1e-6)

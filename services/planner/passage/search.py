@@ -1151,3 +1151,13 @@ def faults(legs: Legs, rules: Rules, strict: int, feet: Array, body: Array, foun
         )
         found[leg] = test
     found[6] = OK if _support(feet, ALL_STAND, body[0], body[1]) >= rules.margin else MARGIN
+
+
+@compiled
+def landings(legs: Legs, leg: int, places: Array, found: NDArray[np.int64]) -> None:
+    """The test that a leg fails with its foot at each of some places (n, 3) [m] {body}, into (n,), the others left aside."""
+    for n in range(len(places)):
+        x, y, z = places[n, 0], places[n, 1], places[n, 2]
+        found[n] = _placed(legs.table, leg, x, y)
+        if found[n] == OK:
+            found[n], _, _, _, _, _, _ = _leg(legs.table, 0, leg, x, y, z)

@@ -78,7 +78,7 @@ def test_a_batch_of_passages_is_counted():
     assert found.stops == trials.Figure(3.0, 3.0)
     assert (found.planning_p50_ms, found.planning_p99_ms) == pytest.approx((6.0, 7.0))
     assert found.expansions_per_s == pytest.approx(102 / 6e-3)
-    assert (found.passable, found.impassable, found.entered_in_vain) == (0, 0, 0)
+    assert (found.passable, found.impassable, found.entered_in_vain, found.undecided) == (0, 0, 0, 0)
     assert "feet off a pillar 1, touchdowns on pillars 300" in trials.words(trials.summarise(runs))
 
 
@@ -87,10 +87,14 @@ def test_grounds_without_a_way_are_not_to_be_entered():
         run("pillar_field", 0, passable=True),
         run("pillar_field", 1, passable=False, pillar_touchdowns=0, success=False),
         run("pillar_field", 2, passable=False, success=False),
+        run("pillar_field", 3, passable=None),
+        run("pillar_field", 4, passable=True, success=False),
     ]
     found = trials.summarise(runs).passages
-    assert (found.passable, found.impassable, found.entered_in_vain) == (1, 2, 1)
-    assert "passable 1, impassable 2, of which entered 1" in trials.words(trials.summarise(runs))
+    assert (found.passable, found.crossed, found.impassable, found.entered_in_vain, found.undecided) == (2, 1, 2, 1, 1)
+    assert "passable 2, of which crossed 1; impassable 2, of which entered 1; undecided 1" in trials.words(
+        trials.summarise(runs)
+    )
 
 
 def test_a_walk_without_pillars_has_nothing_of_passages():

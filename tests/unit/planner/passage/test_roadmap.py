@@ -9,7 +9,7 @@ from deploy.bench.passage_fields import BEYOND, NEAR, START, Block, field_of, he
 from deploy.passage_checker import violations
 from services.planner.passage import search
 from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance, passable
+from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance
 from services.planner.passage.settings import PassageSettings
 from shared.geometry import from_xyz_rpy
 from shared.messages import UNKNOWN
@@ -153,22 +153,6 @@ def test_blocks_stand_where_they_are_said_to() -> None:
     assert h[at] == 0.0
     assert (h[at[0] - 5 : at[0] + 5, at[1] - 5 : at[1] + 5] == 0.0).all()
     assert (h[70:150] == 0.0).sum() == 100
-
-
-def test_an_exhaustive_search_finds_a_way_where_there_is_one_and_does_not_decide_without_room() -> None:
-    field = field_of(heights(thesis_blocks(1, GAP, 0.15, 0.16, 0.0, 0.26), GAP), HEIGHT)
-    stance, goal_x = stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND
-    assert passable(PROFILE, PassageSettings(body_height=HEIGHT, nodes=300_000), field, stance, goal_x)
-    assert passable(PROFILE, PassageSettings(body_height=HEIGHT, nodes=1000), field, stance, goal_x) is None
-
-
-def test_an_exhaustive_search_comes_to_an_end_where_there_is_no_way() -> None:
-    stance = stance_at(PROFILE, 0.40, HEIGHT)
-    h = np.full((80, 60), -0.3, dtype=np.float32)
-    for x, y in stance.feet[:, :2]:  # a narrow pillar under each foot, and nothing else
-        i, j = round(x / 0.01), round((y + 0.3) / 0.01)
-        h[i - 4 : i + 4, j - 4 : j + 4] = 0.0
-    assert passable(PROFILE, PassageSettings(body_height=HEIGHT, nodes=300_000), field_of(h, HEIGHT), stance, 0.7) is False
 
 
 def test_of_whatever_kind_a_fields_arrays_are_the_search_is_compiled_once(roadmap: Roadmap) -> None:
