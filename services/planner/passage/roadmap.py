@@ -112,7 +112,8 @@ class Roadmap:
             stance: Where the robot stands.
             goal_x: [m] {strip} where its body shall be.
             seed: Of the samples.
-            exhaustive: Try every motion of the lattice and every foothold instead of samples, in one tree; for `passable`.
+            exhaustive: Try every motion of the lattice and every foothold instead of samples, in one tree, offline. Whether
+                there is a way at all `exhaustive.passable` tells.
 
         Raises:
             ValueError: A stance that is none.
