@@ -51,3 +51,16 @@ def test_even_ground_asks_for_nothing() -> None:
 def test_the_compiled_search_takes_swings_to_fly_as_high_as_the_planner_does() -> None:
     """It may not read the other file's number: its cache would not notice a change of it."""
     assert search._LEVEL_SHARE == LEVEL
+
+
+@pytest.mark.parametrize("length", [0.05, 0.10, 0.20, 0.25])
+@pytest.mark.parametrize("rise", [-0.05, 0.0, 0.05])
+@pytest.mark.parametrize("clearance", [0.03, 0.048, 0.08, 0.11])
+def test_no_swing_rises_or_falls_steeper_than_the_search_takes_it_to(length: float, rise: float, clearance: float) -> None:
+    way = flown(np.array([[length, 0.0, rise]]), np.array([clearance]))
+    along, over = way[:, 0] / length, max(0.0, rise) + clearance
+    _, near_start, rises = search._RISES
+    _, near_end, falls = search._FALLS
+    assert (way[along <= near_start, 2] <= (rises + 0.005) * over).all()
+    last = (along >= near_end) & (np.arange(len(way)) > len(way) / 2)
+    assert (way[last, 2] - rise <= (falls + 0.005) * (over - rise)).all()

@@ -29,7 +29,7 @@ from shared.robot import RobotProfile, load_profile
 OURS = "Sextant"
 CASES = ("scenario 1", "scenario 2", "scenario 3", "strewn pillars")
 HEADINGS = {"per_s": ("per second", 1.0, 0)}
-_HEIGHT = 0.105  # [m] of the body
+HEIGHT = 0.105  # [m] of the body
 Y, LENGTH, SHIFT, TWO = 0.16, 0.17, 0.035, 0.27  # [m] of the scenarios' pillars, as shared/scenarios/passage1 to 3 have them
 _PITCH, _SHARE, _SIZE = 0.13, 0.85, 0.10  # [m] of strewn pillars, and the share of places that have one
 _STANCES, _REPEATS = 100, 3  # of each search whose expansions are raced, all in one call, and how often
@@ -66,8 +66,8 @@ class Measured:
 
 def measure(seeds: Sequence[int], robot: str = "phantomx_mk2", say: Callable[[str], object] = lambda _: None) -> Measured:
     """Plan across each kind of ground once for each seed."""
-    profile, settings = load_profile(robot), PassageSettings(body_height=_HEIGHT)
-    roadmap, stance = Roadmap(profile, settings), stance_at(profile, START, _HEIGHT)
+    profile, settings = load_profile(robot), PassageSettings(body_height=HEIGHT)
+    roadmap, stance = Roadmap(profile, settings), stance_at(profile, START, HEIGHT)
     peers, missing = installed({"OMPL (body only)": BodyPlanner}, profile)
     _compile(roadmap, stance)
     expansion = Race("expansion", f"{settings.body_moves}x{settings.footholds} samples", warm=1)
@@ -98,10 +98,10 @@ def ground(case: str, seed: int) -> Field:
     """The strip of a case, its pillars a little elsewhere with each seed."""
     rng = np.random.default_rng(seed)
     if case == "strewn pillars":
-        return field_of(heights(random_blocks(rng, GAP, _PITCH, _SHARE, _SIZE), GAP), _HEIGHT)
+        return field_of(heights(random_blocks(rng, GAP, _PITCH, _SHARE, _SIZE), GAP), HEIGHT)
     blocks = thesis_blocks(CASES.index(case) + 1, GAP, Y, LENGTH, SHIFT, TWO)
     moved = [(block, rng.uniform(-_OFF, _OFF, 2)) for block in blocks]
-    return field_of(heights([type(b)(b.x + dx, b.y + dy, b.length, b.width, b.top) for b, (dx, dy) in moved], GAP), _HEIGHT)
+    return field_of(heights([type(b)(b.x + dx, b.y + dy, b.length, b.width, b.top) for b, (dx, dy) in moved], GAP), HEIGHT)
 
 
 def in_words(measured: Measured) -> str:
@@ -140,7 +140,7 @@ def _planned_by(roadmap: Roadmap) -> Callable[[Field, Stance, float], object]:
 
 
 def _compile(roadmap: Roadmap, stance: Stance) -> None:
-    roadmap.begin(field_of(heights([], GAP), _HEIGHT), stance, NEAR + GAP + BEYOND, seed=0)
+    roadmap.begin(field_of(heights([], GAP), HEIGHT), stance, NEAR + GAP + BEYOND, seed=0)
     roadmap.grow(10)
 
 

@@ -26,6 +26,7 @@ from shared.geometry import Array
 Verdicts = NDArray[np.int64]
 _AXIS = 0.035  # [m] that a foot keeps from its coxa axis
 _PIECES = 12  # of the way from one instant to the next
+_STEEP = np.array([[0.20, 0.05, 0.70], [0.82, 0.95, 0.40]])  # of time, way and level: how steeply a swing rises, and falls
 _FLIES = 0.8  # share of its clearance at which a swing is taken to fly
 
 
@@ -218,11 +219,39 @@ class NumpyTests:
         own = self._poses(np.array([leg]), bodies, way[..., None, :])
         ground = ~self._shank_clear(own)[..., 0]
         sides = np.array([(leg + 1) % 6, (leg + 5) % 6])
-        beside = self._poses(sides, bodies, np.broadcast_to(feet[sides], (*bodies.shape[:-1], 2, 3)))
-        near = _collide(np.broadcast_to(own, beside.shape), beside, rules.legs_apart).any(axis=-1)
+        near = self._beside(own, bodies, feet[sides], sides)
+        steep = self._steep(start, leg, b0, move, goals, level + (1.0 - _FLIES) * lift, feet[sides], sides, smooth)
         low_way = self._passes_low(leg, bodies, low, start, goals)
         tests = np.where(reach, REACH, np.where(ground, GROUND, np.where(near, LEGS, np.where(low_way, SWING, OK))))
-        return np.where(stuck, REACH, _first(tests))
+        return np.where(stuck, REACH, np.where(steep, LEGS, _first(tests)))
+
+    def _steep(
+        self,
+        start: Array,
+        leg: int,
+        b0: Array,
+        move: Array,
+        goals: Array,
+        level: Array,
+        others: Array,
+        sides: NDArray[np.int64],
+        smooth: bool,
+    ) -> NDArray[np.bool_]:
+        """Which (k,) swings come near a leg beside theirs where they rise or fall as steeply as any does."""
+        time, along, up = _STEEP.T
+        share = time * time * (3.0 - 2.0 * time) if smooth else time
+        bodies = b0 + share[:, None] * move[:, None]
+        end_z = np.stack([np.full(len(goals), start[2]), goals[:, 2]], axis=1)
+        xy = start[:2] + along[:, None] * (goals[:, None, :2] - start[:2])
+        way = np.concatenate([xy, (end_z + up * (level[:, None] - end_z))[..., None]], axis=-1)
+        way, _ = self._into_reach(leg, bodies, way)
+        own = self._poses(np.array([leg]), bodies, way[..., None, :])
+        return np.asarray(self._beside(own, bodies, others, sides).any(axis=-1))
+
+    def _beside(self, own: Array, bodies: Array, feet: Array, sides: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Where a leg's poses come too near to those of the legs beside it, which stand."""
+        beside = self._poses(sides, bodies, np.broadcast_to(feet, (*bodies.shape[:-1], 2, 3)))
+        return np.asarray(_collide(np.broadcast_to(own, beside.shape), beside, self._rules.legs_apart).any(axis=-1))
 
     def _passes_low(self, leg: int, bodies: Array, way: Array, start: Array, goals: Array) -> NDArray[np.bool_]:
         """Where (k, 9) the stretch that ends at an instant passes too low, on a way (k, 9, 3) not yet in reach."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from services.actuator.config import SHORTEST_STEP_S
 from shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
-from shared.kinematics import body_inverse, within_limits
+from shared.kinematics import body_inverse, nearest_reachable, within_limits
 from shared.messages import StepPlan
 from shared.robot import JOINTS, LEGS, RobotProfile
 from shared.stability import support_margin
@@ -71,7 +71,7 @@ class Guard:
             _malformed(plan)
             or _out_of_bounds(plan, T_odom_body)
             or self._unstable(plan, T_odom_body, feet)
-            or self._out_of_reach(plan, feet)
+            or self._out_of_reach(plan, T_odom_body, feet)
         )
         if not reason:
             self._last_stamp_ns = plan.stamp_ns
@@ -90,15 +90,26 @@ class Guard:
                 return f"the body would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
         return ""
 
-    def _out_of_reach(self, plan: StepPlan, feet: Array) -> str:
-        """Whether the stance at the end asks more of a leg, swung or not, than it can."""
+    def _out_of_reach(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
+        """Whether the stance at the end asks more of a leg, swung or not, than it can.
+
+        A standing leg that is too short for its foot already, since the ground has given way, may be so at the end, if by less.
+        """
         end = np.where(plan.swing[:, None], plan.touchdown, apply(plan.T_world_odom, feet))
-        bad = ~within_limits(self._profile, body_inverse(self._profile, apply(inverse(plan.body_goal), end)))
+        end = apply(inverse(plan.body_goal), end)
+        bad = ~within_limits(self._profile, body_inverse(self._profile, end))
+        if bad.any():
+            beyond, before = (self._beyond_reach(at) for at in (end, apply(inverse(T_odom_body), feet)))
+            bad[~plan.swing & (beyond > 0.0) & (beyond < before)] = False
         if bad.any():
             leg, joint = np.argwhere(bad)[0]
             what = "touchdown" if plan.swing[leg] else "standing foot"
             return f"the {what} of the {LEGS[leg]} leg is out of reach of its {JOINTS[joint]}"
         return ""
+
+    def _beyond_reach(self, feet: Array) -> Array:
+        """How far (6,) [m] feet (6, 3) [m] {body} are from where their legs come nearest to them."""
+        return np.asarray(np.linalg.norm(nearest_reachable(self._profile, feet) - feet, axis=1))
 
     def safe_goals(self, q_goal: Array, q_last: Array, dt: float) -> tuple[Array, str]:
         """Joint goals that are finite, within limits and not faster than the servos, with what had to be withheld.

@@ -216,7 +216,7 @@ class Errand:
             rise = float(map_.T_world_look[2, 3] - self._walking_pose[2, 3])
             words = f"raising the body by {rise * 100:.0f} cm to look" if rise > _RISE else "turning the body to look"
             return self._enter("look", self._pose(state, standing, map_.T_world_look, words))
-        self._field = self._marked(Field.of(map_))
+        self._field = Field.of(map_)
         if self._stage == "look":
             self._returns = 0
             return self._return(state, standing)
@@ -248,10 +248,13 @@ class Errand:
         if new:
             self._gave_way = f"no ground under the {' and '.join(LEGS[leg] for leg in new)} foot"
 
-    def _marked(self, field: Field) -> Field:
-        """The same ground, without what gave way under a foot."""
-        for place in self._yielded:
-            field = without(field, apply(field.T_strip_world, place), _YIELDED)
+    def _marked(self, field: Field, feet: Array) -> Field:
+        """The same ground, without what gave way under a foot, and as low as feet (6, 3) [m] {strip} stand in it by now."""
+        gone = [apply(field.T_strip_world, place) for place in self._yielded]
+        soles = feet - [0.0, 0.0, self._profile.foot.radius]
+        sunk = [sole for sole in soles if any(np.hypot(*(sole - place)[:2]) < _YIELDED for place in gone)]
+        for place in [*gone, *sunk]:
+            field = without(field, place, _YIELDED)
         return field
 
     # ------------------------------------------------------------------------------------------------- planning
@@ -266,6 +269,7 @@ class Errand:
                 return Refused(
                     f"the robot is {root.body[1]:.2f} m beside the strip and {np.degrees(turned):.0f} deg off its way"
                 )
+            self._field = self._marked(self._field, root.feet)
             goal = goal_behind(self._field, float(root.body[0]) + _NEARLY, self._along(self._target))
             if goal is None:
                 return Over("behind the gap")

@@ -31,6 +31,8 @@ _SAMPLES = 9  # of a swing
 _AXIS = 0.035  # [m] from its coxa axis: nearer, a foot asks the coxa to whirl, and there is no telling where it is pushed
 _PIECES = 12  # of the way from one sample to the next
 _LEVEL_SHARE = 0.8  # of its clearance at which a swing is taken to fly
+_RISES = (0.20, 0.05, 0.70)  # of time, of its way, of its level: no swing rises steeper
+_FALLS = (0.82, 0.95, 0.40)  # nor falls
 
 
 # Columns of `Legs.table`.
@@ -516,6 +518,17 @@ def _into_reach(
     return mx + px * scale, my + py * scale, z + new_up - up, math.sqrt((new - reach) ** 2 + (new_up - up) ** 2)
 
 
+@compiled
+def _beside(table: Array, feet: Array, leg: int, bx: float, by: float, bz: float, poses: Array, apart: float) -> bool:
+    """Whether a leg, in its row of poses, comes nearer to one of its neighbours, which stand, than so much [m]."""
+    for side in range(1, 6, 4):
+        beside = (leg + side) % 6
+        _pose(table, beside, bx, by, bz, feet[beside, 0], feet[beside, 1], feet[beside, 2], poses)
+        if _collide(poses, leg, beside, apart):
+            return True
+    return False
+
+
 # The lazy proof of a step ---------------------------------------------------------------------------------------------------
 
 
@@ -550,6 +563,19 @@ def _swing_test(
     x, y, z = goal[0] - b1[0] + s * (b1[0] - b0[0]), goal[1] - b1[1] + s * (b1[1] - b0[1]), goal[2] - b1[2]
     if not _turns(table, leg, x, y, z):
         return REACH
+    # One that rises or falls steeply may be pushed outward where it is near its neighbours.
+    for at_end in range(2):
+        s, along, up = _FALLS if at_end else _RISES
+        if smooth:
+            s = s * s * (3.0 - 2.0 * s)
+        end_z = goal[2] if at_end else feet[leg, 2]
+        bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
+        x, y = feet[leg, 0] + along * (goal[0] - feet[leg, 0]), feet[leg, 1] + along * (goal[1] - feet[leg, 1])
+        z = end_z + up * (level + (1.0 - _LEVEL_SHARE) * lift - end_z)
+        x, y, z, _ = _into_reach(table, leg, bx, by, bz, x, y, z)
+        _pose(table, leg, bx, by, bz, x, y, z, poses)
+        if _beside(table, feet, leg, bx, by, bz, poses, rules.legs_apart):
+            return LEGS
     for k in range(_SAMPLES):
         s, along, up = shape[0, k], shape[1, k], shape[2, k]
         if smooth:
@@ -571,11 +597,8 @@ def _swing_test(
         _pose(table, leg, bx, by, bz, x, y, z, poses)
         if not _shank_clear(top, resolution, x0, y0, poses, leg, rules.leg_clear):
             return GROUND
-        for side in range(1, 6, 4):
-            beside = (leg + side) % 6
-            _pose(table, beside, bx, by, bz, feet[beside, 0], feet[beside, 1], feet[beside, 2], poses)
-            if _collide(poses, leg, beside, rules.legs_apart):
-                return LEGS
+        if _beside(table, feet, leg, bx, by, bz, poses, rules.legs_apart):
+            return LEGS
         # The foot's own way, closely, since one that is pushed outward is so at once: 2 cm, but for its rise and its fall.
         for m in range(1, _PIECES + 1 if k > 0 else 1):
             part = m / _PIECES

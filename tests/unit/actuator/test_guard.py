@@ -94,6 +94,16 @@ def test_it_says_why_it_refuses(changes: dict[str, object], words: str) -> None:
     assert words in refusal(plan(**changes))
 
 
+@pytest.mark.parametrize(("towards", "words"), [(0.01, ""), (0.0, "out of reach of its"), (-0.01, "out of reach of its")])
+def test_a_foot_that_sank_beyond_its_legs_reach_may_be_approached_but_not_left(towards: float, words: str) -> None:
+    feet = FEET.copy()
+    feet[0] += (0.16, 0.0, -0.03)
+    body = START @ from_xyz_rpy((towards, 0.0, 0.0), np.zeros(3))
+    assert not within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(body), feet)))[0].all()
+    found = Guard(PROFILE, AGE).unwalkable(plan(body_goal=body, swing=NOBODY, touchdown=feet), START, feet)
+    assert found == "" if not words else words in found
+
+
 def test_a_body_outside_its_standing_feet_at_the_start_is_refused() -> None:
     outside = from_xyz_rpy((0.2, 0.0, 0.1), np.zeros(3))
     words = Guard(PROFILE, AGE).unwalkable(plan(body_goal=outside), outside, FEET)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deploy.bench import passage as bench
 from deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, random_blocks, stance_at, thesis_blocks
 from deploy.passage_checker import Demands, violations
 from services.planner.passage.field import Field
@@ -48,6 +49,16 @@ def test_nothing_is_wrong_with_plans_over_bridges(roadmap: Roadmap, scenario: in
 def test_nothing_is_wrong_with_plans_over_scattered_pillars(roadmap: Roadmap, seed: int, relief: float) -> None:
     field = scattered(seed, relief)
     assert violations(PROFILE, field, START_STANCE, planned(roadmap, field, seed).steps) == []
+
+
+def test_a_foot_that_rises_beside_its_neighbour_keeps_apart_from_it() -> None:
+    """Near its coxa a foot is pushed outward as it rises steeply; of a thousand plans this one's legs once came too near."""
+    field, roadmap = bench.ground("scenario 3", 1205), Roadmap(PROFILE, PassageSettings(body_height=bench.HEIGHT))
+    start = stance_at(PROFILE, START, bench.HEIGHT)
+    roadmap.begin(field, start, NEAR + GAP + BEYOND, seed=1)
+    found = roadmap.grow(10**6)
+    assert isinstance(found, Crossing)
+    assert violations(PROFILE, field, start, found.steps) == []
 
 
 @pytest.mark.parametrize(
