@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from services.planner.passage import search
 from services.planner.passage.field import Field
 from services.planner.passage.reasons import NOBODY, WORDS, fault_in_words, in_words
+from services.planner.passage.sections import bare
 from services.planner.passage.settings import PassageSettings
 from services.planner.passage.tables import ground_of, legs_of, rules_of, tree_of
 from shared.geometry import Array
@@ -221,9 +222,24 @@ class Roadmap:
         assert self._field is not None
         spent, strokes = not self._exhaustive or self.full, self._legs.stroke.sum(axis=1)
         why = in_words(best.fails, best.stance.body, best.stance.feet, strokes, self._field, spent)
-        if why.unseen and best.retreat:
+        if why.unseen and best.retreat and not self._ventures(best.retreat):
             return Crossing(best.retreat, False, why.words, self.generated, self.expanded, best.retreat_stance)
         return self._no_way(why.words, why.unseen, best, why.leg)
+
+    def _ventures(self, steps: tuple[PassageStep, ...]) -> bool:
+        """Whether steps bring a robot that stands on the near side to where ground carries a foot only here and there.
+
+        What is seen of such ground is seen from before it, so there is no use in standing in the middle of it without a way on.
+        """
+        assert self._field is not None
+        rows, x0, resolution = bare(self._field), self._field.corner[0], self._field.resolution
+
+        def within(x: float) -> bool:
+            return bool(rows[min(max(round((x - x0) / resolution), 0), len(rows) - 1)])
+
+        if any(within(float(foot[0])) for foot in self._root.feet):
+            return False
+        return any(within(float(step.touchdown[0])) for step in steps if step.leg >= 0)
 
     def _note_furthest(self) -> None:
         """Keep how far this tree came, if none came further."""

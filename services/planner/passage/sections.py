@@ -30,9 +30,9 @@ def goal_behind(field: Field, x: float, target: float) -> float | None:
         [m] {strip}, at most the target; None where the ground around the robot and ahead of it carries as anywhere, and where
         it is past the target.
     """
-    bare = _bare(field)
-    centres = field.corner[0] + field.resolution * np.arange(len(bare))
-    ahead = np.flatnonzero(bare & (centres > x - _BEYOND) & (centres < target))
+    rows = bare(field)
+    centres = field.corner[0] + field.resolution * np.arange(len(rows))
+    ahead = np.flatnonzero(rows & (centres > x - _BEYOND) & (centres < target))
     if not len(ahead) or x >= target:
         return None
     return min(target, float(centres[ahead[-1]]) + _BEYOND)
@@ -57,12 +57,12 @@ def without(field: Field, sole: Array, radius: float) -> Field:
     )
 
 
-def _bare(field: Field) -> NDArray[np.bool_]:
+def bare(field: Field) -> NDArray[np.bool_]:
     """Which (nx,) rows of cells across carry a foot only here and there; none beyond what is known or at the strip's end."""
     y = field.corner[1] + field.resolution * np.arange(field.evaluation.shape[1])
     band = field.evaluation[:, np.abs(y) <= _HALF_WIDTH]
     known = np.flatnonzero((band != UNKNOWN).mean(axis=1) > _KNOWN)
-    bare = (band < 0).mean(axis=1) < _CARRYING
-    bare[known[-1] + 1 if len(known) else 0 :] = False
-    bare[-round(_BORDER / field.resolution) - 1 :] = False
-    return np.asarray(bare)
+    rows = (band < 0).mean(axis=1) < _CARRYING
+    rows[known[-1] + 1 if len(known) else 0 :] = False
+    rows[-round(_BORDER / field.resolution) - 1 :] = False
+    return np.asarray(rows)

@@ -115,6 +115,20 @@ def test_unknown_ground_is_not_stepped_on_and_ends_a_section(roadmap: Roadmap) -
     assert max(step.touchdown[0] for step in found.steps if step.leg >= 0) < 1.10
 
 
+@pytest.mark.parametrize("far_side_seen", [True, False])
+def test_nobody_ventures_onto_pillars_that_lead_into_the_unknown(roadmap: Roadmap, far_side_seen: bool) -> None:
+    plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
+    from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
+    evaluation = plain.evaluation.copy()
+    evaluation[from_:to] = evaluation[from_:to] if far_side_seen else UNKNOWN
+    field = Field(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
+    found = grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND)
+    assert isinstance(found, Crossing) is far_side_seen
+    if isinstance(found, NoWay):
+        assert found.unseen
+        assert "cells ahead are unknown: look again" in found.reason
+
+
 def test_a_stance_a_little_off_is_repaired_by_a_shift_of_the_body(roadmap: Roadmap) -> None:
     stance = stance_at(PROFILE, START, HEIGHT)
     feet = stance.feet.copy()
