@@ -295,7 +295,7 @@ class Errand:
             if found.unseen and self._worth > _LEAST_WORTH and self._looks < _LOOKS:
                 self._worth, self._because = _LEAST_WORTH, f" again: {found.reason}"  # a look that shows little may do
                 return self._enter("survey", Wait(f"looking at the passage{self._because}"))
-            return Refused(found.reason)
+            return Refused(found.reason + (", and no look is left that would show more" if found.unseen else ""))
         self._steps, self._base, self._looks, self._seed, self._worth = found.steps, state.step, 0, _SEEDS, _WORTH
         return self._enter("walk", Wait(f"walking section {self._section} of the passage: {len(found.steps)} steps"))
 

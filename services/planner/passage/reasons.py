@@ -71,7 +71,7 @@ def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array,
     who = "" if leg == NOBODY else f"{LEGS[leg]} leg: "
     tried = "not all was tried" if spent else "all was tried"
     gap = _gap(feet, strokes, field)
-    look = "; cells ahead are unknown: look again" if blind else ""
+    look = "; cells ahead are unknown" if blind else ""
     return Why(f"at {where} {who}{WORDS[test]} ({told[test, leg]} of {told.sum()} refusals; {tried}){gap}{look}", blind, leg)
 
 

@@ -210,7 +210,7 @@ class Roadmap:
         if x >= self._goal_x - 1e-9:
             return self._section(goal, True, "at the goal")
         if x < self._root.body[0] + _WORTH:
-            return self._no_way(f"{seen}: look again", True, self._reached(goal))
+            return self._no_way(seen, True, self._reached(goal))
         if x >= self._tree.goal[0] - 1e-9:
             return self._section(goal, False, seen)
         return self._section(goal, False, f"so far in {self._settings.cycles} cycles of the gait")

@@ -1,6 +1,6 @@
 """The deliberate crossing, stage by stage: a robot that does what it is told, a map that says what the test wants."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,11 +45,11 @@ class Planned:
 class Robot:
     """Walks what the errand asks for and shows it a map twice a second."""
 
-    def __init__(self, sections: Planned, looks: int = 0, gap: bool = True) -> None:
+    def __init__(self, sections: Planned, looks: int = 0, gap: bool = True, yielded: Sequence[Array] = ()) -> None:
         self.T = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
         self.feet = apply(self.T, PROFILE.rest_feet(HEIGHT))
         self.sections, self.looks, self.gap = sections, looks, gap
-        self.errand = Errand(PROFILE, Settings(), sections, self.standing, GOAL, [])
+        self.errand = Errand(PROFILE, Settings(), sections, self.standing, GOAL, list(yielded))
         self.state = actuator_state(PROFILE, T_odom_body=self.T, body_ref=self.T)
         self.now_ns = 0
         self.map: PassageMap | None = None
@@ -338,6 +338,26 @@ def test_unseen_ground_is_looked_at_again_before_it_is_no_way() -> None:
     robot = Robot(Planned(*[blind] * 3, section(0.0, 1.85)))
     robot.until(lambda: bool(robot.moves))
     assert len(robot.sections.begun) == 4
+
+
+def test_where_no_look_shows_the_unseen_ground_that_is_said() -> None:
+    blind = replace(no_way("cells ahead are unknown"), unseen=True)
+    end = Robot(Planned(*[blind] * 6)).until_end()
+    assert isinstance(end, Refused)
+    assert end.reason.endswith("cells ahead are unknown, and no look is left that would show more")
+
+
+def test_sunk_ground_is_planned_on_as_low_as_a_foot_stands_in_it() -> None:
+    sole = apply(from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3)), PROFILE.rest_feet(HEIGHT))[0] - [0.0, 0.0, PROFILE.foot.radius]
+    robot = Robot(Planned(section(0.0, 1.85)), yielded=[sole + np.array([0.02, 0.0, -0.01])])  # found there at first
+    robot.feet[0, 2] -= 0.04
+    robot.until(lambda: bool(robot.sections.begun))
+    field, stance, _, _ = robot.sections.begun[0]
+    i, j = np.rint((stance.feet[0, :2] - field.corner) / field.resolution).astype(int)
+    around = field.elevation[i - 2 : i + 3, j - 2 : j + 3]
+    np.testing.assert_allclose(around, stance.feet[0, 2] - PROFILE.foot.radius, atol=1e-6)
+    assert (field.evaluation[i - 2 : i + 3, j - 2 : j + 3] >= 0).all()
+    assert np.nanmax(field.elevation) == 0.0
 
 
 def test_a_robot_that_was_carried_aside_does_not_go_on() -> None:

@@ -66,7 +66,7 @@ def test_a_foot_beside_the_strip_is_no_error() -> None:
 
 def test_where_much_is_unknown_another_look_is_asked_for() -> None:
     assert said([], search.UNKNOWN).unseen
-    assert "look again" in said([], search.UNKNOWN).words
+    assert "cells ahead are unknown" in said([], search.UNKNOWN).words
     assert not said([], search.REACH).unseen
 
 
