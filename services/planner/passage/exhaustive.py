@@ -104,7 +104,7 @@ def has_way(
 def _cut(field: Field, settings: PassageSettings) -> NDArray[np.int16]:
     """The tile (nx, ny) of each cell that a foot may be set on, -1 elsewhere: all of wide ground, three of a narrow piece."""
     carries = np.zeros(field.evaluation.shape, dtype=np.bool_)
-    search.candidates(field.evaluation, settings.strong, settings.wide, settings.weakest, 1, carries)
+    search.candidates(field.evaluation, settings.strong, settings.wide, settings.weakest, carries)
     part = np.full(carries.shape, -1, dtype=np.int16)
     tile, tiles = part.copy(), 0
     for k in range(_label(carries, part)):

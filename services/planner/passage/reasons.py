@@ -49,7 +49,7 @@ def fault_in_words(found: NDArray[np.int64], repair: float) -> str:
     return f"the robot stands badly, and no shift of {repair * 100:.0f} cm helps: {'; '.join(legs + whole)}"
 
 
-def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: Field, spent: bool) -> Why:
+def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array, field: Field) -> Why:
     """Why nothing leads on from the furthest configurations.
 
     Args:
@@ -58,7 +58,6 @@ def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array,
         feet: (6, 3) [m] {strip}.
         strokes: (6,) [m] by which each foot can be set forward while the body stands.
         field: The strip.
-        spent: Whether the budget ended before all was tried.
     """
     x, y, _ = apply(field.T_world_strip, body)
     where = f"({x:.2f}, {y:.2f}) m"
@@ -69,10 +68,9 @@ def in_words(fails: NDArray[np.int64], body: Array, feet: Array, strokes: Array,
     told[0] = 0
     test, leg = (int(k) for k in np.unravel_index(int(np.argmax(told)), told.shape))
     who = "" if leg == NOBODY else f"{LEGS[leg]} leg: "
-    tried = "not all was tried" if spent else "all was tried"
     gap = _gap(feet, strokes, field)
     look = "; cells ahead are unknown" if blind else ""
-    return Why(f"at {where} {who}{WORDS[test]} ({told[test, leg]} of {told.sum()} refusals; {tried}){gap}{look}", blind, leg)
+    return Why(f"at {where} {who}{WORDS[test]} ({told[test, leg]} of {told.sum()} refusals){gap}{look}", blind, leg)
 
 
 def _gap(feet: Array, strokes: Array, field: Field) -> str:

@@ -18,6 +18,7 @@ from shared.robot import RobotProfile
 _LIT = 0.3  # [1] share of a row of cells across that is known, below which the known ground ends
 _BAND = 0.35  # [m] either side of the middle line in which it counts
 _WORTH = 0.05  # [m] of the body's way that a section must bring
+_SPARE = 0.10  # [m] of the body's way that is planned beyond where a section ends that does not get to the goal
 _RETREAT = 0.06  # [m] of the body before the furthest that was reached
 
 
@@ -96,16 +97,11 @@ class Roadmap:
         """n_g so far."""
         return self._generated_before + int(self._tree.counts[search.NODES])
 
-    @property
-    def full(self) -> bool:
-        """Whether the newest tree ended for want of room."""
-        return int(self._tree.counts[search.NODES]) >= self._settings.nodes
-
     def sampled(self, rng: np.random.Generator, n: int) -> list[Stance]:
         """Some stances (n) of the newest tree, for the bench."""
         return [self._stance(int(node)) for node in rng.integers(0, int(self._tree.counts[search.NODES]), n)]
 
-    def begin(self, field: Field, stance: Stance, goal_x: float, seed: int, exhaustive: bool = False) -> None:
+    def begin(self, field: Field, stance: Stance, goal_x: float, seed: int) -> None:
         """Start anew.
 
         Args:
@@ -113,18 +109,15 @@ class Roadmap:
             stance: Where the robot stands.
             goal_x: [m] {strip} where its body shall be.
             seed: Of the samples.
-            exhaustive: Try every motion of the lattice and every foothold instead of samples, in one tree, offline. Whether
-                there is a way at all `exhaustive.passable` tells.
 
         Raises:
             ValueError: A stance that is none.
         """
         if stance.body.shape != (3,) or stance.feet.shape != (6, 3) or not np.isfinite(stance.feet).all():
             raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
-        self._field, self._exhaustive = field, exhaustive
+        self._field = field
         self._outcome: Crossing | NoWay | None = None
-        self._rules = rules_of(self._profile, self._settings, exhaustive)
-        self._ground = ground_of(field, self._settings, exhaustive)
+        self._ground = ground_of(field, self._settings)
         self._goal_x, self._seen_to = goal_x, self._end_of_the_known(field, stance)
         self._root = self._repaired(stance)
         self._tree.random[0] = np.uint64((seed * 2654435761 + 88172645463325252) % (2**64 - 1) + 1)
@@ -141,17 +134,17 @@ class Roadmap:
         """
         if self._field is None:
             raise ValueError("a search that was begun expected: call begin() first")
-        counts, budget = self._tree.counts, np.inf if self._exhaustive else self._settings.budget
+        counts, budget = self._tree.counts, self._settings.budget
         while self._outcome is None and expansions > 0:
             if self._blame:
                 self._outcome = self._no_way(self._blame, False, self._reached(0), self._blamed)
                 break
-            portion = int(min(expansions, budget - self.expanded, self._share() - counts[search.EXPANDED]))
-            expansions -= search.grow(self._tree, self._ground, self._legs, self._rules, portion, self._exhaustive)
+            portion = min(expansions, budget - self.expanded, self._share() - int(counts[search.EXPANDED]))
+            expansions -= search.grow(self._tree, self._ground, self._legs, self._rules, portion)
             ended = counts[search.QUEUED] == 0 or counts[search.EXPANDED] >= self._share()
             if counts[search.GOAL] >= 0:
                 self._outcome = self._crossing(int(counts[search.GOAL]))
-            elif self.expanded >= budget or (ended and self._exhaustive):
+            elif self.expanded >= budget:
                 self._note_furthest()
                 self._outcome = self._nothing_found()
             elif ended:
@@ -161,9 +154,9 @@ class Roadmap:
                 self._plant()
         return self._outcome
 
-    def _share(self) -> float:
+    def _share(self) -> int:
         """Expansions that a tree may have before another one is tried: twice as many every second time."""
-        return np.inf if self._exhaustive else float(self._settings.patience * 2 ** (self._tries // 2))
+        return int(self._settings.patience * 2 ** (self._tries // 2))
 
     def _plant(self) -> None:
         """Leave nothing but the root."""
@@ -211,17 +204,19 @@ class Roadmap:
             return self._section(goal, True, "at the goal")
         if x < self._root.body[0] + _WORTH:
             return self._no_way(seen, True, self._reached(goal))
+        end = self._before(goal, _SPARE)  # that no section ends where nothing leads on
+        if self._tree.body[end, 0] < self._root.body[0] + _WORTH:
+            end = goal
         if x >= self._tree.goal[0] - 1e-9:
-            return self._section(goal, False, seen)
-        return self._section(goal, False, f"so far in {self._settings.cycles} cycles of the gait")
+            return self._section(end, False, seen)
+        return self._section(end, False, f"so far in {self._settings.cycles} cycles of the gait")
 
     def _nothing_found(self) -> Crossing | NoWay:
         """What is left when the budget is used up, or everything was tried."""
         best = self._best
         assert best is not None
         assert self._field is not None
-        spent, strokes = not self._exhaustive or self.full, self._legs.stroke.sum(axis=1)
-        why = in_words(best.fails, best.stance.body, best.stance.feet, strokes, self._field, spent)
+        why = in_words(best.fails, best.stance.body, best.stance.feet, self._legs.stroke.sum(axis=1), self._field)
         if why.unseen and best.retreat and not self._ventures(best.retreat):
             return Crossing(best.retreat, False, why.words, self.generated, self.expanded, best.retreat_stance)
         return self._no_way(why.words, why.unseen, best, why.leg)
@@ -254,7 +249,7 @@ class Roadmap:
         """How far a configuration is, and what stops it there if it is the furthest."""
         tree = self._tree
         # A place to wait for another look lies a little before the last one that was reached, which may be a dead end.
-        back = next((n for n in self._back(node) if tree.body[n, 0] <= tree.body[node, 0] - _RETREAT), 0)
+        back = self._before(node, _RETREAT)
         worth = tree.body[back, 0] >= self._root.body[0] + _WORTH
         retreat = self._steps(back) if worth else ()
         return _Furthest(self._stance(node), tree.fails[1].copy(), self._steps(node), retreat, self._stance(back))
@@ -285,6 +280,11 @@ class Roadmap:
             body = self._tree.body[0].copy()
             steps.insert(0, PassageStep(search.ALL_STAND, body, 0.0, body, self._settings.margin))
         return tuple(steps)
+
+    def _before(self, node: int, way: float) -> int:
+        """The configuration on the way to another from which its body goes so far [m] yet."""
+        x = self._tree.body[:, 0]
+        return next((n for n in self._back(node) if x[n] <= x[node] - way), 0)
 
     def _back(self, node: int) -> Iterator[int]:
         while self._tree.parent[node] >= 0:

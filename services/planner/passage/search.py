@@ -116,7 +116,6 @@ class Ground(NamedTuple):
     elevation: NDArray[np.float32]  # (nx, ny) [m] {strip}, NaN where unknown
     top: NDArray[np.float32]  # (nx, ny) [m] highest within a cell around, -inf where nothing is known
     evaluation: NDArray[np.int8]  # (nx, ny) Masri's F
-    candidate: NDArray[np.bool_]  # (nx, ny) footholds of the exhaustive search
     meant: NDArray[np.int32]  # (nx, ny) cell that a sampled cell stands for, -1 where it is not known yet
     resolution: float
     x0: float
@@ -381,23 +380,15 @@ def _resolved(F: NDArray[np.int8], i: int, j: int, strong: int, wide: int) -> tu
 
 
 @compiled
-def candidates(F: NDArray[np.int8], strong: int, wide: int, weakest: int, coarse: int, candidate: NDArray[np.bool_]) -> None:
-    """Mark the footholds that an exhaustive search tries: all of narrow ground, and of wide ground every so many cells."""
+def candidates(F: NDArray[np.int8], strong: int, wide: int, weakest: int, candidate: NDArray[np.bool_]) -> None:
+    """Mark the cells to which some cell of the ground is resolved."""
     candidate[:] = False
     for i in range(F.shape[0]):
         for j in range(F.shape[1]):
             if F[i, j] == _NEVER_SEEN:
                 continue
             a, b = _resolved(F, i, j, strong, wide)
-            if F[a, b] > weakest:
-                continue
-            c, d = a, b
-            while True:
-                e, f = _lower(F, c, d)
-                if e == c and f == d:
-                    break
-                c, d = e, f
-            if F[c, d] > wide or (b % coarse == 0 and (a % coarse == 0 or F[a, b] == strong)):
+            if F[a, b] <= weakest:
                 candidate[a, b] = True
 
 
@@ -957,9 +948,7 @@ def _place_price(rules: Rules, legs: Legs, ground: Ground, leg: int, code: int, 
 
 
 @compiled
-def _expand_for(
-    tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int, leg: int, exhaustive: bool, far: bool, work: Array
-) -> bool:
+def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int, leg: int, far: bool, work: Array) -> bool:
     """Add what one leg can do from a configuration: up to m motions of the body with up to n footholds each.
 
     Its feet are the first six rows of `work` (12, 3). Returns False when there is no room for more.
@@ -978,25 +967,13 @@ def _expand_for(
     height = _floor(feet, leg, rules.foot_radius) + rules.height
     body = np.empty(3)
     body[2] = min(max(height, b0[2] - rules.climb), b0[2] + rules.climb)
-    # All places in the cone, or samples of it; the first sample is to stay.
-    across = math.ceil(rules.body_high * math.sin(min(rules.body_angle, 1.5)) / rules.lattice)
-    wide = 2 * across + 1
-    longest = math.floor(rules.body_high / rules.lattice + 1e-6)
-    moves = wide * (longest + 1) if exhaustive else rules.move_samples
-    last_x, last_y = np.empty(moves), np.empty(moves)
-    for m in range(moves):
-        if exhaustive:
-            dx, dy = (m // wide) * rules.lattice, (m % wide - across) * rules.lattice
-            distance = math.sqrt(dx * dx + dy * dy)
-            if distance > rules.body_high + 1e-9 or abs(dy) > dx * math.tan(rules.body_angle) + 0.5 * rules.lattice:
-                last_x[m], last_y[m] = np.inf, np.inf
-                continue
-        else:
-            distance = rules.body_low + (rules.body_high - rules.body_low) * _uniform(tree.random)
-            phi = rules.body_angle * _bell(tree.random)
-            if m == 0 and tree.depth[node] == 0:
-                distance = 0.0  # a repaired stance may have no room to move before its first step
-            dx, dy = distance * math.cos(phi), distance * math.sin(phi)
+    last_x, last_y = np.empty(rules.move_samples), np.empty(rules.move_samples)
+    for m in range(rules.move_samples):
+        distance = rules.body_low + (rules.body_high - rules.body_low) * _uniform(tree.random)
+        phi = rules.body_angle * _bell(tree.random)
+        if m == 0 and tree.depth[node] == 0:
+            distance = 0.0  # a repaired stance may have no room to move before its first step
+        dx, dy = distance * math.cos(phi), distance * math.sin(phi)
         body[0] = rules.lattice * round((b0[0] + dx) / rules.lattice)
         body[1] = rules.lattice * round((b0[1] + dy) / rules.lattice)
         last_x[m], last_y[m] = body[0], body[1]
@@ -1024,7 +1001,7 @@ def _expand_for(
                 return False
             continue
         # 2. Footholds of the leg that swings.
-        if not _footholds(tree, ground, legs, rules, node, leg, body, feet, after, price, margin, exhaustive, far):
+        if not _footholds(tree, ground, legs, rules, node, leg, body, feet, after, price, margin, far):
             return False
     return True
 
@@ -1053,7 +1030,6 @@ def _footholds(
     after: Array,
     price: float,
     margin: float,
-    exhaustive: bool,
     far: bool,
 ) -> bool:
     """Add configurations with a leg's footholds for one motion of the body; False when there is no room for more."""
@@ -1067,43 +1043,32 @@ def _footholds(
     rearmost = feet[leg, 0] - rules.backward
     if _has_sunk(ground, tree.foot[node, leg], feet[leg, 0], feet[leg, 1]):
         rearmost, nearest = -np.inf, rules.foot_back  # as far back as its leg reaches
-    elif not exhaustive:
+    else:
         nearest = max(nearest, feet[leg, 0] - tip_x)  # forward
         if nearest >= farthest:
             return True
-    i0, j0 = int((tip_x - ground.x0) / ground.resolution), int((tip_y - ground.y0) / ground.resolution)
-    deep = int(farthest / ground.resolution)
-    across = int(farthest * math.sin(min(rules.foot_angle, 1.5)) / ground.resolution)
-    wide = 2 * across + 1
-    tries = (deep + 1) * wide if exhaustive else rules.foot_samples
     tried = np.empty(rules.foot_samples, np.int64)
-    for n in range(tries):
-        if exhaustive:
-            i, j = i0 + n // wide, j0 - across + n % wide
-            if not (0 <= i < nx and 0 <= j < ny) or not ground.candidate[i, j]:
-                continue
-        else:
-            tried[n] = -1
-            distance = nearest + (farthest - nearest) * _uniform(tree.random)
-            phi = rules.foot_angle * _bell(tree.random)
-            i = math.floor((tip_x + distance * math.cos(phi) - ground.x0) / ground.resolution + 0.5)
-            j = math.floor((tip_y + distance * math.sin(phi) - ground.y0) / ground.resolution + 0.5)
-            if not (0 <= i < nx and 0 <= j < ny) or F[i, j] == _NEVER_SEEN:
-                _fail(tree, far, UNKNOWN, leg)
-                continue
-            code = ground.meant[i, j]
-            if code < 0:
-                a, b = _resolved(F, i, j, rules.strong, rules.wide)
-                code = a * ny + b
-                ground.meant[i, j] = code
-            i, j = code // ny, code % ny
-            known = False
-            for k in range(n):
-                known = known or tried[k] == code
-            if known:
-                continue
-            tried[n] = code
-        code = i * ny + j
+    for n in range(rules.foot_samples):
+        tried[n] = -1
+        distance = nearest + (farthest - nearest) * _uniform(tree.random)
+        phi = rules.foot_angle * _bell(tree.random)
+        i = math.floor((tip_x + distance * math.cos(phi) - ground.x0) / ground.resolution + 0.5)
+        j = math.floor((tip_y + distance * math.sin(phi) - ground.y0) / ground.resolution + 0.5)
+        if not (0 <= i < nx and 0 <= j < ny) or F[i, j] == _NEVER_SEEN:
+            _fail(tree, far, UNKNOWN, leg)
+            continue
+        code = ground.meant[i, j]
+        if code < 0:
+            a, b = _resolved(F, i, j, rules.strong, rules.wide)
+            code = a * ny + b
+            ground.meant[i, j] = code
+        known = False
+        for k in range(n):
+            known = known or tried[k] == code
+        if known:
+            continue
+        tried[n] = code
+        i, j = code // ny, code % ny
         if F[i, j] > rules.weakest or not ground.elevation[i, j] > -np.inf:
             _fail(tree, far, FOOTHOLD, leg)
             continue
@@ -1123,7 +1088,7 @@ def _footholds(
 
 
 @compiled
-def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int, exhaustive: bool) -> int:
+def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int) -> int:
     """Expand configurations; how many were, fewer than asked for where the search has come to its end.
 
     It ends with `counts[GOAL]` set, or with nothing queued, or with no room left.
@@ -1155,8 +1120,8 @@ def grow(tree: Tree, ground: Ground, legs: Legs, rules: Rules, expansions: int, 
         bx = tree.body[node, 0]
         leg = _next_leg(legs.rest, legs.stroke, legs.order, work, bx, _swung_last(tree, node), turn % 7)
         tree.visits[_crowd(tree, legs.rest, work, bx)] += 1
-        room = _expand_for(tree, ground, legs, rules, node, leg, exhaustive, far, work)
-        if turn + 1 < (7 if exhaustive else 7 * rules.rounds):
+        room = _expand_for(tree, ground, legs, rules, node, leg, far, work)
+        if turn + 1 < 7 * rules.rounds:
             room = _push(tree, _key(tree, legs, rules, node, work, turn + 1), node, turn + 1) and room
         done += 1
         tree.counts[EXPANDED] += 1

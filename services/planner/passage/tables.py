@@ -4,15 +4,13 @@ import numpy as np
 
 from services.planner.leg_clearance import LEVEL, SWING_TIME, swing_shape
 from services.planner.passage.field import Field
-from services.planner.passage.search import COUNTS, CROWDS, ROOT_FOOT, TESTS, Ground, Legs, Rules, Tree, candidates
+from services.planner.passage.search import COUNTS, CROWDS, ROOT_FOOT, TESTS, Ground, Legs, Rules, Tree
 from services.planner.passage.settings import PassageSettings
 from shared.geometry import Array
 from shared.kinematics import body_inverse, within_limits
 from shared.robot import GRAVITY, RobotProfile
 
 ORDER = (4, 3, 5, 2, 0, 1)  # rear to front, sides alternating
-_COARSE = 0.08  # [m] of the lattice of footholds on wide ground, of an exhaustive search
-_SQUARE = 3  # [lattice] in which its bodies count as one
 _EASY = 1.0 / 3.0  # of stall: what a servo gives for hours (facts of the AX-12A; RX-64 is taken alike)
 
 
@@ -41,7 +39,7 @@ def legs_of(profile: RobotProfile, settings: PassageSettings) -> Legs:
     )
 
 
-def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool = False) -> Rules:
+def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
     """Lengths and limits of the tests."""
     links, stance, body = profile.links, profile.stance, profile.body
     size = links.femur + links.tibia
@@ -66,8 +64,8 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool 
         lift_step=0.015,
         moved_most=settings.moved_most,
         lattice=settings.lattice,
-        alike_body=_SQUARE * settings.lattice if exhaustive else settings.alike * settings.lattice,
-        alike_foot=1 if exhaustive else settings.alike,
+        alike_body=settings.alike * settings.lattice,
+        alike_foot=settings.alike,
         body_low=settings.body_step[0] * size,
         body_high=settings.body_step[1] * size,
         body_angle=float(np.radians(settings.body_angle_deg)),
@@ -97,21 +95,16 @@ def rules_of(profile: RobotProfile, settings: PassageSettings, exhaustive: bool 
     )
 
 
-def ground_of(field: Field, settings: PassageSettings, exhaustive: bool = False) -> Ground:
-    """What the search sees of a strip; the footholds of an exhaustive search only where there is to be one.
+def ground_of(field: Field, settings: PassageSettings) -> Ground:
+    """What the search sees of a strip.
 
     Layers are copied: views of a message, or what was made of them, are arrays of other types, for each of which the search
     would be compiled anew when it comes, with the robot in mid-gap.
     """
-    candidate = np.zeros(field.evaluation.shape if exhaustive else (1, 1), dtype=np.bool_)
-    if exhaustive:
-        coarse = max(1, round(_COARSE / field.resolution))
-        candidates(field.evaluation, settings.strong, settings.wide, settings.weakest, coarse, candidate)
     return Ground(
         field.elevation.copy(),
         field.top,
         field.evaluation.copy(),
-        candidate,
         np.full(field.evaluation.shape, -1, dtype=np.int32),
         field.resolution,
         *field.corner,

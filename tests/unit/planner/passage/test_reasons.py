@@ -25,7 +25,7 @@ def said(bare: list[tuple[float, float]], test: int = search.FOOTHOLD, leg: int 
         evaluation[(x > begin) & (x < end)] = 5
     fails = np.zeros((search.TESTS, 7), dtype=np.int64)
     fails[test, leg], fails[search.MARGIN, NOBODY] = 7, 2
-    return in_words(fails, STANCE.body, STANCE.feet, STROKES, Field(ground, evaluation, 0.01, np.eye(4)), True)
+    return in_words(fails, STANCE.body, STANCE.feet, STROKES, Field(ground, evaluation, 0.01, np.eye(4)))
 
 
 @pytest.mark.parametrize("leg", range(7))
@@ -61,7 +61,7 @@ def test_a_foot_beside_the_strip_is_no_error() -> None:
     field = Field(ground, np.full((60, 60), -5, dtype=np.int8), 0.01, np.eye(4))
     fails = np.ones((search.TESTS, 7), dtype=np.int64)
     for off in ([0.0, -3.0, 0.0], [5.0, 0.0, 0.0], [-5.0, 0.0, 0.0], [0.0, 3.0, 0.0]):
-        assert in_words(fails, STANCE.body, STANCE.feet + off, STROKES, field, False).words.startswith("at (")
+        assert in_words(fails, STANCE.body, STANCE.feet + off, STROKES, field).words.startswith("at (")
 
 
 def test_where_much_is_unknown_another_look_is_asked_for() -> None:
@@ -73,7 +73,7 @@ def test_where_much_is_unknown_another_look_is_asked_for() -> None:
 def test_nothing_that_failed_is_nobodys_fault() -> None:
     field = Field(np.zeros((9, 9), np.float32), np.full((9, 9), UNKNOWN, np.int8), 0.01, np.eye(4))
     fails = np.zeros((search.TESTS, 7), dtype=np.int64)
-    why = in_words(fails, STANCE.body, STANCE.feet, STROKES, field, True)
+    why = in_words(fails, STANCE.body, STANCE.feet, STROKES, field)
     assert (why.words, why.unseen, why.leg) == ("nothing leads on at (0.44, 0.00) m", False, NOBODY)
 
 

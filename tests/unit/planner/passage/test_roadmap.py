@@ -112,6 +112,10 @@ def test_unknown_ground_is_not_stepped_on_and_ends_a_section(roadmap: Roadmap) -
     assert isinstance(found, Crossing)
     assert not found.complete
     assert "known" in found.reason
+    end = found.steps[-1].body[0]
+    on = grown(roadmap, field, found.end, 1.5)
+    assert isinstance(on, Crossing), "no section ends where nothing leads on"
+    assert on.end.body[0] > end
     assert max(step.touchdown[0] for step in found.steps if step.leg >= 0) < 1.10
 
 
