@@ -128,9 +128,13 @@ def _cut(field: Field, settings: PassageSettings) -> NDArray[np.int16]:
 
 
 def _tiles(
-    profile: RobotProfile, settings: PassageSettings, field: Field, tile: NDArray[np.int16], corner: tuple[int, int],
+    profile: RobotProfile,
+    settings: PassageSettings,
+    field: Field,
+    tile: NDArray[np.int16],
+    corner: tuple[int, int],
     size: tuple[int, int],
-) -> Tiles:  # fmt: skip
+) -> Tiles:
     """All about tiles (nx, ny of cells), for so many places of the body from a corner of the lattice on."""
     rules, count = rules_of(profile, settings), int(tile.max()) + 1
     if abs(rules.lattice - field.resolution) > 1e-9:
