@@ -17,6 +17,7 @@ from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
 from services.planner.passage.sections import goal_behind, without
 from services.planner.passage.telling import told
+from services.planner.passage.trail import Trail
 from services.planner.stride import Stride, time_to_swing
 from services.planner.terrain import GOOD
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
@@ -139,7 +140,7 @@ class Errand:
         self._steps: tuple[PassageStep, ...] = ()
         self._pending: Move | None = None  # of the body alone, until the legs begin it
         self._walking_pose: Array = standing.body
-        self._yielded = yielded
+        self._yielded, self._trail = yielded, Trail()
         self._newest_step = -1  # of the actuator
         self._worth, self._returns = _WORTH, 0
         self._because = ""  # why the newest section was not walked to its end, in words
@@ -295,9 +296,17 @@ class Errand:
             if found.unseen and self._worth > _LEAST_WORTH and self._looks < _LOOKS:
                 self._worth, self._because = _LEAST_WORTH, f" again: {found.reason}"  # a look that shows little may do
                 return self._enter("survey", Wait(f"looking at the passage{self._because}"))
+            back = self._trail.back([apply(self._field.T_strip_world, place) for place in self._yielded], _YIELDED)
+            if back:
+                return self._set_out(back, state, f"backing off by {len(back)} steps to find another way: {found.reason}")
             return Refused(found.reason + (", and no look is left that would show more" if found.unseen else ""))
-        self._steps, self._base, self._looks, self._seed, self._worth = found.steps, state.step, 0, _SEEDS, _WORTH
-        return self._enter("walk", Wait(f"walking section {self._section} of the passage: {len(found.steps)} steps"))
+        self._trail.begin(root, found.steps)
+        return self._set_out(found.steps, state, f"walking section {self._section} of the passage: {len(found.steps)} steps")
+
+    def _set_out(self, steps: tuple[PassageStep, ...], state: ActuatorState, words: str) -> "Outcome":
+        """Walk steps from here, saying so in words."""
+        self._steps, self._base, self._looks, self._seed, self._worth = steps, state.step, 0, _SEEDS, _WORTH
+        return self._enter("walk", Wait(words))
 
     def _once_more_here(self, xy: Array) -> str:
         """Note that a section begins at a place (2,) [m] {world}; why it is no use to try again there, in words, or nothing."""
@@ -337,6 +346,7 @@ class Errand:
                 return Wait(f"walking the last step of section {self._section}")
             self._gave_way = ""
             self._yielded += self._sunk(standing, min(done, len(self._steps)))
+            self._trail.ended(done)
             self._because = f" again: {why}" if why else ""
             return self._enter("survey", Wait(f"looking at the passage{self._because}"))
         if not resting and not self._settings.plan_from <= state.phase < 1.0:  # at 1 without rest a foot looks for its ground

@@ -340,6 +340,22 @@ def test_unseen_ground_is_looked_at_again_before_it_is_no_way() -> None:
     assert len(robot.sections.begun) == 4
 
 
+def test_from_where_nothing_leads_on_it_backs_off_and_finds_another_way() -> None:
+    robot = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * 3, section(0.4, 1.85)))
+    assert robot.until_end() == Over("behind the gap")
+    assert [int(np.flatnonzero(m.stride.swing)[0]) for m in robot.moves] == [*range(6), 5, 4, *range(6)]
+    assert any("backing off by 2 steps to find another way: stuck" in words for words in robot.heard)
+    first, again = robot.sections.begun[0][1], robot.sections.begun[4][1]
+    assert again.body[0] == pytest.approx(first.body[0] + 0.4)
+    np.testing.assert_allclose(again.feet[4:], first.feet[4:], atol=1e-9)
+    assert (again.feet[:4, 0] > first.feet[:4, 0] + 0.5).all()
+
+
+def test_what_it_has_backed_off_from_in_vain_is_no_way() -> None:
+    end = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * 6)).until_end()
+    assert end == Refused("stuck")
+
+
 def test_where_no_look_shows_the_unseen_ground_that_is_said() -> None:
     blind = replace(no_way("cells ahead are unknown"), unseen=True)
     end = Robot(Planned(*[blind] * 6)).until_end()
