@@ -20,7 +20,8 @@ def example(kind: type[Message]) -> Message:
     for name, base, detail in m.schema(kind):
         if base is np.ndarray:
             dtype, dims = detail
-            values[name] = np.zeros([n if isinstance(n, int) else 3 for n in dims.shape], dtype)
+            free = min(3, (dims.lengths or (0, 3))[1])
+            values[name] = np.zeros([n if isinstance(n, int) else free for n in dims.shape], dtype)
         elif base is tuple:
             values[name] = ("text",)
         elif isinstance(base, type) and issubclass(base, StrEnum):
