@@ -4,15 +4,15 @@ import numpy as np
 
 from deploy.bench.passage_fields import RESOLUTION, field_of, stance_at
 from deploy.course import Course
+from services.planner.passage.errand import BEHIND, STRIP
 from services.planner.passage.exhaustive import passable
 from services.planner.passage.field import Field
+from services.planner.passage.mode import BEFORE
 from services.planner.passage.sections import goal_behind
 from services.planner.passage.settings import PassageSettings
 from shared.robot import RobotProfile
 from shared.scenario import PillarField, Scenario
 
-_STRIP = (2.7, 1.0)  # [m] length and width of the map that a robot asks for
-_BEHIND, _BEFORE = 0.5, 0.36  # [m] of it behind the body, and of the body before the gap
 _HALF_WIDTH, _LEVEL, _CARRYING = 0.2, 0.02, 0.8  # [m] of a band whose share on a level [m] tells where the gap begins
 _CYCLES = 30  # of the gait: the whole way in one section
 
@@ -35,13 +35,13 @@ def way_exists(profile: RobotProfile, scenario: Scenario, course: Course) -> boo
         course: Its true ground, laid under its start.
     """
     height = scenario.walk.body_height
-    near = gap_begins(course, scenario.goal.distance) - _BEFORE - _BEHIND
+    near = gap_begins(course, scenario.goal.distance) - BEFORE - BEHIND
     field = strip_from(course, near, height)
-    goal_x = goal_behind(field, _BEHIND, scenario.goal.distance - near)
+    goal_x = goal_behind(field, BEHIND, scenario.goal.distance - near)
     if goal_x is None:
         return True
     settings = PassageSettings(body_height=height, cycles=_CYCLES)
-    return passable(profile, settings, field, stance_at(profile, _BEHIND, height), goal_x)
+    return passable(profile, settings, field, stance_at(profile, BEHIND, height), goal_x)
 
 
 def gap_begins(course: Course, until: float) -> float:
@@ -54,7 +54,7 @@ def gap_begins(course: Course, until: float) -> float:
 
 def strip_from(course: Course, near: float, body_height: float) -> Field:
     """The strip whose near side is at a place [m] {start}, for a robot that walks so high [m]."""
-    n = [round(length / RESOLUTION) for length in _STRIP]
+    n = [round(length / RESOLUTION) for length in STRIP]
     x, y = near + RESOLUTION * (np.arange(n[0]) + 0.5), RESOLUTION * (np.arange(n[1]) + 0.5 - 0.5 * n[1])
     heights = course.carrying_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(n)
     return field_of(np.ascontiguousarray(heights, dtype=np.float32), body_height)

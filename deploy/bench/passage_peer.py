@@ -218,39 +218,31 @@ class NumpyTests:
         reach = inner & (whirls | (moved > most) | ~(self._turns(leg, high - bodies) & self._turns(leg, way - bodies)))
         own = self._poses(np.array([leg]), bodies, way[..., None, :])
         ground = ~self._shank_clear(own)[..., 0]
-        sides = np.array([(leg + 1) % 6, (leg + 5) % 6])
-        near = self._beside(own, bodies, feet[sides], sides)
-        steep = self._steep(start, leg, b0, move, goals, level + (1.0 - _FLIES) * lift, feet[sides], sides, smooth)
+        near = self._near(leg, bodies, way, feet)
+        steep = self._steep(feet, leg, b0, move, goals, lift, smooth)
         low_way = self._passes_low(leg, bodies, low, start, goals)
         tests = np.where(reach, REACH, np.where(ground, GROUND, np.where(near, LEGS, np.where(low_way, SWING, OK))))
         return np.where(stuck, REACH, np.where(steep, LEGS, _first(tests)))
 
     def _steep(
-        self,
-        start: Array,
-        leg: int,
-        b0: Array,
-        move: Array,
-        goals: Array,
-        level: Array,
-        others: Array,
-        sides: NDArray[np.int64],
-        smooth: bool,
+        self, feet: Array, leg: int, b0: Array, move: Array, goals: Array, lift: float, smooth: bool
     ) -> NDArray[np.bool_]:
         """Which (k,) swings come near a leg beside theirs where they rise or fall as steeply as any does."""
-        time, along, up = _STEEP.T
+        (time, along, up), start = _STEEP.T, feet[leg]
         share = time * time * (3.0 - 2.0 * time) if smooth else time
         bodies = b0 + share[:, None] * move[:, None]
+        level = np.maximum(start[2], goals[:, 2:]) + lift
         end_z = np.stack([np.full(len(goals), start[2]), goals[:, 2]], axis=1)
         xy = start[:2] + along[:, None] * (goals[:, None, :2] - start[:2])
-        way = np.concatenate([xy, (end_z + up * (level[:, None] - end_z))[..., None]], axis=-1)
+        way = np.concatenate([xy, (end_z + up * (level - end_z))[..., None]], axis=-1)
         way, _ = self._into_reach(leg, bodies, way)
-        own = self._poses(np.array([leg]), bodies, way[..., None, :])
-        return np.asarray(self._beside(own, bodies, others, sides).any(axis=-1))
+        return np.asarray(self._near(leg, bodies, way, feet).any(axis=-1))
 
-    def _beside(self, own: Array, bodies: Array, feet: Array, sides: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Where a leg's poses come too near to those of the legs beside it, which stand."""
-        beside = self._poses(sides, bodies, np.broadcast_to(feet, (*bodies.shape[:-1], 2, 3)))
+    def _near(self, leg: int, bodies: Array, way: Array, feet: Array) -> NDArray[np.bool_]:
+        """Where a leg with its foot on a way (..., 3) comes too near to those beside it, which stand."""
+        sides = np.array([(leg + 1) % 6, (leg + 5) % 6])
+        own = self._poses(np.array([leg]), bodies, way[..., None, :])
+        beside = self._poses(sides, bodies, np.broadcast_to(feet[sides], (*bodies.shape[:-1], 2, 3)))
         return np.asarray(_collide(np.broadcast_to(own, beside.shape), beside, self._rules.legs_apart).any(axis=-1))
 
     def _passes_low(self, leg: int, bodies: Array, way: Array, start: Array, goals: Array) -> NDArray[np.bool_]:

@@ -93,23 +93,23 @@ class Guard:
     def _out_of_reach(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
         """Whether the stance at the end asks more of a leg, swung or not, than it can.
 
-        A standing leg that is too short for its foot already, since the ground has given way, may be so at the end, if by less.
+        A standing leg that is too short for its foot already, since the ground has given way, may be so at the end, if by less
+        and if it can be held where the leg comes nearest to it.
         """
         end = np.where(plan.swing[:, None], plan.touchdown, apply(plan.T_world_odom, feet))
         end = apply(inverse(plan.body_goal), end)
         bad = ~within_limits(self._profile, body_inverse(self._profile, end))
         if bad.any():
-            beyond, before = (self._beyond_reach(at) for at in (end, apply(inverse(T_odom_body), feet)))
-            bad[~plan.swing & (beyond > 0.0) & (beyond < before)] = False
+            start, nearest = apply(inverse(T_odom_body), feet), nearest_reachable(self._profile, end)
+            beyond = np.linalg.norm(nearest - end, axis=1)
+            before = np.linalg.norm(nearest_reachable(self._profile, start) - start, axis=1)
+            held = within_limits(self._profile, body_inverse(self._profile, nearest)).all(axis=1)
+            bad[~plan.swing & held & (beyond > 0.0) & (beyond < before)] = False
         if bad.any():
             leg, joint = np.argwhere(bad)[0]
             what = "touchdown" if plan.swing[leg] else "standing foot"
             return f"the {what} of the {LEGS[leg]} leg is out of reach of its {JOINTS[joint]}"
         return ""
-
-    def _beyond_reach(self, feet: Array) -> Array:
-        """How far (6,) [m] feet (6, 3) [m] {body} are from where their legs come nearest to them."""
-        return np.asarray(np.linalg.norm(nearest_reachable(self._profile, feet) - feet, axis=1))
 
     def safe_goals(self, q_goal: Array, q_last: Array, dt: float) -> tuple[Array, str]:
         """Joint goals that are finite, within limits and not faster than the servos, with what had to be withheld.

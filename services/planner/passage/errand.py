@@ -25,7 +25,7 @@ from shared.messages import ActuatorState, Mode, PassageMap, PassagePlan, Passag
 from shared.robot import LEGS, RobotProfile
 
 STRIP = (2.7, 1.0)  # [m] length and width of the map that is asked for; Masri 2016, section 4.4
-_BEHIND = 0.5  # [m] of it behind the body
+BEHIND = 0.5  # [m] of it behind the body
 _REQUEST_NS = 400_000_000  # [ns] between two requests of the map
 _AHEAD_NS = 1_000_000_000  # [ns] by which a map may seem to be of later
 _STILL_NS = 700_000_000  # [ns] at rest before a map counts: the scans of this place are in it
@@ -108,9 +108,15 @@ class Errand:
     """One passage, from where the robot stands before the gap until it stands behind it."""
 
     def __init__(
-        self, profile: RobotProfile, settings: Settings, roadmap: Sections, standing: Standing, target: Array,
-        yielded: list[Array], clock: Callable[[], float] = time.perf_counter,
-    ):  # fmt: skip
+        self,
+        profile: RobotProfile,
+        settings: Settings,
+        roadmap: Sections,
+        standing: Standing,
+        target: Array,
+        yielded: list[Array],
+        clock: Callable[[], float] = time.perf_counter,
+    ):
         """Begin where the robot stands.
 
         Args:
@@ -126,7 +132,7 @@ class Errand:
         self._target = target.copy()
         xy = standing.body[:2, 3]
         self.heading = float(np.arctan2(*(target - xy)[::-1]))
-        origin = xy - _BEHIND * np.array([np.cos(self.heading), np.sin(self.heading)])
+        origin = xy - BEHIND * np.array([np.cos(self.heading), np.sin(self.heading)])
         self._T_world_strip = from_xyz_rpy((*origin, 0.0), (0.0, 0.0, self.heading))
         self._stage: Stage = "survey"
         self._since_ns = -1  # when it came to rest

@@ -97,7 +97,7 @@ def has_way(
     tiles = _tiles(profile, settings, field, tile, (int(start[0]), -sides), size)
     known = np.zeros(1 << math.ceil(math.log2(2 * room)), dtype=np.uint64)
     node, after, first = np.zeros(room, np.uint64), np.zeros(room, np.int32), np.full(size[0], -1, np.int32)
-    found = _grow(*tiles, standing.astype(np.int64), int(start[1]) + sides, known, node, after, first)
+    found = _grow(tiles, standing.astype(np.int64), int(start[1]) + sides, known, node, after, first)
     return None if found < 0 else found > 0
 
 
@@ -273,9 +273,15 @@ def _holds(out: NDArray[np.uint64], tiles: NDArray[np.int64], swing: int, x: int
 
 @compiled
 def _note(
-    x: int, y: int, tiles: NDArray[np.int64], known: NDArray[np.uint64], node: NDArray[np.uint64], after: NDArray[np.int32],
-    first: NDArray[np.int32], nodes: int,
-) -> int:  # fmt: skip
+    x: int,
+    y: int,
+    tiles: NDArray[np.int64],
+    known: NDArray[np.uint64],
+    node: NDArray[np.uint64],
+    after: NDArray[np.int32],
+    first: NDArray[np.int32],
+    nodes: int,
+) -> int:
     """Put a configuration among those to be looked at, unless it is known; how many there are now, -1 for too many."""
     code = np.uint64(x) << np.uint64(6) | np.uint64(y)
     for leg in range(6):
@@ -296,11 +302,7 @@ def _note(
 
 @compiled
 def _grow(
-    out: NDArray[np.uint64],
-    near: NDArray[np.int16],
-    apart: NDArray[np.bool_],
-    onward: NDArray[np.bool_],
-    moves: NDArray[np.int64],
+    ground: Tiles,
     standing: NDArray[np.int64],
     y: int,
     known: NDArray[np.uint64],
@@ -312,6 +314,7 @@ def _grow(
 
     Lists of what is to be looked at, by the body's row: first of each, and after each; the furthest is taken first.
     """
+    out, near, apart, onward, moves = ground
     tiles, steps = standing.copy(), standing.copy()
     x = 0
     nodes = _note(0, y, tiles, known, node, after, first, 0)

@@ -18,7 +18,7 @@ from shared.geometry import Array, yaw_of
 from shared.messages import ActuatorState, Goal, Message, PassageMap, PassagePlan, VelocityCommand
 from shared.robot import RobotProfile
 
-_BEFORE = 0.36  # [m] before the gap where the body stops: its feet keep clear of the edge while it turns
+BEFORE = 0.36  # [m] before the gap where the body stops: its feet keep clear of the edge while it turns
 _AT_VERGE = 0.05  # [m] from there within which it has come
 _ALIGNED = radians(1.5)  # off the way across within which it begins
 _TURN_GAIN, _TURN = 1.0, 0.15  # [1/s] and [rad/s] at most
@@ -184,4 +184,4 @@ class PassageMode:
         if isinstance(gap, str):
             return xy.copy() if goal.passage else gap
         ahead = np.array([np.cos(gap.heading), np.sin(gap.heading)])
-        return np.asarray(xy + max(0.0, gap.distance - _BEFORE) * ahead)
+        return np.asarray(xy + max(0.0, gap.distance - BEFORE) * ahead)

@@ -520,6 +520,27 @@ def _beside(table: Array, feet: Array, leg: int, bx: float, by: float, bz: float
     return False
 
 
+@compiled
+def _steeply_apart(
+    table: Array, rules: Rules, feet: Array, goal: Array, leg: int, b0: Array, b1: Array, lift: float, smooth: bool
+) -> bool:
+    """Whether a leg, pushed outward or not, keeps apart from its neighbours where it rises and falls as steeply as any."""
+    poses = np.empty((6, 9))
+    level = max(feet[leg, 2], goal[2]) + lift
+    for at_end in range(2):
+        s, along, up = _FALLS if at_end else _RISES
+        if smooth:
+            s = s * s * (3.0 - 2.0 * s)
+        end_z = goal[2] if at_end else feet[leg, 2]
+        bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
+        x, y = feet[leg, 0] + along * (goal[0] - feet[leg, 0]), feet[leg, 1] + along * (goal[1] - feet[leg, 1])
+        x, y, z, _ = _into_reach(table, leg, bx, by, bz, x, y, end_z + up * (level - end_z))
+        _pose(table, leg, bx, by, bz, x, y, z, poses)
+        if _beside(table, feet, leg, bx, by, bz, poses, rules.legs_apart):
+            return False
+    return True
+
+
 # The lazy proof of a step ---------------------------------------------------------------------------------------------------
 
 
@@ -554,19 +575,8 @@ def _swing_test(
     x, y, z = goal[0] - b1[0] + s * (b1[0] - b0[0]), goal[1] - b1[1] + s * (b1[1] - b0[1]), goal[2] - b1[2]
     if not _turns(table, leg, x, y, z):
         return REACH
-    # One that rises or falls steeply may be pushed outward where it is near its neighbours.
-    for at_end in range(2):
-        s, along, up = _FALLS if at_end else _RISES
-        if smooth:
-            s = s * s * (3.0 - 2.0 * s)
-        end_z = goal[2] if at_end else feet[leg, 2]
-        bx, by, bz = b0[0] + s * (b1[0] - b0[0]), b0[1] + s * (b1[1] - b0[1]), b0[2] + s * (b1[2] - b0[2])
-        x, y = feet[leg, 0] + along * (goal[0] - feet[leg, 0]), feet[leg, 1] + along * (goal[1] - feet[leg, 1])
-        z = end_z + up * (level + (1.0 - _LEVEL_SHARE) * lift - end_z)
-        x, y, z, _ = _into_reach(table, leg, bx, by, bz, x, y, z)
-        _pose(table, leg, bx, by, bz, x, y, z, poses)
-        if _beside(table, feet, leg, bx, by, bz, poses, rules.legs_apart):
-            return LEGS
+    if not _steeply_apart(table, rules, feet, goal, leg, b0, b1, lift, smooth):
+        return LEGS
     for k in range(_SAMPLES):
         s, along, up = shape[0, k], shape[1, k], shape[2, k]
         if smooth:

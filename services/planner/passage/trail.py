@@ -31,7 +31,7 @@ class Trail:
     def back(self, gone: Sequence[Array], radius: float) -> tuple[PassageStep, ...]:
         """The way back, until the body has gone far enough for other steps; nothing where there is none, or it was gone often.
 
-        What was tested of a step holds of the same step backward: its stances, its reach, and nearly its swing.
+        What was tested of a step holds of the same step backward: its stances, its reach, its swing between the same ends.
 
         Args:
             gone: (3,) [m] {strip} places that carry nothing any more: the way ends before a foot gets there.

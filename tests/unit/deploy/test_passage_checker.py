@@ -10,8 +10,9 @@ from deploy.bench import passage as bench
 from deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, random_blocks, stance_at, thesis_blocks
 from deploy.passage_checker import Demands, violations
 from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Crossing, PassageStep, Roadmap
+from services.planner.passage.roadmap import Crossing, PassageStep, Roadmap, Stance
 from services.planner.passage.settings import PassageSettings
+from services.planner.passage.trail import Trail
 from shared.robot import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
@@ -49,6 +50,21 @@ def test_nothing_is_wrong_with_plans_over_bridges(roadmap: Roadmap, scenario: in
 def test_nothing_is_wrong_with_plans_over_scattered_pillars(roadmap: Roadmap, seed: int, relief: float) -> None:
     field = scattered(seed, relief)
     assert violations(PROFILE, field, START_STANCE, planned(roadmap, field, seed).steps) == []
+
+
+@pytest.mark.parametrize("seed", [1000, 1001])
+@pytest.mark.parametrize("done", [20, 44])
+def test_nothing_is_wrong_with_the_way_back(roadmap: Roadmap, seed: int, done: int) -> None:
+    field = bench.ground("scenario 3", seed)
+    steps, feet = planned(roadmap, field, seed).steps[:done], START_STANCE.feet.copy()
+    for step in steps:
+        if step.leg >= 0:
+            feet[step.leg] = step.touchdown
+    trail = Trail()
+    trail.begin(START_STANCE, steps)
+    back = trail.back([], 0.05)
+    assert len(back) >= 3
+    assert violations(PROFILE, field, Stance(steps[-1].body, feet), back) == []
 
 
 def test_a_foot_that_rises_beside_its_neighbour_keeps_apart_from_it() -> None:
