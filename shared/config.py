@@ -12,6 +12,7 @@ import tomllib
 import types
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -86,25 +87,32 @@ def verify(made: Any) -> None:
         raise ValueError("; ".join(map(_words, misfits)))
 
 
-def load(path: Path, schema: type[T], also: tuple[Check, ...] = ()) -> T:
-    """Read a TOML file as a frozen dataclass; `also` are further checks of its top level.
-
-    Raises:
-        ConfigError: The file is missing, is not TOML, or does not fit the schema; all misfits are listed.
-    """
+def read(path: Path) -> dict[str, Any]:
+    """The table of plain values that a TOML file is; raises ConfigError when there is none."""
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(str(path), ["no such file"]) from None
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(str(path), [f"not a TOML file: {error}"]) from None
-    return build(table, schema, str(path), also)
+
+
+def load(path: Path, schema: type[T]) -> T:
+    """Read a TOML file as a frozen dataclass.
+
+    Raises:
+        ConfigError: The file is missing, is not TOML, or does not fit the schema; all misfits are listed.
+    """
+    return build(read(path), schema, str(path))
 
 
 def build(table: dict[str, Any], schema: type[T], source: str = "configuration", also: tuple[Check, ...] = ()) -> T:
-    """Make a frozen dataclass from a table of plain values; raises ConfigError that lists every misfit."""
+    """Make a frozen dataclass from a table of plain values; raises ConfigError that lists every misfit.
+
+    `also` are further checks of the top level.
+    """
     problems: list[str] = []
     value = _build_dataclass(table, schema, "", problems, also)
     if problems:
@@ -266,7 +274,9 @@ def _members(hint: Any) -> tuple[Any, ...]:
 
 
 def _type_words(hint: Any) -> str:
-    words: dict[Any, str] = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
+    words: dict[Any, str] = {
+        float: "a number", int: "a whole number", str: "a text", bool: "true or false", date: "a date as in 2026-07-30",
+    }  # fmt: skip
     return words.get(hint, getattr(hint, "__name__", str(hint)))
 
 

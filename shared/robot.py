@@ -9,10 +9,12 @@ femur's straight continuation, up positive. All zero is the leg straight out.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import date
 from functools import cached_property
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,8 @@ from shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
 LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
 JOINTS = ("coxa", "femur", "tibia")
 GRAVITY = 9.81  # [m/s^2]
+MAX_TRIM_DEG = 20.0  # more is no horn that sits a little wrong, but another notch of it, or another pose
+_SERVO_RANGE_DEG = 150.0  # either way from tick 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,7 @@ class Leg:
     neutral_yaw_deg: float  # [deg] direction of the leg at coxa angle zero, about body z from x
     servo_ids: tuple[int, int, int]  # coxa, femur, tibia
     # Signs and limits as in Masri 2016, Tables 3.1 and 3.2: servo angle = sign * (joint angle + horn offset), 0 = tick 512.
+    # Limits are those of a leg without trims: they come of what its brackets meet, so a trim moves them along.
     servo_signs: tuple[int, int, int]
     servo_limits_deg: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
@@ -58,7 +63,7 @@ class Leg:
         *config.each("servo_signs", lambda sign: sign in (-1, 1), "a servo sign of 1 or -1"),
         *config.each(
             "servo_limits_deg",
-            lambda limits: -150.0 <= limits[0] < limits[1] <= 150.0,
+            lambda limits: -_SERVO_RANGE_DEG <= limits[0] < limits[1] <= _SERVO_RANGE_DEG,
             "limits (coxa, femur, tibia) within -150 and 150 deg in rising order",
         ),
     )
@@ -199,6 +204,28 @@ class Camera:
         return np.asarray(look @ transform(optical, np.zeros(3)))
 
 
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """How the horns of one leg sit beside where the profile has them; `sextant servos calibrate` measures it."""
+
+    leg: str
+    date: date
+    trims_deg: tuple[float, float, float]  # coxa, femur, tibia; added to the horn offsets
+
+    checks = (
+        *config.each("leg", lambda name: name in LEGS, f"one of {', '.join(LEGS)}"),
+        *config.each("date", lambda day: type(day) is date, "a date without time, as in 2026-07-30,"),
+        *config.each(
+            "trims_deg",
+            lambda trim: abs(trim) <= MAX_TRIM_DEG,
+            f"a trim of at most {MAX_TRIM_DEG:g} deg either way; take the horn off and put it on straight",
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
+
+
 def _out_of_order(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
     """Legs whose names are not those of their places."""
     for i, (leg, expected) in enumerate(zip(legs, LEGS, strict=False)):
@@ -218,6 +245,16 @@ def _ids_given_twice(legs: tuple[Leg, ...]) -> Iterator[config.Misfit]:
             owners.setdefault(servo, place)
 
 
+def _calibrated_twice(calibration: tuple[Calibration, ...]) -> Iterator[config.Misfit]:
+    """Legs with more than one calibration."""
+    seen: set[str] = set()
+    for i, entry in enumerate(calibration):
+        name = getattr(entry, "leg", None)
+        if name in seen:
+            yield config.Misfit(f"calibration[{i}].leg", "each leg once", repr(name))
+        seen |= {name} if name else set()
+
+
 @dataclass(frozen=True)
 class RobotProfile:
     """Everything the services know about one kind of robot, in SI units."""
@@ -231,11 +268,13 @@ class RobotProfile:
     stance: Stance
     legs: tuple[Leg, Leg, Leg, Leg, Leg, Leg]
     camera: Camera
+    calibration: tuple[Calibration, ...] = ()  # of the legs that have been measured
 
     checks = (
         *config.each("name", lambda name: name.strip() != "", "a name"),
         config.Check(("legs",), _out_of_order),
         config.Check(("legs",), _ids_given_twice),
+        config.Check(("calibration",), _calibrated_twice),
     )
 
     def __post_init__(self) -> None:
@@ -252,16 +291,31 @@ class RobotProfile:
         return np.array([leg.servo_signs for leg in self.legs], dtype=np.float64)
 
     @cached_property
+    def servo_names(self) -> dict[int, str]:
+        """Bus id -> "left front coxa", leg by leg."""
+        return {servo: f"{leg.name} {joint}" for leg in self.legs for servo, joint in zip(leg.servo_ids, JOINTS, strict=True)}
+
+    @cached_property
+    def trims(self) -> Array:
+        """(6, 3) [rad] how each horn sits beside `horn_offsets_deg`; zero for legs that have not been measured."""
+        measured = {entry.leg: entry.trims_deg for entry in self.calibration}
+        return np.asarray(np.radians([measured.get(name, (0.0, 0.0, 0.0)) for name in LEGS]))
+
+    @cached_property
     def horn_offsets(self) -> Array:
-        """(3,) [rad] added to the joint angle before the sign."""
-        return np.asarray(np.radians(self.horn_offsets_deg))
+        """(6, 3) [rad] added to the joint angle before the sign, trims included."""
+        return np.asarray(np.radians(self.horn_offsets_deg) + self.trims)
 
     @cached_property
     def joint_limits(self) -> Array:
-        """(6, 3, 2) [rad] lowest and highest joint angle q, from the servo limits by the map of Table 3.1."""
+        """(6, 3, 2) [rad] lowest and highest joint angle q, from the servo limits by the map of Table 3.1.
+
+        What a leg meets does not move with its horns: trims change its limits only where the servo's own range ends.
+        """
         servo = np.radians(np.array([leg.servo_limits_deg for leg in self.legs]))
-        q = self.servo_signs[..., None] * servo - self.horn_offsets[:, None]
-        return np.sort(q, axis=-1)
+        signs = self.servo_signs[..., None]
+        servo = np.clip(servo + signs * self.trims[..., None], *np.radians([-_SERVO_RANGE_DEG, _SERVO_RANGE_DEG]))
+        return np.sort(signs * servo - self.horn_offsets[..., None], axis=-1)
 
     @cached_property
     def foot_radii(self) -> Array:
@@ -308,18 +362,48 @@ class RobotProfile:
 def load_profile(name_or_path: str) -> RobotProfile:
     """Read a profile that comes with Sextant by its name, or any other by the path of its TOML file.
 
+    A file may say `extends = "phantomx_mk2"`, or a path beside it, and give only what is different.
+
     Raises:
         ConfigError: No such profile, or what is wrong in it, all at once.
     """
     if name_or_path.endswith(".toml"):
-        return config.load(Path(name_or_path), RobotProfile, also=(_STANDS,))
-    known = profile_names()
-    if name_or_path not in known:
-        raise config.ConfigError(
-            "robot", [f"no profile {name_or_path!r}; known: {', '.join(known)}; or give a path that ends in .toml"]
-        )
-    with resources.as_file(resources.files("shared.profiles") / f"{name_or_path}.toml") as path:
+        return config.build(_table(Path(name_or_path)), RobotProfile, name_or_path, also=(_STANDS,))
+    with resources.as_file(_shipped(name_or_path)) as path:
         return config.load(path, RobotProfile)
+
+
+def _shipped(name: str) -> Traversable:
+    """Where a profile that comes with Sextant is kept."""
+    known = profile_names()
+    if name not in known:
+        raise config.ConfigError(
+            "robot", [f"no profile {name!r}; known: {', '.join(known)}; or give a path that ends in .toml"]
+        )
+    return resources.files("shared.profiles") / f"{name}.toml"
+
+
+def _table(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """A profile's plain values: its own, over those of the profile that it extends."""
+    table = config.read(path)
+    base = table.pop("extends", None)
+    if base is None:
+        return table
+    if not isinstance(base, str):
+        raise config.ConfigError(str(path), [f"extends: the name or path of a profile expected, found {base!r}"])
+    chain = (*extended_by, path.resolve())
+    if not base.endswith(".toml"):
+        with resources.as_file(_shipped(base)) as shipped:
+            return _over(config.read(shipped), table)
+    if (path.parent / base).resolve() in chain:
+        raise config.ConfigError(str(path), [f"extends: another profile expected, found {base!r}, which extends this one"])
+    return _over(_table(path.parent / base, chain), table)
+
+
+def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
+    """The values of a table over those of another; tables are joined, all else is replaced."""
+    joined = {k: _over(base[k], v) for k, v in table.items() if isinstance(v, dict) and isinstance(base.get(k), dict)}
+    return {**base, **table, **joined}
 
 
 def profile_names() -> list[str]:

@@ -153,7 +153,7 @@ class Actuator:
         for reading in self._bus.poll(round(self._settings.read_budget_ms * 1e6), urgent):
             leg, joint = divmod(reading.index, 3)
             sign = self._profile.servo_signs[leg, joint]
-            self._q[leg, joint] = sign * reading.position - self._profile.horn_offsets[joint]
+            self._q[leg, joint] = sign * reading.position - self._profile.horn_offsets[leg, joint]
             self._q_wanted_when_read[leg, joint] = self._q_wanted[leg, joint]
             self._load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
             if joint == FEMUR:

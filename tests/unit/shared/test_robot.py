@@ -3,6 +3,7 @@
 import copy
 import re
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from shared import dynamixel as dxl
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import apply
 from shared.kinematics import body_inverse, within_limits
-from shared.robot import LEGS, Body, Foot, Leg, LegLinks, RobotProfile, Servo, load_profile, profile_names
+from shared.robot import LEGS, Body, Calibration, Foot, Leg, LegLinks, RobotProfile, Servo, load_profile, profile_names
 
 PROFILE = load_profile("phantomx_mk2")
 TABLE = config.as_table(PROFILE)
@@ -282,3 +283,80 @@ def test_a_leg_is_a_value() -> None:
     assert replace(LEG) == LEG
     assert hash(replace(LEG)) == hash(LEG)
     assert isinstance(LEG, Leg)
+
+
+# ------------------------------------------------------------------------------------------------------ a robot of its own
+
+trims = st.lists(st.floats(-20.0, 20.0), min_size=3, max_size=3)
+
+
+@given(st.sets(st.sampled_from(LEGS)), st.data())
+def test_trims_turn_the_servo_and_leave_the_joint_where_it_is(legs: set[str], data: st.DataObject) -> None:
+    entries = [Calibration(leg, date(2026, 7, 30), tuple(data.draw(trims))) for leg in sorted(legs)]
+    robot = replace(PROFILE, calibration=tuple(entries))
+    q = np.random.default_rng(len(legs)).normal(size=(6, 3))
+    np.testing.assert_allclose(robot.joint_angles(robot.servo_angles(q)), q, atol=1e-12)
+    turned = robot.servo_signs * (robot.servo_angles(q) - PROFILE.servo_angles(q))
+    measured = {entry.leg: entry.trims_deg for entry in entries}
+    np.testing.assert_allclose(np.degrees(turned), [measured.get(leg, (0.0, 0.0, 0.0)) for leg in LEGS], atol=1e-9)
+    np.testing.assert_allclose(robot.joint_limits, PROFILE.joint_limits, atol=1e-12)  # the brackets are where they were
+
+
+def test_a_trim_cannot_turn_a_servo_beyond_its_range() -> None:
+    legs = tuple(replace(leg, servo_limits_deg=((-150.0, 150.0),) * 3) for leg in PROFILE.legs)
+    robot = replace(PROFILE, legs=legs, calibration=(Calibration("left rear", date(2026, 7, 30), (10.0, -10.0, 5.0)),))
+    ends = np.stack([robot.servo_angles(robot.joint_limits[..., k]) for k in (0, 1)])
+    assert np.abs(np.degrees(ends)).max() <= 150.0 + 1e-9
+
+
+OWN = """extends = "phantomx_mk2"
+name = "mine"
+
+[stance]
+body_height = 0.1
+
+[[calibration]]
+leg = "right rear"
+date = 2026-07-30
+trims_deg = [1, -2.0, 3.0]
+"""
+
+
+def test_a_profile_may_extend_another_and_give_only_what_differs(tmp_path: Path) -> None:
+    own = tmp_path / "mine.toml"
+    own.write_text(OWN)
+    robot = load_profile(str(own))
+    assert robot == replace(
+        PROFILE,
+        name="mine",
+        stance=replace(PROFILE.stance, body_height=0.1),
+        calibration=(Calibration("right rear", date(2026, 7, 30), (1.0, -2.0, 3.0)),),
+    )
+    (tmp_path / "second.toml").write_text('extends = "mine.toml"\nname = "second"\n')
+    assert load_profile(str(tmp_path / "second.toml")) == replace(robot, name="second")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('extends = "own.toml"', "another profile expected, found 'own.toml', which extends this one"),
+        ('extends = "nobody"', "no profile 'nobody'; known: "),
+        ("extends = 3", "extends: the name or path of a profile expected, found 3"),
+        ('extends = "nowhere.toml"', "nowhere.toml: no such file"),
+        (OWN.replace("3.0]", "31.0]"), "calibration[0].trims_deg[2]: a trim of at most 20 deg either way"),
+        (OWN.replace("2026-07-30", "2026-07-30T10:00:00"), "calibration[0].date: a date without time"),
+        (OWN.replace("2026-07-30", '"today"'), "calibration[0].date: a date as in 2026-07-30 expected, found 'today'"),
+        (OWN.replace("right rear", "rear"), "calibration[0].leg: one of left front"),
+        (OWN + OWN[OWN.index("[[") :], "calibration[1].leg: each leg once expected, found 'right rear'"),
+    ],
+)
+def test_what_is_wrong_in_a_robot_of_its_own_is_told(text: str, words: str, tmp_path: Path) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text(text)
+    with pytest.raises(config.ConfigError, match=re.escape(words)):
+        load_profile(str(own))
+
+
+def test_servos_have_the_names_of_their_joints() -> None:
+    assert list(PROFILE.servo_names) == PROFILE.servo_ids.ravel().tolist()
+    assert PROFILE.servo_names[PROFILE.legs[4].servo_ids[1]] == "left rear femur"
