@@ -142,6 +142,7 @@ class ServoModel:
 AX_12A = ServoModel("AX-12A", 12, MappingProxyType({}))
 RX_64 = ServoModel("RX-64", 64, MappingProxyType({"baud rate": 34, "temperature limit": 80, "max voltage": 190}))
 MODELS = (AX_12A, RX_64)
+MODEL_NAMED = {model.name: model for model in MODELS}
 
 
 def baud_rate(value: int) -> int:

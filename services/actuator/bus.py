@@ -4,39 +4,38 @@ No thread and no sleep; time comes from a clock argument. In the loop nothing th
 that is lost, broken or refused is counted by reason, and its servo's reading grows old.
 """
 
+import logging
 import os
 import socket
 import termios
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 import serial
 from numpy.typing import ArrayLike, NDArray
 
+from services.actuator import roll_call, usb_adapter
+from services.actuator.roll_call import Chorus, Voice
 from shared import dynamixel as dxl
 from shared.dynamixel import PRESENT_STATE, Packet, PacketParser, Register, ServoError, ServoModel
+
+log = logging.getLogger(__name__)
 
 REPLY_TIMEOUT_NS = 6_000_000  # [ns] 5 ms, ten times a servo's factory return delay, and one USB transaction
 BAUD_RATE = 1_000_000
 _WRITE_TIMEOUT = 0.5  # [s] a port that takes no bytes for so long is gone
-_ATTEMPTS = 3  # per question outside the loop
 _PATIENCE = 3  # questions in a row that a servo may leave open before it is asked more rarely: a busy host loses answers
 _MAX_BACKOFF = 32  # a silent servo is still asked every this many turns
 _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
 _SEC = 1e9
-_ANSWER_ALL = 2  # status return level
 _REFUSAL = int(ServoError.ANGLE_LIMIT | ServoError.RANGE | ServoError.CHECKSUM | ServoError.INSTRUCTION)
-_NO_ANSWER = "does not answer"
-_ECHOED_MODEL = int.from_bytes((dxl.MODEL_NUMBER.address, dxl.MODEL_NUMBER.size), "little")  # a request read as answer
 _LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
-
-T = TypeVar("T")
 
 
 class BusGone(ConnectionError):  # noqa: N818  (a state of the bus, handled by the caller)
@@ -100,15 +99,22 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
     Raises:
         BusGone: The port cannot be opened.
     """
+    alone = None if "://" in url else True  # two programs would read each other's answers
     try:
-        port = serial.serial_for_url(url, baudrate=baud_rate, timeout=timeout_ns / _SEC, write_timeout=_WRITE_TIMEOUT)
+        port = serial.serial_for_url(
+            url, baudrate=baud_rate, timeout=timeout_ns / _SEC, write_timeout=_WRITE_TIMEOUT, exclusive=alone
+        )
         if url.startswith("socket://"):
             # pyserial leaves Nagle's algorithm on: a read request behind a sync write would wait 40 ms for the first
             # packet's acknowledgement. The option belongs to the connection, so a duplicate of the handle can set it.
             with socket.socket(fileno=os.dup(port.fileno())) as connection:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except _LOST as error:
-        raise BusGone(f"cannot open servo port {url}: {error}; is the adapter plugged in, or the simulator up?") from error
+        raise BusGone(
+            f"cannot open servo port {url}: {error}; is the adapter plugged in and nobody else using it, or the simulator up?"
+        ) from error
+    if slow := usb_adapter.quicken(url, port):
+        log.warning(slow)
     return port
 
 
@@ -122,6 +128,7 @@ class ServoBus:
         clock: Callable[[], int],
         *,
         model: ServoModel = dxl.AX_12A,
+        names: Mapping[int, str] | None = None,
         echo: bool = False,
         reply_timeout_ns: int = REPLY_TIMEOUT_NS,
     ) -> None:
@@ -132,6 +139,7 @@ class ServoBus:
             servo_ids: Ids 0 to 253, all different.
             clock: Monotonic time [ns]; of an emulated port, the port's own.
             model: The servo type that `setup` expects.
+            names: Leg and joint of each id, for what is said of it.
             echo: The adapter returns every byte sent; exactly those are dropped.
             reply_timeout_ns: [ns] after which an answer is given up.
 
@@ -142,6 +150,7 @@ class ServoBus:
             raise ValueError(f"servo ids 0 to {dxl.MAX_ID}, each once, expected, found {list(servo_ids)}")
         n = len(servo_ids)
         self.servo_ids = tuple(servo_ids)
+        self.names = {i: (names or {}).get(i, "") for i in servo_ids}
         self.errors: NDArray[np.uint8] = np.zeros(n, dtype=np.uint8)  # (n,) error bits of the last status packets
         self._port = port
         self._clock = clock
@@ -213,61 +222,49 @@ class ServoBus:
         answer = self._ask(dxl.write(servo_id, register.address, register.encode(value)), servo_id, 0)
         return answer is not None
 
+    def tell(self, servo_id: int, register: Register, value: int) -> None:
+        """Write one register and await no answer, of a servo that may give none."""
+        self._send(dxl.write(servo_id, register.address, register.encode(value)))
+
+    def chorus(self, servo_id: int) -> Chorus:
+        """All that comes back on one ping while an answer may be awaited: of two servos with one id, more than an answer."""
+        parser, answers = PacketParser(max_length=dxl.TABLE_SIZE + 2), 0
+        self._send(dxl.ping(servo_id))
+        deadline = self._clock() + self._reply_timeout_ns
+        while (data := self._receive(dxl.OVERHEAD)) is not None:
+            answers += sum(packet.servo_id == servo_id for packet in parser.feed(data))
+            if self._clock() >= deadline:
+                break
+        self._stale = True
+        answers += sum(packet.servo_id == servo_id for packet in parser.flush())
+        return Chorus(answers, parser.dropped.total() > 0)
+
     def setup(self) -> None:
-        """Check that every servo is there and of the right type, and make it answer everything without delay.
+        """Check that every servo is there, alone and of the right type, and make it answer everything without delay.
 
         Registers of the EEPROM are written only where they differ. Torque and limits stay as they are.
 
         Raises:
-            BusSetupError: Servos are missing, of another model, in wheel mode or refuse; all are named.
+            BusSetupError: Servos are missing, doubled, of another model, in wheel mode or refuse; all are named.
             BusGone: The port is gone.
         """
-        problems = {i: problem for i in self.servo_ids if (problem := self._setup_servo(i))}
-        if not problems:
-            return
-        if list(problems.values()) == [_NO_ANSWER] * len(self):
+        seen = roll_call.call(self, self.names)
+        for i, mute in [(i, found) for i, found in seen.items() if found.voice is Voice.MUTE]:
+            seen[i] = roll_call.wake(self, i) or mute
+        if not seen:
             raise BusSetupError(
                 f"none of the {len(self)} servos answers; check their power, the adapter, its echo setting and the baud rate, "
                 f"then try `sextant servos scan`"
             )
-        words = "; ".join(f"servo {i} {problem}" for i, problem in problems.items())
-        raise BusSetupError(
-            f"{len(problems)} of {len(self)} servos are not ready: {words}; check cables and ids with `sextant servos scan`"
-        )
-
-    def _setup_servo(self, servo_id: int) -> str:
-        """Check and set one servo; what is wrong with it, or nothing."""
-        if _retry(lambda: self.ping(servo_id)) is None:
-            return _NO_ANSWER
-        model = _retry(lambda: self.read(servo_id, dxl.MODEL_NUMBER))
-        if model is None:
-            # It may answer pings only: then its status return level is 0, and that write is not answered either.
-            level = dxl.STATUS_RETURN_LEVEL
-            self._send(dxl.write(servo_id, level.address, level.encode(_ANSWER_ALL)))
-            model = _retry(lambda: self.read(servo_id, dxl.MODEL_NUMBER))
-        if model is None:
-            return "answers a ping but no read; it may share its id with another servo"
-        if model == _ECHOED_MODEL:
-            return "answers with the request itself; this adapter echoes: turn the echo setting on"
-        if model != self._model.number:
-            names = {known.number: known.name for known in dxl.MODELS}
-            found = names.get(model, "unknown")
-            return f"is model {model} ({found}), expected {self._model.number} ({self._model.name})"
-        for register, value in ((dxl.STATUS_RETURN_LEVEL, _ANSWER_ALL), (dxl.RETURN_DELAY, 0)):
-            if not self._ensure(servo_id, register, value):
-                return f"does not take {register.name} {value}; its EEPROM may be locked until its power is cycled"
-        limits = _retry(lambda: self.read_bytes(servo_id, dxl.CW_ANGLE_LIMIT.address, 4))
-        if limits == bytes(4):
-            return "is in wheel mode (both angle limits are 0); write its cw and ccw angle limits"
-        return ""
-
-    def _ensure(self, servo_id: int, register: Register, value: int) -> bool:
-        """Write a register unless it has the value; whether it has it in the end."""
-        for _ in range(_ATTEMPTS):
-            if self.read(servo_id, register) == value:
-                return True
-            self.write(servo_id, register, value)
-        return self.read(servo_id, register) == value
+        wrong = roll_call.problems(self.names, seen, self._model)
+        for i in self.names.keys() - wrong.keys():
+            if words := roll_call.prepare(self, seen[i]):
+                wrong[i] = f"{roll_call.named(i, self.names)} {words}"
+        if wrong:
+            raise BusSetupError(
+                f"{len(wrong.keys() & self.names.keys())} of {len(self)} servos are not ready: {'; '.join(wrong.values())}; "
+                f"check cables and ids with `sextant servos scan`"
+            )
 
     # --------------------------------------------------------------------------------------------------- in the loop
 
@@ -465,11 +462,3 @@ class ServoBus:
 
 def _gone(error: Exception) -> BusGone:
     return BusGone(f"the servo port is gone ({error}); check the adapter's cable, or the simulator, and open it again")
-
-
-def _retry(question: Callable[[], T | None]) -> T | None:
-    for _ in range(_ATTEMPTS):
-        answer = question()
-        if answer is not None:
-            return answer
-    return None

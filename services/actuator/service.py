@@ -26,7 +26,6 @@ from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry,
 from shared.robot import JOINTS, LEGS, RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
-_MODELS = {model.name: model for model in dxl.MODELS}
 _SETUP_PATIENCE_NS = 3_000_000_000  # [ns] that servos may take to answer: a simulation that begins is late, a hub wakes up
 _STANDS = 0.5  # share of its load from which a leg counts as standing
 _SLIPS = 0.01  # [m] against the others from which a standing foot is said to slip; rolling and looseness are some millimetres
@@ -67,7 +66,8 @@ class Actuator:
         self._settings = settings
         self._clock = clock
         self._port = port if port is not None else open_port(settings.port)
-        self._bus = ServoBus(self._port, profile.servo_ids.ravel().tolist(), clock, model=_MODELS[profile.servo.model])
+        model, names = dxl.MODEL_NAMED[profile.servo.model], profile.servo_names
+        self._bus = ServoBus(self._port, list(names), clock, model=model, names=names)
         self._set_up()
         self._guard = Guard(profile, settings.plan_age_s)
         self._contact = ContactEstimate(profile)

@@ -264,12 +264,15 @@ class ServoBusEmulator:
         return bytes(table)
 
     def _find_listeners(self) -> None:
-        """Which servos hear the host: those set to its baud rate, within the 3 % that a receiver tolerates."""
+        """Which servos hear the host, by their ids."""
         self._listeners = {}
-        for row in range(len(self._bank)):
-            rate = dxl.baud_rate(self._value(row, dxl.BAUD_RATE))
-            if abs(rate - self._timing.baud_rate) <= 0.03 * self._timing.baud_rate:
-                self._listeners.setdefault(self._value(row, dxl.ID), []).append(row)
+        for row in filter(self._hears, range(len(self._bank))):
+            self._listeners.setdefault(self._value(row, dxl.ID), []).append(row)
+
+    def _hears(self, row: int) -> bool:
+        """Whether a servo hears the host: set to its baud rate, within the 3 % that a receiver tolerates."""
+        rate = dxl.baud_rate(self._value(row, dxl.BAUD_RATE))
+        return abs(rate - self._timing.baud_rate) <= 0.03 * self._timing.baud_rate
 
     # --------------------------------------------------------------------------------------------------- answers
 
@@ -289,24 +292,30 @@ class ServoBusEmulator:
     ) -> list[Reply]:
         """Status packets of the servos that answer at their status return level, one after the other on the wire."""
         needed = 0 if always else _ANSWER_READ if read else _ANSWER_ALL
-        # id -> delay and what is heard of servos with it, who speak at the same time
-        answers: dict[int, tuple[int, bytes]] = {}
+        answers: dict[int, list[tuple[int, bytes]]] = {}  # id -> delay and answer of each servo that has it
         for row in rows:
             head = self._table(row, _HEAD_START, _HEAD_SIZE)
             if head[-1] < needed:
                 continue
             servo_id, delay = head[0], head[_HEAD_DELAY] * dxl.RETURN_DELAY_NS
             said = dxl.status(servo_id, int(error) | self._bank.error(row), self._table(row, *read) if read else b"")
-            if servo_id in answers:
-                other_delay, other = answers[servo_id]
-                delay, said = max(delay, other_delay), _collision(said, other)
-            answers[servo_id] = delay, said
+            answers.setdefault(servo_id, []).append((delay, said))
         replies: list[Reply] = []
-        for delay, data in answers.values():
+        for delay, data in (heard for same_id in answers.values() for heard in self._heard(same_id)):
             self._answered_ns = max(time_ns + delay, self._answered_ns) + self._timing.wire_ns(len(data))
             replies.append(Reply(self._answered_ns + self._timing.usb_transaction_ns, data))
         self._wire_free_ns = max(self._wire_free_ns, self._answered_ns)
         return replies
+
+    def _heard(self, answers: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+        """Delays [ns] and what is heard of servos with one id: those who speak at the same time spoil each other's answer."""
+        heard: list[tuple[int, bytes]] = []
+        for delay, said in sorted(answers):
+            if heard and delay < heard[-1][0] + self._timing.wire_ns(len(heard[-1][1])):
+                heard[-1] = heard[-1][0], _collision(heard[-1][1], said)
+            else:
+                heard.append((delay, said))
+        return heard
 
 
 def _collision(*packets: bytes) -> bytes:

@@ -16,7 +16,7 @@ from services.simulator.depth_camera import DepthCamera
 from services.simulator.imu import Imu as ImuSensor
 from services.simulator.imu import ImuNoise
 from services.simulator.render import Renderer
-from services.simulator.servos import AX_12A_MOTOR, RX_64_MOTOR, RX_64_SUPPLY, ServoBank, Supply
+from services.simulator.servos import ServoBank, bank_of
 from services.simulator.tcp_port import TcpBusServer
 from services.simulator.terrain import build_terrain
 from services.simulator.world import TIME_STEP_NS, Factors, World
@@ -29,9 +29,6 @@ from shared.robot import RobotProfile
 from shared.scenario import Scenario, load_scenario
 from shared.service import AnyTopic, Every, Inbox, Stages
 
-_MOTORS = {"AX-12A": AX_12A_MOTOR, "RX-64": RX_64_MOTOR}
-_SUPPLIES = {"AX-12A": Supply(), "RX-64": RX_64_SUPPLY}
-_MODELS = {model.name: model for model in dxl.MODELS}
 _MAX_LAG_NS = 1_000_000_000  # [ns] how far it may fall behind and catch up; goals written meanwhile take effect in their order
 _STALE_NS = 40_000_000  # [ns] by which a live simulation may be late before its servos fall silent
 _STEPS = 2  # of the physics for which the setpoints of the servos stand; goals come every 20 ms
@@ -92,9 +89,7 @@ class Simulator:
         x, y, yaw_deg = rng.uniform(-1.0, 1.0, 3) * (*start.xy_spread, start.yaw_spread_deg) + (*start.xy, start.yaw_deg)
         self.world.stand(q, (x, y), np.radians(yaw_deg))
         servo = profile.servo_angles(q).ravel()
-        ids = profile.servo_ids.ravel().tolist()
-        model = profile.servo.model
-        bank = ServoBank(ids, _MODELS[model], _MOTORS[model], supply=_SUPPLIES[model], q=servo)
+        bank = bank_of(profile.servo.model, list(profile.servo_names), servo)
         for row, angle in enumerate(servo):
             bank.write(row, dxl.BAUD_RATE.address, dxl.BAUD_RATE.encode(dxl.BAUD_RATE.default))  # set up for a bus of 1 Mbit/s
             bank.write(row, dxl.CW_COMPLIANCE_SLOPE.address, bytes([profile.servo.compliance_slope] * 2))

@@ -61,6 +61,7 @@ AX_12A_MOTOR = Motor()
 RX_64_MOTOR = Motor(stall_torque=5.3, stall_current=2.6, standby_current=0.05)  # at 18.5 V
 # What the RX-64 asks for and what its voltage limits leave room for (12 to 19 V): 18.5 V from a converter. Assumed.
 RX_64_SUPPLY = Supply(full_voltage=18.5, empty_voltage=18.5)
+_ELECTRICS = {"AX-12A": (AX_12A_MOTOR, Supply()), "RX-64": (RX_64_MOTOR, RX_64_SUPPLY)}
 
 _BUCKETS = 100  # of the sliding window of the mean duty
 _HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
@@ -398,3 +399,9 @@ class ServoBank:
         self._column(dxl.PRESENT_VOLTAGE)[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
         self._column(dxl.PRESENT_TEMPERATURE)[:] = np.minimum(np.maximum(np.rint(self.temperature), 0.0), 255.0)
         self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._limp
+
+
+def bank_of(model: str, servo_ids: Sequence[int], q: Array) -> ServoBank:
+    """Servos of a model, by its name, at joint angles q (n,) [rad], with the motors and the supply that go with it."""
+    motor, supply = _ELECTRICS[model]
+    return ServoBank(servo_ids, dxl.MODEL_NAMED[model], motor, supply=supply, q=q)

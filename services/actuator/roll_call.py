@@ -1,0 +1,208 @@
+"""Who is on the bus: what each servo says of itself, and what is wrong, by leg and joint. Nothing is moved.
+
+Two servos with one id speak at the same time. Where their return delays differ two answers come to one ping; where they are
+alike the answers fall on top of each other, and reads of what differs between the two come broken.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from typing import NamedTuple, Protocol, TypeVar
+
+from shared import dynamixel as dxl
+from shared.dynamixel import Register, ServoError, ServoModel
+
+FACTORY_ID = dxl.ID.default
+ANSWER_ALL = 2  # status return level
+_ATTEMPTS = 3  # per question: a host that is busy, or a spike on the wire, loses one now and then
+_MODEL_NAMES = {model.number: model.name for model in dxl.MODELS}
+_ECHOED_MODEL = int.from_bytes((dxl.MODEL_NUMBER.address, dxl.MODEL_NUMBER.size), "little")  # a request read as answer
+_EEPROM = range(dxl.MODEL_NUMBER.address, dxl.SHUTDOWN.address + 1)
+_RAM = range(dxl.TORQUE_ENABLE.address, dxl.LOCK.address + 1)
+
+T = TypeVar("T")
+
+
+class Chorus(NamedTuple):
+    """What came back on one ping."""
+
+    answers: int  # intact ones
+    garbage: bool  # bytes that are none
+
+    @property
+    def silent(self) -> bool:
+        """Nothing came."""
+        return not self.answers and not self.garbage
+
+
+class Bus(Protocol):
+    """The part of `ServoBus` that is used here."""
+
+    def ping(self, servo_id: int) -> ServoError | None:
+        """Error bits of a servo, None when it does not answer."""
+
+    def chorus(self, servo_id: int) -> Chorus:
+        """All that comes back on one ping."""
+
+    def read(self, servo_id: int, register: Register) -> int | None:
+        """Value of a register."""
+
+    def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
+        """Bytes of a control table."""
+
+    def write(self, servo_id: int, register: Register, value: int) -> bool:
+        """Write a register."""
+
+    def tell(self, servo_id: int, register: Register, value: int) -> None:
+        """Write a register without awaiting an answer."""
+
+
+class Voice(StrEnum):
+    """How an id answers."""
+
+    CLEAR = "answers"
+    DOUBLED = "is answered for more than once, or in garbage: two servos have this id, or a cable is bad"
+    MUTE = "answers a ping but no read"
+    ECHO = "answers with the request itself; this adapter echoes: turn the echo setting on"
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What there was to see of one id."""
+
+    servo_id: int
+    voice: Voice
+    table: bytes = b""  # (48,) control table from address 0 up to Lock; empty unless the voice is clear
+    error: ServoError = ServoError.NONE
+
+    def __getitem__(self, register: Register) -> int:
+        """Value of a register of a clear voice."""
+        return int.from_bytes(self.table[register.address : register.address + register.size], "little")
+
+    @property
+    def model(self) -> str:
+        """Name of its model, or its number."""
+        number = self[dxl.MODEL_NUMBER]
+        return _MODEL_NAMES.get(number, f"model {number}")
+
+    @property
+    def voltage(self) -> float:
+        """Present voltage [V]."""
+        return self[dxl.PRESENT_VOLTAGE] * dxl.VOLT_UNIT
+
+    @property
+    def temperature(self) -> float:
+        """Present temperature [deg C]."""
+        return float(self[dxl.PRESENT_TEMPERATURE])
+
+    @property
+    def fresh(self) -> bool:
+        """Whether nobody has set it up: it has the return delay of the factory."""
+        return self.voice is Voice.CLEAR and self[dxl.RETURN_DELAY] == dxl.RETURN_DELAY.default
+
+
+def look(bus: Bus, servo_id: int, *, listen: bool = True) -> Seen | None:
+    """See what there is of one id, None for nobody.
+
+    Args:
+        bus: The bus.
+        servo_id: Whom to ask.
+        listen: Wait for a second answer to a ping, for the whole time that a servo may take.
+    """
+    error = retry(lambda: bus.ping(servo_id))
+    chorus = bus.chorus(servo_id) if listen or error is None else Chorus(1, False)
+    if error is None and chorus.silent:
+        return None
+    model = retry(lambda: bus.read(servo_id, dxl.MODEL_NUMBER))
+    if model == _ECHOED_MODEL:
+        return Seen(servo_id, Voice.ECHO)
+    if chorus.answers > 1 or error is None:
+        return Seen(servo_id, Voice.DOUBLED)
+    if model is None:
+        return Seen(servo_id, Voice.MUTE)
+    eeprom, ram = (retry(partial(bus.read_bytes, servo_id, block.start, len(block))) for block in (_EEPROM, _RAM))
+    if eeprom is None or ram is None:  # two of one model say that in one voice, and what they measure in two
+        return Seen(servo_id, Voice.DOUBLED)
+    return Seen(servo_id, Voice.CLEAR, eeprom + bytes(_RAM.start - _EEPROM.stop) + ram, error)
+
+
+def call(bus: Bus, names: Mapping[int, str]) -> dict[int, Seen]:
+    """All of a robot's servos that are there; where one is missing it is looked for, at the factory's id and behind others'."""
+    seen = {i: found for i in names if (found := look(bus, i, listen=False))}
+    if len(seen) < len(names) and seen:
+        whom = {FACTORY_ID, *seen}
+        seen |= {i: found for i in sorted(whom) if (found := look(bus, i))}
+    return seen
+
+
+def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoModel) -> dict[int, str]:
+    """What is wrong with each servo of a robot, and whose place a stranger may have left, in words by id.
+
+    Args:
+        names: Id -> leg and joint, as "left rear femur"; empty words where there is no name.
+        seen: Whom `look` has found.
+        model: The type that all are to be.
+    """
+    missing = [i for i in names if i not in seen]
+    found = {i: words for i in names if (words := _wrong(seen.get(i), model))}
+    for i in sorted(seen.keys() - names.keys()):
+        found[i] = "is none of the robot's"
+    first = seen.get(FACTORY_ID)
+    if first and missing and (FACTORY_ID not in names or first.voice is Voice.DOUBLED):
+        lost = " or ".join(named(i, names) for i in missing)
+        found[FACTORY_ID] += f"; {FACTORY_ID} is what a reset leaves: it may be {lost}"
+    return {i: f"{named(i, names)} {words}" for i, words in found.items()}
+
+
+def named(servo_id: int, names: Mapping[int, str]) -> str:
+    """A servo in words: "servo 9 (left rear femur)"."""
+    name = names.get(servo_id, "")
+    return f"servo {servo_id} ({name})" if name else f"servo {servo_id}"
+
+
+def _wrong(seen: Seen | None, model: ServoModel) -> str:
+    """What is wrong with one servo, or nothing."""
+    if seen is None:
+        return "does not answer"
+    if seen.voice is not Voice.CLEAR:
+        return seen.voice.value
+    if seen[dxl.MODEL_NUMBER] != model.number:
+        found = _MODEL_NAMES.get(seen[dxl.MODEL_NUMBER], "unknown")
+        return f"is model {seen[dxl.MODEL_NUMBER]} ({found}), expected {model.number} ({model.name})"
+    if not seen[dxl.CW_ANGLE_LIMIT] and not seen[dxl.CCW_ANGLE_LIMIT]:
+        return "is in wheel mode (both angle limits are 0); write its cw and ccw angle limits"
+    return ""
+
+
+def prepare(bus: Bus, seen: Seen) -> str:
+    """Make a servo answer everything at once; what it does not take, or nothing. EEPROM is written only where it differs."""
+    for register, value in ((dxl.STATUS_RETURN_LEVEL, ANSWER_ALL), (dxl.RETURN_DELAY, 0)):
+        if seen[register] != value and not ensure(bus, seen.servo_id, register, value):
+            return f"does not take {register.name} {value}; its EEPROM may be locked until its power is cycled"
+    return ""
+
+
+def wake(bus: Bus, servo_id: int) -> Seen | None:
+    """Have a servo that answers pings only, by its status return level, speak; that write is not answered either."""
+    bus.tell(servo_id, dxl.STATUS_RETURN_LEVEL, ANSWER_ALL)
+    return look(bus, servo_id, listen=False)
+
+
+def ensure(bus: Bus, servo_id: int, register: Register, value: int) -> bool:
+    """Write a register unless it has the value; whether it has it in the end."""
+    for _ in range(_ATTEMPTS):
+        if bus.read(servo_id, register) == value:
+            return True
+        bus.write(servo_id, register, value)
+    return bus.read(servo_id, register) == value
+
+
+def retry(question: Callable[[], T | None]) -> T | None:
+    """Ask until there is an answer, three times at most."""
+    return next((answer for answer in _answers(question) if answer is not None), None)
+
+
+def _answers(question: Callable[[], T | None]) -> Iterable[T | None]:
+    for _ in range(_ATTEMPTS):
+        yield question()

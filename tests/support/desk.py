@@ -1,0 +1,59 @@
+"""Emulated servos on a workbench, reached in memory, with the time in the test's hand."""
+
+import numpy as np
+
+from services.actuator.bus import ServoBus
+from services.simulator.bus import MemoryPort
+from services.simulator.workbench import Workbench
+from shared import dynamixel as dxl
+from shared.robot import RobotProfile, load_profile
+
+PHANTOMX = load_profile("phantomx_mk2")
+
+
+class Desk:
+    """A workbench, and ports to it that share one virtual time."""
+
+    def __init__(
+        self, profile: RobotProfile = PHANTOMX, *, fresh: bool = False, seed: int = 1, rate: int | None = 1_000_000
+    ) -> None:
+        self.profile = profile
+        self.bench = Workbench(profile, np.random.default_rng(seed), fresh=fresh, rate=rate)
+        self.tables = self.bench._servos.tables
+        self.rates: list[int] = []  # at which a port was opened
+        self.port = MemoryPort(self.bench, lambda: 0)
+
+    def clock(self) -> int:
+        return self.port.now_ns()
+
+    def open(self, rate: int = 1_000_000) -> MemoryPort:
+        """Another port to the same servos, at another rate, later."""
+        now = self.clock()
+        self.port.close()
+        self.port = MemoryPort(self.bench, lambda: now)
+        self.rates.append(rate)
+        if self.bench._rate is not None:
+            self.bench.tune(rate)
+        return self.port
+
+    def bus(self) -> ServoBus:
+        names = self.profile.servo_names
+        model = dxl.MODEL_NAMED[self.profile.servo.model]
+        return ServoBus(self.open(), list(names), self.clock, model=model, names=names)
+
+    def row(self, servo_id: int) -> int:
+        """The first servo that has an id."""
+        return self.bench._with_id(servo_id)[0]
+
+    def change(self, servo_id: int, register: dxl.Register, value: int) -> None:
+        """Have a servo another value than anybody wrote."""
+        self.bench._servos.write(self.row(servo_id), register.address, register.encode(value))
+        self.bench._find_listeners()
+
+    def reset(self, servo_id: int) -> None:
+        """Have a servo back as from the factory."""
+        row = self.row(servo_id)
+        position = self.tables[row, 36:38].copy()
+        self.bench._servos.write(row, 0, self.bench._servos.model.factory_table())
+        self.tables[row, 36:38] = position
+        self.bench._find_listeners()

@@ -1,0 +1,101 @@
+"""What is wrong on the bus is named by leg and joint: missing, doubled, of another model, reset to the factory's id."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from services.actuator import roll_call
+from services.actuator.bus import BusSetupError
+from services.actuator.roll_call import Voice
+from shared import dynamixel as dxl
+from tests.support.desk import Desk
+
+NAMES = Desk().profile.servo_names
+FEMUR = 9  # left rear
+COXA = 1  # left front: it has the id that a factory reset gives
+
+
+def trouble(desk: Desk) -> str:
+    with pytest.raises(BusSetupError) as failure:
+        desk.bus().setup()
+    return str(failure.value)
+
+
+@pytest.mark.parametrize("servo_id", list(NAMES))
+def test_a_missing_servo_is_named_by_leg_and_joint(servo_id: int) -> None:
+    desk = Desk()
+    desk.bench.unplug([desk.row(servo_id)])
+    words = trouble(desk)
+    assert f"1 of 18 servos are not ready: servo {servo_id} ({NAMES[servo_id]}) does not answer" in words
+    assert "reset" not in words
+
+
+def test_a_servo_of_another_model_is_named() -> None:
+    desk = Desk()
+    desk.tables[desk.row(FEMUR), dxl.MODEL_NUMBER.address] = 64
+    assert "servo 9 (left rear femur) is model 64 (RX-64), expected 12 (AX-12A)" in trouble(desk)
+
+
+def test_a_servo_that_was_reset_to_the_id_of_another_is_found_behind_it() -> None:
+    desk = Desk()
+    desk.reset(FEMUR)
+    words = trouble(desk)
+    assert "2 of 18 servos" in words
+    assert "servo 1 (left front coxa) is answered for more than once" in words
+    assert "1 is what a reset leaves: it may be servo 9 (left rear femur)" in words
+    assert (desk.tables[[desk.row(COXA)], dxl.RETURN_DELAY.address] == 0).all()
+    assert sorted(desk.tables[:, dxl.RETURN_DELAY.address])[-1] == 250  # and was not set up in another's place
+
+
+def test_a_servo_that_was_reset_where_nobody_has_that_id_is_found_there() -> None:
+    desk = Desk()
+    desk.change(COXA, dxl.ID, 19)
+    desk.reset(FEMUR)
+    legs = (replace(desk.profile.legs[0], servo_ids=(19, 3, 5)), *desk.profile.legs[1:])
+    desk.profile = replace(desk.profile, legs=legs)
+    words = trouble(desk)
+    assert "servo 9 (left rear femur) does not answer" in words
+    assert "servo 1 is none of the robot's; 1 is what a reset leaves: it may be servo 9 (left rear femur)" in words
+
+
+@pytest.mark.parametrize("delay", [0, 250], ids=["speaking at once", "one after the other"])
+def test_two_servos_with_one_id_are_found(delay: int) -> None:
+    desk = Desk()
+    desk.change(FEMUR, dxl.RETURN_DELAY, delay)
+    desk.change(FEMUR, dxl.ID, 16)
+    words = trouble(desk)
+    assert "servo 9 (left rear femur) does not answer" in words
+    assert "servo 16 (right middle femur) is answered for more than once" in words
+
+
+def test_nothing_is_written_to_a_servo_that_is_not_right() -> None:
+    desk = Desk()
+    for servo_id in (FEMUR, 16):
+        desk.change(servo_id, dxl.RETURN_DELAY, 100)
+    desk.change(FEMUR, dxl.ID, 16)
+    trouble(desk)
+    assert (desk.tables[desk.bench._with_id(16), dxl.RETURN_DELAY.address] == 100).all()
+
+
+def test_whoever_is_looked_at_says_all_of_itself() -> None:
+    desk = Desk()
+    seen = roll_call.look(desk.bus(), FEMUR)
+    assert seen is not None
+    assert seen.voice is Voice.CLEAR
+    assert (seen.model, seen[dxl.FIRMWARE], seen[dxl.ID], seen.fresh) == ("AX-12A", 24, FEMUR, False)
+    assert seen.voltage == pytest.approx(12.6, abs=0.2)
+    assert seen.temperature == 25.0
+    table = desk.tables[desk.row(FEMUR)]
+    assert (np.frombuffer(seen.table, dtype=np.uint8)[:19] == table[:19]).all()
+    assert (np.frombuffer(seen.table, dtype=np.uint8)[24:] == table[24:48]).all()
+    assert roll_call.look(desk.bus(), 99) is None
+
+
+def test_a_call_in_order_costs_no_timeouts() -> None:
+    desk = Desk()
+    bus = desk.bus()
+    began = desk.clock()
+    bus.setup()
+    assert desk.clock() - began < 18 * 8_000_000
+    assert not bus.lost
