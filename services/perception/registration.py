@@ -163,7 +163,8 @@ class Registration:
         if self._may_have_slipped(found, T_world_camera_prior, prior_covariance):
             wide = _slipping(prior_covariance)
             slipped = self._align(T_world_camera_prior, prior_information(T_world_camera_prior, wide), _TRUSTING)
-            if slipped.match.misfit < _EXPLAINED * found.match.misfit and not objection(slipped.match, self._acceptance):
+            fits = slipped.match.misfit < _EXPLAINED * found.match.misfit and not objection(slipped.match, self._acceptance)
+            if fits and _is_apart(slipped.T, found.T, prior_covariance):
                 found, believable = slipped, wide
         reason = self._objection(found.match) or jump(found.T, T_world_camera_prior, believable, self._acceptance)
         # 2. Where that is in doubt, the map says whether there is a better one.
@@ -388,6 +389,14 @@ def _fade(H: NDArray[np.float64], N: NDArray[np.float64]) -> tuple[NDArray[np.fl
     for k in range(6):
         directions[k] /= np.sqrt(np.sum(directions[k] ** 2))
     return B, directions, share == 0.0
+
+
+def _is_apart(T: NDArray[np.float64], other: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
+    """Whether two poses lie further apart along the floor than a prior is uncertain.
+
+    A pose that fits better, yet where the legs have it, speaks of noise and of no slip.
+    """
+    return bool((np.abs(error_twist(T, other)) > np.sqrt(np.diag(covariance)))[_ALONG_FLOOR].any())
 
 
 def _slipping(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
