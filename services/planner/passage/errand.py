@@ -154,6 +154,7 @@ class Errand:
         self._touch_ns: NDArray[np.int64] | None = None  # what was felt before does not count
         self._tried: list[Array] = []  # (2,) [m] {world} where plannings have begun
         self._begun_ns = -1
+        self._walks = ""  # what the steps that it walks, or has walked last, are, in words
         self._goal = 0.0  # [m] {strip} of the section
         self._planning_s = 0.0  # by the machine's clock
         self._report: PassagePlan | None = None
@@ -163,6 +164,11 @@ class Errand:
         """What the newest planning came to, once."""
         report, self._report = self._report, None
         return report
+
+    @property
+    def walked(self) -> bool:
+        """Whether there was anything to cross, and a way."""
+        return self._walks != ""
 
     def request(self, now_ns: int) -> PassageRequest | None:
         """The request for the map of the strip, when it is time to repeat it."""
@@ -304,9 +310,11 @@ class Errand:
                 return self._enter("survey", Wait(f"looking at the passage{self._because}"))
             back = self._trail.back([apply(self._field.T_strip_world, place) for place in self._yielded], _YIELDED)
             if back:
+                self._walks = f"backing off in section {self._section}"
                 return self._set_out(back, state, f"backing off by {len(back)} steps to find another way: {found.reason}")
             return Refused(found.reason + (", and no look is left that would show more" if found.unseen else ""))
         self._trail.begin(root, found.steps)
+        self._walks = f"section {self._section}"
         return self._set_out(found.steps, state, f"walking section {self._section} of the passage: {len(found.steps)} steps")
 
     def _set_out(self, steps: tuple[PassageStep, ...], state: ActuatorState, words: str) -> "Outcome":
@@ -349,7 +357,7 @@ class Errand:
         why = self._gave_way or refused or why
         if done >= len(self._steps) or why:
             if not resting:
-                return Wait(f"walking the last step of section {self._section}")
+                return Wait(f"the last step of {self._walks}")
             self._gave_way = ""
             self._yielded += self._sunk(standing, min(done, len(self._steps)))
             self._trail.ended(done)
@@ -397,7 +405,7 @@ class Errand:
         return [standing.feet[leg] - [0.0, 0.0, self._profile.foot.radius] for leg in low]
 
     def _words(self, step: int) -> str:
-        return f"passage, section {self._section}: step {step} of {len(self._steps)}"
+        return f"passage, {self._walks}: step {step} of {len(self._steps)}"
 
     def _tell(self, stamp_ns: int, found: Crossing | NoWay) -> PassagePlan:
         """What planning came to, for everybody."""

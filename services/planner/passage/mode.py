@@ -44,7 +44,7 @@ class PassageMode:
         self._refused_at = np.zeros(2)
         self._refused_ns = 0
         self._crossed = False
-        self._crossed_at = np.zeros(2)
+        self._nothing_at: Array | None = None  # (2,) [m] {world} where a look found nothing to cross
         self._yielded: list[Array] = []  # (3,) [m] {world} where ground gave way under feet; it stays so, whatever the goal
         self._reports: list[PassagePlan] = []  # that nobody has been told of yet
 
@@ -71,7 +71,7 @@ class PassageMode:
     def abandon(self) -> None:
         """Forget where it was; whoever walks next begins with six feet on the ground."""
         self._goal = self._errand = self._approach = self._verge = None
-        self._refused, self._crossed = "", False
+        self._refused, self._crossed, self._nothing_at = "", False, None
 
     def lead(
         self, goal: Goal, state: ActuatorState, standing: Standing, T_world_body: Array, terrain: Terrain | None,
@@ -96,8 +96,9 @@ class PassageMode:
         if self._refused and lately and float(np.linalg.norm(xy - self._refused_at)) < _ELSEWHERE:
             return Refused(self._refused)
         self._refused = ""
-        if self._crossed and not self.under_way(goal) and float(np.linalg.norm(xy - self._crossed_at)) < _ELSEWHERE:
-            return Refused("the gap is crossed, and no other is seen from here")
+        nothing_at = None if self.under_way(goal) else self._nothing_at
+        if nothing_at is not None and float(np.linalg.norm(xy - nothing_at)) < _ELSEWHERE:
+            return Refused("a look from here has found nothing to cross")
         if self._errand is None:
             assert terrain is not None
             led = self._to_verge(goal, state, standing, T_world_body, terrain)
@@ -112,7 +113,8 @@ class PassageMode:
     def _noted(self, outcome: Heading | Outcome, xy: Array, now_ns: int) -> Heading | Outcome:
         """The same, remembered if it is an end."""
         if isinstance(outcome, Over):
-            self._errand, self._verge, self._crossed, self._crossed_at = None, None, True, xy.copy()
+            nothing = self._errand is not None and not self._errand.walked
+            self._errand, self._verge, self._crossed, self._nothing_at = None, None, True, xy.copy() if nothing else None
         elif isinstance(outcome, Refused):
             self._errand, self._verge = None, None
             self._refused, self._refused_at, self._refused_ns = outcome.reason, xy.copy(), now_ns
@@ -182,6 +184,6 @@ class PassageMode:
         ground = float(standing.feet[:, 2].mean()) - self._profile.foot.radius
         gap = gap_ahead(terrain, xy, target, ground)
         if isinstance(gap, str):
-            return xy.copy() if goal.passage else gap
+            return xy.copy() if self.ordered(goal) else gap
         ahead = np.array([np.cos(gap.heading), np.sin(gap.heading)])
         return np.asarray(xy + max(0.0, gap.distance - BEFORE) * ahead)

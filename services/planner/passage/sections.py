@@ -10,6 +10,7 @@ from shared.geometry import Array
 from shared.messages import UNKNOWN
 
 _BEYOND = 0.40  # [m] behind the gap where the body's centre must be for the whole robot to stand behind it
+_ROOM = 0.80  # [m] of ground that carries as anywhere, on which the whole robot stands and walks on
 _HALF_WIDTH = 0.20  # [m] of the band ahead whose ground tells where the gap ends
 _CARRYING = 0.8  # [1] share of that band from which ground carries the robot as anywhere
 _KNOWN = 0.3  # [1] share of it that is known at the end of what is known
@@ -27,15 +28,16 @@ def goal_behind(field: Field, x: float, target: float) -> float | None:
         target: [m] likewise, of what is behind it all.
 
     Returns:
-        [m] {strip}, at most the target; None where the ground around the robot and ahead of it carries as anywhere, and where
-        it is past the target.
+        [m] {strip}, at most the target and behind the first such stretch, though others may follow after room to walk; None
+        where none is nearer than there is room to walk, and where it is past the target.
     """
     rows = bare(field)
     centres = field.corner[0] + field.resolution * np.arange(len(rows))
     ahead = np.flatnonzero(rows & (centres > x - _BEYOND) & (centres < target))
-    if not len(ahead) or x >= target:
+    if not len(ahead) or x >= target or centres[ahead[0]] > x + _ROOM:
         return None
-    return min(target, float(centres[ahead[-1]]) + _BEYOND)
+    apart = np.flatnonzero(np.diff(centres[ahead]) > _ROOM)
+    return min(target, float(centres[ahead[apart[0] if len(apart) else -1]]) + _BEYOND)
 
 
 def without(field: Field, sole: Array, radius: float) -> Field:

@@ -345,6 +345,7 @@ def test_from_where_nothing_leads_on_it_backs_off_and_finds_another_way() -> Non
     assert robot.until_end() == Over("behind the gap")
     assert [int(np.flatnonzero(m.stride.swing)[0]) for m in robot.moves] == [*range(6), 5, 4, *range(6)]
     assert any("backing off by 2 steps to find another way: stuck" in words for words in robot.heard)
+    assert [m.words for m in robot.moves[6:8]] == [f"passage, backing off in section 2: step {k} of 2" for k in (1, 2)]
     first, again = robot.sections.begun[0][1], robot.sections.begun[4][1]
     assert again.body[0] == pytest.approx(first.body[0] + 0.4)
     np.testing.assert_allclose(again.feet[4:], first.feet[4:], atol=1e-9)

@@ -6,10 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from services.planner.config import Settings
+from services.planner.passage.errand import Outcome, Over, Refused, Standing
+from services.planner.passage.mode import BEFORE, PassageMode
 from services.planner.passage.verge import Verge, gap_ahead
+from services.planner.pilot import Heading
 from services.planner.terrain import Terrain
-from shared.geometry import Array, yaw_of
+from shared.geometry import Array, apply, yaw_of
 from shared.messages import Goal, Message, PassageRequest, PlannerStatus, StepPlan, TerrainMap, VelocityCommand
+from shared.robot import load_profile
 from tests.unit.planner.conftest import terrain_of
 from tests.unit.planner.test_service import HEIGHT, Rig
 
@@ -125,3 +130,43 @@ def test_a_crossing_without_a_map_is_refused_and_looked_into_again_later() -> No
     assert rig.status().reason.startswith("no passage: no map of the passage comes from the mapper")
     heard = [m for _ in range(1600) for m in rig.cycle()]
     assert any(isinstance(m, PassageRequest) for m in heard)
+
+
+@pytest.mark.parametrize("walked", [True, False])
+def test_behind_one_gap_the_next_is_crossed_unless_the_look_found_nothing_to_cross(
+    walked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    errands: list[Any] = []
+
+    class Errand:
+        """Over at once."""
+
+        report = None
+
+        def __init__(self, *_: object) -> None:
+            errands.append(self)
+            self.walked = walked
+
+        def advance(self, *_: object) -> Over:
+            return Over("behind the gap")
+
+    monkeypatch.setattr("services.planner.passage.mode.Errand", Errand)
+    rig, terrain = Rig(), Terrain(gap(0.8))
+    mode = PassageMode(load_profile("phantomx_mk2"), Settings())
+    body = rig.state.T_odom_body.copy()
+    body[0, 3] = EDGE - BEFORE
+    standing = Standing(body, apply(body, rig.state.feet))
+    goal = replace(GOAL, passage=True)
+
+    def ended() -> Outcome | Heading:
+        for k in range(100):
+            state = replace(rig.state, stamp_ns=rig.state.stamp_ns + k * 20_000_000)
+            found = mode.lead(goal, state, standing, body, terrain, None, "")
+            if isinstance(found, Over | Refused):
+                return found
+        raise AssertionError("no end")
+
+    assert ended() == Over("behind the gap")
+    assert not mode.ordered(goal)
+    assert ended() == (Over("behind the gap") if walked else Refused("a look from here has found nothing to cross"))
+    assert len(errands) == (2 if walked else 1)

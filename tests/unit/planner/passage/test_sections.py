@@ -36,10 +36,29 @@ def test_where_ground_carries_as_anywhere_there_is_no_goal() -> None:
         assert goal_behind(field_of(np.zeros((200, 100), dtype=np.float32)), 0.6, target) is None
 
 
+def test_of_two_gaps_with_room_to_walk_between_them_the_first_comes_first() -> None:
+    elevation = np.zeros((300, 100), dtype=np.float32)
+    elevation[100:130] = elevation[240:280] = -0.4
+    field = field_of(elevation)
+    for x in (0.6, 1.2):
+        assert goal_behind(field, x, 9.0) == pytest.approx(1.3 + 0.40, abs=EDGE)
+    assert goal_behind(field, 1.5, 9.0) == pytest.approx(1.3 + 0.40, abs=EDGE)
+    assert goal_behind(field, 2.0, 9.0) == pytest.approx(2.8 + 0.40, abs=EDGE)
+    elevation[160:240] = -0.4  # too little between them
+    assert goal_behind(field_of(elevation), 0.6, 9.0) == pytest.approx(2.8 + 0.40, abs=EDGE)
+
+
+def test_a_gap_that_is_far_ahead_is_walked_to() -> None:
+    elevation = np.zeros((300, 100), dtype=np.float32)
+    elevation[200:240] = -0.4
+    assert goal_behind(field_of(elevation), 1.0, 9.0) is None
+    assert goal_behind(field_of(elevation), 1.5, 9.0) is not None
+
+
 def test_a_gap_that_the_strip_ends_in_is_one() -> None:
     elevation = np.zeros((200, 100), dtype=np.float32)
     elevation[160:] = -0.4
-    assert goal_behind(field_of(elevation), 0.6, 5.0) == pytest.approx(2.0 + 0.40, abs=0.07)
+    assert goal_behind(field_of(elevation), 1.0, 5.0) == pytest.approx(2.0 + 0.40, abs=0.07)
 
 
 def test_beyond_what_is_known_nothing_is_a_gap() -> None:
