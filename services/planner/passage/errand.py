@@ -154,6 +154,7 @@ class Errand:
         self._touch_ns: NDArray[np.int64] | None = None  # what was felt before does not count
         self._tried: list[Array] = []  # (2,) [m] {world} where plannings have begun
         self._begun_ns = -1
+        self._stopped = ""  # why the newest planning found no way, in words
         self._walks = ""  # what the steps that it walks, or has walked last, are, in words
         self._goal = 0.0  # [m] {strip} of the section
         self._planning_s = 0.0  # by the machine's clock
@@ -302,6 +303,7 @@ class Errand:
             return Wait(f"planning section {self._section} of the passage")
         self._begun_ns = -1
         self._report = self._tell(state.stamp_ns, found)
+        self._stopped = found.reason if isinstance(found, NoWay) else ""
         if isinstance(found, NoWay):
             if self._seed < _SEEDS:
                 return Wait(f"planning section {self._section} of the passage once more: {found.reason}")
@@ -325,7 +327,8 @@ class Errand:
     def _once_more_here(self, xy: Array) -> str:
         """Note that a section begins at a place (2,) [m] {world}; why it is no use to try again there, in words, or nothing."""
         if sum(float(np.linalg.norm(xy - place)) < _SAME_PLACE for place in self._tried) >= _RETRIES:
-            return f"after {_RETRIES} plannings at one place the robot does not get on"
+            words = f"after {_RETRIES} plannings at one place the robot does not get on"
+            return f"{words}: {self._stopped}" if self._stopped else words
         self._tried.append(xy.copy())
         return ""
 

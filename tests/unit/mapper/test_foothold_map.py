@@ -12,6 +12,7 @@ from services.mapper.foothold_map import (
     FootholdRules,
     closed,
     disc,
+    holes,
     published_evaluation,
     signed_manhattan,
 )
@@ -151,6 +152,35 @@ def test_with_nothing_refused_or_vacant_it_is_the_thesis_s() -> None:
     assert F[12, 10] == -5
 
 
+@pytest.mark.parametrize("width", [1, 2, 4])
+def test_a_crack_between_two_blocks_is_no_ground_where_the_thesis_s_closing_bridges_it(width: int) -> None:
+    known = np.zeros((40, 40), dtype=np.uint8)
+    known[5:35, 10:30] = 1
+    known[20 : 20 + width] = 0
+    known[22, 15:18] = 1  # what flies between the two
+    assert published_evaluation(known, 2, 5, 15)[20 + width // 2, 20] < 0 or width < 3
+    F = evaluate(known, None, known)
+    assert (F[18:20, 10:30] > 0).all()  # the clearance of what is vacant
+    assert (F[20 + width : 22 + width, 10:30] > 0).all()
+    assert (F[20 : 20 + width] > 0).all()
+    assert F[14, 20] == -4
+
+
+@given(masks(), st.integers(1, 4))
+@settings(deadline=None, max_examples=60)
+def test_a_hole_is_small_and_surrounded(mask: Mask, widest: int) -> None:
+    found = holes(mask, widest)
+    assert not (found & mask).any()
+    padded = np.pad(mask | found, 1)
+    shifts = [
+        np.roll(padded, s, (0, 1))[1:-1, 1:-1] for s in [(-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)]
+    ]
+    assert np.logical_and.reduce(shifts)[found == 1].all()  # ground, or the same hole, all around
+    for run in (found, found.T):
+        lengths = [len(part) for row in run for part in "".join(map(str, row)).split("0")]
+        assert max(lengths, default=0) <= widest
+
+
 def test_an_edge_stays_refused_where_the_thesis_s_closing_brings_it_back() -> None:
     refused = np.zeros((40, 40), dtype=np.uint8)
     refused[20:22] = 1  # both sides of a step
@@ -179,9 +209,9 @@ def test_the_numbers_of_the_thesis_are_lengths() -> None:
         n = round(0.6 / resolution)
         ground = np.ones((n, n), dtype=np.uint8)
         assert e.evaluate(ground, 0 * ground, ground).min() == -bound == -e.bound
-        ground[n // 2 : n // 2 + 2 * half] = 0
+        ground[n // 2 : n // 2 + 2 * half, n // 2 : n // 2 + 2 * half] = 0
         assert e.evaluate(ground, 0 * ground, np.ones_like(ground))[n // 2, n // 2] == -bound
-        ground[n // 2 : n // 2 + 2 * half + 1] = 0
+        ground[n // 2 : n // 2 + 2 * half + 1, n // 2 : n // 2 + 2 * half] = 0
         assert e.evaluate(ground, 0 * ground, np.ones_like(ground))[n // 2, n // 2] > 0
 
 
