@@ -69,6 +69,11 @@ PerLeg: TypeAlias = Annotated[NDArray[np.float64], Dims(6)]
 PerJoint: TypeAlias = Annotated[NDArray[np.float64], Dims(6, 3)]
 LegFlags: TypeAlias = Annotated[NDArray[np.bool_], Dims(6)]
 GaitName: TypeAlias = Literal["tripod", "ripple", "wave"]
+FaultTarget: TypeAlias = Literal["bytes", "packets", "servo", "bus", "supply"]
+FaultKind: TypeAlias = Literal[
+    "silent", "stuck", "garbage", "wrong", "slow", "intermittent", "jammed", "overload", "heat", "gone", "sag", "drain"
+]
+BrokenPart: TypeAlias = Literal["value", "id", "length", "error"]
 _POINTS_WITHOUT_COLOR, _CELLS_WITHOUT_COLOR = np.zeros((0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8)
 _NO_SIGHTS = np.zeros((0, 3), dtype=np.int16)
 _NO_CELLS = np.zeros((0, 0), np.uint8)
@@ -376,6 +381,28 @@ class ModeCommand(Message):
 
     mode: Literal["off", "stand", "walk"]
     sequence: int  # counts up: an order counts once
+
+
+@dataclass(frozen=True, slots=True)
+class FaultCommand(Message):
+    """What to break in the simulated servos or on their bus, as `shared.bus_fault` has it; tests -> simulator."""
+
+    target: FaultTarget
+    kind: FaultKind
+    at_s: float  # [s] simulated; at once where that is past
+    for_s: float  # [s] from its beginning on
+    servo: int  # bus id, -1 for none in particular
+    share: float  # of the bytes or answers
+    value: int  # of a byte
+    part: BrokenPart  # of an answer
+    delay_ms: float  # [ms]
+    on_ms: float  # [ms] all is well
+    off_ms: float  # [ms] and then not
+    cable: bool  # the servo's power goes with it
+    offset_ticks: int
+    kelvin_per_s: float  # [K/s]
+    renamed: bool  # the port comes back under another name
+    volts: float  # [V] less
 
 
 @dataclass(frozen=True, slots=True)

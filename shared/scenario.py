@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from shared import config
+from shared.bus_fault import BusFault
 from shared.messages import GaitName
 
 Color = tuple[int, int, int]  # R, G, B from 0 to 255
@@ -505,6 +506,7 @@ class Scenario:
     pose_error: Literal["none", "rgbdslam", "orb_slam"] = "none"  # perception is off as a recorded visual SLAM was
     map: MapOptions = field(default_factory=MapOptions)
     faults: tuple[Fault, ...] = ()
+    bus_faults: tuple[BusFault, ...] = ()  # of the simulated servos and their bus
     time_limit_s: float = 90.0  # [s] simulated
     folder: str = "."  # where files named in the scenario are looked for; set on loading
 
