@@ -9,9 +9,9 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import NamedTuple
 
 from services.simulator.servos import ServoBank
+from services.simulator.wire import Outbox, Plug, Reply, Wire
 from shared import dynamixel as dxl
 from shared.dynamixel import Access, Instruction, Packet, PacketParser, Register, ServoError
 
@@ -37,13 +37,6 @@ class BusTiming:
     def wire_ns(self, count: int) -> int:
         """Time [ns] that bytes take on the wire."""
         return count * dxl.BITS_PER_BYTE * _SEC // self.baud_rate
-
-
-class Reply(NamedTuple):
-    """Bytes for the host, and when it can have them."""
-
-    due_ns: int
-    data: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +81,7 @@ class ServoBusEmulator:
         self._changes: deque[_Change] = deque()
         self._registered: dict[int, tuple[int, bytes]] = {}  # row -> address and data that wait for an action
         self._listeners: dict[int, list[int]] = {}  # id -> rows
+        self._unplugged: frozenset[int] = frozenset()  # rows that the wire does not reach
         self._find_listeners()
 
     @property
@@ -113,6 +107,16 @@ class ServoBusEmulator:
         for packet in self._parser.feed(data):
             replies += self._execute(packet, start + self._timing.wire_ns(packet.end - offset))
         return replies
+
+    def plug(self, now_ns: int) -> Plug | None:
+        """How the bus is reached: as ever."""
+        return Plug()
+
+    def unplug(self, rows: frozenset[int]) -> None:
+        """Let servos neither hear nor answer from now on, by their rows; all others do."""
+        if rows != self._unplugged:
+            self._unplugged = rows
+            self._find_listeners()
 
     def advance(self, now_ns: int) -> None:
         """Let the writes whose packets ended by now take effect. Call before each physics step."""
@@ -270,7 +274,9 @@ class ServoBusEmulator:
             self._listeners.setdefault(self._value(row, dxl.ID), []).append(row)
 
     def _hears(self, row: int) -> bool:
-        """Whether a servo hears the host: set to its baud rate, within the 3 % that a receiver tolerates."""
+        """Whether a servo hears the host: plugged in and set to its baud rate, within the 3 % that a receiver tolerates."""
+        if row in self._unplugged:
+            return False
         rate = dxl.baud_rate(self._value(row, dxl.BAUD_RATE))
         return abs(rate - self._timing.baud_rate) <= 0.03 * self._timing.baud_rate
 
@@ -301,9 +307,10 @@ class ServoBusEmulator:
             said = dxl.status(servo_id, int(error) | self._bank.error(row), self._table(row, *read) if read else b"")
             answers.setdefault(servo_id, []).append((delay, said))
         replies: list[Reply] = []
-        for delay, data in (heard for same_id in answers.values() for heard in self._heard(same_id)):
+        heard = ((servo_id, *one) for servo_id, said in answers.items() for one in self._heard(said))
+        for servo_id, delay, data in heard:
             self._answered_ns = max(time_ns + delay, self._answered_ns) + self._timing.wire_ns(len(data))
-            replies.append(Reply(self._answered_ns + self._timing.usb_transaction_ns, data))
+            replies.append(Reply(self._answered_ns + self._timing.usb_transaction_ns, data, servo_id))
         self._wire_free_ns = max(self._wire_free_ns, self._answered_ns)
         return replies
 
@@ -354,21 +361,32 @@ class MemoryPort:
     transfer. A read waits by moving that time on, never by sleeping, so the driver sees the bus's real delays at once.
     """
 
-    def __init__(self, bus: ServoBusEmulator, clock: Callable[[], int], timeout: float | None = 0.006) -> None:
+    def __init__(
+        self, bus: Wire, clock: Callable[[], int], timeout: float | None = 0.006, name: int | None = None, start_ns: int = 0
+    ) -> None:
         """Open the port.
 
         Args:
             bus: The emulated bus; somebody else calls its `advance`.
             clock: Simulated time [ns].
             timeout: [s] longest wait of a read; None and 0 both mean no wait, for nothing else would move time on.
+            name: Of the port, as in `Plug`; None for whichever is there.
+            start_ns: Virtual time is not before this: that of the port opened before, where one clock goes by both.
+
+        Raises:
+            OSError: There is no port, or none of that name.
         """
         self.timeout = timeout
         self.is_open = True
         self._bus = bus
         self._clock = clock
-        self._last_ns = 0
-        self._replies: deque[Reply] = deque()
+        self._last_ns = start_ns
+        self._outbox = Outbox()
         self._buffer = bytearray()  # arrived, not read
+        self._plug = bus.plug(self.now_ns())
+        if self._plug is None or name not in (None, self._plug.name):
+            found = "none" if self._plug is None else f"{self._plug.name}"
+            raise OSError(f"port {'any' if name is None else name} of the simulated bus expected, found {found}")
 
     def now_ns(self) -> int:
         """Virtual time [ns]: give it to the driver as its clock."""
@@ -384,8 +402,7 @@ class MemoryPort:
         """Send bytes now; the adapter's buffer takes them at once."""
         now = self._check_open()
         self._last_ns = now
-        for reply in self._bus.receive(bytes(data), now):
-            self._replies.append(reply)
+        self._outbox.put(self._bus.receive(bytes(data), now))
         return len(data)
 
     def read(self, size: int = 1) -> bytes:
@@ -393,8 +410,8 @@ class MemoryPort:
         now = self._check_open()
         deadline = now + round((self.timeout or 0.0) * _SEC)
         self._collect(now)
-        while len(self._buffer) < size and self._replies and self._replies[0].due_ns <= deadline:
-            now = max(now, self._replies[0].due_ns)
+        while len(self._buffer) < size and (due_ns := self._outbox.due_ns) is not None and due_ns <= deadline:
+            now = max(now, due_ns)
             self._collect(now)
         if len(self._buffer) < size:
             now = deadline
@@ -413,10 +430,12 @@ class MemoryPort:
         self.is_open = False
 
     def _check_open(self) -> int:
+        now = self.now_ns()
         if not self.is_open:
             raise OSError("the port is closed; open a new one")
-        return self.now_ns()
+        if self._bus.plug(now) != self._plug:
+            raise OSError("the adapter was unplugged; open the port anew")
+        return now
 
     def _collect(self, now_ns: int) -> None:
-        while self._replies and self._replies[0].due_ns <= now_ns:
-            self._buffer += self._replies.popleft().data
+        self._buffer += self._outbox.take(now_ns)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.simulator.bus import ServoBusEmulator
+from services.simulator.bus_faults import BusFaults
 from services.simulator.color_camera import ColorCamera
 from services.simulator.config import Settings
 from services.simulator.depth_camera import DepthCamera
@@ -22,9 +23,11 @@ from services.simulator.terrain import build_terrain
 from services.simulator.world import TIME_STEP_NS, Factors, World
 from shared import dynamixel as dxl
 from shared import topics
+from shared.bus_fault import BusFault
+from shared.config import ConfigError
 from shared.geometry import Array
 from shared.kinematics import body_inverse
-from shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
+from shared.messages import CameraState, ColorImage, DepthImage, FaultCommand, GroundTruth, Imu, Message, Tick
 from shared.robot import RobotProfile
 from shared.scenario import Scenario, load_scenario
 from shared.service import AnyTopic, Every, Inbox, Stages
@@ -41,7 +44,7 @@ class Simulator:
     """A robot on its course. Time is whoever paces it: the machine's clock live, simulated time in lockstep."""
 
     name = "simulator"
-    reads: tuple[AnyTopic, ...] = ()
+    reads: tuple[AnyTopic, ...] = (topics.FAULT,)
     writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.CAMERA_STATE, topics.IMU, topics.TRUTH)
 
     def __init__(self, profile: RobotProfile, settings: Settings, scenario: Scenario | None = None):
@@ -51,6 +54,9 @@ class Simulator:
             profile: The robot.
             settings: Of this service.
             scenario: In place of the one that the settings name.
+
+        Raises:
+            ConfigError: The scenario breaks a servo that the robot does not have.
         """
         self.paced_by = Every(_STEPS * TIME_STEP_NS)
         self.stages = Stages()
@@ -77,7 +83,9 @@ class Simulator:
         self._signs = profile.servo_signs
         self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
         self._bank = self._switch_on(profile, scenario, seeds[5])
-        self.bus = ServoBusEmulator(self._bank)
+        self.bus = self._wired(scenario)
+        self._plug = self.bus.plug(0)
+        self._fault_refused = ""
         self._server: TcpBusServer | None = None
         self._origin_ns: int | None = None  # of simulated time, on the clock that paces
         self._due_ns = {topic.key: 0 for topic in self.writes}
@@ -97,9 +105,19 @@ class Simulator:
             bank.write(row, dxl.TORQUE_ENABLE.address, b"\x01")
         return bank
 
+    def _wired(self, scenario: Scenario) -> BusFaults:
+        """The servos on their bus, with what the scenario breaks there."""
+        try:
+            bus = BusFaults(ServoBusEmulator(self._bank), self._bank, self._settings.seed, scenario.bus_faults)
+        except ValueError as error:
+            raise ConfigError(f"scenario {scenario.name}", [str(error)]) from None
+        bus.origin_ns = None
+        return bus
+
     def __enter__(self) -> Self:
         """Open the servo bus to the network, for a live run."""
-        self._server = TcpBusServer(self.bus, port=self._settings.bus_port, answering=self._up_to_date)
+        port, other = self._settings.bus_port, self._settings.other_bus_port
+        self._server = TcpBusServer(self.bus, port=port, other_port=other, answering=self._up_to_date)
         log.info("servo bus on %s", self._server.url)
         return self
 
@@ -110,19 +128,50 @@ class Simulator:
     def doing(self) -> str:
         """How far simulated time is."""
         late = f", {self._behind} times too slow for real time" if self._behind else ""
-        return f"simulating {self._scenario.name}, {self.world.time_ns * 1e-9:.1f} s{late}"
+        broken = self.bus.words(self._now_ns())
+        faults = f", faults: {broken}" if broken else ""
+        refused = f", fault refused: {self._fault_refused}" if self._fault_refused else ""
+        return f"simulating {self._scenario.name}, {self.world.time_ns * 1e-9:.1f} s{late}{faults}{refused}"
+
+    def inject(self, fault: BusFault) -> None:
+        """Let something go wrong with servos or bus at its simulated time, or at once where that is past.
+
+        Raises:
+            ValueError: A servo that is not there.
+        """
+        with self._locked():
+            self.bus.inject(fault, self._now_ns())
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Let physics pass until now; make what falls due on the way."""
         if self._origin_ns is None:
             self._origin_ns = tick.stamp_ns - self.world.time_ns
+        for command in inbox.drain(topics.FAULT):
+            self._break(command)
         if tick.stamp_ns - (self._origin_ns + self.world.time_ns) > _MAX_LAG_NS:
             self._behind += 1
             self._origin_ns = tick.stamp_ns - self.world.time_ns - 2 * TIME_STEP_NS
+        self.bus.origin_ns = self._origin_ns
         while self._origin_ns + self.world.time_ns < tick.stamp_ns:
             with self._locked():
                 self._physics(self._origin_ns + self.world.time_ns)
             yield from self._observe(self._origin_ns + self.world.time_ns, inbox)
+        if self._server is not None and self.bus.plug(tick.stamp_ns) != self._plug:
+            self._plug = self.bus.plug(tick.stamp_ns)
+            self._server.replug()
+
+    def _break(self, command: FaultCommand) -> None:
+        """Do as a message asks, or say why not."""
+        try:
+            self.inject(BusFault.of(command))
+        except ValueError as error:
+            self._fault_refused = str(error)
+            log.warning("fault refused: %s", error)
+        else:
+            self._fault_refused = ""
+
+    def _now_ns(self) -> int:
+        return self.world.time_ns + (self._origin_ns or 0)
 
     def _up_to_date(self) -> bool:
         """Whether the physics is near the machine's clock; asked from the bus server's thread."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from services.simulator.ailments import Ailments
 from shared import dynamixel as dxl
 from shared.compiled import compiled
 from shared.dynamixel import ServoError, ServoModel
@@ -63,6 +64,7 @@ RX_64_MOTOR = Motor(stall_torque=5.3, stall_current=2.6, standby_current=0.05)  
 RX_64_SUPPLY = Supply(full_voltage=18.5, empty_voltage=18.5)
 _ELECTRICS = {"AX-12A": (AX_12A_MOTOR, Supply()), "RX-64": (RX_64_MOTOR, RX_64_SUPPLY)}
 
+_JAM = 5.0  # times as stiff and strong as its servo is what a jammed joint is held by
 _BUCKETS = 100  # of the sliding window of the mean duty
 _HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
 # Handed to the compiled loops: they would freeze a constant, and their cache does not notice when another file changes. The
@@ -243,6 +245,9 @@ class ServoBank:
         self._temperature_limit = np.zeros(n)
         self._margin, self._stiffness = np.zeros((2, n)), np.zeros((2, n))  # clockwise, counterclockwise
         self._limp = np.ones(n, dtype=np.bool_)
+        self._ailments = Ailments.none(n)
+        self._ailing = False
+        self._jammed_at = np.zeros(n)  # [rad]
 
     def __len__(self) -> int:
         """Number of servos."""
@@ -277,6 +282,25 @@ class ServoBank:
         self._aims_changed = True
         self._others_changed |= not (address >= _AIM_START and end <= _AIM_END)
 
+    def ail(self, ailments: Ailments | None) -> None:
+        """Ail from now on as told, or be well again; what happens to a servo at the change happens here."""
+        before, now = self._ailments, Ailments.none(len(self)) if ailments is None else ailments
+        if not self._measured:
+            self._refresh()  # registers freeze as they are
+        for row in np.flatnonzero(before.unpowered & ~now.unpowered):
+            self._power_up(int(row))
+        self._jammed_at = np.where(now.jammed & ~before.jammed, self._q, self._jammed_at)
+        self._ailments, self._ailing = now, ailments is not None
+        self._measured, self._others_changed = False, True
+
+    def _power_up(self, row: int) -> None:
+        """Begin with factory values where nothing is kept without power; torque is off and no error is latched."""
+        start = dxl.TORQUE_ENABLE.address
+        self.tables[row, start:] = np.frombuffer(self.model.factory_table(), dtype=np.uint8)[start:]
+        self._torque_limits[row] = self._column(dxl.MAX_TORQUE)[row]
+        self._faults[row] = 0
+        self._aims_changed = self._others_changed = True
+
     @property
     def shutdown(self) -> NDArray[np.bool_]:
         """(n,) servos that have latched an overload or a heat fault."""
@@ -307,6 +331,8 @@ class ServoBank:
         self._q[:] = q
         self._qd[:] = qd
         np.divide(torque, self.motor.stall_torque, out=self._load)
+        if self._ailing:
+            self._suffer(dt)
         if self._aims_changed:
             self._aims()
         if self._others_changed:
@@ -315,6 +341,15 @@ class ServoBank:
         if self._others_changed:  # a shutdown
             self._settings()
         return self._control(dt)
+
+    def _suffer(self, dt: float) -> None:
+        """What ails the servos in this step, but for what they measure."""
+        ailments = self._ailments
+        self.temperature += ailments.heating * dt
+        self.charge = max(self.charge - ailments.drain * dt, 0.0)
+        if ailments.jammed.any():  # the motor pulls as it can, against what holds the joint
+            pull = np.clip(self._out.stiffness * (self._goal - self._q), -self._limit, self._limit)
+            self._load[:] = np.where(ailments.jammed, pull / self.motor.stall_torque, self._load)
 
     def _protect(self, dt: float) -> float:
         """Age overload and heat by one step and shut down what they ask for; return the sum of the duties."""
@@ -329,6 +364,9 @@ class ServoBank:
             self._bucket, self._bucket_time = (self._bucket + 1) % _BUCKETS, 0.0
             self._buckets[self._bucket] = 0.0
             self._duty_sum = self._buckets.sum(axis=0)
+        if self._ailing:
+            self._tripped |= self._ailments.tripped
+            tripped = bool(self._tripped.any())
         if tripped:
             self._faults |= self._tripped
             down = (self._tripped & self.tables[:, dxl.SHUTDOWN.address] != 0) & (self._torque_limits != 0)
@@ -341,7 +379,7 @@ class ServoBank:
         s, m = self.supply, self.motor
         self.current = s.computer_current + len(self) * m.standby_current + m.stall_current * duty_sum
         self.charge = max(self.charge - self.current * dt / (3600.0 * s.capacity_ah), 0.0)
-        self.voltage = self._open_circuit() - s.resistance * self.current
+        self.voltage = self._open_circuit() - s.resistance * self.current - self._ailments.sag
 
     def _open_circuit(self) -> float:
         return self.supply.empty_voltage + self.charge * (self.supply.full_voltage - self.supply.empty_voltage)
@@ -352,7 +390,18 @@ class ServoBank:
             self._goal, self._speed * dt, self._limp, self._q, self._margin, self._stiffness,
             self._setpoint, out.setpoint, out.stiffness,
         )  # fmt: skip
+        if self._ailing and self._ailments.jammed.any():
+            return self._jam(out)
         return out
+
+    def _jam(self, out: ServoCommand) -> ServoCommand:
+        """The command with jammed joints held where they are, by more than their motors have."""
+        jammed, stiffest = self._ailments.jammed, _JAM * self._stiffness.max(axis=0)
+        return ServoCommand(
+            np.where(jammed, self._jammed_at, out.setpoint),
+            np.where(jammed, stiffest, out.stiffness),
+            np.where(jammed, _JAM * self.motor.stall_torque, out.torque_limit),
+        )
 
     def _aims(self) -> None:
         """Goals and speeds of the registers: what a host writes in every cycle."""
@@ -379,7 +428,7 @@ class ServoBank:
 
         wheel_mode = (self._column(dxl.CW_ANGLE_LIMIT) == 0) & (self._column(dxl.CCW_ANGLE_LIMIT) == 0)
         limit = np.minimum(self._torque_limits, self._column(dxl.MAX_TORQUE)) / float(dxl.TORQUE_LIMIT.max)
-        off = (self._column(dxl.TORQUE_ENABLE) == 0) | wheel_mode
+        off = (self._column(dxl.TORQUE_ENABLE) == 0) | wheel_mode | self._ailments.unpowered
         self._limit[:] = np.where(off, 0.0, self.motor.stall_torque * limit)
         self._limp = self._limit == 0.0
         self._out.torque_limit[:] = self._limit
@@ -395,7 +444,11 @@ class ServoBank:
         """Put what all servos measure into their tables: once a physics step at most, when somebody looks."""
         self._measured = True
         words = [self._words[:, r.address // 2] for r in (dxl.PRESENT_POSITION, dxl.PRESENT_SPEED, dxl.PRESENT_LOAD)]
+        position, before = words[0], words[0].copy() if self._ailing else None
         _measure(_UNITS, self._q, self._qd, self._load, *words)
+        if before is not None:
+            off = np.clip(position + self._ailments.offset, 0, dxl.TICK_MAX)
+            position[:] = np.where(self._ailments.frozen, before, off)
         self._column(dxl.PRESENT_VOLTAGE)[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
         self._column(dxl.PRESENT_TEMPERATURE)[:] = np.minimum(np.maximum(np.rint(self.temperature), 0.0), 255.0)
         self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._limp

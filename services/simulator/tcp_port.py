@@ -5,11 +5,10 @@ import select
 import socket
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from types import TracebackType
 
-from services.simulator.bus import Reply, ServoBusEmulator
+from services.simulator.wire import Outbox, Plug, Wire
 
 log = logging.getLogger(__name__)
 
@@ -21,15 +20,17 @@ _STOP_TIMEOUT = 2.0  # [s]
 class TcpBusServer:
     """Serves an emulated bus to one client at a time, from a thread of its own; answers leave when they are due.
 
-    Whoever steps the physics must hold `lock` around `ServoBusEmulator.advance` and the bank's step: the servos are shared.
+    Whoever steps the physics must hold `lock` around `ServoBusEmulator.advance` and the bank's step: the servos are shared. An
+    adapter that is unplugged hangs up and listens no more; under another name it is back on the other port.
     """
 
     def __init__(
         self,
-        bus: ServoBusEmulator,
+        bus: Wire,
         *,
         host: str = "127.0.0.1",
         port: int = 0,
+        other_port: int = 0,
         clock: Callable[[], int] = time.monotonic_ns,
         answering: Callable[[], bool] = lambda: True,
     ) -> None:
@@ -39,6 +40,7 @@ class TcpBusServer:
             bus: The emulated bus.
             host: Address to listen on.
             port: Port to listen on, 0 for a free one.
+            other_port: Port to listen on when the bus is back under another name, and so to and fro.
             clock: Bus time [ns]; it must run at real time, for answers are held back until it reaches them.
             answering: Whether the physics is up to date; while it is not the servos stay silent, rather than tell where
                 they were some time ago.
@@ -51,7 +53,9 @@ class TcpBusServer:
         self._bus = bus
         self._clock = clock
         self._answering = answering
-        self._listener = socket.create_server((host, port), backlog=1)
+        self._host, self._ports = host, [port, other_port]
+        self._plug: Plug | None = Plug()
+        self._listener: socket.socket | None = self._listen(Plug())
         self._wake, self._woken = socket.socketpair()
         self._closing = False
         self._thread = threading.Thread(target=self._serve, name="servo-bus", daemon=True)
@@ -59,9 +63,8 @@ class TcpBusServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port being listened on."""
-        host, port = self._listener.getsockname()[:2]
-        return str(host), int(port)
+        """Host and port being listened on, or listened on last."""
+        return self._address
 
     @property
     def url(self) -> str:
@@ -77,7 +80,12 @@ class TcpBusServer:
         self._wake.send(b"x")
         self._thread.join(_STOP_TIMEOUT)
         for end in (self._listener, self._wake, self._woken):
-            end.close()
+            if end is not None:
+                end.close()
+
+    def replug(self) -> None:
+        """Look whether the adapter was plugged in or out, and hang up if so."""
+        self._wake.send(b"x")
 
     def __enter__(self) -> "TcpBusServer":
         return self
@@ -87,37 +95,59 @@ class TcpBusServer:
 
     def _serve(self) -> None:
         while not self._closing:
-            ready, _, _ = select.select([self._listener, self._woken], [], [])
+            self._follow(self._bus.plug(self._clock()))
+            ready, _, _ = select.select([self._woken, *([self._listener] if self._listener else [])], [], [])
             if self._woken in ready:
-                return
-            client, peer = self._listener.accept()
-            self.clients += 1
-            log.info("servo bus client %s connected", peer)
-            with client:
-                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                reason = self._talk(client)
-            log.info("servo bus client %s left: %s", peer, reason)
+                self._woken.recv(_CHUNK)
+            elif self._listener is not None:
+                self._accept(self._listener)
+
+    def _follow(self, plug: Plug | None) -> None:
+        """Listen where the bus is found now, if at all."""
+        if plug == self._plug:
+            return
+        if self._listener is not None:
+            self._listener.close()
+        self._plug, self._listener = plug, None if plug is None else self._listen(plug)
+        log.info("servo bus %s", "unplugged" if plug is None else f"on {self.url}")
+
+    def _listen(self, plug: Plug) -> socket.socket:
+        which = plug.name % len(self._ports)
+        listener = socket.create_server((self._host, self._ports[which]), backlog=1)
+        host, port = listener.getsockname()[:2]
+        self._address, self._ports[which] = (str(host), int(port)), int(port)
+        return listener
+
+    def _accept(self, listener: socket.socket) -> None:
+        client, peer = listener.accept()
+        self.clients += 1
+        log.info("servo bus client %s connected", peer)
+        with client:
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            reason = self._talk(client)
+        log.info("servo bus client %s left: %s", peer, reason)
 
     def _talk(self, client: socket.socket) -> str:
-        """Serve one client until it leaves or the server closes; return why it ended."""
-        replies: deque[Reply] = deque()
+        """Serve one client until it leaves, the adapter is unplugged or the server closes; return why it ended."""
+        outbox = Outbox()
         try:
             while True:
-                wait = (replies[0].due_ns - self._clock()) / _SEC if replies else None
-                ready, _, _ = select.select([client, self._woken], [], [], None if wait is None else max(wait, 0.0))
-                if self._woken in ready:
+                wait = None if outbox.due_ns is None else max((outbox.due_ns - self._clock()) / _SEC, 0.0)
+                ready, _, _ = select.select([client, self._woken], [], [], wait)
+                if self._closing:
                     return "server closed"
+                if self._woken in ready:
+                    self._woken.recv(_CHUNK)
+                    if self._bus.plug(self._clock()) != self._plug:
+                        return "adapter unplugged"
                 if client in ready:
                     data = client.recv(_CHUNK)
                     if not data:
                         return "client hung up"
                     with self.lock:
                         answers = self._bus.receive(data, self._clock())
-                    replies.extend(answers if self._answering() else ())
-                due = bytearray()
-                now = self._clock()
-                while replies and replies[0].due_ns <= now:
-                    due += replies.popleft().data
+                    outbox.put(answers if self._answering() else ())
+                due = outbox.take(self._clock())
                 if due:
                     client.sendall(due)
         except OSError as error:  # reset or broken pipe: the client went away without a word

@@ -1,6 +1,7 @@
 """The simulator as a service: how often it speaks, whom it serves, what time it is."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import pytest
 from services.simulator.config import Settings
 from services.simulator.service import Simulator
 from services.simulator.world import TIME_STEP_NS
+from shared import codec, topics
 from shared import dynamixel as dxl
-from shared import topics
+from shared.bus_fault import BusFault
+from shared.config import ConfigError
 from shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
 from shared.robot import load_profile
 from shared.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Start, Variation
@@ -187,3 +190,50 @@ def test_in_lockstep_it_makes_what_it_says_and_no_colour() -> None:
 def test_nonsense_settings_are_refused(nonsense: dict[str, int]) -> None:
     with pytest.raises(ValueError, match="expected"):
         Settings(**nonsense)  # type: ignore[arg-type]
+
+
+def silent(sim: Simulator, at_ns: int) -> bool:
+    return sim.bus.receive(dxl.ping(1), at_ns) == []
+
+
+def test_the_bus_fails_as_the_scenario_has_it_and_comes_back() -> None:
+    fault = BusFault("bus", "silent", 0.1, for_s=0.1)
+    sim = Simulator(PROFILE, Settings(), Scenario("flat", (Plane(),), Goal(1.0), bus_faults=(fault,)))
+    run(sim, 120 * MS)
+    assert [silent(sim, at * MS) for at in (99, 100, 199, 200)] == [False, True, True, False]
+    assert sim.doing() == "simulating flat, 0.1 s, faults: bus silent"
+
+
+def test_a_fault_is_injected_at_its_simulated_time_whatever_the_clock_shows() -> None:
+    sim = simulator()
+    begun_ns = 7_000 * MS
+    run(sim, begun_ns + 20 * MS, from_ns=begun_ns)
+    sim.inject(BusFault("bus", "silent", 0.1, for_s=0.1))
+    assert [silent(sim, begun_ns + at * MS) for at in (99, 100, 199, 200)] == [False, True, True, False]
+    sim.inject(BusFault("packets", "silent", 0.0, for_s=0.01, share=1.0))  # at once
+    assert [silent(sim, begun_ns + at * MS) for at in (20, 29, 30)] == [True, True, False]
+
+
+def test_a_fault_is_injected_by_message_in_lockstep_and_what_makes_no_sense_is_refused_in_words() -> None:
+    sim = simulator()
+    inbox = Inbox(sim.reads, sim.stages)
+    overload = BusFault("servo", "overload", 0.0, servo=8).command(0)
+    for command, words in (
+        (overload, "faults: servo overload, servo 8"),
+        (replace(overload, servo=99), "fault refused: servo overload, servo 99: one of the servos 1, 2"),
+        (replace(overload, kind="gone"), "fault refused: kind: one of silent, stuck"),
+        (replace(overload, for_s=-1.0), "fault refused: for_s: a fault longer than 0 s"),
+    ):
+        inbox.receive(topics.FAULT, codec.encode(command), 0)
+        truths = [m for m in sim.step(Tick(sim.world.time_ns + BEAT_NS), inbox) if isinstance(m, GroundTruth)]
+        assert words in sim.doing()
+    run(sim, 100 * MS)
+    truths = [m for m in run(sim, 200 * MS, from_ns=100 * MS) if isinstance(m, GroundTruth)]
+    assert truths[-1].shutdown[PROFILE.servo_ids == 8].all()
+    assert truths[-1].shutdown.sum() == 1
+
+
+def test_a_scenario_that_breaks_a_servo_which_is_not_there_is_refused() -> None:
+    scenario = Scenario("flat", (Plane(),), Goal(1.0), bus_faults=(BusFault("servo", "silent", 0.1, servo=99),))
+    with pytest.raises(ConfigError, match=r"scenario flat: servo silent, servo 99, .* expected, found 99"):
+        Simulator(PROFILE, Settings(), scenario)
