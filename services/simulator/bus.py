@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from services.simulator.servos import ServoBank
-from services.simulator.wire import Outbox, Plug, Reply, Wire
+from services.simulator.wire import Outbox, Outlet, Reply, Wire
 from shared import dynamixel as dxl
 from shared.dynamixel import Access, Instruction, Packet, PacketParser, Register, ServoError
 
@@ -81,7 +81,7 @@ class ServoBusEmulator:
         self._changes: deque[_Change] = deque()
         self._registered: dict[int, tuple[int, bytes]] = {}  # row -> address and data that wait for an action
         self._listeners: dict[int, list[int]] = {}  # id -> rows
-        self._unplugged: frozenset[int] = frozenset()  # rows that the wire does not reach
+        self._cut_off: frozenset[int] = frozenset()  # rows that the wire does not reach
         self._find_listeners()
 
     @property
@@ -108,14 +108,14 @@ class ServoBusEmulator:
             replies += self._execute(packet, start + self._timing.wire_ns(packet.end - offset))
         return replies
 
-    def plug(self, now_ns: int) -> Plug | None:
+    def outlet(self, now_ns: int) -> Outlet | None:
         """How the bus is reached: as ever."""
-        return Plug()
+        return Outlet()
 
-    def unplug(self, rows: frozenset[int]) -> None:
+    def cut_off(self, rows: frozenset[int]) -> None:
         """Let servos neither hear nor answer from now on, by their rows; all others do."""
-        if rows != self._unplugged:
-            self._unplugged = rows
+        if rows != self._cut_off:
+            self._cut_off = rows
             self._find_listeners()
 
     def advance(self, now_ns: int) -> None:
@@ -275,7 +275,7 @@ class ServoBusEmulator:
 
     def _hears(self, row: int) -> bool:
         """Whether a servo hears the host: plugged in and set to its baud rate, within the 3 % that a receiver tolerates."""
-        if row in self._unplugged:
+        if row in self._cut_off:
             return False
         rate = dxl.baud_rate(self._value(row, dxl.BAUD_RATE))
         return abs(rate - self._timing.baud_rate) <= 0.03 * self._timing.baud_rate
@@ -370,7 +370,7 @@ class MemoryPort:
             bus: The emulated bus; somebody else calls its `advance`.
             clock: Simulated time [ns].
             timeout: [s] longest wait of a read; None and 0 both mean no wait, for nothing else would move time on.
-            name: Of the port, as in `Plug`; None for whichever is there.
+            name: Of the port, as in `Outlet`; None for whichever is there.
             start_ns: Virtual time is not before this: that of the port opened before, where one clock goes by both.
 
         Raises:
@@ -383,9 +383,9 @@ class MemoryPort:
         self._last_ns = start_ns
         self._outbox = Outbox()
         self._buffer = bytearray()  # arrived, not read
-        self._plug = bus.plug(self.now_ns())
-        if self._plug is None or name not in (None, self._plug.name):
-            found = "none" if self._plug is None else f"{self._plug.name}"
+        self._outlet = bus.outlet(self.now_ns())
+        if self._outlet is None or name not in (None, self._outlet.name):
+            found = "none" if self._outlet is None else f"{self._outlet.name}"
             raise OSError(f"port {'any' if name is None else name} of the simulated bus expected, found {found}")
 
     def now_ns(self) -> int:
@@ -433,7 +433,7 @@ class MemoryPort:
         now = self.now_ns()
         if not self.is_open:
             raise OSError("the port is closed; open a new one")
-        if self._bus.plug(now) != self._plug:
+        if self._bus.outlet(now) != self._outlet:
             raise OSError("the adapter was unplugged; open the port anew")
         return now
 

@@ -12,7 +12,7 @@ from random import Random
 from services.simulator.ailments import Ailments
 from services.simulator.bus import ServoBusEmulator
 from services.simulator.servos import ServoBank
-from services.simulator.wire import Plug, Reply
+from services.simulator.wire import Outlet, Reply
 from shared import dynamixel as dxl
 from shared.bus_fault import BusFault
 from shared.messages import FaultTarget
@@ -126,14 +126,14 @@ class BusFaults:
         t_ns = self._simulated(now_ns)
         return "; ".join(str(running.fault) for running in self._running if running.on(t_ns))
 
-    def plug(self, now_ns: int) -> Plug | None:
+    def outlet(self, now_ns: int) -> Outlet | None:
         """How the bus is reached now, None while its port is gone."""
         gone = [running for running in self._running if running.cell == ("bus", "gone")]
         t_ns = self._simulated(now_ns)
         if any(running.on(t_ns) for running in gone):
             return None
         over = [running for running in gone if running.end_ns <= t_ns]
-        return Plug(self._renamed + sum(r.fault.renamed for r in over), self._pulled + len(over))
+        return Outlet(self._renamed + sum(r.fault.renamed for r in over), self._pulled + len(over))
 
     def _simulated(self, now_ns: int) -> int:
         return 0 if self.origin_ns is None else now_ns - self.origin_ns
@@ -144,7 +144,7 @@ class BusFaults:
         """Take bytes that the host sends at a time and return what it gets, as `ServoBusEmulator.receive`."""
         t_ns = self._simulated(now_ns)
         active = [running for running in self._running if running.on(t_ns)]
-        self._bus.unplug(frozenset(r.row for r in active if r.fault.target == "servo" and r.away(t_ns)))
+        self._bus.cut_off(frozenset(r.row for r in active if r.fault.target == "servo" and r.away(t_ns)))
         if not active:
             return self._bus.receive(data, now_ns)
         for running in _of("bus", active):

@@ -84,7 +84,7 @@ class Simulator:
         self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
         self._bank = self._switch_on(profile, scenario, seeds[5])
         self.bus = self._wired(scenario)
-        self._plug = self.bus.plug(0)
+        self._outlet = self.bus.outlet(0)
         self._fault_refused = ""
         self._server: TcpBusServer | None = None
         self._origin_ns: int | None = None  # of simulated time, on the clock that paces
@@ -156,8 +156,8 @@ class Simulator:
             with self._locked():
                 self._physics(self._origin_ns + self.world.time_ns)
             yield from self._observe(self._origin_ns + self.world.time_ns, inbox)
-        if self._server is not None and self.bus.plug(tick.stamp_ns) != self._plug:
-            self._plug = self.bus.plug(tick.stamp_ns)
+        if self._server is not None and self.bus.outlet(tick.stamp_ns) != self._outlet:
+            self._outlet = self.bus.outlet(tick.stamp_ns)
             self._server.replug()
 
     def _break(self, command: FaultCommand) -> None:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from types import TracebackType
 
-from services.simulator.wire import Outbox, Plug, Wire
+from services.simulator.wire import Outbox, Outlet, Wire
 
 log = logging.getLogger(__name__)
 
@@ -54,8 +54,8 @@ class TcpBusServer:
         self._clock = clock
         self._answering = answering
         self._host, self._ports = host, [port, other_port]
-        self._plug: Plug | None = Plug()
-        self._listener: socket.socket | None = self._listen(Plug())
+        self._outlet: Outlet | None = Outlet()
+        self._listener: socket.socket | None = self._listen(Outlet())
         self._wake, self._woken = socket.socketpair()
         self._closing = False
         self._thread = threading.Thread(target=self._serve, name="servo-bus", daemon=True)
@@ -95,24 +95,24 @@ class TcpBusServer:
 
     def _serve(self) -> None:
         while not self._closing:
-            self._follow(self._bus.plug(self._clock()))
+            self._follow(self._bus.outlet(self._clock()))
             ready, _, _ = select.select([self._woken, *([self._listener] if self._listener else [])], [], [])
             if self._woken in ready:
                 self._woken.recv(_CHUNK)
             elif self._listener is not None:
                 self._accept(self._listener)
 
-    def _follow(self, plug: Plug | None) -> None:
+    def _follow(self, outlet: Outlet | None) -> None:
         """Listen where the bus is found now, if at all."""
-        if plug == self._plug:
+        if outlet == self._outlet:
             return
         if self._listener is not None:
             self._listener.close()
-        self._plug, self._listener = plug, None if plug is None else self._listen(plug)
-        log.info("servo bus %s", "unplugged" if plug is None else f"on {self.url}")
+        self._outlet, self._listener = outlet, None if outlet is None else self._listen(outlet)
+        log.info("servo bus %s", "unplugged" if outlet is None else f"on {self.url}")
 
-    def _listen(self, plug: Plug) -> socket.socket:
-        which = plug.name % len(self._ports)
+    def _listen(self, outlet: Outlet) -> socket.socket:
+        which = outlet.name % len(self._ports)
         listener = socket.create_server((self._host, self._ports[which]), backlog=1)
         host, port = listener.getsockname()[:2]
         self._address, self._ports[which] = (str(host), int(port)), int(port)
@@ -138,7 +138,7 @@ class TcpBusServer:
                     return "server closed"
                 if self._woken in ready:
                     self._woken.recv(_CHUNK)
-                    if self._bus.plug(self._clock()) != self._plug:
+                    if self._bus.outlet(self._clock()) != self._outlet:
                         return "adapter unplugged"
                 if client in ready:
                     data = client.recv(_CHUNK)

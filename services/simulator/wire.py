@@ -13,7 +13,7 @@ class Reply(NamedTuple):
     servo_id: int = -1  # whose answer it is; -1 for an echo or noise
 
 
-class Plug(NamedTuple):
+class Outlet(NamedTuple):
     """How the bus is reached: a port that was opened works as long as this stays the same."""
 
     name: int = 0  # of the port: 0, then counted up with every return under another name
@@ -26,7 +26,7 @@ class Wire(Protocol):
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
         """Take bytes that the host sends at a time and return what it is to get."""
 
-    def plug(self, now_ns: int) -> Plug | None:
+    def outlet(self, now_ns: int) -> Outlet | None:
         """How the bus is reached now, None while its adapter is unplugged."""
 
 

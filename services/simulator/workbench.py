@@ -11,8 +11,9 @@ from datetime import date
 
 import numpy as np
 
-from services.simulator.bus import BusTiming, Reply, ServoBusEmulator
+from services.simulator.bus import BusTiming, ServoBusEmulator
 from services.simulator.servos import bank_of
+from services.simulator.wire import Reply
 from shared import dynamixel as dxl
 from shared.geometry import Array
 from shared.robot import JOINTS, LEGS, Calibration, RobotProfile

@@ -13,7 +13,7 @@ from services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
 from services.simulator.bus_faults import BusFaults
 from services.simulator.servos import ServoBank
 from services.simulator.tcp_port import TcpBusServer
-from services.simulator.wire import Plug, Reply
+from services.simulator.wire import Outlet, Reply
 from shared import dynamixel as dxl
 from shared.bus_fault import GRID, BusFault
 from shared.dynamixel import PRESENT_STATE, Packet, PacketParser, Register, ServoError
@@ -79,7 +79,7 @@ def test_without_a_fault_it_is_the_bus_itself() -> None:
     requests = [dxl.ping(1), dxl.sync_write(30, 2, [(i, b"\x00\x01") for i in IDS]), dxl.read(2, 30, 2), b"\xff\xff\x01", b"x"]
     for request in requests:
         assert rig.hear(request) == plain.plain.receive(request, plain.now_ns)
-    assert rig.bus.plug(0) == Plug()
+    assert rig.bus.outlet(0) == Outlet()
     assert rig.bus.words(0) == ""
 
 
