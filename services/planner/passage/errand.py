@@ -40,7 +40,7 @@ _ASIDE, _TURNED = 0.30, np.radians(10.0)  # [m] and [rad] off the strip, from wh
 _POSE_S = 2.0  # [s] for raising the body and lowering it
 _PER_TICK = 4_000  # expansions for each message of the actuator, 25 a second: a core does as many meanwhile, 100 000 a second
 _OFF_PLACE, _OFF_HEIGHT = 0.03, 0.025  # [m] of a standing foot from where the plan has it, from which it is planned anew
-_SEEDS = 3  # attempts at planning a section, each with other samples
+ATTEMPTS = 8  # attempts at planning a section, each with other samples
 _RETRIES = 3  # plannings at one place of the body, within
 _SAME_PLACE = 0.03  # [m], before it says that there is no way
 _YIELDED = 0.055  # [m] around a foot that found nothing, where ground is taken to carry none
@@ -139,7 +139,7 @@ class Errand:
         self._asked_ns = -1
         self._looks = 0
         self._section = 0
-        self._seed = _SEEDS  # of the section: so many attempts have been made
+        self._seed = ATTEMPTS  # of the section: so many attempts have been made
         self._map_ns = -1  # of the map that was used last
         self._field: Field | None = None
         self._base = 0  # number of the step before the section's first
@@ -287,7 +287,7 @@ class Errand:
             goal = goal_behind(self._field, float(root.body[0]) + _NEARLY, self._along(self._target))
             if goal is None:
                 return Over("behind the gap")
-            if self._seed == _SEEDS:
+            if self._seed == ATTEMPTS:
                 refusal = self._once_more_here(standing.body[:2, 3])
                 if refusal:
                     return Refused(refusal)
@@ -295,7 +295,7 @@ class Errand:
             self._seed += 1
             self._goal = goal
             self._begun_ns, self._planning_s = state.stamp_ns, 0.0
-            self._roadmap.begin(self._field, root, goal, seed=_SEEDS * self._section + self._seed)
+            self._roadmap.begin(self._field, root, goal, seed=ATTEMPTS * self._section + self._seed)
         began = self._clock()
         found = self._roadmap.grow(_PER_TICK)
         self._planning_s += self._clock() - began
@@ -305,7 +305,7 @@ class Errand:
         self._report = self._tell(state.stamp_ns, found)
         self._stopped = found.reason if isinstance(found, NoWay) else ""
         if isinstance(found, NoWay):
-            if self._seed < _SEEDS:
+            if self._seed < ATTEMPTS:
                 return Wait(f"planning section {self._section} of the passage once more: {found.reason}")
             if found.unseen and self._worth > _LEAST_WORTH and self._looks < _LOOKS:
                 self._worth, self._because = _LEAST_WORTH, f" again: {found.reason}"  # a look that shows little may do
@@ -321,7 +321,7 @@ class Errand:
 
     def _set_out(self, steps: tuple[PassageStep, ...], state: ActuatorState, words: str) -> "Outcome":
         """Walk steps from here, saying so in words."""
-        self._steps, self._base, self._looks, self._seed, self._worth = steps, state.step, 0, _SEEDS, _WORTH
+        self._steps, self._base, self._looks, self._seed, self._worth = steps, state.step, 0, ATTEMPTS, _WORTH
         return self._enter("walk", Wait(words))
 
     def _once_more_here(self, xy: Array) -> str:

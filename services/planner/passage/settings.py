@@ -36,7 +36,7 @@ class PassageSettings:
     spare: float = 0.003  # [m] from the ends of each leg's reach
     moved_most: float = 0.08  # [m] by which a point of a swing may be moved into reach
     repair: float = 0.03  # [m] by which a start stance may be wrong
-    budget: int = 20_000  # expansions for one section
+    budget: int = 24_000  # expansions for one section
     patience: int = 1200  # expansions of the first tree, before another one is tried
     nodes: int = 100_000  # most configurations kept
     eager: float = 5.0  # weight of the cost to go

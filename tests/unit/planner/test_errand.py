@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from services.planner.config import Settings
-from services.planner.passage.errand import STRIP, Errand, Move, Outcome, Over, Refused, Standing, Wait
+from services.planner.passage.errand import ATTEMPTS, STRIP, Errand, Move, Outcome, Over, Refused, Standing, Wait
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
 from shared.geometry import Array, apply, from_xyz_rpy, inverse
@@ -147,7 +147,7 @@ def test_a_section_is_planned_from_where_the_robot_stands_to_behind_the_gap() ->
 
 
 def test_what_planning_came_to_is_told_once() -> None:
-    robot = Robot(Planned(*[no_way()] * 3))
+    robot = Robot(Planned(*[no_way()] * ATTEMPTS))
     reports = []
     while not reports:
         robot.tick()
@@ -164,7 +164,7 @@ def test_a_refusal_is_told_with_the_way_to_the_furthest_and_what_fails_there(leg
     leant = PassageStep(-1, body, 0.0, body, 0.04)
     furthest = Stance(leant.body, np.array([step.touchdown for step in steps]))
     found = replace(no_way(), furthest=furthest, steps=(*steps, leant), leg=leg)
-    robot = Robot(Planned(*[found] * 3))
+    robot = Robot(Planned(*[found] * ATTEMPTS))
     report = None
     while report is None:
         robot.tick()
@@ -188,9 +188,9 @@ def test_a_way_is_told_with_nothing_that_stops_it() -> None:
 
 
 def test_no_way_is_refused_in_the_planners_words_once_other_samples_found_none_either() -> None:
-    robot = Robot(Planned(no_way("all"), no_way("some"), no_way("left front leg: out of reach")))
+    robot = Robot(Planned(*[no_way("all")] * (ATTEMPTS - 1), no_way("left front leg: out of reach")))
     assert robot.until_end() == Refused("left front leg: out of reach")
-    assert len({seed for *_, seed in robot.sections.begun}) == 3
+    assert len({seed for *_, seed in robot.sections.begun}) == ATTEMPTS
 
 
 def test_a_step_that_was_not_taken_is_due_again() -> None:
@@ -271,7 +271,7 @@ def test_a_refused_look_is_done_without() -> None:
 
 def test_unknown_ground_is_told_from_bare() -> None:
     """Where nothing was seen beyond the near side the goal is not behind what may be there."""
-    robot = Robot(Planned(*[no_way()] * 3))
+    robot = Robot(Planned(*[no_way()] * ATTEMPTS))
     look = robot.look
 
     def short() -> PassageMap:
@@ -316,7 +316,7 @@ def test_a_map_that_is_none_of_the_strip_is_not_planned_on(changes: dict[str, ob
 
 
 def test_a_look_from_far_away_is_not_taken() -> None:
-    robot = Robot(Planned(*[no_way()] * 3), looks=5)
+    robot = Robot(Planned(*[no_way()] * ATTEMPTS), looks=5)
     look = robot.look
     robot.look = lambda: replace(look(), T_world_look=from_xyz_rpy((0.0, 0.0, 0.9), np.zeros(3)))  # type: ignore[method-assign]
     robot.until_end()
@@ -335,31 +335,31 @@ def test_while_a_foot_looks_for_its_ground_nothing_is_sent() -> None:
 
 def test_unseen_ground_is_looked_at_again_before_it_is_no_way() -> None:
     blind = replace(no_way("ground unknown"), unseen=True)
-    robot = Robot(Planned(*[blind] * 3, section(0.0, 1.85)))
+    robot = Robot(Planned(*[blind] * ATTEMPTS, section(0.0, 1.85)))
     robot.until(lambda: bool(robot.moves))
-    assert len(robot.sections.begun) == 4
+    assert len(robot.sections.begun) == ATTEMPTS + 1
 
 
 def test_from_where_nothing_leads_on_it_backs_off_and_finds_another_way() -> None:
-    robot = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * 3, section(0.4, 1.85)))
+    robot = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * ATTEMPTS, section(0.4, 1.85)))
     assert robot.until_end() == Over("behind the gap")
     assert [int(np.flatnonzero(m.stride.swing)[0]) for m in robot.moves] == [*range(6), 5, 4, *range(6)]
     assert any("backing off by 2 steps to find another way: stuck" in words for words in robot.heard)
     assert [m.words for m in robot.moves[6:8]] == [f"passage, backing off in section 2: step {k} of 2" for k in (1, 2)]
-    first, again = robot.sections.begun[0][1], robot.sections.begun[4][1]
+    first, again = robot.sections.begun[0][1], robot.sections.begun[ATTEMPTS + 1][1]
     assert again.body[0] == pytest.approx(first.body[0] + 0.4)
     np.testing.assert_allclose(again.feet[4:], first.feet[4:], atol=1e-9)
     assert (again.feet[:4, 0] > first.feet[:4, 0] + 0.5).all()
 
 
 def test_what_it_has_backed_off_from_in_vain_is_no_way() -> None:
-    end = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * 6)).until_end()
+    end = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * (2 * ATTEMPTS))).until_end()
     assert end == Refused("stuck")
 
 
 def test_where_no_look_shows_the_unseen_ground_that_is_said() -> None:
     blind = replace(no_way("cells ahead are unknown"), unseen=True)
-    end = Robot(Planned(*[blind] * 6)).until_end()
+    end = Robot(Planned(*[blind] * (2 * ATTEMPTS))).until_end()
     assert isinstance(end, Refused)
     assert end.reason.endswith("cells ahead are unknown, and no look is left that would show more")
 
