@@ -20,7 +20,7 @@ import serial
 from numpy.typing import ArrayLike, NDArray
 
 from services.actuator import roll_call, usb_adapter
-from services.actuator.roll_call import Chorus, Voice
+from services.actuator.roll_call import Chorus, Problem, Voice
 from shared import dynamixel as dxl
 from shared.dynamixel import PRESENT_STATE, Packet, PacketParser, Register, ServoError, ServoModel
 
@@ -223,8 +223,10 @@ class ServoBus:
         return answer is not None
 
     def tell(self, servo_id: int, register: Register, value: int) -> None:
-        """Write one register and await no answer, of a servo that may give none."""
+        """Write one register of a servo that may not answer, or under another id."""
         self._send(dxl.write(servo_id, register.address, register.encode(value)))
+        if self._await(servo_id, 0) is None:
+            self._stale = True
 
     def chorus(self, servo_id: int) -> Chorus:
         """All that comes back on one ping while an answer may be awaited: of two servos with one id, more than an answer."""
@@ -259,11 +261,12 @@ class ServoBus:
         wrong = roll_call.problems(self.names, seen, self._model)
         for i in self.names.keys() - wrong.keys():
             if words := roll_call.prepare(self, seen[i]):
-                wrong[i] = f"{roll_call.named(i, self.names)} {words}"
+                wrong[i] = Problem(f"{roll_call.named(i, self.names)} {words}", "")
         if wrong:
+            words = "; ".join(problem.words for problem in wrong.values())
             raise BusSetupError(
-                f"{len(wrong.keys() & self.names.keys())} of {len(self)} servos are not ready: {'; '.join(wrong.values())}; "
-                f"check cables and ids with `sextant servos scan`"
+                f"{len(wrong.keys() & self.names.keys())} of {len(self)} servos are not ready: {words}; "
+                f"`sextant servos scan` says what to do"
             )
 
     # --------------------------------------------------------------------------------------------------- in the loop

@@ -36,6 +36,13 @@ class Chorus(NamedTuple):
         return not self.answers and not self.garbage
 
 
+class Problem(NamedTuple):
+    """What is wrong with a servo, and what to do."""
+
+    words: str
+    advice: str
+
+
 class Bus(Protocol):
     """The part of `ServoBus` that is used here."""
 
@@ -65,6 +72,16 @@ class Voice(StrEnum):
     DOUBLED = "is answered for more than once, or in garbage: two servos have this id, or a cable is bad"
     MUTE = "answers a ping but no read"
     ECHO = "answers with the request itself; this adapter echoes: turn the echo setting on"
+
+
+_SET_ID = "`sextant servos set-id` with it alone on the bus"
+_BY_VOICE = {
+    Voice.DOUBLED: f"unplug one of the two, and give the other its own id: {_SET_ID}",
+    Voice.MUTE: f"its status return level is 0: {_SET_ID}",
+    Voice.ECHO: "take an adapter that does not echo",
+}
+_LOW_VOLTAGE = {dxl.AX_12A.number: 10.5, dxl.RX_64.number: 14.0}  # [V] 3.5 V a cell of three, of four
+_WARM = 10.0  # [deg C] below its limit a servo is too warm to begin with
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,8 +153,8 @@ def call(bus: Bus, names: Mapping[int, str]) -> dict[int, Seen]:
     return seen
 
 
-def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoModel) -> dict[int, str]:
-    """What is wrong with each servo of a robot, and whose place a stranger may have left, in words by id.
+def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoModel) -> dict[int, Problem]:
+    """What is wrong with each servo of a robot, and whose place a stranger may have left, by id.
 
     Args:
         names: Id -> leg and joint, as "left rear femur"; empty words where there is no name.
@@ -145,14 +162,19 @@ def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoMod
         model: The type that all are to be.
     """
     missing = [i for i in names if i not in seen]
-    found = {i: words for i in names if (words := _wrong(seen.get(i), model))}
+    found = {i: problem for i in names if (problem := _wrong(seen.get(i), model))}
     for i in sorted(seen.keys() - names.keys()):
-        found[i] = "is none of the robot's"
+        found[i] = Problem("is none of the robot's", _SET_ID)
     first = seen.get(FACTORY_ID)
     if first and missing and (FACTORY_ID not in names or first.voice is Voice.DOUBLED):
-        lost = " or ".join(named(i, names) for i in missing)
-        found[FACTORY_ID] += f"; {FACTORY_ID} is what a reset leaves: it may be {lost}"
-    return {i: f"{named(i, names)} {words}" for i, words in found.items()}
+        words, advice = found[FACTORY_ID]
+        found[FACTORY_ID] = Problem(f"{words}; {left_by_reset(missing, names)}", advice)
+    return {i: Problem(f"{named(i, names)} {words}", advice) for i, (words, advice) in found.items()}
+
+
+def left_by_reset(missing: Iterable[int], names: Mapping[int, str]) -> str:
+    """Who may have become the factory's id by a reset, in words."""
+    return f"{FACTORY_ID} is what a reset leaves: it may be {' or '.join(named(i, names) for i in missing)}"
 
 
 def named(servo_id: int, names: Mapping[int, str]) -> str:
@@ -161,18 +183,34 @@ def named(servo_id: int, names: Mapping[int, str]) -> str:
     return f"servo {servo_id} ({name})" if name else f"servo {servo_id}"
 
 
-def _wrong(seen: Seen | None, model: ServoModel) -> str:
-    """What is wrong with one servo, or nothing."""
+def _wrong(seen: Seen | None, model: ServoModel) -> Problem | None:
+    """What is wrong with one servo."""
     if seen is None:
-        return "does not answer"
+        return Problem("does not answer", "see to its cable and power: those behind it in the chain are silent with it")
     if seen.voice is not Voice.CLEAR:
-        return seen.voice.value
+        return Problem(seen.voice.value, _BY_VOICE[seen.voice])
     if seen[dxl.MODEL_NUMBER] != model.number:
         found = _MODEL_NAMES.get(seen[dxl.MODEL_NUMBER], "unknown")
-        return f"is model {seen[dxl.MODEL_NUMBER]} ({found}), expected {model.number} ({model.name})"
+        words = f"is model {seen[dxl.MODEL_NUMBER]} ({found}), expected {model.number} ({model.name})"
+        return Problem(words, "put the right one in its place, or name the robot that has it")
     if not seen[dxl.CW_ANGLE_LIMIT] and not seen[dxl.CCW_ANGLE_LIMIT]:
-        return "is in wheel mode (both angle limits are 0); write its cw and ccw angle limits"
-    return ""
+        return Problem("is in wheel mode (both angle limits are 0)", f"{_SET_ID}: it makes it a joint again")
+    return None
+
+
+def ailing(seen: Seen) -> str:
+    """What a servo says of its voltage, heat and load that is out of order, in words; nothing where all is well."""
+    low = _LOW_VOLTAGE.get(seen[dxl.MODEL_NUMBER], 0.0)
+    limit = seen[dxl.TEMPERATURE_LIMIT]
+    return "; ".join(
+        words
+        for words, wrong in (
+            (f"reports {dxl.error_words(seen.error)}; switch its power off and on again", seen.error),
+            (f"has {seen.voltage:.1f} V, at least {low:.1f} V expected: charge the battery", seen.voltage < low),
+            (f"is {seen.temperature:.0f} deg C warm, its limit is {limit}: let it cool", seen.temperature > limit - _WARM),
+        )
+        if wrong
+    )
 
 
 def prepare(bus: Bus, seen: Seen) -> str:

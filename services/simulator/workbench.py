@@ -88,6 +88,7 @@ class Workbench(ServoBusEmulator):
         servo = self.robot.servo_angles(np.tile(pose, (len(LEGS), 1)))[leg]
         for servo_id, angle in zip(self.robot.servo_ids[leg], servo, strict=True):
             self._q[self._with_id(int(servo_id))] = angle
+        self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # what they measure from now on
 
     def obey(self, line: str) -> str:
         """Do what is typed at the terminal, and tell in words what is there then.

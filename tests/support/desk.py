@@ -41,6 +41,12 @@ class Desk:
         model = dxl.MODEL_NAMED[self.profile.servo.model]
         return ServoBus(self.open(), list(names), self.clock, model=model, names=names)
 
+    def settle(self) -> None:
+        """Let what was written arrive, and joints come to rest."""
+        for _ in range(100):
+            self.port.read(1)
+        self.bench.receive(b"", self.clock())
+
     def row(self, servo_id: int) -> int:
         """The first servo that has an id."""
         return self.bench._with_id(servo_id)[0]

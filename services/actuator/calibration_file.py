@@ -1,0 +1,84 @@
+"""A robot's own TOML: calibrations are written into it leg by leg, and everything else in it stays as it was."""
+
+import os
+import re
+import tempfile
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from shared import config
+from shared.robot import Calibration, RobotProfile, load_profile
+
+_NEW = '# A robot of its own: what is written here stands over the profile that it extends.\nextends = "{base}"\n'
+_BLOCK = re.compile(r"^\[\[calibration\]\][^\n]*\n(?:[ \t]*(?:leg|date|trims_deg)[ \t]*=[^\n]*(?:\n|\Z))*", re.MULTILINE)
+
+
+def keep(path: Path, entry: Calibration, base: str) -> RobotProfile:
+    """Write one leg's calibration, in place of an earlier one; the file is whole at every moment.
+
+    Args:
+        path: The robot's own TOML, made where there is none.
+        entry: The calibration.
+        base: Profile that a file made here extends.
+
+    Returns:
+        The robot as the file has it now.
+
+    Raises:
+        ConfigError: The file cannot be written, or not without harm to what is in it.
+    """
+    path = path.resolve()
+    if path.exists():
+        before, old = config.read(path), path.read_text(encoding="utf-8")
+    else:
+        before, old = {"extends": base}, _NEW.format(base=base)
+    text = with_entry(old, entry)
+    if not _is_added(before, entry, text):
+        words = "calibration: `[[calibration]]` tables of leg, date and trims_deg expected, found another way of writing them"
+        raise config.ConfigError(str(path), [f"{words}; nothing was changed"])
+    try:
+        return _replace(path, text)
+    except OSError as error:
+        words = f"cannot be written: {error.strerror}; give another file with --out"
+        raise config.ConfigError(str(path), [words]) from None
+
+
+def with_entry(text: str, entry: Calibration) -> str:
+    """A profile's text with a leg's calibration at its end, an earlier one taken out."""
+
+    def kept(block: re.Match[str]) -> str:
+        return "" if re.search(rf"""^\s*leg\s*=\s*["']{entry.leg}["']""", block[0], re.MULTILINE) else block[0]
+
+    rest = _BLOCK.sub(kept, text).rstrip("\n")
+    trims = ", ".join(f"{trim:.2f}" for trim in entry.trims_deg)
+    return (
+        f'{rest}\n\n[[calibration]]\nleg = "{entry.leg}"\ndate = {entry.date.isoformat()}\n'
+        f"trims_deg = [{trims}]  # coxa, femur, tibia\n"
+    )
+
+
+def _is_added(before: dict[str, Any], entry: Calibration, text: str) -> bool:
+    """Whether a text says all that was said before, but for the calibration of one leg, which is the entry's."""
+    try:
+        after = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return False
+    others = [one for one in before.get("calibration", []) if one.get("leg") != entry.leg]
+    return after == {**before, "calibration": [*others, config.as_table(entry)]}
+
+
+def _replace(path: Path, text: str) -> RobotProfile:
+    """Put a new text in a file's place in one go, once it has been read as a robot."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=".toml", text=True)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(name).chmod(path.stat().st_mode if path.exists() else 0o644)
+        robot = load_profile(name)
+        Path(name).replace(path)
+    finally:
+        Path(name).unlink(missing_ok=True)  # where it has not become the file
+    return robot

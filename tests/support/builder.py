@@ -1,0 +1,37 @@
+"""Who builds the robot, in a test: answers questions from a script, and has a hand on the workbench."""
+
+from collections.abc import Callable, Iterable
+
+Answer = str | bool | Callable[[], str | bool]
+
+
+class Builder:
+    """An operator whose answers are given in advance; a call among them is done when its turn comes."""
+
+    def __init__(self, answers: Iterable[Answer] = ()) -> None:
+        self.answers = list(answers)
+        self.told: list[str] = []
+        self.asked: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.told.append(text)
+
+    def ask(self, question: str) -> str:
+        answer = self._next(question)
+        assert isinstance(answer, str), f"{question!r} is no yes or no"
+        return answer
+
+    def agree(self, question: str) -> bool:
+        answer = self._next(question)
+        assert isinstance(answer, bool), f"{question!r} wants yes or no"
+        return answer
+
+    def _next(self, question: str) -> str | bool:
+        self.asked.append(question)
+        assert self.answers, f"nobody has an answer to {question!r}; told: {self.told}"
+        answer = self.answers.pop(0)
+        return answer() if callable(answer) else answer
+
+    @property
+    def all_told(self) -> str:
+        return "\n".join(self.told)
