@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from deploy.commands import servos
 from deploy.commands.benches import bench_accuracy, bench_passage, bench_speed, bench_stages, replay
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor, list_topics
@@ -24,7 +25,10 @@ _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "deploy.kept": "KeptError",
     "deploy.trials": "ChangedError",
     "deploy.replay": "ReplayError",
+    "services.actuator.bus": "BusGone",
+    "services.actuator.gentle": "ServoSilentError",
 }
+_OF_THE_MACHINE = ("TransportError", "BusGone", "ServoSilentError")  # and not the caller's mistakes
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -40,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILED
     except _refusals() as error:
         complain(f"sextant {arguments.name}: {error}")
-        return FAILED if _is_transport_error(error) else WRONG_INPUT
+        return FAILED if type(error).__name__ in _OF_THE_MACHINE else WRONG_INPUT
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -57,10 +61,6 @@ def _refusals() -> tuple[type[Exception], ...]:
 
     others = [getattr(sys.modules[module], name) for module, name in _SAID_IN_WORDS.items() if module in sys.modules]
     return ConfigError, InputError, *others
-
-
-def _is_transport_error(error: Exception) -> bool:
-    return type(error).__name__ == "TransportError"
 
 
 def _seeds(text: str) -> range:
@@ -187,6 +187,8 @@ def _parser() -> argparse.ArgumentParser:
     one = add("list", list_topics, "print the topic table", group)
     one.add_argument("--json", action="store_true", help="as JSON")
 
+    _add_servos(add, commands.add_parser("servos", help="from a box of servos to a robot: find, name, calibrate, test them"))
+
     one = add("doctor", doctor, "check that this machine has what the services need")
     one.add_argument("--port", help="also check this servo port, e.g. /dev/ttyUSB0")
     one.add_argument("--camera", default="", metavar="DEVICE", help="also check this camera: openni2, realsense, or a folder")
@@ -197,6 +199,51 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--scenario", default="steps", help="name of the scenario (default %(default)s)")
     one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
     return parser
+
+
+def _add_servos(add: Any, parser: argparse.ArgumentParser) -> None:
+    group = parser.add_subparsers(required=True, metavar="WHAT")
+    legs = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
+
+    def of_robot(name: str, command: Any, words: str) -> argparse.ArgumentParser:
+        one: argparse.ArgumentParser = add(name, command, words, group)
+        one.set_defaults(name=f"servos {name}")
+        one.add_argument(
+            "--robot", default="phantomx_mk2", help="profile by name, or path of a TOML file (default %(default)s)"
+        )
+        return one
+
+    def on_port(name: str, command: Any, words: str) -> argparse.ArgumentParser:
+        one = of_robot(name, command, words)
+        one.add_argument("--port", default="/dev/ttyUSB0", help="serial device, or socket://host:port (default %(default)s)")
+        return one
+
+    def of_legs(name: str, command: Any, words: str) -> argparse.ArgumentParser:
+        one = on_port(name, command, words)
+        one.add_argument("--leg", action="append", choices=legs, metavar="LEG", help="only this one, e.g. 'left front'")
+        one.add_argument("--yes", action="store_true", help="for scripts: nobody is asked, every answer is yes")
+        return one
+
+    one = on_port("scan", servos.scan, "list the servos on the bus, and name what is missing, doubled, wrong or reset")
+    one.add_argument("--ids", type=_seeds, default=range(254), metavar="A:B", help="ids to ask, B not included (default 0:254)")
+    one.add_argument("--json", action="store_true", help="as JSON")
+    on_port("set-id", servos.set_id, "give each servo the id of its joint, one at a time; can be left and resumed")
+    one = of_legs("calibrate", servos.calibrate, "measure how the horns sit, leg by leg, into a TOML of this robot")
+    one.add_argument("--out", metavar="FILE", help="that TOML (default: the one of --robot, or my_NAME.toml for a profile)")
+    angles = ("COXA", "FEMUR", "TIBIA")
+    one.add_argument(
+        "--pose", type=float, nargs=3, metavar=angles, help="joint angles of a jig [deg] (default 0 0 0: straight out)"
+    )
+    one = of_legs("test", servos.test, "move each joint a few degrees and back, alone, slowly and with little torque")
+    one.add_argument(
+        "--torque", choices=("on", "off"), default="", help="how the torque is left (default: asked, off with --yes)"
+    )
+    one = of_robot("emulate", servos.emulate, "servos without servos: a robot's on a network port, or a box of new ones")
+    one.add_argument(
+        "--fresh", action="store_true", help="as from the factory, all with id 1, to be plugged in at this terminal"
+    )
+    one.add_argument("--seed", type=_natural, default=3, help="by which their horns sit wrong (default %(default)s)")
+    one.add_argument("--listen", type=_natural, default=0, metavar="PORT", help="on 127.0.0.1 (default: any that is free)")
 
 
 def _add_frames(parser: argparse.ArgumentParser) -> None:

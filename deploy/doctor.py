@@ -10,10 +10,11 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from enum import StrEnum
+from dataclasses import asdict
 from pathlib import Path
 
+from deploy import servo_checks
+from deploy.checks import Check, Level
 from shared.config import ConfigError
 
 _ROLES: dict[str, tuple[str, ...]] = {  # the extras of pyproject.toml, by the modules they bring
@@ -28,32 +29,13 @@ _PYTHON = (3, 11)
 _CORES = 2
 _DISK_WARN, _DISK_FAIL = 2 << 30, 200 << 20  # [bytes]
 _ROUND_TRIPS = 50
-_PINGS, _PATIENCE_NS = 3, 50_000_000  # a servo that answers late, or once in a while, is there
 _SLOW_MS = 5.0  # a loopback round trip takes well under a millisecond
-
-
-class Level(StrEnum):
-    """How bad it is."""
-
-    OK = "OK"
-    WARN = "WARN"  # it runs, but not as it should
-    FAIL = "FAIL"
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One thing looked at."""
-
-    name: str
-    level: Level
-    found: str  # in words
-    advice: str = ""  # what to do; empty when all is well
 
 
 def examine(port: str | None = None, robot: str = "phantomx_mk2", camera: str = "") -> list[Check]:
     """Check everything; a servo port only when one is given, the camera of the robot's profile or another one."""
     checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), disk(Path()), depth_camera(robot, camera)]
-    return checks if port is None else [*checks, *servo_port(port, robot)]
+    return [*checks, *servo_checks.examine(port, robot)]
 
 
 def python(version: tuple[int, int] | None = None) -> Check:
@@ -184,52 +166,6 @@ def depth_camera(robot: str, device: str = "") -> Check:
         advice = "to walk by camera plug it in and look again; nothing is needed for simulation and replay"
         return Check("camera", level, f"no {device} device found", advice)
     return Check("camera", Level.OK, f"{device}: {', '.join(found)}")
-
-
-def servo_port(port: str, robot: str) -> Iterator[Check]:
-    """The port's rights, and which of the robot's servos answer; nothing is moved and nothing written."""
-    name = f"servo port {port}"
-    if "://" not in port:
-        path = Path(port)
-        if not path.exists():
-            yield Check(
-                name, Level.FAIL, "no such device", "plug the adapter in and look for it with `ls /dev/ttyUSB* /dev/ttyACM*`"
-            )
-            return
-        if not os.access(path, os.R_OK | os.W_OK):
-            group = path.group()
-            advice = f"`sudo usermod -aG {group} $USER`, then log in again"
-            yield Check(name, Level.FAIL, f"no right to read and write it (group {group})", advice)
-            return
-    yield from _ping_servos(name, port, robot)
-
-
-def _ping_servos(name: str, port: str, robot: str) -> Iterator[Check]:
-    try:
-        from services.actuator.bus import BusGone, ServoBus, open_port
-        from shared.robot import load_profile
-    except ImportError as error:
-        yield Check(name, Level.FAIL, str(error), "pip install -e '.[actuator]'")
-        return
-    try:
-        profile = load_profile(robot)
-        ids = [int(i) for i in profile.servo_ids.ravel()]
-        bus = ServoBus(open_port(port, timeout_ns=_PATIENCE_NS), ids, time.monotonic_ns, reply_timeout_ns=_PATIENCE_NS)
-    except (BusGone, ConfigError) as error:
-        yield Check(name, Level.FAIL, str(error), "close what else uses the port, or give another")
-        return
-    try:
-        silent = [i for i in ids if all(bus.ping(i) is None for _ in range(_PINGS))]
-    except BusGone as error:
-        yield Check(name, Level.FAIL, str(error), "check plug and cable")
-        return
-    finally:
-        bus.close()
-    if silent:
-        advice = "check power, cable and id of the first silent servo: those behind it in the chain are silent with it"
-        yield Check(name, Level.FAIL, f"{len(ids) - len(silent)} of {len(ids)} servos answer; silent: {silent}", advice)
-    else:
-        yield Check(name, Level.OK, f"all {len(ids)} servos answer")
 
 
 def in_words(checks: list[Check]) -> str:

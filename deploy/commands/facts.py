@@ -25,10 +25,11 @@ def list_topics(arguments: argparse.Namespace) -> int:
 def doctor(arguments: argparse.Namespace) -> int:
     """`sextant doctor`: whether this machine has what the services need."""
     from deploy import doctor as checks
+    from deploy.checks import Level
 
     found = checks.examine(arguments.port, arguments.robot, arguments.camera)
     say(checks.to_json(found) if arguments.json else checks.in_words(found))
-    return FAILED if any(check.level is checks.Level.FAIL for check in found) else SUCCESS
+    return FAILED if any(check.level is Level.FAIL for check in found) else SUCCESS
 
 
 def compose(arguments: argparse.Namespace) -> int:

@@ -45,7 +45,7 @@ def calibrate(
         BusGone: The port is gone.
     """
     for leg in legs:
-        _see_pose(profile, leg, pose_deg)
+        see_pose(profile, leg, pose_deg)
     if not ready(bus, profile, operator):
         return False
     kept = 0
@@ -77,7 +77,8 @@ def implausible(trims: Array) -> str:
     )
 
 
-def _see_pose(profile: RobotProfile, leg: str, pose_deg: Sequence[float]) -> None:
+def see_pose(profile: RobotProfile, leg: str, pose_deg: Sequence[float]) -> None:
+    """Refuse a pose (3,) [deg] that a leg cannot be bent to, with a ValueError."""
     limits = np.degrees(profile.joint_limits[LEGS.index(leg)])
     for joint, angle, (low, high) in zip(JOINTS, pose_deg, limits, strict=True):
         if not low <= angle <= high:

@@ -81,14 +81,23 @@ class Found(NamedTuple):
 # ---------------------------------------------------------------------------------------------------------------- scan
 
 
-def scan(line: Line, ids: Iterable[int] = ALL_IDS) -> list[Found]:
-    """Everybody who answers to one of the ids at one of the line's rates. An id that nobody has costs a timeout a rate."""
+def scan(line: Line, ids: Iterable[int] = ALL_IDS, *, patient: bool = True) -> list[Found]:
+    """Everybody who answers to one of the ids at one of the line's rates. An id that nobody has costs a timeout a rate.
+
+    Args:
+        line: Where to look.
+        ids: Whom to ask.
+        patient: Ask the robot's own ids three times before they count as silent.
+    """
     asked = list(ids)
     found = []
     for rate in line.rates:
         bus = line.at(rate)
-        seen = (look(bus, i) for i in asked if not bus.chorus(i).silent)
-        found += [Found(rate, one) for one in seen if one is not None]
+        for i in asked:
+            heard = bus.chorus(i)
+            if not heard.silent or (patient and i in bus.names):
+                seen = look(bus, i, listen=heard != (1, False))
+                found += [] if seen is None else [Found(rate, seen)]
     return found
 
 
@@ -133,12 +142,8 @@ def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
     new servos have that id too.
     """
     done: set[int] = set()  # in this sitting, plugged in or not
+    found = _likely(line, profile)
     while True:
-        found = _likely(line, profile)
-        if _collide(found, operator):
-            if operator.ask("Enter when that is done, q to leave: ").strip() == _LEAVE:
-                return False
-            continue
         done |= {one.seen.servo_id for one in found if _is_set(one, profile)}
         missing = sorted((i for i in profile.servo_names if i not in done), key=lambda i: i == FACTORY_ID)
         if not missing:
@@ -150,13 +155,14 @@ def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
             operator.say("left; `sextant servos set-id` goes on with what is missing")
             return False
         target = _by_name(profile)[words] if words else missing[0]
-        new = _new_one(line, profile, operator, named_by_hand=bool(words))
+        found = _likely(line, profile)
+        new = _new_one(line, found, profile, operator, named_by_hand=bool(words))
         if new is not None and _give(line, new, target, profile, operator):
             done.add(target)
 
 
 def _likely(line: Line, profile: RobotProfile) -> list[Found]:
-    return scan(line, sorted({FACTORY_ID, *profile.servo_names}))
+    return scan(line, sorted({FACTORY_ID, *profile.servo_names}), patient=False)
 
 
 def _collide(found: Sequence[Found], operator: Operator) -> bool:
@@ -197,14 +203,15 @@ def _by_name(profile: RobotProfile) -> dict[str, int]:
     return {name: servo_id for servo_id, name in profile.servo_names.items()}
 
 
-def _new_one(line: Line, profile: RobotProfile, operator: Operator, *, named_by_hand: bool) -> Found | None:
+def _new_one(
+    line: Line, found: Sequence[Found], profile: RobotProfile, operator: Operator, *, named_by_hand: bool
+) -> Found | None:
     """The one servo that has no joint yet; None, and the operator told, when there is none, or more."""
-    found = _likely(line, profile)
     if _collide(found, operator):
         return None
     new = [one for one in found if not _is_set(one, profile)]
     if not new and named_by_hand and len(found) == 1:  # alone on the bus, it is the one that was named
-        new = found
+        return found[0]
     if not new:
         operator.say("looking for it at all ids ...")
         known = {FACTORY_ID, *profile.servo_names}

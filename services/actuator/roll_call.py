@@ -80,8 +80,8 @@ _BY_VOICE = {
     Voice.MUTE: f"its status return level is 0: {_SET_ID}",
     Voice.ECHO: "take an adapter that does not echo",
 }
-_LOW_VOLTAGE = {dxl.AX_12A.number: 10.5, dxl.RX_64.number: 14.0}  # [V] 3.5 V a cell of three, of four
-_WARM = 10.0  # [deg C] below its limit a servo is too warm to begin with
+LOW_VOLTAGE = {dxl.AX_12A.number: 10.5, dxl.RX_64.number: 14.0}  # [V] 3.5 V a cell of three, of four
+WARM = 10.0  # [deg C] below its limit a servo is too warm to begin with
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,17 +200,21 @@ def _wrong(seen: Seen | None, model: ServoModel) -> Problem | None:
 
 def ailing(seen: Seen) -> str:
     """What a servo says of its voltage, heat and load that is out of order, in words; nothing where all is well."""
-    low = _LOW_VOLTAGE.get(seen[dxl.MODEL_NUMBER], 0.0)
-    limit = seen[dxl.TEMPERATURE_LIMIT]
+    low, limit, error = LOW_VOLTAGE.get(seen[dxl.MODEL_NUMBER], 0.0), seen[dxl.TEMPERATURE_LIMIT], error_of(seen)
     return "; ".join(
         words
         for words, wrong in (
-            (f"reports {dxl.error_words(seen.error)}; switch its power off and on again", seen.error),
+            (f"reports {error}; switch its power off and on again", error),
             (f"has {seen.voltage:.1f} V, at least {low:.1f} V expected: charge the battery", seen.voltage < low),
-            (f"is {seen.temperature:.0f} deg C warm, its limit is {limit}: let it cool", seen.temperature > limit - _WARM),
+            (f"is {seen.temperature:.0f} deg C warm, its limit is {limit}: let it cool", seen.temperature > limit - WARM),
         )
         if wrong
     )
+
+
+def error_of(seen: Seen) -> str:
+    """What a servo has shut itself down for, or complains of, in words."""
+    return dxl.error_words(seen.error)
 
 
 def prepare(bus: Bus, seen: Seen) -> str:

@@ -52,6 +52,7 @@ class Workbench(ServoBusEmulator):
         self._rate = rate
         self._now_ns = -1  # of the joints
         self._q, self._qd, self._torque = q.copy(), np.zeros(len(ids)), np.zeros(len(ids))
+        self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiled before the first packet comes
         super().__init__(self._servos, BusTiming())
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:

@@ -238,4 +238,4 @@ def test_straight_out_is_a_pose_of_every_profile_that_comes_along() -> None:
 
     for name in profile_names():
         for leg in LEGS:
-            calibration._see_pose(load_profile(name), leg, calibration.STRAIGHT_OUT)
+            calibration.see_pose(load_profile(name), leg, calibration.STRAIGHT_OUT)

@@ -189,7 +189,7 @@ def test_two_new_servos_at_once_are_refused_and_left_as_they_are() -> None:
         desk.bench.unplug([1])
         return ""
 
-    builder = Builder([plug(desk, 2), one_out, "", "q"])
+    builder = Builder([plug(desk, 2), one_out, "q"])
     assert not commissioning.set_ids(line(desk), PHANTOMX, builder)
     assert "two servos or more answer as 1: neither can be set" in builder.all_told
     assert sorted(ids(desk)) == [*[1] * 17, 3]

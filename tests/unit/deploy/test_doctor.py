@@ -1,6 +1,5 @@
 import importlib
 import json
-import os
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -8,7 +7,7 @@ from types import ModuleType
 import pytest
 
 from deploy import doctor
-from deploy.doctor import Check, Level
+from deploy.checks import Check, Level
 
 
 def test_every_complaint_says_what_to_do() -> None:
@@ -57,44 +56,6 @@ def test_a_cache_that_cannot_be_written_is_found(tmp_path: Path, monkeypatch: py
     assert doctor.numba_cache().level is Level.OK
     monkeypatch.setattr(doctor, "_writable", lambda _: False)
     assert doctor.numba_cache().level is Level.WARN
-
-
-def test_a_servo_port_that_is_not_there(tmp_path: Path) -> None:
-    (check,) = doctor.servo_port(str(tmp_path / "ttyUSB0"), "phantomx_mk2")
-    assert check.level is Level.FAIL
-    assert "plug the adapter in" in check.advice
-
-
-def test_a_servo_port_without_rights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    port = tmp_path / "ttyUSB0"
-    port.touch()
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    (check,) = doctor.servo_port(str(port), "phantomx_mk2")
-    assert check.level is Level.FAIL
-    assert "usermod" in check.advice
-
-
-def test_a_network_port_where_nobody_listens() -> None:
-    from deploy.launcher import free_port
-
-    (check,) = doctor.servo_port(f"socket://127.0.0.1:{free_port()}", "phantomx_mk2")
-    assert check.level is Level.FAIL
-
-
-def test_the_emulated_servos_answer() -> None:
-    from services.simulator.bus import ServoBusEmulator
-    from services.simulator.servos import AX_12A_MOTOR, ServoBank
-    from services.simulator.tcp_port import TcpBusServer
-    from shared import dynamixel as dxl
-    from shared.robot import load_profile
-
-    ids = load_profile("phantomx_mk2").servo_ids.ravel().tolist()
-    for present, level in ((ids, Level.OK), (ids[:-1], Level.FAIL)):
-        bank = ServoBank(present, dxl.AX_12A, AX_12A_MOTOR)
-        with TcpBusServer(ServoBusEmulator(bank)) as server:
-            (check,) = doctor.servo_port(server.url, "phantomx_mk2")
-        assert check.level is level, check.found
-    assert f"silent: [{ids[-1]}]" in check.found
 
 
 def test_a_camera_that_is_absent_is_a_warning_unless_it_was_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,210 @@
+"""`sextant servos`: from a box of servos to a robot that can be trusted, on the real bus or an emulated one."""
+
+import argparse
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
+
+if TYPE_CHECKING:
+    from services.actuator.commissioning import Found, Line
+    from shared.robot import RobotProfile
+
+PATIENCE_NS = 25_000_000  # [ns] for an answer: outlasts the latency timer of an adapter that nobody has set
+_NETWORK_PATIENCE_NS = 50_000_000  # [ns] a machine that emulates servos may be busy
+
+
+class Terminal:
+    """The operator at the terminal; with `yes` there is none, and every question has its plain answer."""
+
+    def __init__(self, yes: bool = False) -> None:
+        """Nobody is asked anything yet."""
+        self._yes = yes
+
+    def say(self, text: str) -> None:
+        """Print a line."""
+        say(text)
+
+    def ask(self, question: str) -> str:
+        """What is typed; nothing with `yes`."""
+        sys.stdout.write(question)
+        if self._yes:
+            say("")
+            return ""
+        sys.stdout.flush()
+        line = sys.stdin.readline()
+        if not line:
+            raise InputError("an answer expected, found the end of the input; in a script calibrate and test take --yes")
+        return line.strip()
+
+    def agree(self, question: str) -> bool:
+        """Whether y or yes is typed; true with `yes`."""
+        if self._yes:
+            say(f"{question} yes (--yes)")
+            return True
+        return self.ask(f"{question} [y/N] ").lower() in ("y", "yes")
+
+
+def scan(arguments: argparse.Namespace) -> int:
+    """`sextant servos scan`: who is on the bus, and what is wrong with whom."""
+    from services.actuator import commissioning
+
+    profile = _profile(arguments.robot)
+    with _line(arguments.port, profile) as line:
+        found = commissioning.scan(line, arguments.ids)
+    wrong = commissioning.verdict(found, profile)
+    if arguments.json:
+        problems = [problem._asdict() for problem in wrong]
+        say(json.dumps({"servos": [_row(one, profile) for one in found], "problems": problems}, indent=1))
+        return FAILED if wrong else SUCCESS
+    say(commissioning.in_words(found, profile))
+    for words, advice in wrong:
+        say(f"{words}\n  -> {advice}")
+    if not wrong:
+        say(f"all {len(profile.servo_names)} servos of {profile.name} are in order")
+    return FAILED if wrong else SUCCESS
+
+
+def set_id(arguments: argparse.Namespace) -> int:
+    """`sextant servos set-id`: each servo is given the id of its joint."""
+    from services.actuator import commissioning
+
+    profile = _profile(arguments.robot)
+    with _line(arguments.port, profile) as line:
+        return SUCCESS if commissioning.set_ids(line, profile, Terminal()) else FAILED
+
+
+def calibrate(arguments: argparse.Namespace) -> int:
+    """`sextant servos calibrate`: where each horn sits, into the robot's own TOML."""
+    from services.actuator import calibration, calibration_file
+    from shared.robot import LEGS
+
+    path, base, profile = _own_file(arguments.robot, arguments.out)
+    known = [entry.leg for entry in profile.calibration]
+    legs = arguments.leg or [leg for leg in LEGS if leg not in known] or list(LEGS)
+    pose = tuple(arguments.pose or calibration.STRAIGHT_OUT)
+    try:
+        for leg in legs:
+            calibration.see_pose(profile, leg, pose)
+    except ValueError as error:
+        raise InputError(f"--pose: {error}") from None
+    say(f"calibrating {', '.join(legs)} into {path}" + (f"; it has {', '.join(known)}" if known else ""))
+    with _line(arguments.port, profile) as line:
+        done = calibration.calibrate(
+            line.at(line.rates[0]),
+            profile,
+            Terminal(arguments.yes),
+            lambda entry: say(f"{entry.leg}: kept in {calibration_file.keep(path, entry, base) and path}"),
+            date.today(),
+            legs=legs,
+            pose_deg=pose,
+        )
+    return SUCCESS if done else FAILED
+
+
+def test(arguments: argparse.Namespace) -> int:
+    """`sextant servos test`: each joint moves a little, alone and gently."""
+    from services.actuator.exercise import exercise
+    from shared.robot import LEGS
+
+    profile = _profile(arguments.robot)
+    chosen = {"on": True, "off": False, "": False if arguments.yes else None}[arguments.torque]
+    operator, legs = Terminal(arguments.yes), arguments.leg or LEGS
+    with _line(arguments.port, profile) as line:
+        moved = exercise(line.at(line.rates[0]), profile, operator, time.monotonic_ns, legs=legs, hold_after=chosen)
+    if moved is None:
+        return FAILED
+    wrong = [one.name for one in moved if one.problem]
+    say(f"{len(moved) - len(wrong)} of {len(moved)} joints are in order" + (f"; not: {', '.join(wrong)}" if wrong else ""))
+    return FAILED if wrong else SUCCESS
+
+
+def emulate(arguments: argparse.Namespace) -> int:
+    """`sextant servos emulate`: servos on a network port, until Ctrl-C."""
+    import numpy as np
+
+    from services.simulator.tcp_port import TcpBusServer
+    from services.simulator.workbench import HELP, Workbench
+
+    bench = Workbench(_profile(arguments.robot), np.random.default_rng(arguments.seed), fresh=arguments.fresh)
+    try:
+        server = TcpBusServer(bench, port=arguments.listen)
+    except (OSError, OverflowError) as error:
+        raise InputError(f"cannot listen on port {arguments.listen}: {error}; give another with --listen") from None
+    with server:
+        say(f"servos on {server.url}; in another terminal: sextant servos scan --port {server.url}")
+        say(f"{bench.obey('list')}; type {HELP}")
+        for line in sys.stdin:
+            if line.strip() in ("quit", "q"):
+                return SUCCESS
+            try:
+                with server.lock:
+                    told = bench.obey(line)
+            except ValueError as error:
+                complain(str(error))
+            else:
+                say(told)
+        threading.Event().wait()  # nobody types: until Ctrl-C
+    return INTERRUPTED
+
+
+@contextmanager
+def _line(port: str, profile: "RobotProfile") -> "Iterator[Line]":
+    """The servo port, closed in the end."""
+    from services.actuator.bus import BAUD_RATE, ServoBus, open_port
+    from services.actuator.commissioning import USUAL_RATES, Line
+    from shared import dynamixel as dxl
+
+    network = "://" in port
+    patience, names = _NETWORK_PATIENCE_NS if network else PATIENCE_NS, profile.servo_names
+    model = dxl.MODEL_NAMED[profile.servo.model]
+
+    def at(rate: int) -> ServoBus:
+        opened = open_port(port, rate, patience)
+        return ServoBus(opened, list(names), time.monotonic_ns, model=model, names=names, reply_timeout_ns=patience)
+
+    line = Line(at, (BAUD_RATE,) if network else USUAL_RATES)
+    try:
+        yield line
+    finally:
+        line.close()
+
+
+def _profile(robot: str) -> "RobotProfile":
+    from shared.robot import load_profile
+
+    return load_profile(robot)
+
+
+def _own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
+    """The robot's own TOML, the profile that it extends where it is yet to be made, and the robot as it is now."""
+    path = Path(out or (robot if robot.endswith(".toml") else f"my_{robot}.toml"))
+    base, profile = robot, _profile(robot)
+    if robot.endswith(".toml"):
+        base = os.path.relpath(Path(robot).resolve(), path.resolve().parent)
+    if not path.exists():
+        return path, base, profile
+    own = _profile(str(path))
+    if own.name != profile.name:
+        raise InputError(f"{path} is a {own.name}, {profile.name} expected; name it with --robot, or another file with --out")
+    return path, base, own
+
+
+def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:
+    from services.actuator.roll_call import Voice
+    from shared import dynamixel as dxl
+
+    seen = one.seen
+    row: dict[str, object] = {"id": seen.servo_id, "baud": one.rate, "joint": profile.servo_names.get(seen.servo_id, "")}
+    if seen.voice is not Voice.CLEAR:
+        return row | {"problem": seen.voice.value}
+    measured = {"voltage": round(seen.voltage, 1), "temperature": seen.temperature}
+    return row | {"model": seen.model, "firmware": seen[dxl.FIRMWARE], **measured}

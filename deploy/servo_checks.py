@@ -1,0 +1,145 @@
+"""What a servo port lacks, checked one by one: device, rights, latency, the servos, their voltage, heat and calibration.
+
+Nothing is moved and nothing is written to a servo.
+"""
+
+import os
+import time
+from collections.abc import Iterator
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deploy.checks import Check, Level
+from services.actuator import usb_adapter
+from shared.config import ConfigError
+
+if TYPE_CHECKING:
+    from services.actuator.roll_call import Seen
+    from shared.robot import RobotProfile
+
+_PATIENCE_NS = 50_000_000  # [ns] a servo that answers late is there
+_OLD_DAYS = 180  # of a calibration: horns settle, screws are undone
+_DEVICES = ("ttyUSB*", "ttyACM*")
+
+
+def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[Check]:
+    """Check a servo port and the robot on it; without one, say so: a base station has none."""
+    if port is None:
+        yield none_given(dev)
+        return
+    if wrong := out_of_reach(port):
+        yield wrong
+        return
+    try:
+        import serial  # noqa: F401  (what reads the bus)
+
+        from shared.robot import load_profile
+    except ImportError as error:
+        yield Check(f"servo port {port}", Level.FAIL, str(error), "pip install -e '.[actuator]'")
+        return
+    try:
+        profile = load_profile(robot)
+    except ConfigError as error:
+        yield Check(f"servo port {port}", Level.FAIL, str(error), "mend the profile, or name another with --robot")
+        return
+    yield from servos(port, profile)
+    yield latency(port)
+    yield calibration(profile, date.today())
+
+
+def none_given(dev: Path) -> Check:
+    """That no port is checked, and which there are."""
+    there = sorted(str(device) for pattern in _DEVICES for device in dev.glob(pattern))
+    words = f"none is checked; --port {there[0]} checks that one" if there else "none here, as on a base station"
+    return Check("servo port", Level.OK, words)
+
+
+def out_of_reach(port: str) -> Check | None:
+    """What keeps this process from opening a port; None where nothing does."""
+    name = f"servo port {port}"
+    if "://" in port:
+        return None
+    path = Path(port)
+    if not path.exists():
+        advice = "plug the adapter in and look for it with `ls /dev/ttyUSB* /dev/ttyACM*`"
+        return Check(name, Level.FAIL, "no such device", advice)
+    if not os.access(path, os.R_OK | os.W_OK):
+        group = path.group()
+        advice = f"`sudo usermod -aG {group} $USER`, then log in again"
+        return Check(name, Level.FAIL, f"no right to read and write it (group {group})", advice)
+    return None
+
+
+def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
+    """Whether all of the robot's servos are there, and how they are."""
+    from services.actuator.bus import BusGone, ServoBus, open_port
+    from services.actuator.roll_call import call, problems
+    from shared import dynamixel as dxl
+
+    name, names, model = f"servo port {port}", profile.servo_names, dxl.MODEL_NAMED[profile.servo.model]
+    try:
+        opened = open_port(port, timeout_ns=_PATIENCE_NS)
+    except BusGone as error:
+        yield Check(name, Level.FAIL, str(error), "close what else uses the port, or give another")
+        return
+    bus = ServoBus(opened, list(names), time.monotonic_ns, names=names, reply_timeout_ns=_PATIENCE_NS)
+    try:
+        seen = call(bus, names)
+    except BusGone as error:
+        yield Check(name, Level.FAIL, str(error), "check plug and cable")
+        return
+    finally:
+        bus.close()
+    if not seen:
+        advice = "see to their power and to the cable at the adapter; `sextant servos scan` looks at other baud rates too"
+        yield Check(name, Level.FAIL, f"none of {len(names)} servos answers", advice)
+        return
+    wrong = problems(names, seen, model)
+    words = "; ".join(problem.words for problem in wrong.values())
+    advice = "; ".join(dict.fromkeys(problem.advice for problem in wrong.values()))
+    yield Check(name, Level.FAIL if wrong else Level.OK, words or f"all {len(names)} servos answer", advice)
+    yield from well([one for i, one in seen.items() if i not in wrong], profile)
+
+
+def well(seen: "list[Seen]", profile: "RobotProfile") -> Iterator[Check]:
+    """Voltage and temperature of servos that are in order, and what they report of themselves."""
+    from services.actuator.roll_call import LOW_VOLTAGE, WARM, error_of, named
+    from shared import dynamixel as dxl
+
+    if not seen:
+        return
+    names, low = profile.servo_names, LOW_VOLTAGE[dxl.MODEL_NAMED[profile.servo.model].number]
+    volts, degrees = sorted(one.voltage for one in seen), [one.temperature for one in seen]
+    advice = f"charge the battery: at least {low:g} V are expected" if volts[0] < low else ""
+    yield Check("servo voltage", Level.WARN if advice else Level.OK, f"{volts[0]:.1f} to {volts[-1]:.1f} V", advice)
+    warm = [one for one in seen if one.temperature > one[dxl.TEMPERATURE_LIMIT] - WARM]
+    words = ", ".join(named(one.servo_id, names) for one in warm)
+    found = f"{min(degrees):.0f} to {max(degrees):.0f} deg C" + (f"; near their limit: {words}" if warm else "")
+    yield Check("servo temperature", Level.WARN if warm else Level.OK, found, "let them cool" if warm else "")
+    errors = [f"{named(one.servo_id, names)} reports {words}" for one in seen if (words := error_of(one))]
+    if errors:
+        yield Check("servo errors", Level.FAIL, "; ".join(errors), "switch their power off and on again")
+
+
+def latency(port: str, devices: Path = usb_adapter.DEVICES) -> Check:
+    """The adapter's latency timer, as it is now that the port has been opened once."""
+    found = usb_adapter.latency_ms(port, devices)
+    words = "none" if found is None else f"{found} ms"
+    advice = usb_adapter.advice(port, devices)
+    return Check("latency timer", Level.WARN if advice else Level.OK, words, advice)
+
+
+def calibration(profile: "RobotProfile", today: date) -> Check:
+    """Whether the horns of every leg have been measured, and how long ago."""
+    from shared.robot import LEGS
+
+    name, measured = "calibration", {entry.leg: entry.date for entry in profile.calibration}
+    advice = "`sextant servos calibrate` measures how the horns sit"
+    missing = [leg for leg in LEGS if leg not in measured]
+    if not measured:
+        words = f"none in the profile {profile.name}; name the robot's own with --robot once it has one"
+        return Check(name, Level.WARN, words, advice)
+    age = (today - min(measured.values())).days
+    words = f"{age} days old" + (f"; not of {', '.join(missing)}" if missing else "")
+    return Check(name, Level.WARN, words, advice) if missing or age > _OLD_DAYS else Check(name, Level.OK, words)

@@ -1,0 +1,127 @@
+"""What the doctor says of a servo port: rights, latency, servos, voltage, heat and calibration, or that there is none."""
+
+import os
+from dataclasses import replace
+from datetime import date, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy import servo_checks
+from deploy.checks import Check, Level
+from deploy.launcher import free_port
+from services.simulator.tcp_port import TcpBusServer
+from services.simulator.workbench import Workbench
+from shared import dynamixel as dxl
+from shared.robot import LEGS, Calibration, load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+TODAY = date(2026, 7, 30)
+
+
+@pytest.fixture
+def bench() -> Workbench:
+    return Workbench(PROFILE, np.random.default_rng(1))
+
+
+def examined(bench: Workbench) -> dict[str, Check]:
+    with TcpBusServer(bench) as server:
+        checks = list(servo_checks.examine(server.url, "phantomx_mk2"))
+    assert all(check.advice for check in checks if check.level is not Level.OK)
+    return {check.name.split(" socket")[0]: check for check in checks}
+
+
+def test_without_a_port_one_line_says_so_and_is_green(tmp_path: Path) -> None:
+    (check,) = servo_checks.examine(None, "phantomx_mk2", tmp_path)
+    assert (check.level, check.found, check.advice) == (Level.OK, "none here, as on a base station", "")
+    (tmp_path / "ttyUSB3").touch()
+    (check,) = servo_checks.examine(None, "phantomx_mk2", tmp_path)
+    assert check.level is Level.OK
+    assert f"--port {tmp_path}/ttyUSB3 checks that one" in check.found
+
+
+def test_a_port_that_is_not_there(tmp_path: Path) -> None:
+    (check,) = servo_checks.examine(str(tmp_path / "ttyUSB0"), "phantomx_mk2")
+    assert check.level is Level.FAIL
+    assert "plug the adapter in" in check.advice
+
+
+def test_a_port_without_rights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    port = tmp_path / "ttyUSB0"
+    port.touch()
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    (check,) = servo_checks.examine(str(port), "phantomx_mk2")
+    assert check.level is Level.FAIL
+    assert "usermod" in check.advice
+
+
+def test_a_network_port_where_nobody_listens() -> None:
+    check, *_ = servo_checks.examine(f"socket://127.0.0.1:{free_port()}", "phantomx_mk2")
+    assert check.level is Level.FAIL
+    assert "close what else uses the port" in check.advice
+
+
+def test_a_robot_in_order_lacks_nothing_but_a_calibration(bench: Workbench) -> None:
+    checks = examined(bench)
+    assert checks["servo port"].found == "all 18 servos answer"
+    assert checks["servo voltage"].found == "12.5 to 12.5 V"
+    assert checks["servo temperature"].found == "25 to 25 deg C"
+    assert checks["latency timer"].found == "none"
+    assert {name for name, check in checks.items() if check.level is not Level.OK} == {"calibration"}
+
+
+def test_what_is_missing_is_named_and_the_others_are_looked_at(bench: Workbench) -> None:
+    bench.unplug(bench._with_id(9))
+    checks = examined(bench)
+    assert checks["servo port"].level is Level.FAIL
+    assert checks["servo port"].found == "servo 9 (left rear femur) does not answer"
+    assert checks["servo voltage"].level is Level.OK
+
+
+def test_nobody_there_is_said_once(bench: Workbench) -> None:
+    bench.unplug(range(18))
+    checks = examined(bench)
+    assert checks["servo port"].found == "none of 18 servos answers"
+    assert "servo voltage" not in checks
+
+
+def test_low_voltage_heat_and_overload_are_named(bench: Workbench) -> None:
+    bench._servos.charge = 0.1
+    bench._servos.temperature[bench._with_id(6)] = 66.0
+    bench._servos._faults[bench._with_id(17)] = dxl.ServoError.OVERLOAD
+    checks = examined(bench)
+    assert checks["servo voltage"].level is Level.WARN
+    assert "at least 10.5 V" in checks["servo voltage"].advice
+    assert checks["servo temperature"].found == "25 to 66 deg C; near their limit: servo 6 (right front tibia)"
+    assert checks["servo errors"].level is Level.FAIL
+    assert checks["servo errors"].found == "servo 17 (left middle tibia) reports overload"
+
+
+def test_a_slow_latency_timer_is_told_with_the_command(tmp_path: Path) -> None:
+    timer = tmp_path / "ttyUSB0" / "latency_timer"
+    timer.parent.mkdir()
+    timer.write_text("16\n")
+    check = servo_checks.latency("/dev/ttyUSB0", tmp_path)
+    assert (check.level, check.found) == (Level.WARN, "16 ms")
+    assert "sudo tee" in check.advice
+    timer.write_text("1\n")
+    assert servo_checks.latency("/dev/ttyUSB0", tmp_path) == Check("latency timer", Level.OK, "1 ms")
+
+
+@pytest.mark.parametrize(("days", "level"), [(0, Level.OK), (180, Level.OK), (181, Level.WARN)])
+def test_the_age_of_a_calibration_is_that_of_its_oldest_leg(days: int, level: Level) -> None:
+    entries = [Calibration(leg, TODAY, (0.0, 0.0, 0.0)) for leg in LEGS[1:]]
+    old = Calibration(LEGS[0], TODAY - timedelta(days), (0.0, 0.0, 0.0))
+    check = servo_checks.calibration(replace(PROFILE, calibration=(*entries, old)), TODAY)
+    assert (check.level, check.found) == (level, f"{days} days old")
+
+
+def test_legs_that_were_never_measured_are_named() -> None:
+    check = servo_checks.calibration(PROFILE, TODAY)
+    assert check.level is Level.WARN
+    assert "none in the profile phantomx_mk2" in check.found
+    robot = replace(PROFILE, calibration=(Calibration(LEGS[0], TODAY, (0.0, 0.0, 0.0)),))
+    check = servo_checks.calibration(robot, TODAY)
+    assert check.level is Level.WARN
+    assert check.found == f"0 days old; not of {', '.join(LEGS[1:])}"
