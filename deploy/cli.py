@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from deploy.commands import servos
-from deploy.commands.benches import bench_accuracy, bench_passage, bench_speed, bench_stages, replay
+from deploy.commands.benches import bench_accuracy, bench_passage, bench_servos, bench_speed, bench_stages, replay
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor, list_topics
 from deploy.commands.trials import table, trials
@@ -183,6 +183,10 @@ def _parser() -> argparse.ArgumentParser:
     one = add("passage", bench_passage, "time the passage planner beside its peers, and check its plans", group)
     _add_bench(one)
 
+    one = add("servos", bench_servos, "time the servo bus through our own packets and through dynamixel-sdk", group)
+    one.add_argument("--rounds", type=_positive, default=300, metavar="N", help="of each job (default %(default)s)")
+    _add_out_and_json(one)
+
     group = commands.add_parser("topics", help="what travels on the wire").add_subparsers(required=True, metavar="WHAT")
     one = add("list", list_topics, "print the topic table", group)
     one.add_argument("--json", action="store_true", help="as JSON")
@@ -253,6 +257,10 @@ def _add_frames(parser: argparse.ArgumentParser) -> None:
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=_seeds, default=range(1000, 1003), metavar="A:B", help="rides (default 1000:1003)")
+    _add_out_and_json(parser)
+
+
+def _add_out_and_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
 

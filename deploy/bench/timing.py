@@ -20,7 +20,12 @@ import numpy as np
 
 from shared.geometry import Array
 
-_PACKAGES = ("numpy", "numba", "opencv-python-headless", "scipy", "scikit-image", "open3d", "small-gicp", "kiss-icp", "ompl")
+# fmt: off
+_PACKAGES = (
+    "numpy", "numba", "opencv-python-headless", "scipy", "scikit-image", "open3d", "small-gicp", "kiss-icp", "ompl",
+    "pyserial", "dynamixel-sdk",
+)
+# fmt: on
 
 Made = TypeVar("Made")
 

@@ -52,6 +52,16 @@ def bench_passage(arguments: argparse.Namespace) -> int:
     return _tell_bench(words, text, out / "passage.json", arguments.json)
 
 
+def bench_servos(arguments: argparse.Namespace) -> int:
+    """`sextant bench servos`: how long the servo bus takes through our packets and through dynamixel-sdk."""
+    from deploy.bench import servo_bus
+
+    out = out_folder(arguments, "bench-servos")
+    rows, missing = servo_bus.measure(arguments.rounds, open_progress(arguments.json).say)
+    words, text = servo_bus.in_words(rows, missing), servo_bus.to_json(rows, missing)
+    return _tell_bench(words, text, out / "servos.json", arguments.json)
+
+
 def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:
     path.write_text(text, encoding="utf-8")
     say(text.rstrip() if as_json else f"{words}\nwritten to {path}")

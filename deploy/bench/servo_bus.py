@@ -1,0 +1,167 @@
+"""The servo bus through our own packets and through dynamixel-sdk: how long a question and a cycle take, also of the core.
+
+Both talk over one pyserial port to the same emulated servos, which run in a process of their own, and take turns. The emulator
+answers when a bus of 1 Mbps behind an adapter with a latency timer of 1 ms would.
+"""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from deploy.bench.timing import Spread, installed, machine, machine_in_words
+from services.actuator.bus import REPLY_TIMEOUT_NS, ServoBus, open_port
+from shared import dynamixel as dxl
+from shared.robot import load_profile
+
+ABSENT = 200  # an id that nobody has
+READS = 4  # of a cycle, as many as fit beside a sync write into 6.5 ms
+_QUESTIONS = {"read 8 bytes": 1, "cycle": READS, "no answer": 0}  # that are to be answered, by job
+JOBS = tuple(_QUESTIONS)
+_ROUNDS_SILENT = 20  # a servo that does not answer is waited for, so fewer of these
+_STATE = dxl.PRESENT_POSITION.address, dxl.PRESENT_STATE.size
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One library at one job."""
+
+    job: str
+    method: str
+    wall_ms: Spread
+    core_ms: Spread  # time of the processor, of the thread that asks
+    lost: int  # questions that a servo was there to answer, and that were given up
+    asked: int  # such questions
+
+
+class Ours:
+    """The driver that the actuator has."""
+
+    def __init__(self, port: Any, ids: Sequence[int]):
+        """Take an open port."""
+        self._bus, self._ids, self._turn = ServoBus(port, ids, time.monotonic_ns), ids, 0
+        self._port = port
+
+    def begin(self) -> None:
+        """Have the port as this library wants it."""
+        self._port.timeout = REPLY_TIMEOUT_NS * 1e-9
+
+    def read(self, servo_id: int) -> bool:
+        """Position, speed, load, voltage and temperature of a servo; whether there was an answer."""
+        return self._bus.read_bytes(servo_id, *_STATE) is not None
+
+    def write(self, goals: Sequence[int]) -> None:
+        """Goals of all servos in one packet."""
+        self._bus.sync_write_goals(goals, 100)
+
+
+class Sdk:
+    """dynamixel-sdk of ROBOTIS, on a port that may be one of the network."""
+
+    def __init__(self, port: Any, ids: Sequence[int]):
+        """Take an open port; ModuleNotFoundError where the library is not installed."""
+        from dynamixel_sdk import GroupSyncWrite, PacketHandler, PortHandler
+
+        self._port, self._ids = PortHandler(port.port), ids
+        self._port.ser, self._port.is_open = port, True
+        self._port.tx_time_per_byte = 1e3 * dxl.BITS_PER_BYTE / self._port.baudrate  # [ms], as its openPort sets it
+        self._packets = PacketHandler(1.0)
+        size = dxl.GOAL_POSITION.size + dxl.MOVING_SPEED.size
+        self._group = GroupSyncWrite(self._port, self._packets, dxl.GOAL_POSITION.address, size)
+
+    def begin(self) -> None:
+        """Have the port as this library wants it: a read never waits."""
+        self._port.ser.timeout = 0
+
+    def read(self, servo_id: int) -> bool:
+        """As `Ours.read`."""
+        _, result, _ = self._packets.readTxRx(self._port, servo_id, *_STATE)
+        return bool(result == 0)
+
+    def write(self, goals: Sequence[int]) -> None:
+        """As `Ours.write`."""
+        self._group.clearParam()
+        for servo_id, goal in zip(self._ids, goals, strict=True):
+            self._group.addParam(servo_id, [*goal.to_bytes(2, "little"), 100, 0])
+        self._group.txPacket()
+
+
+def measure(rounds: int, say: Callable[[str], None]) -> tuple[list[Row], list[str]]:
+    """Both libraries at each job, in turns; and in words which library is not there.
+
+    Args:
+        rounds: How often each job is done.
+        say: Takes what happens.
+    """
+    ids = list(load_profile("phantomx_mk2").servo_names)
+    with _emulated() as url:
+        port = open_port(url)
+        methods, missing = installed({"sextant": Ours, "dynamixel-sdk": Sdk}, port, ids)
+        rows = []
+        for job in JOBS:
+            say(f"{job}: {', '.join(methods)}")
+            rows += _race(job, methods, ids, _ROUNDS_SILENT if job == "no answer" else rounds)
+        port.close()
+    return rows, missing
+
+
+def _race(job: str, methods: Mapping[str, Any], ids: Sequence[int], rounds: int) -> list[Row]:
+    wall: dict[str, list[float]] = {name: [] for name in methods}
+    core: dict[str, list[float]] = {name: [] for name in methods}
+    lost, asked = dict.fromkeys(methods, 0), rounds * _QUESTIONS[job]
+    names = list(methods)
+    for k in range(rounds):
+        for name in names if k % 2 else names[::-1]:
+            methods[name].begin()
+            began, began_core = time.perf_counter_ns(), time.thread_time_ns()
+            lost[name] += _do(job, methods[name], ids, k)
+            wall[name].append(1e-6 * (time.perf_counter_ns() - began))
+            core[name].append(1e-6 * (time.thread_time_ns() - began_core))
+    return [
+        Row(job, name, Spread.of(np.array(wall[name])), Spread.of(np.array(core[name])), lost[name], asked) for name in names
+    ]
+
+
+def _do(job: str, method: Any, ids: Sequence[int], k: int) -> int:
+    """Do a job for the kth time; how many answers did not come that should have."""
+    if job == "no answer":
+        method.read(ABSENT)
+        return 0
+    if job == "cycle":
+        method.write([dxl.TICK_CENTRE + k % 2] * len(ids))
+    asked = [ids[(READS * k + i) % len(ids)] for i in range(_QUESTIONS[job])]
+    return sum(not method.read(servo_id) for servo_id in asked)
+
+
+@contextmanager
+def _emulated() -> Iterator[str]:
+    """Address of a robot's servos that another process emulates."""
+    command = [sys.executable, "-m", "deploy.cli", "servos", "emulate"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        if process.stdin is None or process.stdout is None:
+            raise RuntimeError("pipes to the emulator expected, found none")
+        yield process.stdout.readline().split(";")[0].removeprefix("servos on ")
+        process.stdin.write("quit\n")
+        process.stdin.close()
+        process.wait(10)
+
+
+def in_words(rows: Sequence[Row], missing: Sequence[str]) -> str:
+    """The figures for people."""
+    lines = [machine_in_words(), "median (10th to 90th percentile)"]
+    lines.append(f"{'job':<14}{'library':<15}{'time ms':>26}{'of the core ms':>26}{'lost':>12}")
+    for row in rows:
+        wall, core = (f"{s.median:.2f} ({s.p10:.2f} to {s.p90:.2f})" for s in (row.wall_ms, row.core_ms))
+        lines.append(f"{row.job:<14}{row.method:<15}{wall:>26}{core:>26}{f'{row.lost} of {row.asked}':>12}")
+    return "\n".join([*lines, *(f"not measured: {words}" for words in missing)])
+
+
+def to_json(rows: Sequence[Row], missing: Sequence[str]) -> str:
+    """The figures for scripts."""
+    return json.dumps({"machine": machine(), "rows": [asdict(row) for row in rows], "missing": list(missing)}, indent=1) + "\n"

@@ -1,0 +1,65 @@
+"""The bench of the servo bus: its figures are of what was asked, and both libraries put the same on the wire."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+from deploy.bench import servo_bus
+from services.simulator.bus import MemoryPort
+from shared import dynamixel as dxl
+from shared.dynamixel import PacketParser
+from tests.support.desk import PHANTOMX, Desk
+
+IDS = list(PHANTOMX.servo_names)
+
+
+class Recorder(MemoryPort):
+    """Notes what a library writes."""
+
+    port, baudrate = "memory", 1_000_000
+
+    def __init__(self, desk: Desk) -> None:
+        super().__init__(desk.bench, lambda: 0)
+        self.sent = b""
+
+    def write(self, data: bytes) -> int:
+        self.sent += bytes(data)
+        return super().write(data)
+
+
+@pytest.mark.parametrize("library", [servo_bus.Ours, servo_bus.Sdk], ids=["sextant", "dynamixel-sdk"])
+@pytest.mark.parametrize("job", servo_bus.JOBS)
+def test_a_job_is_the_same_packets_whoever_does_it(library: type[servo_bus.Ours], job: str) -> None:
+    if library is servo_bus.Sdk:
+        pytest.importorskip("dynamixel_sdk", reason="pip install -e '.[bench]' brings it")
+    port = Recorder(Desk())
+    method = library(port, IDS)
+    port.timeout = 0.006  # its time is virtual, and goes by while a read waits
+    assert servo_bus._do(job, method, IDS, 1) == 0
+    asked = [(packet.servo_id, packet.code, packet.parameters) for packet in PacketParser().feed(port.sent)]
+    reads = IDS[4:8] if job == "cycle" else [IDS[4]] if job == "read 8 bytes" else []
+    expected = [(i, dxl.Instruction.READ, bytes((36, 8))) for i in (reads or [servo_bus.ABSENT])]
+    if job == "read 8 bytes":
+        expected = expected[:1]
+    if job == "cycle":
+        rows = b"".join(bytes((i, 513 & 0xFF, 513 >> 8, 100, 0)) for i in IDS)
+        expected.insert(0, (dxl.BROADCAST_ID, dxl.Instruction.SYNC_WRITE, bytes((30, 4)) + rows))
+    assert asked == expected
+
+
+def test_the_servos_command_leaves_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "servos", "--rounds", "4", "--out", str(tmp_path), "--json"]) == 0
+    table = json.loads((tmp_path / "servos.json").read_text())
+    assert table == json.loads(capsys.readouterr().out)
+    ours = {row["job"]: row for row in table["rows"] if row["method"] == "sextant"}
+    assert set(ours) == set(servo_bus.JOBS)
+    assert ours["read 8 bytes"]["asked"] == 4
+    assert ours["cycle"]["asked"] == 16
+    assert ours["read 8 bytes"]["wall_ms"]["median"] > 1.2  # the wire and the adapter cost that much
+    assert ours["no answer"]["wall_ms"]["p10"] >= 6.0
+    assert {row["method"] for row in table["rows"]} | {words.split(":")[0] for words in table["missing"]} == {
+        "sextant",
+        "dynamixel-sdk",
+    }
