@@ -44,6 +44,9 @@ RUN_BY = {
     "bench passage": "tests/unit/deploy/test_bench.py::test_the_passage_command_leaves_its_table",
     "bench stages": "tests/unit/deploy/test_bench.py::test_the_stages_command_leaves_timings_and_a_picture",
     "compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
+    "bench servos": "tests/unit/deploy/test_bench_servos.py::test_the_servos_command_leaves_its_figures",
+    "servos set-id": "tests/test_commissioning.py::test_the_tutorial_runs_as_it_is_written",
+    "servos emulate": "tests/test_commissioning.py::test_the_tutorial_runs_as_it_is_written",
     "doctor": "tests/unit/deploy/test_cli.py::test_the_doctor_fails_when_a_check_does",
 }
 SHELL = ("source .venv/bin/activate",)  # of the shell itself
@@ -61,7 +64,7 @@ def commands(text: str) -> Iterator[list[str]]:
 def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
     pairs = (["trials", "all"], ["trials", "passages"], ["trials", "table"], ["demo", "gap"])
-    group = words[:2] if words[0] in ("topics", "bench") or words[:2] in pairs else words[:1]
+    group = words[:2] if words[0] in ("topics", "bench", "servos") or words[:2] in pairs else words[:1]
     ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait")]
     files = ["FILE"] if words[-1].endswith(".mcap") else []
     return " ".join(group + files + ways)
