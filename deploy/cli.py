@@ -121,6 +121,9 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
     _add_robot_and_gait(one)
     one.add_argument("--lockstep", action="store_true", help="in one process on simulated time, as fast as the machine allows")
+    one.add_argument(
+        "--bridge", action="store_true", help="a simulated microcontroller speaks the servo bus, see docs/bridge.md"
+    )
     one.add_argument("--json", action="store_true", help="print report.json; progress goes to stderr")
     one.add_argument("--record-depth", metavar="DIR", help="also write the depth frames for `sextant replay` (with --lockstep)")
     one.add_argument("--connect", action="append", help="use services that already run, met here, e.g. tcp/127.0.0.1:7447")

@@ -17,6 +17,7 @@ from deploy.recording import Recorder
 from deploy.report import Report
 from services.actuator.config import Settings as ActuatorSettings
 from services.actuator.service import Actuator
+from services.actuator.servos import read_timeout_ns
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception.config import Settings as PerceptionSettings
@@ -61,7 +62,9 @@ class LockstepRun:
             rate_hz = profile.camera.sensor.rate_hz
             frames_per_picture = looks.frames_per_scan(rate_hz)
             looks = replace(looks, scan_rate_hz=rate_hz)  # it uses all that are left
-        simulator = Simulator(profile, SimulatorSettings(seed=seed, frames_per_picture=frames_per_picture), scenario)
+        simulator = Simulator(
+            profile, SimulatorSettings(seed=seed, bridge=scenario.bridge, frames_per_picture=frames_per_picture), scenario
+        )
         makers: dict[str, Callable[[], Service]] = {
             "simulator": lambda: simulator,
             "actuator": lambda: _actuator(profile, scenario, simulator, self.now_ns),
@@ -175,8 +178,9 @@ def _map_settings(scenario: Scenario) -> MapperSettings:
 
 
 def _actuator(profile: RobotProfile, scenario: Scenario, simulator: Simulator, clock: Callable[[], int]) -> Actuator:
-    port = MemoryPort(simulator.bus, clock)
-    return Actuator(profile, ActuatorSettings(arc=scenario.walk.arc), port=port, clock=port.now_ns)
+    settings = ActuatorSettings(arc=scenario.walk.arc, bridge=scenario.bridge)
+    port = MemoryPort(simulator.device, clock, read_timeout_ns(settings) * 1e-9)
+    return Actuator(profile, settings, port=port, clock=port.now_ns)
 
 
 def _outage(fault: Fault) -> Outage:

@@ -34,6 +34,7 @@ class Choices:
     blind: bool = False
     footholds: str = "score"  # the map's layer that the planner walks on
     arc: str = "flow"  # of swinging feet
+    bridge: bool = False  # a microcontroller speaks the servo bus
     registration: str = "projective"
     pose_error: str = "none"  # of the scenario's; in simulation alone
     map: MapOptions = field(default_factory=MapOptions)
@@ -56,7 +57,8 @@ class Process:
 
 
 def _simulator(choices: Choices) -> dict[str, Value]:
-    return {"scenario": choices.scenario, "seed": choices.seed, "bus_port": choices.bus_port}
+    bridge: dict[str, Value] = {"bridge": True} if choices.bridge else {}
+    return {"scenario": choices.scenario, "seed": choices.seed, "bus_port": choices.bus_port, **bridge}
 
 
 def _camera(choices: Choices) -> dict[str, Value]:
@@ -82,7 +84,9 @@ def _planner(choices: Choices) -> dict[str, Value]:
 
 def _actuator(choices: Choices) -> dict[str, Value]:
     arc: dict[str, Value] = {} if choices.arc == "flow" else {"arc": choices.arc}
-    return {"port": f"socket://127.0.0.1:{choices.bus_port}", **arc} if choices.scenario else arc
+    bridge: dict[str, Value] = {"bridge": True} if choices.bridge else {}
+    port: dict[str, Value] = {"port": f"socket://127.0.0.1:{choices.bus_port}"} if choices.scenario else {}
+    return {**port, **arc, **bridge}
 
 
 # A dead simulator takes its world with it, so that run has failed; every other process finds its way back from the wire.
@@ -118,6 +122,7 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
         blind=scenario.walk.blind,
         footholds=scenario.walk.footholds,
         arc=scenario.walk.arc,
+        bridge=scenario.bridge,
         registration=scenario.variation.registration,
         pose_error=scenario.pose_error,
         map=scenario.map,

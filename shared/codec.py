@@ -156,20 +156,41 @@ def _field(kind: type[Message], name: str, base: Any, detail: Any) -> _Field:
     return _Field(name, "", _value_decoder(where, base))
 
 
-def _unpack_header(header: bytes, kind: type[Message]) -> tuple[str, int, int, list[Any]]:
+def pack_values(values: list[Any]) -> bytes:
+    """Plain values (whole numbers, texts, bytes) as a msgpack array: for wires whose other end knows no frames."""
+    return bytes(msgpack.packb(values, use_bin_type=True))
+
+
+def unpack_values(data: bytes, max_bytes: int = 0) -> Any:
+    """What msgpack data holds; arrays, texts and bytes are bounded, tables and extensions refused.
+
+    Args:
+        data: One msgpack value.
+        max_bytes: That a run of raw bytes in it may have.
+
+    Raises:
+        DecodeError: It is not such data.
+    """
     try:
-        unpacked = msgpack.unpackb(
-            header,
+        return msgpack.unpackb(
+            data,
             raw=False,
             strict_map_key=True,
             max_str_len=4 * MAX_TEXT,
             max_array_len=MAX_ITEMS,
-            max_bin_len=0,
+            max_bin_len=max_bytes,
             max_map_len=0,
             max_ext_len=0,
         )
     except (ValueError, msgpack.UnpackException, RecursionError) as error:
-        raise DecodeError(f"{kind.__name__}: header is not msgpack: {type(error).__name__}") from None
+        raise DecodeError(f"not msgpack: {type(error).__name__}") from None
+
+
+def _unpack_header(header: bytes, kind: type[Message]) -> tuple[str, int, int, list[Any]]:
+    try:
+        unpacked = unpack_values(header)
+    except DecodeError as error:
+        raise DecodeError(f"{kind.__name__}: header is {error}") from None
     if type(unpacked) is not list or [*map(type, unpacked)] != _HEADER:  # matching a pattern costs as much as unpacking
         raise DecodeError(f"{kind.__name__}: header of schema, two times and fields expected")
     found, began_ns, sent_ns, values = unpacked

@@ -505,6 +505,7 @@ class Scenario:
     variation: Variation = field(default_factory=Variation)
     pose_error: Literal["none", "rgbdslam", "orb_slam"] = "none"  # perception is off as a recorded visual SLAM was
     map: MapOptions = field(default_factory=MapOptions)
+    bridge: bool = False  # the servo bus is spoken by a microcontroller, to which the actuator sends its goals
     faults: tuple[Fault, ...] = ()
     bus_faults: tuple[BusFault, ...] = ()  # of the simulated servos and their bus
     time_limit_s: float = 90.0  # [s] simulated

@@ -26,6 +26,7 @@ RUN_BY = {
     "demo gap": "tests/unit/deploy/test_cli.py::test_a_live_run_and_the_demo_end_as_the_walk_does",
     "run": "tests/live/test_live_walk.py::test_a_course_of_ones_own_is_walked_over_zenoh",
     "run --lockstep": "tests/walk/test_walks.py::test_over_low_blocks_and_two_stairs",
+    "run --lockstep --bridge": "tests/walk/test_bridge.py::test_through_a_bridge_it_walks_as_on_the_bus_itself",
     "run --lockstep --gait": "tests/walk/test_gaits.py::test_the_slow_gaits_climb",
     "run --connect": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "trials": "tests/walk/test_walks.py::test_trials_of_several_seeds_at_a_time",
@@ -65,7 +66,7 @@ def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
     pairs = (["trials", "all"], ["trials", "passages"], ["trials", "table"], ["demo", "gap"])
     group = words[:2] if words[0] in ("topics", "bench", "servos") or words[:2] in pairs else words[:1]
-    ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait")]
+    ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait", "--bridge")]
     files = ["FILE"] if words[-1].endswith(".mcap") else []
     return " ".join(group + files + ways)
 

@@ -65,6 +65,8 @@ def as_asked(arguments: argparse.Namespace) -> Callable[["Scenario"], "Scenario"
     def asked(scenario: "Scenario") -> "Scenario":
         if robot:
             scenario = replace(scenario, robot=robot)
+        if getattr(arguments, "bridge", False):
+            scenario = replace(scenario, bridge=True)
         if arguments.gait:
             slower = GAITS[arguments.gait].slowness / GAITS[scenario.walk.gait].slowness
             walk = replace(scenario.walk, gait=arguments.gait)

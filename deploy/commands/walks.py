@@ -28,6 +28,8 @@ def run(arguments: argparse.Namespace) -> int:
     """`sextant run`: one scenario, over Zenoh or in lockstep."""
     if arguments.lockstep and arguments.connect:
         raise InputError("--lockstep runs in one process and meets nobody; leave --connect out")
+    if arguments.bridge and arguments.connect:
+        raise InputError("--bridge is for services that this command starts; leave --connect out")
     if arguments.record_depth and not arguments.lockstep:
         raise InputError("--record-depth writes the frames of a lockstep run; add --lockstep")
     if arguments.lockstep:

@@ -35,7 +35,7 @@ _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
 _SEC = 1e9
 _REFUSAL = int(ServoError.ANGLE_LIMIT | ServoError.RANGE | ServoError.CHECKSUM | ServoError.INSTRUCTION)
-_LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
+LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
 
 
 class BusGone(ConnectionError):  # noqa: N818  (a state of the bus, handled by the caller)
@@ -88,6 +88,37 @@ class ServoReading:
     error: ServoError
 
 
+def reading(index: int, servo_id: int, stamp_ns: int, registers: tuple[int, ...], error: ServoError) -> ServoReading:
+    """What a servo's five registers from present position on say: position, speed, load, voltage, temperature."""
+    position, speed, load, voltage, temperature = registers
+    return ServoReading(
+        index=index,
+        servo_id=servo_id,
+        stamp_ns=stamp_ns,
+        position_ticks=position,
+        position=dxl.angle_from_ticks(position),
+        speed=dxl.speed_from_register(speed),
+        load=dxl.load_from_register(load),
+        voltage=voltage * dxl.VOLT_UNIT,
+        temperature=float(temperature),
+        error=error,
+    )
+
+
+def whole(values: ArrayLike, register: Register, count: int) -> NDArray[np.int64]:
+    """Values of a register for each of `count` servos or one for all, checked.
+
+    Raises:
+        ValueError: A value out of range, not a whole number, or of another shape.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind not in "iu" or array.shape not in ((), (count,)):
+        raise ValueError(f"{register.name}: integers of shape ({count},) expected, found {array.dtype} of shape {array.shape}")
+    if array.min() < register.min or array.max() > register.max:
+        raise ValueError(f"{register.name} takes {register.min} to {register.max}, found {array.tolist()}")
+    return array.astype(np.int64, copy=False)
+
+
 def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIMEOUT_NS) -> Port:
     """Open a serial device (`/dev/ttyUSB0`) or a network port (`socket://host:port`).
 
@@ -109,7 +140,7 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
             # packet's acknowledgement. The option belongs to the connection, so a duplicate of the handle can set it.
             with socket.socket(fileno=os.dup(port.fileno())) as connection:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    except _LOST as error:
+    except LOST as error:
         raise BusGone(
             f"cannot open servo port {url}: {error}; is the adapter plugged in and nobody else using it, or the simulator up?"
         ) from error
@@ -184,6 +215,11 @@ class ServoBus:
     def lost(self) -> Counter[str]:
         """Questions without a usable answer and bytes dropped, by reason (`Lost` and `dynamixel.Dropped`)."""
         return self._lost + self._parser.dropped
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong between here and the servos, in words: nothing that their silence does not say."""
+        return ""
 
     def close(self) -> None:
         """Close the port, gone or not; the servos keep their torque and their last goal."""
@@ -282,8 +318,8 @@ class ServoBus:
             ValueError: A value out of range, not a whole number, or of another shape.
             BusGone: The port is gone.
         """
-        goals = self._whole(goal_ticks, dxl.GOAL_POSITION)
-        speeds = self._whole(speed_ticks, dxl.MOVING_SPEED)
+        goals = whole(goal_ticks, dxl.GOAL_POSITION, len(self))
+        speeds = whole(speed_ticks, dxl.MOVING_SPEED, len(self))
         rows = self._goal_rows
         rows[:, 1], rows[:, 2] = goals & 0xFF, goals >> 8
         rows[:, 3], rows[:, 4] = speeds & 0xFF, speeds >> 8
@@ -296,8 +332,8 @@ class ServoBus:
             ValueError: A value out of range, not a whole number, or of another shape.
             BusGone: The port is gone.
         """
-        whole = np.broadcast_to(self._whole(values, register), (len(self),))
-        rows = [(i, register.encode(int(value))) for i, value in zip(self.servo_ids, whole, strict=True)]
+        wanted = np.broadcast_to(whole(values, register, len(self)), (len(self),))
+        rows = [(i, register.encode(int(value))) for i, value in zip(self.servo_ids, wanted, strict=True)]
         self._send(dxl.sync_write(register.address, register.size, rows))
 
     def set_torque(self, enabled: bool) -> None:
@@ -353,7 +389,9 @@ class ServoBus:
                 self._missed[i], self._backoff[i] = 0, 1
                 self._read_ns[i] = start
                 self._typical_ns += (done - start - self._typical_ns) // _SMOOTHING
-                readings.append(self._reading(i, start, answer))
+                readings.append(
+                    reading(i, answer.servo_id, start, PRESENT_STATE.unpack(answer.parameters), ServoError(answer.code))
+                )
             start = done
         return readings
 
@@ -364,31 +402,6 @@ class ServoBus:
 
     # ----------------------------------------------------------------------------------------------- below the words
 
-    def _reading(self, index: int, stamp_ns: int, answer: Packet) -> ServoReading:
-        position, speed, load, voltage, temperature = PRESENT_STATE.unpack(answer.parameters)
-        return ServoReading(
-            index=index,
-            servo_id=answer.servo_id,
-            stamp_ns=stamp_ns,
-            position_ticks=position,
-            position=dxl.angle_from_ticks(position),
-            speed=dxl.speed_from_register(speed),
-            load=dxl.load_from_register(load),
-            voltage=voltage * dxl.VOLT_UNIT,
-            temperature=float(temperature),
-            error=ServoError(answer.code),
-        )
-
-    def _whole(self, values: ArrayLike, register: Register) -> NDArray[np.int64]:
-        array = np.asarray(values)
-        if array.dtype.kind not in "iu" or array.shape not in ((), (len(self),)):
-            raise ValueError(
-                f"{register.name}: integers of shape ({len(self)},) expected, found {array.dtype} of shape {array.shape}"
-            )
-        if array.min() < register.min or array.max() > register.max:
-            raise ValueError(f"{register.name} takes {register.min} to {register.max}, found {array.tolist()}")
-        return array.astype(np.int64, copy=False)
-
     def _send(self, data: bytes) -> None:
         """Put a packet on the wire."""
         try:
@@ -397,8 +410,8 @@ class ServoBus:
                 self._unheard.clear()
                 self._stale = False
             self._port.write(data)
-        except _LOST as error:
-            raise _gone(error) from error
+        except LOST as error:
+            raise gone(error) from error
         if self._echo:
             self._unheard += data
 
@@ -442,8 +455,8 @@ class ServoBus:
         due = len(self._unheard)
         try:
             data = self._port.read(count + due)
-        except _LOST as error:
-            raise _gone(error) from error
+        except LOST as error:
+            raise gone(error) from error
         if not due:
             return data
         echo, data = data[:due], data[due:]
@@ -463,5 +476,6 @@ class ServoBus:
         return False
 
 
-def _gone(error: Exception) -> BusGone:
+def gone(error: Exception) -> BusGone:
+    """What a failure of the port means."""
     return BusGone(f"the servo port is gone ({error}); check the adapter's cable, or the simulator, and open it again")

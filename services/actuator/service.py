@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.bus import BusSetupError, Port, ServoBus, ServoReading, open_port
+from services.actuator.bus import BusSetupError, Port, ServoReading
 from services.actuator.config import Settings
 from services.actuator.contact import ContactEstimate
 from services.actuator.feeler import FEMUR, Feeler, Felt
@@ -16,6 +16,7 @@ from services.actuator.guard import Guard
 from services.actuator.load import lag_feed_forward, sag_feed_forward
 from services.actuator.odometry import LegOdometry
 from services.actuator.plumb import Plumb
+from services.actuator.servos import connect
 from services.actuator.stand_up import StandUp
 from services.actuator.walker import Targets, Walker
 from shared import dynamixel as dxl
@@ -65,15 +66,14 @@ class Actuator:
         self._profile = profile
         self._settings = settings
         self._clock = clock
-        self._port = port if port is not None else open_port(settings.port)
-        model, names = dxl.MODEL_NAMED[profile.servo.model], profile.servo_names
-        self._bus = ServoBus(self._port, list(names), clock, model=model, names=names)
+        self._bus = connect(profile, settings, port, clock)
         self._set_up()
         self._guard = Guard(profile, settings.plan_age_s)
         self._contact = ContactEstimate(profile)
         self._feeler = Feeler(profile)
         self._plumb = Plumb()
         self._imu_problem = ""
+        self._trouble = ""  # between here and the servos, in words
         self._tipped = ""  # that the body leaned too far to go on, in words; until it is ordered to walk or stand
         self._q = self._read_all(dxl.PRESENT_POSITION)
         self._q_goal = self._first_goals()
@@ -117,6 +117,9 @@ class Actuator:
         dt = self._cycle_time(tick.stamp_ns)
         with self.stages("bus read"):
             self._read()
+        self._trouble = self._bus.trouble
+        if self._trouble:  # legs that do not follow carry no further step
+            self._walker.halt()
         now_ns = self._clock()
         self._contact.update(self._measured(), self._load, dt)
         self._odometry.update(self._measured(), self._standing(), self._walker.ground)
@@ -264,8 +267,8 @@ class Actuator:
             self._refused = f"plan of step {plan.step} refused: {why}"
             return
         walker = self._walker
-        if walker.searching.any():
-            self._refused = f"plan of step {plan.step} refused: {walker.trouble}"
+        if self._trouble or walker.searching.any():
+            self._refused = f"plan of step {plan.step} refused: {self._trouble or walker.trouble}"
             return
         revises = plan.step == walker.step
         body, feet = (walker.body_ref, walker.feet_odom) if revises else walker.stance_at_end
@@ -300,7 +303,12 @@ class Actuator:
             if self._mode is Mode.STAND:  # a fault that came meanwhile stays one
                 self._mode, self._reason = Mode.HOLD, "standing"
         elif self._walker.resting and self._mode is Mode.WALK:
-            ended = self._tipped or self._walker.trouble or "the last accepted step is finished and no new plan came"
+            ended = (
+                self._tipped
+                or self._trouble
+                or self._walker.trouble
+                or "the last accepted step is finished and no new plan came"
+            )
             self._mode, self._reason = Mode.HOLD, ended
 
     def _note_findings(self, now_ns: int) -> None:
@@ -389,7 +397,7 @@ class Actuator:
             T_world_odom=self._T_world_odom.copy(),
             voltage=_known(np.fmin.reduce(self._voltage)),
             temperature=_known(np.fmax.reduce(self._temperature)),
-            warnings=tuple(w for w in (self._warning, self._slipping(), self._tipped, self._imu_problem) if w),
+            warnings=tuple(w for w in (self._warning, self._slipping(), self._tipped, self._imu_problem, self._trouble) if w),
             touch_ns=self._touch_ns.copy(),
             touch=self._touch.copy(),
             touch_carries=self._touch_carries.copy(),

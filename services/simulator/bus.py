@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from services.simulator.servos import ServoBank
-from services.simulator.wire import Outbox, Outlet, Reply, Wire
+from services.simulator.wire import AnswersOnly, Outbox, Outlet, Reply, Wire
 from shared import dynamixel as dxl
 from shared.dynamixel import Access, Instruction, Packet, PacketParser, Register, ServoError
 
@@ -58,7 +58,7 @@ class BusCounts:
     unanswered: int = 0  # instructions to an id that nobody has
 
 
-class ServoBusEmulator:
+class ServoBusEmulator(AnswersOnly):
     """n servos on one half-duplex wire behind a USB adapter. No thread, no clock: times come in as arguments."""
 
     def __init__(self, bank: ServoBank, timing: BusTiming | None = None, *, echo: bool = False) -> None:
@@ -355,7 +355,7 @@ def _registers_in(address: int, size: int) -> tuple[Register, ...] | None:
 
 
 class MemoryPort:
-    """A serial port whose other end is an emulated bus in the same process, for lockstep.
+    """A serial port whose other end is an emulated bus, or a board before it, in the same process, for lockstep.
 
     It has the part of pyserial's interface that the driver uses. Its time is virtual: the later of the given clock and its last
     transfer. A read waits by moving that time on, never by sleeping, so the driver sees the bus's real delays at once.
@@ -409,6 +409,7 @@ class MemoryPort:
         """At most `size` bytes: as soon as there are as many, or what there is when the timeout is over."""
         now = self._check_open()
         deadline = now + round((self.timeout or 0.0) * _SEC)
+        self._outbox.put(self._bus.speak(deadline))
         self._collect(now)
         while len(self._buffer) < size and (due_ns := self._outbox.due_ns) is not None and due_ns <= deadline:
             now = max(now, due_ns)

@@ -12,7 +12,7 @@ from random import Random
 from services.simulator.ailments import Ailments
 from services.simulator.bus import ServoBusEmulator
 from services.simulator.servos import ServoBank
-from services.simulator.wire import Outlet, Reply
+from services.simulator.wire import AnswersOnly, Outlet, Reply
 from shared import dynamixel as dxl
 from shared.bus_fault import BusFault
 from shared.messages import FaultTarget
@@ -76,7 +76,7 @@ class _Running:
         return 0 if share >= 1.0 else int(math.log(1.0 - self.rng.random()) / math.log(1.0 - share))
 
 
-class BusFaults:
+class BusFaults(AnswersOnly):
     """Servos on a bus where things go wrong; to the host and to the physics it is what `ServoBusEmulator` is."""
 
     def __init__(self, bus: ServoBusEmulator, bank: ServoBank, seed: int = 0, faults: Iterable[BusFault] = ()) -> None:

@@ -9,6 +9,7 @@ class Settings:
 
     scenario: str = "steps"  # by name, or the path of a TOML file
     seed: int = 0
+    bridge: bool = False  # a board with the reference firmware stands between the port and the servo bus
     bus_port: int = 0  # TCP port on 127.0.0.1 on which the servo bus listens, 0 for any
     other_bus_port: int = 0  # likewise, on which it is found when a fault has it come back under another name
     frames_per_picture: int = 1  # of so many depth frames the last is made: others would be looked at by nobody

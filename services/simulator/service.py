@@ -9,7 +9,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from services.simulator.bus import ServoBusEmulator
+from services.simulator.board import Board
+from services.simulator.bus import BusTiming, ServoBusEmulator
 from services.simulator.bus_faults import BusFaults
 from services.simulator.color_camera import ColorCamera
 from services.simulator.config import Settings
@@ -84,6 +85,7 @@ class Simulator:
         self._horns = profile.servo_angles(np.zeros((6, 3)))  # servo angles at joint angle zero
         self._bank = self._switch_on(profile, scenario, seeds[5])
         self.bus = self._wired(scenario)
+        self.device: Board | BusFaults = Board(self.bus) if settings.bridge else self.bus  # at the actuator's port
         self._outlet = self.bus.outlet(0)
         self._fault_refused = ""
         self._server: TcpBusServer | None = None
@@ -108,7 +110,8 @@ class Simulator:
     def _wired(self, scenario: Scenario) -> BusFaults:
         """The servos on their bus, with what the scenario breaks there."""
         try:
-            bus = BusFaults(ServoBusEmulator(self._bank), self._bank, self._settings.seed, scenario.bus_faults)
+            wired = ServoBusEmulator(self._bank, BusTiming(usb_transaction_ns=0) if self._settings.bridge else None)
+            bus = BusFaults(wired, self._bank, self._settings.seed, scenario.bus_faults)
         except ValueError as error:
             raise ConfigError(f"scenario {scenario.name}", [str(error)]) from None
         bus.origin_ns = None
@@ -117,7 +120,7 @@ class Simulator:
     def __enter__(self) -> Self:
         """Open the servo bus to the network, for a live run."""
         port, other = self._settings.bus_port, self._settings.other_bus_port
-        self._server = TcpBusServer(self.bus, port=port, other_port=other, answering=self._up_to_date)
+        self._server = TcpBusServer(self.device, port=port, other_port=other, answering=self._up_to_date)
         log.info("servo bus on %s", self._server.url)
         return self
 
@@ -182,7 +185,7 @@ class Simulator:
 
     def _physics(self, now_ns: int) -> None:
         world = self.world
-        self.bus.advance(now_ns)
+        self.device.advance(now_ns)
         q, qd, torque = self._signs * world.q + self._horns, self._signs * world.qd, self._signs * world.torque
         command = self._bank.step(q.ravel(), qd.ravel(), torque.ravel(), _DT)
         setpoint = self._signs * (command.setpoint.reshape(6, 3) - self._horns)

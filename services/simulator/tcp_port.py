@@ -8,13 +8,14 @@ import time
 from collections.abc import Callable
 from types import TracebackType
 
-from services.simulator.wire import Outbox, Outlet, Wire
+from services.simulator.wire import Outbox, Outlet, Reply, Wire
 
 log = logging.getLogger(__name__)
 
 _CHUNK = 4096  # [bytes]
 _SEC = 1e9
 _STOP_TIMEOUT = 2.0  # [s]
+_BREATH_NS = 500_000  # [ns] between two looks at an end that speaks of itself
 
 
 class TcpBusServer:
@@ -51,6 +52,7 @@ class TcpBusServer:
         self.lock = threading.Lock()
         self.clients = 0  # connections taken so far
         self._bus = bus
+        self._speaks = bus.due_ns is not None  # of itself, too
         self._clock = clock
         self._answering = answering
         self._host, self._ports = host, [port, other_port]
@@ -130,10 +132,10 @@ class TcpBusServer:
     def _talk(self, client: socket.socket) -> str:
         """Serve one client until it leaves, the adapter is unplugged or the server closes; return why it ended."""
         outbox = Outbox()
+        self._spoken()  # to nobody
         try:
             while True:
-                wait = None if outbox.due_ns is None else max((outbox.due_ns - self._clock()) / _SEC, 0.0)
-                ready, _, _ = select.select([client, self._woken], [], [], wait)
+                ready, _, _ = select.select([client, self._woken], [], [], self._wait_s(outbox))
                 if self._closing:
                     return "server closed"
                 if self._woken in ready:
@@ -147,8 +149,26 @@ class TcpBusServer:
                     with self.lock:
                         answers = self._bus.receive(data, self._clock())
                     outbox.put(answers if self._answering() else ())
+                outbox.put(self._spoken())
                 due = outbox.take(self._clock())
                 if due:
                     client.sendall(due)
         except OSError as error:  # reset or broken pipe: the client went away without a word
             return str(error)
+
+    def _spoken(self) -> list[Reply]:
+        """What has been said without being asked."""
+        if not self._speaks:
+            return []
+        with self.lock:
+            said = self._bus.speak(self._clock())
+        return said if self._answering() else []
+
+    def _wait_s(self, outbox: Outbox) -> float | None:
+        """[s] until there is something to do, though no byte comes; None where there is nothing."""
+        now_ns = self._clock()
+        due = [] if outbox.due_ns is None else [outbox.due_ns]
+        if self._speaks:
+            with self.lock:
+                due.append(max(self._bus.due_ns or 0, now_ns + _BREATH_NS))
+        return max((min(due) - now_ns) / _SEC, 0.0) if due else None

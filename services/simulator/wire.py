@@ -29,6 +29,26 @@ class Wire(Protocol):
     def outlet(self, now_ns: int) -> Outlet | None:
         """How the bus is reached now, None while its adapter is unplugged."""
 
+    @property
+    def due_ns(self) -> int | None:
+        """[ns] when something happens there next of itself; None where questions are answered and that is all."""
+
+    def speak(self, now_ns: int) -> list[Reply]:
+        """What it has said by now without being asked."""
+
+
+class AnswersOnly:
+    """The part of a `Wire` that servos have not: to say something of themselves."""
+
+    @property
+    def due_ns(self) -> int | None:
+        """Never."""
+        return None
+
+    def speak(self, now_ns: int) -> list[Reply]:
+        """Nothing."""
+        return []
+
 
 class Outbox:
     """Replies on their way to the host, in the order in which they are due."""

@@ -1,0 +1,85 @@
+"""The servos as the actuator uses them, whether it speaks their bus itself or through a bridge."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from services.actuator import bridge
+from services.actuator.bridge import Bridge
+from services.actuator.bus import REPLY_TIMEOUT_NS, Port, ServoBus, ServoReading, open_port
+from services.actuator.config import Settings
+from shared import dynamixel as dxl
+from shared.dynamixel import Register
+from shared.robot import RobotProfile
+
+
+class Servos(Protocol):
+    """A fixed list of servos; arrays are in its order. `ServoBus` and `Bridge` are such."""
+
+    servo_ids: tuple[int, ...]
+    errors: NDArray[np.uint8]  # (n,) error bits of the last status packets
+
+    @property
+    def lost(self) -> Counter[str]:
+        """What was lost on the way, by reason."""
+        ...
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong between here and the servos, in words, or nothing."""
+        ...
+
+    def setup(self) -> None:
+        """Check that all servos are there and right, and make them answer quickly; torque and limits stay."""
+        ...
+
+    def read(self, servo_id: int, register: Register) -> int | None:
+        """Value of one register, None when the servo does not answer."""
+        ...
+
+    def write(self, servo_id: int, register: Register, value: int) -> bool:
+        """Write one register; whether the servo took it."""
+        ...
+
+    def sync_write_goals(self, goal_ticks: ArrayLike, speed_ticks: ArrayLike = 0) -> None:
+        """Send every servo its goal position and moving speed."""
+        ...
+
+    def set_torque(self, enabled: bool) -> None:
+        """Turn the torque of all servos on or off; the goals that shall hold have been sent before it goes on."""
+        ...
+
+    def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
+        """Set every servo's torque limit, which ends a shutdown."""
+        ...
+
+    def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
+        """New readings, as many as a time budget allows, those of `first` in any case."""
+        ...
+
+    def ages(self) -> NDArray[np.float64]:
+        """(n,) [s] since each servo's newest reading was asked for, infinite when there was none."""
+        ...
+
+    def close(self) -> None:
+        """Close the port; the servos keep their torque and their last goal."""
+        ...
+
+
+def read_timeout_ns(settings: Settings) -> int:
+    """[ns] longest wait of one read of the port that suits what is at its other end."""
+    return bridge.READ_NS if settings.bridge else REPLY_TIMEOUT_NS
+
+
+def connect(profile: RobotProfile, settings: Settings, port: Port | None, clock: Callable[[], int]) -> Servos:
+    """The robot's servos, on an open port or on the one that the settings name.
+
+    Raises:
+        BusGone: The port cannot be opened.
+    """
+    model, names = dxl.MODEL_NAMED[profile.servo.model], profile.servo_names
+    port = port or open_port(settings.port, timeout_ns=read_timeout_ns(settings))
+    return (Bridge if settings.bridge else ServoBus)(port, list(names), clock, model=model, names=names)

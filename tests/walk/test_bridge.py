@@ -1,0 +1,99 @@
+"""Walks with a simulated microcontroller on the servo bus: in lockstep, with a restart of it, and over a real socket."""
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+from services.actuator.bridge import READ_NS, Bridge
+from services.actuator.bus import open_port
+from services.simulator.board import Board
+from services.simulator.bus import BusTiming, ServoBusEmulator
+from services.simulator.service import Simulator
+from services.simulator.servos import ServoBank
+from services.simulator.tcp_port import TcpBusServer
+from shared.bridge import Mode
+from shared.messages import Mode as Doing
+from tests.support.walks import LockstepRun, flat, walk
+
+COURSE = """
+name = "short"
+time_limit_s = 40.0
+goal = { distance = 0.4 }
+terrain = [{ kind = "plane" }]
+"""
+
+
+def test_through_a_bridge_it_walks_as_on_the_bus_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    course = tmp_path / "short.toml"
+    course.write_text(COURSE, encoding="utf-8")
+    reports = []
+    for ways in ([], ["--bridge"]):
+        command = ["run", str(course), "--lockstep", "--seed", "1001", "--json", "--out", str(tmp_path / f"out{len(ways)}")]
+        assert cli.main([*command, *ways]) == 0
+        reports.append(json.loads(capsys.readouterr().out))
+    direct, bridged = reports
+    assert direct != bridged, "it went another way"
+    assert bridged["success"] is True
+    assert (bridged["falls"], bridged["shutdowns"], bridged["missteps"]) == (0, 0, 0)
+    assert bridged["steps"] == pytest.approx(direct["steps"], abs=1)
+    assert bridged["speed_mps"] == pytest.approx(direct["speed_mps"], rel=0.05)
+    assert bridged["tilt_deg"]["p95"] <= direct["tilt_deg"]["p95"] + 0.1
+    assert bridged["min_stability_margin_m"] >= direct["min_stability_margin_m"] - 0.005
+    assert bridged["torque_nm"]["rms_worst_joint"] == pytest.approx(direct["torque_nm"]["rms_worst_joint"], rel=0.1)
+
+
+def test_the_microcontroller_restarts_in_the_middle_of_a_walk_and_nothing_falls_or_lunges() -> None:
+    at_ns, done = 6_000_000_000, []
+
+    def restart(run: LockstepRun) -> None:
+        simulator = run.service("simulator")
+        assert isinstance(simulator, Simulator)
+        assert isinstance(simulator.device, Board)
+        if run.now_ns() >= at_ns and not done:
+            simulator.device.restart(run.now_ns())
+            done.append(run.now_ns())
+
+    found = walk(flat(0.6, bridge=True), 1001, look=restart)
+    assert done
+    assert found.report.success, found.report.reason
+    assert (found.report.falls, found.report.shutdowns) == (0, 0)
+    assert found.report.min_stability_margin_m > 0.02
+    assert found.report.tilt_deg.max < 3.0
+    warnings = {word for state in found.states(done[0] * 1e-9, done[0] * 1e-9 + 1.0) for word in state.warnings}
+    assert any(word.startswith("the bridge has been silent for") for word in warnings), warnings
+    assert any(word.startswith("the bridge is catching up") for word in warnings), warnings
+    assert any(state.mode is Doing.HOLD for state in found.states(done[0] * 1e-9, done[0] * 1e-9 + 2.0)), "it stops"
+    refused = {state.refused for state in found.states(done[0] * 1e-9, done[0] * 1e-9 + 2.0)}
+    assert any("the bridge" in words for words in refused), refused
+
+
+def test_over_a_socket_as_on_a_serial_line() -> None:
+    """Live: a board behind a TCP port speaks by itself, and a pulled cable is a new connection."""
+    bank = ServoBank((1, 2, 3))
+    board = Board(ServoBusEmulator(bank, BusTiming(usb_transaction_ns=0)))
+    with TcpBusServer(board) as server:
+
+        def cycles(driver: Bridge, until_s: float, mode: Mode) -> int:
+            """Cycles until the board is in a mode; the readings that came on the way."""
+            readings, deadline = 0, time.monotonic() + until_s
+            while time.monotonic() < deadline:
+                readings += len(driver.poll(1_000_000))
+                driver.sync_write_goals([513, 514, 515])
+                with server.lock:
+                    board.advance(time.monotonic_ns())
+                if driver.state and driver.state.mode is mode:
+                    return readings
+            pytest.fail(f"not {mode} within {until_s} s: {driver.trouble}, {driver.lost}")
+
+        for _ in range(2):
+            driver = Bridge(open_port(server.url, timeout_ns=READ_NS), (1, 2, 3), time.monotonic_ns)
+            driver.setup()
+            assert cycles(driver, 10.0, Mode.OFF) >= 0
+            driver.set_torque(True)
+            assert cycles(driver, 10.0, Mode.ON) > 0
+            driver.set_torque(False)
+            cycles(driver, 10.0, Mode.OFF)
+            driver.close()
