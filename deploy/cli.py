@@ -223,6 +223,7 @@ def _add_servos(add: Any, parser: argparse.ArgumentParser) -> None:
     def on_port(name: str, command: Any, words: str) -> argparse.ArgumentParser:
         one = of_robot(name, command, words)
         one.add_argument("--port", default="/dev/ttyUSB0", help="serial device, or socket://host:port (default %(default)s)")
+        one.add_argument("--echo", action="store_true", help="the adapter returns every byte sent, as some with one wire do")
         return one
 
     def of_legs(name: str, command: Any, words: str) -> argparse.ArgumentParser:

@@ -15,6 +15,7 @@ from services.actuator import usb_adapter
 from shared.config import ConfigError
 
 if TYPE_CHECKING:
+    from services.actuator.bus import Port
     from services.actuator.roll_call import Seen
     from shared.robot import RobotProfile
 
@@ -73,8 +74,8 @@ def out_of_reach(port: str) -> Check | None:
 
 def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Whether all of the robot's servos are there, and how they are."""
-    from services.actuator.bus import BusGone, ServoBus, open_port
-    from services.actuator.roll_call import call, problems
+    from services.actuator.bus import BusGone, open_port
+    from services.actuator.roll_call import problems
     from shared import dynamixel as dxl
 
     name, names, model = f"servo port {port}", profile.servo_names, dxl.MODEL_NAMED[profile.servo.model]
@@ -83,14 +84,14 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     except BusGone as error:
         yield Check(name, Level.FAIL, str(error), "close what else uses the port, or give another")
         return
-    bus = ServoBus(opened, list(names), time.monotonic_ns, names=names, reply_timeout_ns=_PATIENCE_NS)
     try:
-        seen = call(bus, names)
+        seen, echo = _called(opened, names)
     except BusGone as error:
         yield Check(name, Level.FAIL, str(error), "check plug and cable")
         return
-    finally:
-        bus.close()
+    if echo:
+        advice = "--set actuator.echo=true, and --echo for `sextant servos`"
+        yield Check(name, Level.WARN, "the adapter returns what is sent", advice)
     if not seen:
         advice = "see to their power and to the cable at the adapter; `sextant servos scan` looks at other baud rates too"
         yield Check(name, Level.FAIL, f"none of {len(names)} servos answers", advice)
@@ -100,6 +101,22 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     advice = "; ".join(dict.fromkeys(problem.advice for problem in wrong.values()))
     yield Check(name, Level.FAIL if wrong else Level.OK, words or f"all {len(names)} servos answer", advice)
     yield from well([one for i, one in seen.items() if i not in wrong], profile)
+
+
+def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, Seen], bool]":
+    """Who of the robot's servos is there, and whether the adapter echoes; the port is closed in the end."""
+    from services.actuator.bus import ServoBus
+    from services.actuator.roll_call import Voice, call
+
+    bus = ServoBus(port, list(names), time.monotonic_ns, names=names, reply_timeout_ns=_PATIENCE_NS)
+    try:
+        seen = call(bus, names)
+        if not any(one.voice is Voice.ECHO for one in seen.values()):
+            return seen, False
+        hearing = ServoBus(port, list(names), time.monotonic_ns, names=names, echo=True, reply_timeout_ns=_PATIENCE_NS)
+        return call(hearing, names), True
+    finally:
+        bus.close()
 
 
 def well(seen: "list[Seen]", profile: "RobotProfile") -> Iterator[Check]:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 PATIENCE_NS = 25_000_000  # [ns] for an answer: outlasts the latency timer of an adapter that nobody has set
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] a machine that emulates servos may be busy
+_LAST_PORT = 65535
 
 
 class Terminal:
@@ -58,7 +59,7 @@ def scan(arguments: argparse.Namespace) -> int:
     from services.actuator import commissioning
 
     profile = _profile(arguments.robot)
-    with _line(arguments.port, profile) as line:
+    with _line(arguments, profile) as line:
         found = commissioning.scan(line, arguments.ids)
     wrong = commissioning.verdict(found, profile)
     if arguments.json:
@@ -78,7 +79,7 @@ def set_id(arguments: argparse.Namespace) -> int:
     from services.actuator import commissioning
 
     profile = _profile(arguments.robot)
-    with _line(arguments.port, profile) as line:
+    with _line(arguments, profile) as line:
         return SUCCESS if commissioning.set_ids(line, profile, Terminal()) else FAILED
 
 
@@ -97,7 +98,7 @@ def calibrate(arguments: argparse.Namespace) -> int:
     except ValueError as error:
         raise InputError(f"--pose: {error}") from None
     say(f"calibrating {', '.join(legs)} into {path}" + (f"; it has {', '.join(known)}" if known else ""))
-    with _line(arguments.port, profile) as line:
+    with _line(arguments, profile) as line:
         done = calibration.calibrate(
             line.at(line.rates[0]),
             profile,
@@ -118,7 +119,7 @@ def test(arguments: argparse.Namespace) -> int:
     profile = _profile(arguments.robot)
     chosen = {"on": True, "off": False, "": False if arguments.yes else None}[arguments.torque]
     operator, legs = Terminal(arguments.yes), arguments.leg or LEGS
-    with _line(arguments.port, profile) as line:
+    with _line(arguments, profile) as line:
         moved = exercise(line.at(line.rates[0]), profile, operator, time.monotonic_ns, legs=legs, hold_after=chosen)
     if moved is None:
         return FAILED
@@ -134,10 +135,12 @@ def emulate(arguments: argparse.Namespace) -> int:
     from services.simulator.tcp_port import TcpBusServer
     from services.simulator.workbench import HELP, Workbench
 
+    if arguments.listen > _LAST_PORT:
+        raise InputError(f"a port up to {_LAST_PORT} expected, found {arguments.listen}; give another with --listen")
     bench = Workbench(_profile(arguments.robot), np.random.default_rng(arguments.seed), fresh=arguments.fresh)
     try:
         server = TcpBusServer(bench, port=arguments.listen)
-    except (OSError, OverflowError) as error:
+    except OSError as error:
         raise InputError(f"cannot listen on port {arguments.listen}: {error}; give another with --listen") from None
     with server:
         say(f"servos on {server.url}; in another terminal: sextant servos scan --port {server.url}")
@@ -157,19 +160,27 @@ def emulate(arguments: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _line(port: str, profile: "RobotProfile") -> "Iterator[Line]":
+def _line(arguments: argparse.Namespace, profile: "RobotProfile") -> "Iterator[Line]":
     """The servo port, closed in the end."""
     from services.actuator.bus import BAUD_RATE, ServoBus, open_port
     from services.actuator.commissioning import USUAL_RATES, Line
     from shared import dynamixel as dxl
 
-    network = "://" in port
+    port, network = arguments.port, "://" in arguments.port
     patience, names = _NETWORK_PATIENCE_NS if network else PATIENCE_NS, profile.servo_names
     model = dxl.MODEL_NAMED[profile.servo.model]
 
     def at(rate: int) -> ServoBus:
         opened = open_port(port, rate, patience)
-        return ServoBus(opened, list(names), time.monotonic_ns, model=model, names=names, reply_timeout_ns=patience)
+        return ServoBus(
+            opened,
+            list(names),
+            time.monotonic_ns,
+            model=model,
+            names=names,
+            echo=arguments.echo,
+            reply_timeout_ns=patience,
+        )
 
     line = Line(at, (BAUD_RATE,) if network else USUAL_RATES)
     try:

@@ -12,6 +12,7 @@ class Settings:
 
     port: str = "/dev/ttyUSB0"  # a serial device, or socket://host:port
     bridge: bool = False  # a microcontroller on the port speaks the servo bus in our place, see docs/bridge.md
+    echo: bool = False  # the adapter returns every byte sent, as some that have one wire do
     rate_hz: float = 50.0  # of the control cycle
     read_budget_ms: float = 6.5  # [ms] of each cycle spent on reading servos
     unload_s: float = 0.05  # [s] before a swing in which its legs hand over their load

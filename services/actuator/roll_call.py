@@ -78,7 +78,7 @@ _SET_ID = "`sextant servos set-id` with it alone on the bus"
 _BY_VOICE = {
     Voice.DOUBLED: f"unplug one of the two, and give the other its own id: {_SET_ID}",
     Voice.MUTE: f"its status return level is 0: {_SET_ID}",
-    Voice.ECHO: "take an adapter that does not echo",
+    Voice.ECHO: "--echo here, and --set actuator.echo=true for the actuator",
 }
 LOW_VOLTAGE = {dxl.AX_12A.number: 10.5, dxl.RX_64.number: 14.0}  # [V] 3.5 V a cell of three, of four
 WARM = 10.0  # [deg C] below its limit a servo is too warm to begin with

@@ -82,4 +82,6 @@ def connect(profile: RobotProfile, settings: Settings, port: Port | None, clock:
     """
     model, names = dxl.MODEL_NAMED[profile.servo.model], profile.servo_names
     port = port or open_port(settings.port, timeout_ns=read_timeout_ns(settings))
-    return (Bridge if settings.bridge else ServoBus)(port, list(names), clock, model=model, names=names)
+    if settings.bridge:
+        return Bridge(port, list(names), clock, model=model, names=names)
+    return ServoBus(port, list(names), clock, model=model, names=names, echo=settings.echo)

@@ -28,7 +28,15 @@ HELP = "plug [N], unplug [ID], bend LEG COXA FEMUR TIBIA (degrees), list, quit"
 class Workbench(ServoBusEmulator):
     """A bus with a robot's worth of servos, some of them plugged in."""
 
-    def __init__(self, profile: RobotProfile, rng: np.random.Generator, *, fresh: bool = False, rate: int | None = None):
+    def __init__(
+        self,
+        profile: RobotProfile,
+        rng: np.random.Generator,
+        *,
+        fresh: bool = False,
+        rate: int | None = None,
+        echo: bool = False,
+    ):
         """Lay the servos out.
 
         Args:
@@ -36,6 +44,7 @@ class Workbench(ServoBusEmulator):
             rng: By which the horns sit wrong, and the shafts of new servos stand.
             fresh: As they come from the factory, none plugged in; else built into the robot, set up, torque off.
             rate: [1/s] at which the host talks, see `tune`; None is heard by all, as a network port has no rate.
+            echo: The adapter returns every byte sent.
         """
         trims = rng.uniform(-HORNS_DEG, HORNS_DEG, (len(LEGS), 3)).round(1)
         entries = [Calibration(leg, date.min, (c, f, t)) for leg, (c, f, t) in zip(LEGS, trims.tolist(), strict=True)]
@@ -53,7 +62,7 @@ class Workbench(ServoBusEmulator):
         self._now_ns = -1  # of the joints
         self._q, self._qd, self._torque = q.copy(), np.zeros(len(ids)), np.zeros(len(ids))
         self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiled before the first packet comes
-        super().__init__(self._servos, BusTiming())
+        super().__init__(self._servos, BusTiming(), echo=echo)
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
         """Take bytes from the host, after the joints have come to this time."""

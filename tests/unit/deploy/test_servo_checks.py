@@ -86,6 +86,14 @@ def test_nobody_there_is_said_once(bench: Workbench) -> None:
     assert "servo voltage" not in checks
 
 
+def test_an_adapter_that_echoes_is_told_and_heard_through() -> None:
+    with TcpBusServer(Workbench(PROFILE, np.random.default_rng(1), echo=True)) as server:
+        first, second, *_ = servo_checks.examine(server.url, "phantomx_mk2")
+    assert (first.level, first.found) == (Level.WARN, "the adapter returns what is sent")
+    assert "--set actuator.echo=true" in first.advice
+    assert second.found == "all 18 servos answer"
+
+
 def test_low_voltage_heat_and_overload_are_named(bench: Workbench) -> None:
     bench._servos.charge = 0.1
     bench._servos.temperature[bench._with_id(6)] = 66.0

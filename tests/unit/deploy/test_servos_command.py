@@ -1,0 +1,114 @@
+"""`sextant servos` at the command line: what it is given, how it ends, and which file a calibration goes to."""
+
+import io
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy import cli
+from deploy.launcher import free_port
+from services.simulator.tcp_port import TcpBusServer
+from services.simulator.workbench import Workbench
+from shared import dynamixel as dxl
+from shared.robot import LEGS, load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+
+
+@pytest.fixture
+def bench() -> Workbench:
+    return Workbench(PROFILE, np.random.default_rng(1))
+
+
+@pytest.fixture
+def url(bench: Workbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    with TcpBusServer(bench) as server:
+        yield server.url
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["scan", "--robot", "nobody"], "no profile 'nobody'"),
+        (["calibrate", "--robot", "nowhere.toml"], "nowhere.toml: no such file"),
+        (["calibrate", "--pose", "0", "0", "90"], "--pose: a pose within the left front leg's limits expected, found tibia 90"),
+        (["calibrate", "--out", "other.toml"], "other.toml is a lotriet_rx64, phantomx_mk2 expected"),
+        (["emulate", "--listen", "70000"], "give another with --listen"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_wrong_input_is_refused_before_a_servo_hears_of_it(
+    words: list[str], hint: str, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("other.toml").write_text('extends = "lotriet_rx64"\n')
+    assert cli.main(["servos", *words, *(["--port", url] if words[0] != "emulate" else [])]) == 2
+    assert hint in capsys.readouterr().err
+    assert not bench.counts.instructions
+
+
+@pytest.mark.parametrize("command", ["scan", "set-id", "calibrate", "test"])
+def test_a_port_that_is_not_there_fails_in_words(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["servos", command, "--port", f"socket://127.0.0.1:{free_port()}"]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith(f"sextant servos {command}: cannot open servo port socket://")
+
+
+@pytest.mark.parametrize("command", ["set-id", "calibrate", "test"])
+def test_where_nobody_answers_nothing_moves(
+    command: str, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if command == "set-id":
+        bench.unplug(bench._with_id(9))  # else there is nothing to ask
+    assert cli.main(["servos", command, "--port", url]) == 2
+    assert "an answer expected, found the end of the input" in capsys.readouterr().err
+    assert not bench.counts.instructions[dxl.Instruction.WRITE]
+
+
+def test_a_scan_for_scripts_and_for_people_say_the_same(bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]) -> None:
+    bench.unplug(bench._with_id(9))
+    words = ["servos", "scan", "--port", url, "--ids", "1:19"]
+    assert cli.main([*words, "--json"]) == 1
+    table = json.loads(capsys.readouterr().out)
+    assert [row["id"] for row in table["servos"]] == [i for i in range(1, 19) if i != 9]
+    assert table["servos"][0] == {
+        "id": 1, "baud": 1_000_000, "joint": "left front coxa", "model": "AX-12A", "firmware": 24,
+        "voltage": table["servos"][0]["voltage"], "temperature": 25.0,
+    }  # fmt: skip
+    (problem,) = table["problems"]
+    assert cli.main(words) == 1
+    told = capsys.readouterr().out
+    assert f"{problem['words']}\n  -> {problem['advice']}" in told
+    assert all(row["joint"] in told for row in table["servos"])
+
+
+def test_a_calibration_of_a_file_goes_into_it_and_beside_it_where_asked(
+    bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["servos", "calibrate", "--port", url, "--yes", "--leg", LEGS[2]]
+    Path("deep").mkdir()
+    assert cli.main([*words]) == 0
+    assert cli.main([*words, "--robot", "my_phantomx_mk2.toml", "--out", "deep/second.toml"]) == 0
+    assert cli.main([*words[:-1], LEGS[4], "--robot", "deep/second.toml"]) == 0
+    capsys.readouterr()
+    assert load_profile("my_phantomx_mk2.toml").calibration[0].leg == LEGS[2]
+    second = load_profile("deep/second.toml")
+    assert [entry.leg for entry in second.calibration] == [LEGS[2], LEGS[4]]
+    np.testing.assert_allclose(second.trims[[2, 4]], bench.robot.trims[[2, 4]], atol=dxl.TICK_RAD)
+    assert "../my_phantomx_mk2.toml" in Path("deep/second.toml").read_text()
+
+
+@pytest.mark.parametrize(("torque", "left"), [("on", 1), ("off", 0), ("", 0)])
+def test_torque_is_left_as_a_script_says(
+    torque: str, left: int, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["servos", "test", "--port", url, "--yes", "--leg", LEGS[0], *(["--torque", torque] if torque else [])]
+    assert cli.main(words) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "3 of 3 joints are in order"
+    assert cli.main(["servos", "scan", "--port", url, "--ids", "1:2"]) == 1  # time goes on: what was written arrives
+    assert (bench._servos.tables[:, dxl.TORQUE_ENABLE.address] == left).all()
