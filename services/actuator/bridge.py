@@ -77,6 +77,7 @@ class Bridge:
         self._measured_us = [-_NEW_US - 1] * n  # the same, by the microcontroller's clock
         self._torque: bool | None = None  # as ordered last
         self._torque_ns = 0
+        self._goals_since_ns, self._goals_ns = 0, -1  # since when goals are sent without a gap, and when the newest were
 
     def __len__(self) -> int:
         """Number of servos."""
@@ -113,7 +114,7 @@ class Bridge:
             )
         if mode in (Mode.ADOPTING, Mode.CATCHING_UP):
             return f"the bridge is {mode.words}: goals are followed slowly or not yet"
-        if mode is Mode.HOLDING and self._torque is not False and self._sequence and late:
+        if mode is Mode.HOLDING and now_ns - self._goals_ns <= _SILENT_NS < self._goals_ns - self._goals_since_ns:
             return "the bridge holds: no fresh goals reach it"
         return ""
 
@@ -179,6 +180,10 @@ class Bridge:
             ValueError: A value out of range, not a whole number, or of another shape.
             BusGone: The port is gone.
         """
+        now_ns = self._clock()
+        if self._goals_ns < 0 or now_ns - self._goals_ns > _SILENT_NS:
+            self._goals_since_ns = now_ns
+        self._goals_ns = now_ns
         goals, speeds = self._whole(goal_ticks, dxl.GOAL_POSITION), self._whole(speed_ticks, dxl.MOVING_SPEED)
         self._send(bridge.Goals(*self._head(), _LIFETIME_MS, goals, speeds))
 

@@ -8,16 +8,15 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from services.simulator.bus_master import BusMaster
 from shared import bridge
 from shared import dynamixel as dxl
 from shared.bridge import NEVER, Message, Mode, Receiver, Refusal, RemoteClock, Result
-from shared.dynamixel import BROADCAST_ID, PRESENT_STATE, Instruction, Packet, PacketParser
+from shared.dynamixel import BROADCAST_ID, PRESENT_STATE, Instruction, Packet
 
 NAME = "reference firmware, simulated"
 CYCLE_NS = 10_000_000  # [ns] in each of which all servos are read, once, and a state is sent
 GREETING_NS = 100_000_000  # [ns] between two welcomes while nobody has said hello
-SERVO_TIMEOUT_NS = 2_000_000  # [ns] from the end of a request: a factory return delay, a whole table, and as much again
-BYTE_NS = 10_000  # [ns] on the servo bus, at 1 Mbit/s
 ATTEMPTS = 3  # to read a servo while adopting
 NEAR_TICKS = 6  # 1.8 deg: a goal so near to the last one ends catching up
 CATCH_UP_TICKS_S = 102  # [ticks/s] 30 deg/s, at which goals further away are followed
@@ -51,18 +50,6 @@ class _Servo:
     trails: bool = True  # it follows goals that had gone ahead, slowly
 
 
-@dataclass(frozen=True, slots=True)
-class _Question:
-    """What is being asked of a servo."""
-
-    servo_id: int
-    until_ns: int  # no answer comes later
-    began_ns: int
-    size: int  # parameters of a good answer
-    servo: _Servo | None = None  # of which its state or table is read
-    ask: bridge.Ask | None = None  # of the host
-
-
 class Firmware:
     """Between a host's line and a servo bus."""
 
@@ -93,21 +80,17 @@ class Firmware:
         self._off_ordered = False
         self._questions: deque[bridge.Ask] = deque()
         # The bus.
-        self._parser = PacketParser(max_length=dxl.TABLE_SIZE + 2)
-        self._question: _Question | None = None  # being asked
-        self._wire_free_ns = now_ns
+        self._bus: BusMaster[_Servo | bridge.Ask] = BusMaster(now_ns)
         self._to_read: deque[tuple[_Servo, int]] = deque()  # servos, and attempts left
         # What is told.
         self._tick_ns = now_ns + CYCLE_NS
         self._state_sequence = 0
         self._refusal, self._refused = Refusal.NONE, 0
-        self._silent = self._garbled = 0
 
     @property
     def due_ns(self) -> int:
         """[ns] when it has to be given the time again, though no byte has come."""
-        busy_ns = self._question.until_ns if self._question else self._wire_free_ns
-        return min(self._tick_ns, busy_ns) if self._question or self._has_work() else self._tick_ns
+        return min(self._tick_ns, self._bus.due_ns) if self._bus.waits or self._has_work() else self._tick_ns
 
     def step(self, now_ns: int, from_host: bytes = b"", from_bus: bytes = b"") -> Said:
         """Take the time and what has come, and say what is to be said.
@@ -119,11 +102,8 @@ class Firmware:
         """
         self._now_ns = now_ns
         # 1. What the servos answer, or do not.
-        for packet in self._parser.feed(from_bus):
-            self._hear(packet)
-        if self._question and now_ns >= self._question.until_ns:
-            self._parser.flush()
-            self._close_question(None)
+        for closed in self._bus.hear(from_bus, now_ns):
+            self._learn(*closed)
         # 2. What the host wants.
         for message in self._from_host.feed(from_host):
             self._obey(message)
@@ -136,7 +116,7 @@ class Firmware:
         if now_ns >= self._tick_ns:
             self._tick()
         # 4. The next packet for the servos.
-        to_bus = self._next_packet() if self._question is None and now_ns >= self._wire_free_ns else b""
+        to_bus = self._next_packet() if not self._bus.waits and now_ns >= self._bus.due_ns else b""
         to_host = bytes(self._to_host)
         self._to_host.clear()
         return Said(to_host, to_bus)
@@ -167,8 +147,7 @@ class Firmware:
             self._goals, self._goals_due, self._torque_on_due = None, False, False
             self._limits = None
             self._questions.clear()
-            if self._question:
-                self._wire_free_ns, self._question = self._question.until_ns, None
+            self._bus.forget()
             self._to_read = deque((servo, ATTEMPTS) for servo in self._servos)
             self.mode = Mode.ADOPTING
         self._host_clock.age_ns(hello.time_us, self._now_ns)
@@ -272,25 +251,25 @@ class Firmware:
         """The most urgent packet for the servos: off, goals, on, limits, the host's questions, the next reading."""
         if self._torque_off_due:
             self._torque_off_due = False
-            return self._tell(_TORQUE_OFF)
+            return self._bus.tell(_TORQUE_OFF, self._now_ns)
         if self._goals_due and self.mode in (Mode.ON, Mode.CATCHING_UP):
             self._goals_due = False
-            return self._tell(self._goals_packet())
+            return self._bus.tell(self._goals_packet(), self._now_ns)
         if self._torque_on_due:
             self._torque_on_due = False
-            return self._tell(self._for_all(dxl.TORQUE_ENABLE, [1] * len(self._servos)))
+            return self._bus.tell(self._for_all(dxl.TORQUE_ENABLE, [1] * len(self._servos)), self._now_ns)
         if self._limits is not None:
             limits, self._limits = self._limits, None
-            return self._tell(self._for_all(dxl.TORQUE_LIMIT, limits.limit))
+            return self._bus.tell(self._for_all(dxl.TORQUE_LIMIT, limits.limit), self._now_ns)
         if self._questions:
             ask = self._questions.popleft()
             packet = dxl.encode(ask.servo_id, ask.instruction, ask.parameters)
             size = ask.parameters[1] if ask.instruction == Instruction.READ else 0
-            return self._ask(packet, ask.servo_id, size, ask=ask)
+            return self._bus.ask(packet, ask.servo_id, size, ask, self._now_ns)
         if self._to_read:
             servo, _ = self._to_read[0]
             address, size = _ADOPTED if self.mode is Mode.ADOPTING else (dxl.PRESENT_POSITION.address, PRESENT_STATE.size)
-            return self._ask(dxl.read(servo.servo_id, address, size), servo.servo_id, size, servo=servo)
+            return self._bus.ask(dxl.read(servo.servo_id, address, size), servo.servo_id, size, servo, self._now_ns)
         return b""
 
     def _goals_packet(self) -> bytes:
@@ -312,57 +291,25 @@ class Firmware:
         rows = [(servo.servo_id, register.encode(value)) for servo, value in zip(self._servos, values, strict=True)]
         return dxl.sync_write(register.address, register.size, rows)
 
-    def _tell(self, packet: bytes) -> bytes:
-        """Send what nobody answers."""
-        self._wire_free_ns = self._now_ns + len(packet) * BYTE_NS
-        return packet
-
-    def _ask(
-        self, packet: bytes, servo_id: int, size: int, servo: _Servo | None = None, ask: bridge.Ask | None = None
-    ) -> bytes:
-        until_ns = self._now_ns + len(packet) * BYTE_NS + SERVO_TIMEOUT_NS
-        self._question = _Question(servo_id, until_ns, self._now_ns, size, servo, ask)
-        return packet
-
-    def _hear(self, packet: Packet) -> None:
-        """Take a status packet, if it answers what is being asked."""
-        question = self._question
-        if question is None or packet.servo_id != question.servo_id or not self._fits(question, packet):
-            self._garbled = self._garbled + 1 & _COUNT
+    def _learn(self, about: "_Servo | bridge.Ask", began_ns: int, packet: Packet | None) -> None:
+        """Take what a servo has said, or that it has said nothing."""
+        if isinstance(about, _Servo):
+            self._note(about, began_ns, packet)
+        elif packet is None:
+            self._say(bridge.Answer(self._session, about.sequence, Result.SILENT, 0, b""))
         else:
-            self._close_question(packet)
-
-    def _fits(self, question: _Question, packet: Packet) -> bool:
-        if question.ask is not None and not packet.parameters:  # it may refuse
-            return True
-        if len(packet.parameters) != question.size:
-            return False
-        return question.servo is None or self.mode is Mode.ADOPTING or _is_plausible(packet.parameters)
-
-    def _close_question(self, packet: Packet | None) -> None:
-        """What is being asked has its answer, or will have none."""
-        question = self._question
-        assert question is not None
-        self._question = None
-        self._wire_free_ns = self._now_ns
-        if packet is None:
-            self._silent = self._silent + 1 & _COUNT
-        if question.ask is not None:
-            result, error, data = Result.SILENT, 0, b""
-            if packet is not None:
-                result, error, data = Result.ANSWERED, packet.code, packet.parameters
-            self._say(bridge.Answer(self._session, question.ask.sequence, result, error, data))
-        elif question.servo is not None:
-            self._note(question.servo, question.began_ns, packet)
+            self._say(bridge.Answer(self._session, about.sequence, Result.ANSWERED, packet.code, packet.parameters))
 
     def _note(self, servo: _Servo, began_ns: int, packet: Packet | None) -> None:
         """Keep what a servo has said, and go on to the next one."""
         _, attempts = self._to_read.popleft()
-        if packet is not None and self.mode is Mode.ADOPTING:
+        if packet is not None and len(packet.parameters) == _ADOPTED[1]:
             _adopt(servo, packet.parameters)
-        elif packet is not None:
+        elif packet is not None and _is_plausible(packet.parameters):
             servo.asked_ns, servo.error = began_ns, packet.code
             servo.state = PRESENT_STATE.unpack(packet.parameters)
+        elif packet is not None:
+            self._bus.garbled += 1
         elif attempts > 1:
             self._to_read.append((servo, attempts - 1))
         if self.mode is Mode.ADOPTING and not self._to_read:
@@ -397,8 +344,8 @@ class Firmware:
             refusal=self._refusal,
             refused=self._refused,
             broken=self._from_host.dropped.total() & _COUNT,
-            silent=self._silent,
-            garbled=self._garbled + self._parser.dropped.total() & _COUNT,
+            silent=self._bus.silent & _COUNT,
+            garbled=self._bus.broken & _COUNT,
             position=columns[0],
             speed=columns[1],
             load=columns[2],
@@ -428,6 +375,8 @@ def _is_passed_on(ask: bridge.Ask) -> bool:
 
 def _is_plausible(parameters: bytes) -> bool:
     """Whether registers hold what a servo can measure."""
+    if len(parameters) != PRESENT_STATE.size:
+        return False
     position, speed, load, _, _ = PRESENT_STATE.unpack(parameters)
     return bool(position <= dxl.TICK_MAX and max(speed, load) <= bridge.SIGNED_MAX)
 

@@ -208,7 +208,9 @@ def test_without_fresh_goals_it_holds_and_says_so_and_torque_stays() -> None:
     assert rig.mode is Mode.ON
     rig.cycle(4)
     assert rig.mode is Mode.HOLDING
-    rig.cycle(250)
+    assert rig.driver.trouble == "", "nobody sends any"
+    rig.port.write = len  # type: ignore[method-assign,assignment]
+    rig.cycle(250, HERE + 3)
     assert rig.driver.trouble == "the bridge holds: no fresh goals reach it"
     assert rig.driver.state.goals_age_ms > 5000  # type: ignore[union-attr]
     assert rig.torque.all()
