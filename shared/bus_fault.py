@@ -38,7 +38,9 @@ GRID: Mapping[tuple[FaultTarget, FaultKind], Cell] = MappingProxyType(
         ("packets", "silent"): Cell("a share of the answers is lost", _PACKETS),
         ("packets", "stuck"): Cell("in place of a share of the answers the servo's one before comes again", _PACKETS),
         ("packets", "garbage"): Cell("noise comes in front of a share of the answers", _PACKETS),
-        ("packets", "wrong"): Cell("a share of the answers is wrong in one part, its checksum right", (*_PACKETS, "part")),
+        ("packets", "wrong"): Cell(
+            "a share of the answers is wrong: in one part, its checksum right, or in two bits or bytes", (*_PACKETS, "part")
+        ),
         ("packets", "slow"): Cell("a share of the answers comes late", (*_PACKETS, "delay_ms")),
         ("packets", "intermittent"): Cell("for a while every answer is lost", ("servo", *_WINDOWS)),
         ("servo", "silent"): _of_servo("it neither hears nor answers; with its cable pulled it has no power either", "cable"),

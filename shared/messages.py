@@ -73,7 +73,7 @@ FaultTarget: TypeAlias = Literal["bytes", "packets", "servo", "bus", "supply"]
 FaultKind: TypeAlias = Literal[
     "silent", "stuck", "garbage", "wrong", "slow", "intermittent", "jammed", "overload", "heat", "gone", "sag", "drain"
 ]
-BrokenPart: TypeAlias = Literal["value", "id", "length", "error"]
+BrokenPart: TypeAlias = Literal["value", "id", "length", "error", "two bits", "two bytes"]
 _POINTS_WITHOUT_COLOR, _CELLS_WITHOUT_COLOR = np.zeros((0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8)
 _NO_SIGHTS = np.zeros((0, 3), dtype=np.int16)
 _NO_CELLS = np.zeros((0, 0), np.uint8)

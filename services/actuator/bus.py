@@ -1,75 +1,54 @@
 """The servo bus driver: Dynamixel Protocol 1.0 over anything with pyserial's read and write.
 
 No thread and no sleep; time comes from a clock argument. In the loop nothing that the bus does raises but `BusGone`: a packet
-that is lost, broken or refused is counted by reason, and its servo's reading grows old.
+that is lost, broken or refused is counted by reason, as is one that says what cannot be, and its servo's reading grows old.
 """
 
-import logging
-import os
-import socket
-import termios
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Protocol
 
 import numpy as np
-import serial
 from numpy.typing import ArrayLike, NDArray
 
-from services.actuator import roll_call, usb_adapter
+from services.actuator import roll_call
+from services.actuator.line import BAUD_RATE, LOST, REFUSAL, REPLY_TIMEOUT_NS, BusGone, Line, Lost, Port, gone, open_port
+from services.actuator.loss import LossRate
+from services.actuator.plausible import Plausibility, State
 from services.actuator.roll_call import Chorus, Problem, Voice
 from shared import dynamixel as dxl
-from shared.dynamixel import PRESENT_STATE, Packet, PacketParser, Register, ServoError, ServoModel
+from shared.dynamixel import PRESENT_STATE, Packet, Register, ServoError, ServoModel
 
-log = logging.getLogger(__name__)
+__all__ = [
+    "BAUD_RATE",
+    "LOST",
+    "REPLY_TIMEOUT_NS",
+    "BusGone",
+    "BusSetupError",
+    "Lost",
+    "Port",
+    "ServoBus",
+    "ServoReading",
+    "gone",
+    "open_port",
+    "reading",
+    "whole",
+]
 
-REPLY_TIMEOUT_NS = 6_000_000  # [ns] 5 ms, ten times a servo's factory return delay, and one USB transaction
-BAUD_RATE = 1_000_000
-_WRITE_TIMEOUT = 0.5  # [s] a port that takes no bytes for so long is gone
 _PATIENCE = 3  # questions in a row that a servo may leave open before it is asked more rarely: a busy host loses answers
+_AT_ONCE = 2  # ... and after which it still comes first in the next call
 _MAX_BACKOFF = 32  # a silent servo is still asked every this many turns
 _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
+_LOOKS = 3  # questions to one servo in its turn, where its answers are broken or doubted
+_LOSS_WINDOW_NS = 200_000_000  # [ns]
+_NOISY_NS = 1_000_000_000  # [ns] after a question was lost in which its like may happen
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
 _SEC = 1e9
-_REFUSAL = int(ServoError.ANGLE_LIMIT | ServoError.RANGE | ServoError.CHECKSUM | ServoError.INSTRUCTION)
-LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
-
-
-class BusGone(ConnectionError):  # noqa: N818  (a state of the bus, handled by the caller)
-    """The port was closed, unplugged or hung up; open a new one and set the bus up again."""
 
 
 class BusSetupError(RuntimeError):
     """The bus does not have the servos that the robot needs; the message names each and what to do."""
-
-
-class Port(Protocol):
-    """The part of pyserial's `Serial` that the driver uses."""
-
-    def write(self, data: bytes, /) -> int | None:
-        """Send bytes."""
-
-    def read(self, size: int = 1, /) -> bytes:
-        """At most `size` bytes, fewer after the port's timeout."""
-
-    def reset_input_buffer(self) -> None:
-        """Throw away what has arrived."""
-
-    def close(self) -> None:
-        """Close the port."""
-
-
-class Lost(StrEnum):
-    """Why a question got no usable answer; a parser's `Dropped` reasons are counted beside these."""
-
-    TIMEOUT = "no answer"
-    STRANGER = "answer from another servo"
-    SIZE = "answer of the wrong size"
-    ECHO = "echo differs from what was sent"
-    REFUSED = "refused by the servo"
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,36 +98,6 @@ def whole(values: ArrayLike, register: Register, count: int) -> NDArray[np.int64
     return array.astype(np.int64, copy=False)
 
 
-def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIMEOUT_NS) -> Port:
-    """Open a serial device (`/dev/ttyUSB0`) or a network port (`socket://host:port`).
-
-    Args:
-        url: Anything `serial.serial_for_url` takes.
-        baud_rate: [1/s] the servos' baud rate.
-        timeout_ns: [ns] longest wait of one read. It is set once: changing it on an open device costs system calls.
-
-    Raises:
-        BusGone: The port cannot be opened.
-    """
-    alone = None if "://" in url else True  # two programs would read each other's answers
-    try:
-        port = serial.serial_for_url(
-            url, baudrate=baud_rate, timeout=timeout_ns / _SEC, write_timeout=_WRITE_TIMEOUT, exclusive=alone
-        )
-        if url.startswith("socket://"):
-            # pyserial leaves Nagle's algorithm on: a read request behind a sync write would wait 40 ms for the first
-            # packet's acknowledgement. The option belongs to the connection, so a duplicate of the handle can set it.
-            with socket.socket(fileno=os.dup(port.fileno())) as connection:
-                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    except LOST as error:
-        raise BusGone(
-            f"cannot open servo port {url}: {error}; is the adapter plugged in and nobody else using it, or the simulator up?"
-        ) from error
-    if slow := usb_adapter.quicken(url, port):
-        log.warning(slow)
-    return port
-
-
 class ServoBus:
     """Asks and commands a fixed list of servos; arrays are in the order of that list."""
 
@@ -186,16 +135,14 @@ class ServoBus:
         self._port = port
         self._clock = clock
         self._model = model
-        self._echo = echo
-        self._reply_timeout_ns = reply_timeout_ns
+        self._line = Line(port, clock, echo=echo, reply_timeout_ns=reply_timeout_ns)
         self._index = {servo_id: i for i, servo_id in enumerate(servo_ids)}
-        self._parser = PacketParser(max_length=dxl.TABLE_SIZE + 2)
-        self._lost: Counter[str] = Counter()
-        self._stale = False  # bytes of a lost answer may still lie in the port
-        self._unheard = bytearray()  # sent, its echo not yet read
+        self._loss = LossRate(_LOSS_WINDOW_NS)
+        self._plausible = Plausibility(n)
 
         self._requests = [dxl.read(i, dxl.PRESENT_POSITION.address, PRESENT_STATE.size) for i in servo_ids]
         self._next = 0
+        self._again: list[int] = []  # to be asked first in the next call
         self._typical_ns = _TYPICAL_NS
         self._read_ns = [-1] * n  # stamp of the newest reading
         self._missed = [0] * n  # questions that it left open in a row
@@ -213,8 +160,13 @@ class ServoBus:
 
     @property
     def lost(self) -> Counter[str]:
-        """Questions without a usable answer and bytes dropped, by reason (`Lost` and `dynamixel.Dropped`)."""
-        return self._lost + self._parser.dropped
+        """Questions without a usable answer and bytes dropped, by reason (`Lost`, `dynamixel.Dropped`, `plausible.Doubt`)."""
+        return self._line.lost + self._line.dropped + self._plausible.refused
+
+    @property
+    def loss(self) -> float:
+        """Share of the loop's questions without a usable answer over the last 200 ms; of the last one where there is none."""
+        return self._loss.share(self._clock())
 
     @property
     def trouble(self) -> str:
@@ -260,22 +212,13 @@ class ServoBus:
 
     def tell(self, servo_id: int, register: Register, value: int) -> None:
         """Write one register of a servo that may not answer, or under another id."""
-        self._send(dxl.write(servo_id, register.address, register.encode(value)))
-        if self._await(servo_id, 0) is None:
-            self._stale = True
+        request = dxl.write(servo_id, register.address, register.encode(value))
+        self._line.attempt(request, servo_id, 0, self._clock() + self._line.reply_timeout_ns)
 
     def chorus(self, servo_id: int) -> Chorus:
         """All that comes back on one ping while an answer may be awaited: of two servos with one id, more than an answer."""
-        parser, answers = PacketParser(max_length=dxl.TABLE_SIZE + 2), 0
-        self._send(dxl.ping(servo_id))
-        deadline = self._clock() + self._reply_timeout_ns
-        while (data := self._receive(dxl.OVERHEAD)) is not None:
-            answers += sum(packet.servo_id == servo_id for packet in parser.feed(data))
-            if self._clock() >= deadline:
-                break
-        self._stale = True
-        answers += sum(packet.servo_id == servo_id for packet in parser.flush())
-        return Chorus(answers, parser.dropped.total() > 0)
+        packets, garbage = self._line.overhear(dxl.ping(servo_id))
+        return Chorus(sum(packet.servo_id == servo_id for packet in packets), garbage)
 
     def setup(self) -> None:
         """Check that every servo is there, alone and of the right type, and make it answer everything without delay.
@@ -310,6 +253,8 @@ class ServoBus:
     def sync_write_goals(self, goal_ticks: ArrayLike, speed_ticks: ArrayLike = 0) -> None:
         """Send every servo its goal position and moving speed in one packet; nobody answers.
 
+        While questions get lost it is sent twice: nobody tells whether it came, and it is the longest packet of all.
+
         Args:
             goal_ticks: (n,) goal positions, 0 to 1023.
             speed_ticks: (n,) or one moving speed, 0 to 1023 of 0.111 rpm, 0 for uncontrolled.
@@ -323,7 +268,11 @@ class ServoBus:
         rows = self._goal_rows
         rows[:, 1], rows[:, 2] = goals & 0xFF, goals >> 8
         rows[:, 3], rows[:, 4] = speeds & 0xFF, speeds >> 8
-        self._send(dxl.encode(dxl.BROADCAST_ID, dxl.Instruction.SYNC_WRITE, self._goal_head + rows.tobytes()))
+        self._plausible.sent(np.broadcast_to(goals, (len(self),)).copy())
+        packet = dxl.encode(dxl.BROADCAST_ID, dxl.Instruction.SYNC_WRITE, self._goal_head + rows.tobytes())
+        self._line.send(packet)
+        if self._loss.within(self._clock(), _NOISY_NS):
+            self._line.send(packet)
 
     def sync_write(self, register: Register, values: ArrayLike) -> None:
         """Send every servo its value of one register, (n,) or one for all, in one packet; nobody answers.
@@ -334,7 +283,7 @@ class ServoBus:
         """
         wanted = np.broadcast_to(whole(values, register, len(self)), (len(self),))
         rows = [(i, register.encode(int(value))) for i, value in zip(self.servo_ids, wanted, strict=True)]
-        self._send(dxl.sync_write(register.address, register.size, rows))
+        self._line.send(dxl.sync_write(register.address, register.size, rows))
 
     def set_torque(self, enabled: bool) -> None:
         """Turn the torque of all servos on or off.
@@ -354,9 +303,11 @@ class ServoBus:
         """Read the next servos of the rotation, as many as typically fit a time budget.
 
         A servo that does not answer costs a timeout; after the third in a row it is asked every 2nd, 4th ... 32nd turn only.
+        One whose answer is broken, or leaps from where the servo was and was sent, is asked again at once, and if that does not
+        help first of all in the next call.
 
         Args:
-            budget_ns: [ns] time for this call; 0 reads nothing. A timeout may overrun it.
+            budget_ns: [ns] time for this call; 0 reads nothing. One timeout may overrun it.
             first: Servos by their place in the list that are read in every call, before the rotation goes on with the others.
 
         Raises:
@@ -365,34 +316,27 @@ class ServoBus:
         readings: list[ServoReading] = []
         start = self._clock()
         end = start + budget_ns
-        urgent = iter(first)
-        for _ in range(len(self)):
+        urgent = [*first, *(i for i in self._again if i not in first)]
+        self._again, ahead = [], iter(urgent)
+        for _ in range(len(self) + len(urgent)):
             if start + self._typical_ns > end:
                 break
-            i = next(urgent, -1)
+            i = next(ahead, -1)
             if i < 0:
                 i = self._next
                 self._next = (i + 1) % len(self)
-                if i in first:  # has been
+                if i in urgent:  # has been
                     continue
             if self._skips[i]:
                 self._skips[i] -= 1
                 continue
-            answer = self._ask(self._requests[i], self.servo_ids[i], PRESENT_STATE.size)
-            done = self._clock()
-            if answer is None:
-                self._missed[i] += 1
-                if self._missed[i] > _PATIENCE:
-                    self._backoff[i] = min(2 * self._backoff[i], _MAX_BACKOFF)
-                self._skips[i] = self._backoff[i] - 1
-            else:
-                self._missed[i], self._backoff[i] = 0, 1
-                self._read_ns[i] = start
-                self._typical_ns += (done - start - self._typical_ns) // _SMOOTHING
-                readings.append(
-                    reading(i, answer.servo_id, start, PRESENT_STATE.unpack(answer.parameters), ServoError(answer.code))
-                )
-            start = done
+            found = self._look(i, end)
+            if found is not None:
+                readings.append(found)
+            elif self._missed[i] <= _AT_ONCE:
+                self._again.append(i)
+            start = self._clock()
+        self._again += ahead  # whom there was no time for
         return readings
 
     def ages(self) -> NDArray[np.float64]:
@@ -402,80 +346,67 @@ class ServoBus:
 
     # ----------------------------------------------------------------------------------------------- below the words
 
-    def _send(self, data: bytes) -> None:
-        """Put a packet on the wire."""
-        try:
-            if self._stale:
-                self._port.reset_input_buffer()
-                self._unheard.clear()
-                self._stale = False
-            self._port.write(data)
-        except LOST as error:
-            raise gone(error) from error
-        if self._echo:
-            self._unheard += data
+    def _look(self, index: int, end_ns: int) -> ServoReading | None:
+        """Ask one servo until it says what can be believed; a question begins by `end_ns` and ends a timeout later."""
+        heard = False
+        for _ in range(_LOOKS):
+            start = self._clock()
+            if start > end_ns:
+                break
+            answer = self._line.exchange(self._requests[index], self.servo_ids[index], PRESENT_STATE.size, end_ns)
+            done = self._clock()
+            heard = answer is not None and not self._refuses(answer)
+            found = self._believed(index, start, answer) if heard and answer is not None else None
+            if not heard:
+                self._loss.note(done, True)
+            if found is not None:
+                self._missed[index], self._backoff[index] = 0, 1
+                self._read_ns[index] = start
+                self._typical_ns += (done - start - self._typical_ns) // _SMOOTHING
+                return found
+            if done - start >= self._line.reply_timeout_ns:  # asking on would cost another timeout
+                break
+        if not heard:
+            self._leave_alone(index)
+        return None
+
+    def _is_noisy(self, index: int) -> bool:
+        """Whether answers have been lost or broken lately, or ever before a servo's first reading."""
+        broken = self._read_ns[index] < 0 and self._line.dropped.total() > 0
+        return broken or self._loss.within(self._clock(), _NOISY_NS)
+
+    def _leave_alone(self, index: int) -> None:
+        """Let a servo that has not answered miss turns, the more the longer it is silent."""
+        self._missed[index] += 1
+        if self._missed[index] > _PATIENCE:
+            self._backoff[index] = min(2 * self._backoff[index], _MAX_BACKOFF)
+        self._skips[index] = self._backoff[index] - 1
+
+    def _believed(self, index: int, stamp_ns: int, answer: Packet) -> ServoReading | None:
+        """What a servo says it has measured, None as long as it is not to be believed."""
+        position, speed, load, voltage, temperature = PRESENT_STATE.unpack(answer.parameters)
+        state = State(stamp_ns, position, speed, load, voltage, temperature, answer.code)
+        refused = self._plausible.refused.total()
+        believed = self._plausible.believes(index, state, self._is_noisy(index))
+        for _ in range(self._plausible.refused.total() - refused):  # this one, or the one that it does not bear out
+            self._loss.note(self._clock(), True)
+        if not believed:
+            return None
+        self._loss.note(self._clock(), False)
+        self.errors[index] = answer.code
+        return reading(index, answer.servo_id, stamp_ns, PRESENT_STATE.unpack(answer.parameters), ServoError(answer.code))
 
     def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
         """Send a request and return the answer, with `size` parameters; None, and counted, when there is no good one."""
-        self._send(request)
-        answer = self._await(servo_id, size)
+        answer = self._line.exchange(request, servo_id, size, self._clock() + self._line.reply_timeout_ns)
         if answer is None:
-            self._lost[Lost.TIMEOUT] += 1
-            self._stale = True
             return None
         index = self._index.get(servo_id)
         if index is not None:
             self.errors[index] = answer.code
-        if answer.code & _REFUSAL and not answer.parameters:
-            self._lost[Lost.REFUSED] += 1
-            return None
-        return answer
+        return None if self._refuses(answer) else answer
 
-    def _await(self, servo_id: int, size: int) -> Packet | None:
-        deadline = self._clock() + self._reply_timeout_ns
-        wanted = dxl.OVERHEAD + size
-        while True:
-            data = self._receive(wanted)
-            if data is None:
-                return None
-            for packet in self._parser.feed(data):
-                if self._is_answer(packet, servo_id, size):
-                    return packet
-            if self._clock() >= deadline:
-                break
-            # Noise in front has pushed the packet's tail out of what was read.
-            wanted = max(dxl.OVERHEAD + size - self._parser.pending, 1)
-        for packet in self._parser.flush():  # noise may have announced a longer packet than what came
-            if self._is_answer(packet, servo_id, size):
-                return packet
-        return None
-
-    def _receive(self, count: int) -> bytes | None:
-        """Up to `count` bytes from the servos, behind the adapter's echo; None when the echo is not what was sent."""
-        due = len(self._unheard)
-        try:
-            data = self._port.read(count + due)
-        except LOST as error:
-            raise gone(error) from error
-        if not due:
-            return data
-        echo, data = data[:due], data[due:]
-        if echo != self._unheard[: len(echo)]:
-            self._lost[Lost.ECHO] += 1
-            return None
-        del self._unheard[: len(echo)]
-        return data
-
-    def _is_answer(self, packet: Packet, servo_id: int, size: int) -> bool:
-        if packet.servo_id != servo_id:
-            self._lost[Lost.STRANGER] += 1
-            return False
-        if len(packet.parameters) == size or (packet.code & _REFUSAL and not packet.parameters):
-            return True
-        self._lost[Lost.SIZE] += 1
-        return False
-
-
-def gone(error: Exception) -> BusGone:
-    """What a failure of the port means."""
-    return BusGone(f"the servo port is gone ({error}); check the adapter's cable, or the simulator, and open it again")
+    def _refuses(self, answer: Packet) -> bool:
+        refused = bool(answer.code & REFUSAL) and not answer.parameters
+        self._line.lost[Lost.REFUSED] += refused
+        return refused

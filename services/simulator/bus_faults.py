@@ -295,7 +295,7 @@ def _garble(running: _Running, reply: Reply, t_ns: int) -> Iterator[Reply]:
 
 
 def _misspoken(running: _Running, reply: Reply) -> bytes:
-    """An answer that is wrong in one part though its checksum is right."""
+    """An answer that is wrong in one part though its checksum is right, or in two bits or bytes."""
     servo_id, error, parameters, rng = reply.servo_id, reply.data[4], reply.data[5:-1], running.rng
     match running.fault.part:
         case "id":
@@ -304,5 +304,10 @@ def _misspoken(running: _Running, reply: Reply) -> bytes:
             return dxl.status(servo_id, error, parameters[:-1] if rng.random() < 0.5 and parameters else parameters + b"\x00")
         case "error":
             return dxl.status(servo_id, error ^ 1 << rng.randrange(8), parameters)
-        case _:
+        case "value":
             return dxl.status(servo_id, error, rng.randbytes(len(parameters)))
+        case part:
+            spoilt = bytearray(reply.data)
+            for i in rng.sample(range(len(spoilt)), 2):
+                spoilt[i] ^= 1 << rng.randrange(8) if part == "two bits" else rng.randrange(1, 256)
+            return bytes(spoilt)

@@ -1,0 +1,144 @@
+"""Whether a servo can have measured what its answer says: an 8-bit checksum lets some wrong answers through.
+
+A reading that leaps is doubted, and believed only when the next one says the same. In a walk over `steps` each of 6213
+positions lay between the one before and the goals sent since, or at most 7 ticks beyond, so none was doubted.
+"""
+
+from collections import Counter, deque
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared import dynamixel as dxl
+
+_SEC = 1e9
+_FASTEST = 8.0  # [rad/s] the AX-12A turns at 59 rpm and the RX-64 at 64 rpm without load; a leg that is pushed, a little faster
+_FASTEST_TICKS = _FASTEST / dxl.TICK_RAD  # [1/s]
+_LEAP = 10  # [ticks] beyond where a servo was and was sent; 3 deg
+_REPEATED = 5  # [ticks] within which two readings of one place lie, and ...
+_MOVED = 20  # [ticks] ... what the joint may have moved in between, at most
+_SAG = 0.8  # [V] between two readings of one supply
+_WARMING = 2.0  # [K] between two readings, and ...
+_WARMING_RATE = 2.0  # [K/s] ... in the time between them: a stalled motor warms by 1 K/s
+_UNKNOWN_BITS = 0x80  # of the error byte: no error has it
+_MAGNITUDE = 0x7FF  # of the speed and load registers: ten bits and the direction
+# While answers get lost or broken, loads and speeds are doubted that otherwise leap in good health.
+_LOAD_LEAP, _SPEED_LEAP = 400, round(2.5 / dxl.SPEED_RAD_S)  # [ticks] 0.4 of the stall torque, 2.5 rad/s
+_STANDS = 3  # [ticks] by which a joint must have moved before two readings that are all alike are strange
+_RECENT_GOALS = 3  # cycles in which a servo may still be on its way to a goal
+
+
+class Doubt(StrEnum):
+    """Why a reading is not believed, or not yet."""
+
+    RANGE = "value that no servo has"
+    POSITION = "position leapt"
+    SPEED = "speed leapt"
+    LOAD = "load leapt"
+    VOLTAGE = "voltage leapt"
+    TEMPERATURE = "temperature leapt"
+    ERROR = "error bits changed"
+    AGAIN = "the same again of a joint that moves"
+    FIRST = "first of a bus that breaks answers"
+
+
+class State(NamedTuple):
+    """What one answer says, in the registers' units."""
+
+    stamp_ns: int  # [ns] when it was asked for
+    position: int
+    speed: int  # with its direction bit
+    load: int  # likewise
+    voltage: int
+    temperature: int
+    error: int
+
+
+class Plausibility:
+    """What n servos are believed to have measured last, and what they can therefore measure next."""
+
+    def __init__(self, n: int) -> None:
+        """Begin without having seen anything."""
+        self.refused: Counter[str] = Counter()  # readings never believed, by `Doubt`
+        self._believed: list[State | None] = [None] * n
+        self._doubted: list[tuple[State, Doubt] | None] = [None] * n
+        self._voltage: int | None = None  # of any servo: they share one supply
+        self._goals: deque[NDArray[np.int64]] = deque(maxlen=_RECENT_GOALS)
+        self._lowest: NDArray[np.int64] = np.full(n, dxl.TICK_MAX)  # goals since the last reading that was believed
+        self._highest: NDArray[np.int64] = np.zeros(n, dtype=np.int64)
+
+    def sent(self, goal_ticks: NDArray[np.int64]) -> None:
+        """Servos have been sent goals (n,)."""
+        self._goals.append(goal_ticks)
+        np.minimum(self._lowest, goal_ticks, out=self._lowest)
+        np.maximum(self._highest, goal_ticks, out=self._highest)
+
+    def believes(self, index: int, state: State, noisy: bool) -> bool:
+        """Whether to believe a reading; one that is doubted is worth another question at once.
+
+        Args:
+            index: Of the servo.
+            state: What it says.
+            noisy: Answers have been broken lately: the checksum has work to do, and lets 1 of some 256 through.
+        """
+        doubt = self._doubt(index, state, noisy)
+        if doubt is Doubt.RANGE:  # it stays wrong however often it is said
+            self.refused[doubt] += 1
+            return False
+        doubted = self._doubted[index]
+        if doubt is not None and doubted is not None and _same(doubted[0], state):
+            doubt, doubted = None, None
+        if doubted is not None:
+            self.refused[doubted[1]] += 1
+        self._doubted[index] = None if doubt is None else (state, doubt)
+        if doubt is None:
+            self._believe(index, state)
+        return doubt is None
+
+    def _believe(self, index: int, state: State) -> None:
+        self._believed[index], self._voltage = state, state.voltage
+        recent = [int(goals[index]) for goals in self._goals] or [state.position]
+        self._lowest[index], self._highest[index] = min(recent), max(recent)
+
+    def _doubt(self, index: int, state: State, noisy: bool) -> Doubt | None:
+        """What is strange about a reading, or nothing."""
+        if state.position > dxl.TICK_MAX or max(state.speed, state.load) > _MAGNITUDE or state.error & _UNKNOWN_BITS:
+            return Doubt.RANGE
+        before = self._believed[index]
+        if before is None:
+            return Doubt.FIRST if noisy else None
+        elapsed = (state.stamp_ns - before.stamp_ns) / _SEC
+        speed, load = dxl.signed_magnitude(state.speed), dxl.signed_magnitude(state.load)
+        speed_leap, load_leap = abs(speed - dxl.signed_magnitude(before.speed)), abs(load - dxl.signed_magnitude(before.load))
+        if self._leaps(index, before.position, state.position, elapsed):
+            return Doubt.POSITION
+        if speed_leap > _SPEED_LEAP and (noisy or abs(speed) * dxl.SPEED_RAD_S > _FASTEST):
+            return Doubt.SPEED
+        if noisy and load_leap > _LOAD_LEAP:
+            return Doubt.LOAD
+        if self._voltage is not None and abs(state.voltage - self._voltage) * dxl.VOLT_UNIT > _SAG:
+            return Doubt.VOLTAGE
+        if abs(state.temperature - before.temperature) > _WARMING + _WARMING_RATE * elapsed:
+            return Doubt.TEMPERATURE
+        if state.error != before.error:
+            return Doubt.ERROR
+        alike = state[1:] == before[1:] and abs(speed) * dxl.SPEED_RAD_S * elapsed > _STANDS * dxl.TICK_RAD
+        return Doubt.AGAIN if alike else None
+
+    def _leaps(self, index: int, before: int, position: int, elapsed: float) -> bool:
+        """Whether a servo is where it was not sent, or sooner than it can be."""
+        low, high = min(before, int(self._lowest[index])) - _LEAP, max(before, int(self._highest[index])) + _LEAP
+        return not low <= position <= high or abs(position - before) > _FASTEST_TICKS * elapsed + _LEAP
+
+
+def _same(one: State, other: State) -> bool:
+    """Whether two readings, one soon after the other, say the same."""
+    elapsed = abs(other.stamp_ns - one.stamp_ns) / _SEC
+    near = abs(other.position - one.position) <= _REPEATED + min(_FASTEST_TICKS * elapsed, _MOVED)
+    speeds = abs(dxl.signed_magnitude(one.speed) - dxl.signed_magnitude(other.speed)) <= _SPEED_LEAP
+    loads = abs(dxl.signed_magnitude(one.load) - dxl.signed_magnitude(other.load)) <= _LOAD_LEAP
+    volts = abs(other.voltage - one.voltage) * dxl.VOLT_UNIT <= _SAG
+    warmth = abs(other.temperature - one.temperature) <= _WARMING
+    return near and speeds and loads and volts and warmth and one.error == other.error
