@@ -132,9 +132,11 @@ def emulate(arguments: argparse.Namespace) -> int:
     """`sextant servos emulate`: servos on a network port, until Ctrl-C."""
     import numpy as np
 
-    from services.simulator.tcp_port import TcpBusServer
-    from services.simulator.workbench import HELP, Workbench
-
+    try:
+        from services.simulator.tcp_port import TcpBusServer
+        from services.simulator.workbench import HELP, Workbench
+    except ImportError as error:
+        raise InputError(f"{error}; pip install -e '.[simulator]' brings what emulated servos need") from None
     if arguments.listen > _LAST_PORT:
         raise InputError(f"a port up to {_LAST_PORT} expected, found {arguments.listen}; give another with --listen")
     bench = Workbench(_profile(arguments.robot), np.random.default_rng(arguments.seed), fresh=arguments.fresh)

@@ -1,6 +1,6 @@
 """Moving servos gently: torque limited, slow, and off at the end, whatever happens; registers are then as they were."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -61,10 +61,10 @@ def gently(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
         yield
     finally:
         bus.set_torque(False)  # all at once, whoever answers
-        for i in servo_ids:
-            put(bus, i, dxl.TORQUE_ENABLE, 0)
-        for (i, register), value in before.items():
-            put(bus, i, register, value)
+        again = {(i, dxl.TORQUE_ENABLE): 0 for i in servo_ids} | before
+        left = [i for (i, register), value in again.items() if not took(bus, i, register, value)]
+        if left:
+            raise silent(bus, left[0], "its torque and registers were to be as before; switch its power off and on again")
 
 
 def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:
@@ -92,12 +92,13 @@ def get(bus: ServoBus, servo_id: int, register: Register) -> int:
 
 def put(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
     """Write a register until the servo says that it took it; raises ServoSilentError where it does not."""
-    if retry(_true(lambda: bus.write(servo_id, register, value))) is None:
+    if not took(bus, servo_id, register, value):
         raise silent(bus, servo_id, f"its {register.name} was set to {value}")
 
 
-def _true(question: Callable[[], bool]) -> Callable[[], bool | None]:
-    return lambda: question() or None
+def took(bus: ServoBus, servo_id: int, register: Register, value: int) -> bool:
+    """Write a register, three times at most; whether the servo says that it took it."""
+    return retry(lambda: bus.write(servo_id, register, value) or None) is not None
 
 
 def silent(bus: ServoBus, servo_id: int, when: str) -> ServoSilentError:

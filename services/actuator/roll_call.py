@@ -213,8 +213,10 @@ def ailing(seen: Seen) -> str:
 
 
 def error_of(seen: Seen) -> str:
-    """What a servo has shut itself down for, or complains of, in words."""
-    return dxl.error_words(seen.error)
+    """What a servo has shut itself down for, complains of, or was left with, in words."""
+    weak = seen[dxl.TORQUE_LIMIT] < seen[dxl.MAX_TORQUE]
+    left = f"a torque limit of {seen[dxl.TORQUE_LIMIT] / 10:.0f} %" if weak else ""
+    return ", ".join(filter(None, (dxl.error_words(seen.error), left)))
 
 
 def prepare(bus: Bus, seen: Seen) -> str:

@@ -161,6 +161,25 @@ def test_a_servo_that_falls_silent_is_named() -> None:
         measured(desk, [pull], legs=LEGS[:1])
 
 
+def test_where_one_falls_silent_while_held_the_others_are_as_before_and_it_is_named() -> None:
+    desk = Desk()
+
+    def pull() -> str:
+        desk.bench.unplug([desk.row(1)])
+        return ""
+
+    with pytest.raises(ServoSilentError, match=r"servo 1 \(left front coxa\) .* switch its power off and on again"):
+        measured(desk, [bend(desk, LEGS[0]), "h", pull], legs=LEGS[:1])
+    desk.bench._plugged.add(desk.row(1))  # with its power never gone
+    desk.bench._find_listeners()
+    desk.settle()
+    limits = desk.tables.view("<u2")[:, dxl.TORQUE_LIMIT.address // 2]
+    assert limits[[desk.row(3), desk.row(5)]].tolist() == [1023, 1023]
+    done, _, builder = measured(desk, [True] if desk.tables[desk.row(1), 24] else [])
+    assert not done
+    assert "servo 1 (left front coxa) reports a torque limit of 30 %; switch its power off and on again" in builder.all_told
+
+
 @given(st.lists(st.floats(-20.0, 20.0), min_size=3, max_size=3), st.lists(st.floats(-40.0, 8.0), min_size=3, max_size=3))
 def test_trims_are_what_turned_the_servos(trims: list[float], pose: list[float]) -> None:
     for leg, name in enumerate(LEGS):
