@@ -25,7 +25,7 @@ _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "deploy.kept": "KeptError",
     "deploy.trials": "ChangedError",
     "deploy.replay": "ReplayError",
-    "services.actuator.bus": "BusGone",
+    "services.actuator.line": "BusGone",
     "services.actuator.gentle": "ServoSilentError",
 }
 _OF_THE_MACHINE = ("TransportError", "BusGone", "ServoSilentError")  # and not the caller's mistakes

@@ -173,6 +173,11 @@ class ServoBus:
         """What is wrong between here and the servos, in words: nothing that their silence does not say."""
         return ""
 
+    @property
+    def garbled(self) -> int:
+        """Bytes and packets so far that were none."""
+        return self._line.dropped.total()
+
     def close(self) -> None:
         """Close the port, gone or not; the servos keep their torque and their last goal."""
         with warnings.catch_warnings():

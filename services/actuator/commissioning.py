@@ -3,7 +3,7 @@
 Terminal and port are somebody else's: an `Operator` is asked, a `Line` opened. Nothing is moved and no torque turned on.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import NamedTuple, Protocol
 
 from services.actuator.bus import BAUD_RATE, ServoBus
@@ -81,13 +81,13 @@ class Found(NamedTuple):
 # ---------------------------------------------------------------------------------------------------------------- scan
 
 
-def scan(line: Line, ids: Iterable[int] = ALL_IDS, *, patient: bool = True) -> list[Found]:
+def scan(line: Line, ids: Iterable[int] = ALL_IDS, known: Collection[int] | None = None) -> list[Found]:
     """Everybody who answers to one of the ids at one of the line's rates. An id that nobody has costs a timeout a rate.
 
     Args:
         line: Where to look.
         ids: Whom to ask.
-        patient: Ask the robot's own ids three times before they count as silent.
+        known: Whom to ask three times before they count as silent; None is all of the robot's.
     """
     asked = list(ids)
     found = []
@@ -95,7 +95,7 @@ def scan(line: Line, ids: Iterable[int] = ALL_IDS, *, patient: bool = True) -> l
         bus = line.at(rate)
         for i in asked:
             heard = bus.chorus(i)
-            if not heard.silent or (patient and i in bus.names):
+            if not heard.silent or i in (bus.names if known is None else known):
                 seen = look(bus, i, listen=heard != (1, False))
                 found += [] if seen is None else [Found(rate, seen)]
     return found
@@ -155,14 +155,15 @@ def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
             operator.say("left; `sextant servos set-id` goes on with what is missing")
             return False
         target = _by_name(profile)[words] if words else missing[0]
-        found = _likely(line, profile)
+        found = _likely(line, profile, done)
         new = _new_one(line, found, profile, operator, named_by_hand=bool(words))
         if new is not None and _give(line, new, target, profile, operator):
             done.add(target)
 
 
-def _likely(line: Line, profile: RobotProfile) -> list[Found]:
-    return scan(line, sorted({FACTORY_ID, *profile.servo_names}), patient=False)
+def _likely(line: Line, profile: RobotProfile, done: Collection[int] = ()) -> list[Found]:
+    """Who is at the ids that new servos and the robot's have."""
+    return scan(line, sorted({FACTORY_ID, *profile.servo_names}), known={FACTORY_ID, *done})
 
 
 def _collide(found: Sequence[Found], operator: Operator) -> bool:

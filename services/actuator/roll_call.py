@@ -46,6 +46,10 @@ class Problem(NamedTuple):
 class Bus(Protocol):
     """The part of `ServoBus` that is used here."""
 
+    @property
+    def garbled(self) -> int:
+        """Bytes and packets so far that were none."""
+
     def ping(self, servo_id: int) -> ServoError | None:
         """Error bits of a servo, None when it does not answer."""
 
@@ -71,12 +75,14 @@ class Voice(StrEnum):
     CLEAR = "answers"
     DOUBLED = "is answered for more than once, or in garbage: two servos have this id, or a cable is bad"
     MUTE = "answers a ping but no read"
+    FADING = "answers now and then: a cable is loose, or this computer is too busy to listen"
     ECHO = "answers with the request itself; this adapter echoes: turn the echo setting on"
 
 
 _SET_ID = "`sextant servos set-id` with it alone on the bus"
 _BY_VOICE = {
     Voice.DOUBLED: f"unplug one of the two, and give the other its own id: {_SET_ID}",
+    Voice.FADING: "see to its plugs, and end other programs",
     Voice.MUTE: f"its status return level is 0: {_SET_ID}",
     Voice.ECHO: "--echo here, and --set actuator.echo=true for the actuator",
 }
@@ -128,20 +134,27 @@ def look(bus: Bus, servo_id: int, *, listen: bool = True) -> Seen | None:
         listen: Wait for a second answer to a ping, for the whole time that a servo may take.
     """
     error = retry(lambda: bus.ping(servo_id))
-    chorus = bus.chorus(servo_id) if listen or error is None else Chorus(1, False)
-    if error is None and chorus.silent:
+    crowd = (listen or error is None) and _crowded(bus, servo_id)
+    if error is None and not crowd:
         return None
     model = retry(lambda: bus.read(servo_id, dxl.MODEL_NUMBER))
     if model == _ECHOED_MODEL:
         return Seen(servo_id, Voice.ECHO)
-    if chorus.answers > 1 or error is None:
+    if crowd or error is None:
         return Seen(servo_id, Voice.DOUBLED)
     if model is None:
         return Seen(servo_id, Voice.MUTE)
+    garbled = bus.garbled
     eeprom, ram = (retry(partial(bus.read_bytes, servo_id, block.start, len(block))) for block in (_EEPROM, _RAM))
     if eeprom is None or ram is None:  # two of one model say that in one voice, and what they measure in two
-        return Seen(servo_id, Voice.DOUBLED)
+        return Seen(servo_id, Voice.DOUBLED if bus.garbled > garbled else Voice.FADING)
     return Seen(servo_id, Voice.CLEAR, eeprom + bytes(_RAM.start - _EEPROM.stop) + ram, error)
+
+
+def _crowded(bus: Bus, servo_id: int) -> bool:
+    """Whether, time and again, more than one answers a ping, or nobody in clear words: once may be an answer that is late."""
+    heard = (bus.chorus(servo_id) for _ in range(_ATTEMPTS))
+    return all(chorus.answers != 1 and not chorus.silent for chorus in heard)
 
 
 def call(bus: Bus, names: Mapping[int, str]) -> dict[int, Seen]:

@@ -8,6 +8,7 @@ import pytest
 from services.actuator import roll_call
 from services.actuator.bus import BusSetupError
 from services.actuator.roll_call import Voice
+from services.simulator.bus import Reply
 from shared import dynamixel as dxl
 from tests.support.desk import Desk
 
@@ -99,3 +100,37 @@ def test_a_call_in_order_costs_no_timeouts() -> None:
     bus.setup()
     assert desk.clock() - began < 18 * 8_000_000
     assert not bus.lost
+
+
+def test_an_answer_that_comes_too_late_is_no_second_servo() -> None:
+    """A host that is busy hears one ping's answer on the next."""
+    desk = Desk()
+    bus = desk.bus()
+    receive, late = desk.bench.receive, []
+
+    def one_late(data: bytes, now_ns: int) -> list[Reply]:
+        replies = receive(data, now_ns)
+        if not late:
+            late.extend(reply._replace(due_ns=reply.due_ns + 7_000_000) for reply in replies)
+            return late
+        return replies
+
+    desk.bench.receive = one_late  # type: ignore[method-assign]
+    seen = roll_call.look(bus, FEMUR)
+    assert late
+    assert seen is not None
+    assert seen.voice is Voice.CLEAR
+
+
+def test_a_servo_with_a_loose_cable_is_not_taken_for_two() -> None:
+    desk = Desk()
+    bus = desk.bus()
+    receive = desk.bench.receive
+
+    def loose(data: bytes, now_ns: int) -> list[Reply]:
+        return [] if data[4:5] == b"\x02" and data[6] > 2 else receive(data, now_ns)  # long answers are lost
+
+    desk.bench.receive = loose  # type: ignore[method-assign]
+    seen = roll_call.look(bus, FEMUR)
+    assert seen is not None
+    assert seen.voice is Voice.FADING
