@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from deploy.commands import servos
-from deploy.commands.benches import bench_accuracy, bench_passage, bench_servos, bench_speed, bench_stages, replay
+from deploy.commands.benches import bench_accuracy, bench_bus, bench_passage, bench_servos, bench_speed, bench_stages, replay
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor, list_topics
 from deploy.commands.trials import table, trials
@@ -186,6 +186,12 @@ def _parser() -> argparse.ArgumentParser:
     one = add("passage", bench_passage, "time the passage planner beside its peers, and check its plans", group)
     _add_bench(one)
 
+    one = add("bus", bench_bus, "break the emulated servo bus in many ways: what the driver loses, doubts and believes", group)
+    words = "asked in each case, at least (default %(default)s)"
+    one.add_argument("--questions", type=_positive, default=20_000, metavar="N", help=words)
+    one.add_argument("--only", default="", metavar="WORDS", help="the cases whose names contain these words")
+    one.add_argument("--seed", type=_natural, default=0, help="of what is broken (default %(default)s)")
+    _add_out_and_json(one)
     one = add("servos", bench_servos, "time the servo bus through our own packets and through dynamixel-sdk", group)
     one.add_argument("--rounds", type=_positive, default=300, metavar="N", help="of each job (default %(default)s)")
     _add_out_and_json(one)

@@ -62,6 +62,17 @@ def bench_servos(arguments: argparse.Namespace) -> int:
     return _tell_bench(words, text, out / "servos.json", arguments.json)
 
 
+def bench_bus(arguments: argparse.Namespace) -> int:
+    """`sextant bench bus`: what the servo bus driver loses, doubts and believes on a bad bus."""
+    from deploy.bench import bus
+
+    if not any(arguments.only in case for case in bus.CASES):
+        raise InputError(f"--only {arguments.only!r}: a part of one of these expected: {'; '.join(bus.CASES)}")
+    out = out_folder(arguments, "bench-bus")
+    found = bus.measure(arguments.questions, arguments.seed, arguments.only, open_progress(arguments.json).say)
+    return _tell_bench(bus.in_words(found), bus.to_json(found), out / "bus.json", arguments.json)
+
+
 def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:
     path.write_text(text, encoding="utf-8")
     say(text.rstrip() if as_json else f"{words}\nwritten to {path}")

@@ -1,7 +1,7 @@
 """Whether a servo can have measured what its answer says: an 8-bit checksum lets some wrong answers through.
 
-A reading that leaps is doubted, and believed only when the next one says the same. In a walk over `steps` each of 6213
-positions lay between the one before and the goals sent since, or at most 7 ticks beyond, so none was doubted.
+A reading that leaps is doubted, and believed only when the next one says the same. Of 3463 positions of a walk over `steps` all
+but one lay where `_leaps` expects them, 99 % within 4 ticks of the goals of the last three cycles.
 """
 
 from collections import Counter, deque
@@ -16,7 +16,7 @@ from shared import dynamixel as dxl
 _SEC = 1e9
 _FASTEST = 8.0  # [rad/s] the AX-12A turns at 59 rpm and the RX-64 at 64 rpm without load; a leg that is pushed, a little faster
 _FASTEST_TICKS = _FASTEST / dxl.TICK_RAD  # [1/s]
-_LEAP = 10  # [ticks] beyond where a servo was and was sent; 3 deg
+_LEAP = 10  # [ticks] beside where a servo is to be expected; 3 deg
 _REPEATED = 5  # [ticks] within which two readings of one place lie, and ...
 _MOVED = 20  # [ticks] ... what the joint may have moved in between, at most
 _SAG = 0.8  # [V] between two readings of one supply
@@ -66,14 +66,13 @@ class Plausibility:
         self._doubted: list[tuple[State, Doubt] | None] = [None] * n
         self._voltage: int | None = None  # of any servo: they share one supply
         self._goals: deque[NDArray[np.int64]] = deque(maxlen=_RECENT_GOALS)
-        self._lowest: NDArray[np.int64] = np.full(n, dxl.TICK_MAX)  # goals since the last reading that was believed
-        self._highest: NDArray[np.int64] = np.zeros(n, dtype=np.int64)
+        self._aside = [
+            0
+        ] * n  # [ticks] by which each was, when it was believed last, beside the goals that it was on its way to
 
     def sent(self, goal_ticks: NDArray[np.int64]) -> None:
         """Servos have been sent goals (n,)."""
         self._goals.append(goal_ticks)
-        np.minimum(self._lowest, goal_ticks, out=self._lowest)
-        np.maximum(self._highest, goal_ticks, out=self._highest)
 
     def believes(self, index: int, state: State, noisy: bool) -> bool:
         """Whether to believe a reading; one that is doubted is worth another question at once.
@@ -99,8 +98,13 @@ class Plausibility:
 
     def _believe(self, index: int, state: State) -> None:
         self._believed[index], self._voltage = state, state.voltage
-        recent = [int(goals[index]) for goals in self._goals] or [state.position]
-        self._lowest[index], self._highest[index] = min(recent), max(recent)
+        low, high = self._bound_for(index, state.position)
+        self._aside[index] = state.position - min(max(state.position, low), high)
+
+    def _bound_for(self, index: int, position: int) -> tuple[int, int]:
+        """Lowest and highest goal that a servo may be on its way to or from; where none was sent, that it is where it was."""
+        goals = [int(goals[index]) for goals in self._goals] or [position]
+        return min(goals), max(goals)
 
     def _doubt(self, index: int, state: State, noisy: bool) -> Doubt | None:
         """What is strange about a reading, or nothing."""
@@ -128,9 +132,11 @@ class Plausibility:
         return Doubt.AGAIN if alike else None
 
     def _leaps(self, index: int, before: int, position: int, elapsed: float) -> bool:
-        """Whether a servo is where it was not sent, or sooner than it can be."""
-        low, high = min(before, int(self._lowest[index])) - _LEAP, max(before, int(self._highest[index])) + _LEAP
-        return not low <= position <= high or abs(position - before) > _FASTEST_TICKS * elapsed + _LEAP
+        """Whether a servo is where it was not sent, beside as far as load and lag had it before, or sooner than it can be."""
+        low, high = self._bound_for(index, before)
+        aside = self._aside[index]
+        near = low + min(aside, 0) - _LEAP <= position <= high + max(aside, 0) + _LEAP
+        return not near or abs(position - before) > _FASTEST_TICKS * elapsed + _LEAP
 
 
 def _same(one: State, other: State) -> bool:

@@ -97,7 +97,8 @@ class BusFaults(AnswersOnly):
         self._seed = seed
         self._running: list[_Running] = []
         self._injected = 0
-        self._pulled = self._renamed = 0  # how often the port was, by faults that are over
+        self._gone: list[_Running] = []  # those of them that take the port away
+        self._outlet = Outlet()  # after those that are over and forgotten
         self._suffered: list[tuple[int, bool]] = []  # numbers of the faults that servos suffer, and whether each is away
         for fault in faults:
             self.inject(fault, 0)
@@ -119,6 +120,8 @@ class BusFaults(AnswersOnly):
         end_ns = begin_ns + round(fault.for_s * _SEC)
         rng = Random(f"{self._seed} {self._injected}")
         self._running.append(_Running(self._injected, fault, begin_ns, end_ns, row, rng))
+        if (fault.target, fault.kind) == ("bus", "gone"):
+            self._gone.append(self._running[-1])
         self._injected += 1
 
     def words(self, now_ns: int) -> str:
@@ -128,12 +131,12 @@ class BusFaults(AnswersOnly):
 
     def outlet(self, now_ns: int) -> Outlet | None:
         """How the bus is reached now, None while its port is gone."""
-        gone = [running for running in self._running if running.cell == ("bus", "gone")]
+        if not self._gone:
+            return self._outlet
         t_ns = self._simulated(now_ns)
-        if any(running.on(t_ns) for running in gone):
+        if any(running.on(t_ns) for running in self._gone):
             return None
-        over = [running for running in gone if running.end_ns <= t_ns]
-        return Outlet(self._renamed + sum(r.fault.renamed for r in over), self._pulled + len(over))
+        return _after(self._outlet, [running for running in self._gone if running.end_ns <= t_ns])
 
     def _simulated(self, now_ns: int) -> int:
         return 0 if self.origin_ns is None else now_ns - self.origin_ns
@@ -207,11 +210,16 @@ class BusFaults(AnswersOnly):
 
     def _forget(self, t_ns: int) -> None:
         """Let go of faults that are over."""
-        for running in [r for r in self._running if r.end_ns <= t_ns]:
-            self._running.remove(running)
-            if running.cell == ("bus", "gone"):
-                self._pulled += 1
-                self._renamed += running.fault.renamed
+        if all(running.end_ns > t_ns for running in self._running):
+            return
+        self._outlet = _after(self._outlet, [running for running in self._gone if running.end_ns <= t_ns])
+        self._gone = [running for running in self._gone if running.end_ns > t_ns]
+        self._running = [running for running in self._running if running.end_ns > t_ns]
+
+
+def _after(outlet: Outlet, over: Sequence[_Running]) -> Outlet:
+    """Where the bus is found after the port was taken away some more times."""
+    return Outlet(outlet.name + sum(running.fault.renamed for running in over), outlet.times + len(over))
 
 
 def _of(target: FaultTarget, active: Sequence[_Running]) -> list[_Running]:
