@@ -118,7 +118,7 @@ class Actuator:
         with self.stages("bus read"):
             self._read()
         self._trouble = self._bus.trouble
-        if self._trouble:  # legs that do not follow carry no further step
+        if self._trouble:
             self._walker.halt()
         now_ns = self._clock()
         self._contact.update(self._measured(), self._load, dt)
@@ -286,6 +286,9 @@ class Actuator:
     # ------------------------------------------------------------------------------------------------------------ moves
 
     def _move(self, dt: float, T_odom_body: Array, now_ns: int) -> None:
+        if self._trouble:  # legs that do not follow are not led on; the step goes on when they do
+            self._write(self._q_goal)
+            return
         if self._stand_up is not None:
             targets = self._stand_up.update(dt)
         else:
@@ -303,12 +306,7 @@ class Actuator:
             if self._mode is Mode.STAND:  # a fault that came meanwhile stays one
                 self._mode, self._reason = Mode.HOLD, "standing"
         elif self._walker.resting and self._mode is Mode.WALK:
-            ended = (
-                self._tipped
-                or self._trouble
-                or self._walker.trouble
-                or "the last accepted step is finished and no new plan came"
-            )
+            ended = self._tipped or self._walker.trouble or "the last accepted step is finished and no new plan came"
             self._mode, self._reason = Mode.HOLD, ended
 
     def _note_findings(self, now_ns: int) -> None:
@@ -317,7 +315,7 @@ class Actuator:
             self._touch_ns[found.leg], self._touch_carries[found.leg] = now_ns, found.carries
             self._touch[found.leg] = found.p_odom - [0.0, 0.0, self._profile.foot.radius]
         if self._mode is Mode.WALK:
-            self._reason = self._walker.trouble or "walking"
+            self._reason = self._trouble or self._walker.trouble or "walking"
 
     def _reach_for(self, targets: Targets, dt: float) -> None:
         """Send the goals that bring the feet where they shall be, under their load."""

@@ -47,7 +47,6 @@ class _Servo:
     error: int = 0
     torque: bool | None = None  # on, as adopted; None where it did not answer
     goal: int | None = None  # [ticks] written last, or found; None where nobody knows
-    trails: bool = True  # it follows goals that had gone ahead, slowly
 
 
 class Firmware:
@@ -223,8 +222,6 @@ class Firmware:
             self.mode = Mode.HOLDING
         elif self.mode is Mode.HOLDING and self._fresh():
             self.mode = Mode.CATCHING_UP
-            for servo in self._servos:
-                servo.trails = True
 
     def _tick(self) -> None:
         """The beat of a cycle: tell all, and begin to read all again; while nobody is there, say that it is here."""
@@ -273,17 +270,21 @@ class Firmware:
         return b""
 
     def _goals_packet(self) -> bytes:
-        """The goals as they are to be written: as they came, or no further than is slow from the last ones."""
+        """The goals as they are to be written: as they came, or on the way to them, all servos together and slowly."""
         assert self._goals is not None
+        aims = list(zip(self._servos, self._goals.position, self._goals.speed, strict=True))
+        furthest = max(abs(goal - servo.goal) if servo.goal is not None else 0 for servo, goal, _ in aims)
+        if furthest <= NEAR_TICKS or self._torque_on_due:  # torque comes on where the servos are
+            self.mode = Mode.ON
         elapsed_ns = min(self._now_ns - self._written_ns, 2 * CYCLE_NS)
         reach = max(CATCH_UP_TICKS_S * elapsed_ns // 1_000_000_000, 1)
         rows = []
-        for servo, goal, speed in zip(self._servos, self._goals.position, self._goals.speed, strict=True):
-            last = goal if servo.goal is None or self._torque_on_due else servo.goal  # torque comes on where the servo is
-            servo.trails &= abs(goal - last) > NEAR_TICKS
-            servo.goal = min(max(goal, last - reach), last + reach) if servo.trails else goal
+        for servo, goal, speed in aims:
+            if servo.goal is None or self.mode is Mode.ON:
+                servo.goal = goal
+            else:
+                servo.goal += round((goal - servo.goal) * reach / furthest)
             rows.append((servo.servo_id, dxl.GOAL_POSITION.encode(servo.goal) + dxl.MOVING_SPEED.encode(speed)))
-        self.mode = Mode.CATCHING_UP if any(servo.trails for servo in self._servos) else Mode.ON
         self._written_ns = self._now_ns
         return dxl.sync_write(dxl.GOAL_POSITION.address, dxl.GOAL_POSITION.size + dxl.MOVING_SPEED.size, rows)
 

@@ -15,7 +15,6 @@ from services.simulator.service import Simulator
 from services.simulator.servos import ServoBank
 from services.simulator.tcp_port import TcpBusServer
 from shared.bridge import Mode
-from shared.messages import Mode as Doing
 from tests.support.walks import LockstepRun, flat, walk
 
 COURSE = """
@@ -60,14 +59,16 @@ def test_the_microcontroller_restarts_in_the_middle_of_a_walk_and_nothing_falls_
     assert done
     assert found.report.success, found.report.reason
     assert (found.report.falls, found.report.shutdowns) == (0, 0)
-    assert found.report.min_stability_margin_m > 0.02
-    assert found.report.tilt_deg.max < 3.0
+    assert found.report.min_stability_margin_m > 0.03
+    assert found.report.tilt_deg.max < 1.5
     warnings = {word for state in found.states(done[0] * 1e-9, done[0] * 1e-9 + 1.0) for word in state.warnings}
     assert any(word.startswith("the bridge has been silent for") for word in warnings), warnings
     assert any(word.startswith("the bridge is catching up") for word in warnings), warnings
-    assert any(state.mode is Doing.HOLD for state in found.states(done[0] * 1e-9, done[0] * 1e-9 + 2.0)), "it stops"
-    refused = {state.refused for state in found.states(done[0] * 1e-9, done[0] * 1e-9 + 2.0)}
-    assert any("the bridge" in words for words in refused), refused
+    after = found.states(done[0] * 1e-9)
+    told = next(state for state in after if state.reason.startswith("the bridge has been silent for"))
+    assert told.stamp_ns - done[0] < 250_000_000
+    again = next(state for state in after if state.reason == "walking" and state.stamp_ns > told.stamp_ns)
+    assert again.stamp_ns - done[0] < 3_000_000_000, "the step goes on where it stood"
 
 
 def test_over_a_socket_as_on_a_serial_line() -> None:
