@@ -1,5 +1,6 @@
 """The fault grid: what can be asked of it, and what is refused, all at once and in words."""
 
+from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -76,3 +77,12 @@ def test_a_scenario_has_them() -> None:
     table["bus_faults"] = [{"target": "packets", "kind": "sileny", "at_s": 2}]
     with pytest.raises(config.ConfigError, match=r"bus_faults\[0\].kind: one of"):
         config.build(table, Scenario)
+
+
+def test_the_table_of_the_docs_is_the_grid() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "actuator.md").read_text(encoding="utf-8")
+    rows = [
+        f"| {target} {kind} | {cell.means} | {', '.join(f'`{name}`' for name in cell.takes)} |"
+        for (target, kind), cell in GRID.items()
+    ]
+    assert "\n".join(rows) in text
