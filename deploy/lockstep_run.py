@@ -179,8 +179,23 @@ def _map_settings(scenario: Scenario) -> MapperSettings:
 
 def _actuator(profile: RobotProfile, scenario: Scenario, simulator: Simulator, clock: Callable[[], int]) -> Actuator:
     settings = ActuatorSettings(arc=scenario.walk.arc, bridge=scenario.bridge)
-    port = MemoryPort(simulator.device, clock, read_timeout_ns(settings) * 1e-9)
-    return Actuator(profile, settings, port=port, clock=port.now_ns)
+    socket = _Socket(simulator, clock, read_timeout_ns(settings) * 1e-9)
+    return Actuator(profile, settings, socket.open, socket.now_ns)
+
+
+class _Socket:
+    """Where the actuator opens the emulated bus, again where it was unplugged; one clock for all of its ports."""
+
+    def __init__(self, simulator: Simulator, clock: Callable[[], int], timeout: float):
+        self._simulator, self._clock, self._timeout = simulator, clock, timeout
+        self._port: MemoryPort | None = None
+
+    def now_ns(self) -> int:
+        return self._clock() if self._port is None else self._port.now_ns()
+
+    def open(self) -> MemoryPort:
+        self._port = MemoryPort(self._simulator.device, self._clock, self._timeout, start_ns=self.now_ns())
+        return self._port
 
 
 def _outage(fault: Fault) -> Outage:

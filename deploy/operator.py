@@ -32,7 +32,7 @@ _BLOCKED_NS = 20_000_000_000  # [ns] patience with a planner that is blocked
 _NO_POSE_NS = 5_000_000_000  # [ns] patience without a pose, once there was one
 _START_NS = 60_000_000_000  # [ns] patience for the first word of a service
 _LOST_NS = 2_000_000_000  # [ns] that the planner waits for sight, until it is asked to go on by touch, where that is wanted
-_FAULT_NS = 2_000_000_000  # [ns] patience with an actuator that is in fault or off
+_FAULT_NS = 10_000_000_000  # [ns] patience with an actuator that is in fault or off
 
 
 class Operator:

@@ -85,10 +85,12 @@ class Mode(StrEnum):
     """What the actuator is doing; it alone decides."""
 
     OFF = "off"  # no torque; only an operator's act leads out
-    STAND = "stand"  # moving to, or holding, the resting stance
+    READY = "ready"  # torque on, the legs stay where they are; `stand` leads on
+    STAND = "stand"  # moving to the resting stance
     WALK = "walk"  # executing an accepted plan
     HOLD = "hold"  # standing where the last step ended, torque on, ready for the next plan
-    FAULT = "fault"  # something is broken; holding as far as it can
+    SIT = "sit"  # lowering the body to the ground
+    FAULT = "fault"  # something is broken; holding as far as it can, until it is whole again
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +160,9 @@ class ActuatorState(Message):
 
     mode: Mode
     reason: str  # why this mode, in words
+    lease: str  # who may move the legs; empty while nobody may
+    epoch: int  # of {odom}: plans that were made before it began are refused
+    pace: float  # [1] share of the usual speed that the servos can bear for long
     refused: str  # why the last plan was refused, in words; empty when the last was accepted
     refused_ns: int  # stamp of the newest plan that was refused for what it asks of the legs; -1 for none
     plan_ns: int  # stamp of the plan that is being walked, or was last; -1 before the first
@@ -323,6 +328,7 @@ class StepPlan(Message):
     moves its touchdowns; the next step number queues behind it.
     """
 
+    epoch: int  # of the actuator state it was planned on
     step: int  # counts up by one
     revision: int  # counts up within a step
     T_world_odom: Pose  # the correction the planner planned under; ties {world} to what the legs know
@@ -379,8 +385,10 @@ class Goal(Message):
 class ModeCommand(Message):
     """What the operator orders of the legs; operator -> actuator."""
 
-    mode: Literal["off", "stand", "walk"]
-    sequence: int  # counts up: an order counts once
+    mode: Literal["off", "stop", "ready", "stand", "walk", "sit"]
+    sequence: int  # counts up: an order counts once, however often it is repeated
+    holder: str = "operator"  # who orders: one at a time may move the legs, everybody may stop them
+    take: bool = False  # True: take over from whoever may move them now
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,10 +83,12 @@ class Servo:
     compliance_slope: int  # registers 28 and 29
     armature: float  # [kg m^2] reflected rotor inertia; unknown for most servos, so it is varied in tests
     friction: float  # [N m] dry friction
+    temperature_limit: float = 70.0  # [deg C] at which a servo shuts itself down
 
     checks = (
         *config.each("stall_torque no_load_speed stiffness", lambda value: value > 0, "more than 0"),
         *config.each("armature friction", lambda value: value >= 0, "at least 0"),
+        *config.each("temperature_limit", lambda limit: 40 <= limit <= 99, "40 to 99 deg C"),
         *config.each("compliance_slope", lambda slope: 1 <= slope <= 254, "a compliance slope from 1 to 254"),
     )
 
@@ -97,6 +99,25 @@ class Servo:
     def damping(self) -> float:
         """Joint damping [N m s/rad] that makes stall torque and no-load speed the ends of one line."""
         return self.stall_torque / self.no_load_speed
+
+
+@dataclass(frozen=True, slots=True)
+class Battery:
+    """What the servos live on; the defaults are those of three lithium polymer cells."""
+
+    warn_voltage: float = 10.5  # [V] below which it is time to end the walk
+    empty_voltage: float = 9.9  # [V] below which the robot lies down and lets go
+
+    checks = (
+        config.together(
+            "warn_voltage empty_voltage",
+            lambda warn, empty: 0 < empty <= warn,
+            "an empty_voltage of more than 0 V and at most warn_voltage",
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +289,7 @@ class RobotProfile:
     stance: Stance
     legs: tuple[Leg, Leg, Leg, Leg, Leg, Leg]
     camera: Camera
+    battery: Battery = Battery()
     calibration: tuple[Calibration, ...] = ()  # of the legs that have been measured
 
     checks = (

@@ -25,6 +25,7 @@ _GREET_AGAIN_NS = 100_000_000  # [ns] between two hellos in the loop
 _SILENT_NS = 100_000_000  # [ns] without a state, or without what an order brings about, after which something is wrong
 _ANSWER_NS = 40_000_000  # [ns] that the answer of a servo may take through the bridge
 _NEW_US = 1_000  # [us] by which a reading is newer than the last one, if it is another
+_CYCLE_NS = 20_000_000  # [ns] in which every servo is read
 _US = 1_000  # [ns]
 
 
@@ -117,6 +118,17 @@ class Bridge:
         if mode is Mode.HOLDING and now_ns - self._goals_ns <= _SILENT_NS < self._goals_ns - self._goals_since_ns:
             return "the bridge holds: no fresh goals reach it"
         return ""
+
+    @property
+    def missed(self) -> NDArray[np.int64]:
+        """(n,) cycles in which each servo has told nothing new."""
+        ages = self.ages()
+        return np.where(np.isfinite(ages), ages * 1e9 // _CYCLE_NS, 0.0).astype(np.int64)
+
+    @property
+    def loss(self) -> float:
+        """None that is known here: the microcontroller asks again by itself."""
+        return 0.0
 
     def close(self) -> None:
         """Close the port, gone or not; the servos keep their torque and their last goal."""

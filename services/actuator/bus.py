@@ -178,6 +178,11 @@ class ServoBus:
         """Bytes and packets so far that were none."""
         return self._line.dropped.total()
 
+    @property
+    def missed(self) -> NDArray[np.int64]:
+        """(n,) questions in the loop that each servo has left open in a row."""
+        return np.array(self._missed)
+
     def close(self) -> None:
         """Close the port, gone or not; the servos keep their torque and their last goal."""
         with warnings.catch_warnings():

@@ -10,7 +10,7 @@ SHORTEST_STEP_S = 0.3  # [s] shorter steps are refused
 class Settings:
     """How the servos are reached and how the legs move; defaults walk."""
 
-    port: str = "/dev/ttyUSB0"  # a serial device, or socket://host:port
+    port: str = "/dev/ttyUSB0"  # a serial device, or socket://host:port; names that it may have, separated by commas
     bridge: bool = False  # a microcontroller on the port speaks the servo bus in our place, see docs/bridge.md
     echo: bool = False  # the adapter returns every byte sent, as some that have one wire do
     rate_hz: float = 50.0  # of the control cycle

@@ -1,156 +1,322 @@
-"""The last gate: what a plan and a cycle's goals must satisfy before they reach the servos. Pure: time comes in.
+"""The last gate: who may move the legs, which plans they walk, and when they must stand. Pure: time and findings come in.
 
-A plan is accepted whole or refused whole, with its reason. Whatever is accepted ends with six feet on the ground and the
-robot stable, so the actuator can always finish it alone.
+    OFF ── ready ──► READY ── stand ──► STAND ──► HOLD ◄──► WALK        FAULT: as HOLD, while something is broken
+     ▲ off, always     ▲───────────────── SIT ◄── sit
+
+Torque is turned on by an operator's order alone. Off is latched: it takes a new order to leave it. One holder of the lease at
+a time may move the legs; anybody may stop them, or let them go. What is broken stops the walk for as long as it is; what
+cannot be borne has the robot lie down and let go.
 """
+
+from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.config import SHORTEST_STEP_S
-from shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
-from shared.kinematics import body_inverse, nearest_reachable, within_limits
-from shared.messages import StepPlan
-from shared.robot import JOINTS, LEGS, RobotProfile
-from shared.stability import support_margin
+from services.actuator.health import Verdict
+from services.actuator.plan_check import PlanCheck
+from shared.geometry import Array
+from shared.messages import Mode, ModeCommand, StepPlan
+from shared.robot import RobotProfile
 
-MAX_TRAVEL = 0.20  # [m] of the body in one step
-MAX_TILT = np.radians(15.0)
-MAX_TURN = np.radians(25.0)
-DURATION = (SHORTEST_STEP_S, 4.0)  # [s]
-MAX_CLEARANCE = 0.12  # [m]
-MIN_MARGIN = 0.005  # [m] of the body's centre inside the standing feet
+DEADLINE_NS = 200_000_000  # [ns] that a walk goes on without a new plan
+LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order, be it one that is repeated
+_HOLDERS = 16  # whose orders are remembered; more of them are not obeyed but to stop
+
+
+class Act(StrEnum):
+    """What the actuator is to do at once."""
+
+    LET_GO = "torque off"
+    GRIP = "torque on, where the joints are"
+    RISE = "stand up"
+    LIE_DOWN = "lower the body to the ground"
+    SET_DOWN = "bring feet that are in the air to the ground, and stand"
+    FREEZE = "stay as it is"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Legs:
+    """How far the walk is."""
+
+    step: int  # the running one, or the last
+    resting: bool  # no step is running
+    planned: bool  # a step of a plan is running, and none of the actuator's own
+    swing: NDArray[np.bool_]  # (6,) that the running step swings
+    body: Array  # (4, 4) {odom} when a plan sets in: for the next step, at the end of this one
+    feet: Array  # (6, 3) [m] {odom} likewise
+    body_now: Array  # (4, 4) {odom} where it should be now
+    feet_now: Array  # (6, 3) [m] {odom} likewise
+    trouble: str  # what happened to the last step, in words, or nothing
+    searching: bool  # some foot looks for ground
 
 
 class Guard:
-    """Judges plans and goals; keeps what it needs to know order and speed."""
+    """Decides about modes, orders and plans."""
 
-    def __init__(self, profile: RobotProfile, plan_age_s: float):
-        """Begin with nothing accepted.
+    def __init__(self, profile: RobotProfile, plan_age_s: float, epoch: int, torque: bool):
+        """Begin as the servos stand: torque that is on stays on, torque that is off stays off.
 
         Args:
             profile: The robot.
             plan_age_s: [s] older plans are refused.
+            epoch: Of {odom}.
+            torque: Whether the servos pull.
         """
-        self._profile = profile
-        self._plan_age_ns = round(plan_age_s * 1e9)
-        self._last_stamp_ns = -1
+        self.mode = Mode.HOLD if torque else Mode.OFF
+        self.reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
+        self.refused, self.refused_ns = (
+            "",
+            -1,
+        )  # why the newest plan was, in words, and its stamp if for what it asks of the legs
+        self.objection = ""  # why the newest order was not obeyed, in words
+        self._check = PlanCheck(profile, plan_age_s, epoch)
+        self._sequences: dict[str, int] = {}  # newest order of each holder
+        self._holder, self._heard_ns = "", -1
+        self._may_walk = False
+        self._accepted_ns = -1  # when the newest plan was
+        self._late = False  # whether the deadline of this step is over
+        self._seat = ""  # why the robot must lie down, in words, or nothing
+        self._lets_go = False  # then
+        self.tipped = ""  # that the body leaned too far to go on, in words, until it is ordered to walk or stand
+        self._midway = False  # whether a fault has stopped it while it rose or lay down
+        self._verdict = Verdict()
 
-    def untimely(self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_]) -> str:
-        """Why a plan comes too late, too early or out of order, in words, or nothing; another one may be welcome.
+    @property
+    def epoch(self) -> int:
+        """Of {odom}; plans of another one are refused."""
+        return self._check.epoch
 
-        Args:
-            plan: The plan.
-            now_ns: [ns] this process's monotonic time.
-            running: Number of the running or last step.
-            resting: Whether no step is running.
-            swing: (6,) legs that the running step swings.
-        """
-        age_ns = now_ns - plan.stamp_ns
-        if age_ns > self._plan_age_ns:
-            return f"plan of step {plan.step} is {age_ns * 1e-9:.2f} s old, at most {self._plan_age_ns * 1e-9:.2f} s allowed"
-        if age_ns < -self._plan_age_ns:  # accepted, it would make every later plan an old one
-            return f"plan of step {plan.step} is stamped {-age_ns * 1e-9:.2f} s ahead of now"
-        if plan.stamp_ns <= self._last_stamp_ns:
-            return f"plan of step {plan.step} is not newer than the last accepted one"
-        if plan.step != running + 1 and (resting or plan.step != running):
-            return f"plan of step {plan.step} does not follow step {running}"
-        if plan.step == running and (plan.swing != swing).any():
-            return f"a revision of step {plan.step} swings other legs than the step that is running"
+    def lease(self, now_ns: int) -> str:
+        """Who may move the legs, or nothing."""
+        return self._holder if self._heard_ns >= 0 and now_ns - self._heard_ns <= LEASE_NS else ""
+
+    def begin_anew(self, epoch: int) -> None:
+        """A new {odom} has begun."""
+        self._check.epoch = epoch
+
+    # ---------------------------------------------------------------------------------------------------------- orders
+
+    def hear(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
+        """Obey an order, or keep in `objection` why not; one that is repeated only keeps the lease."""
+        newest = self._sequences.get(order.holder)
+        new = newest is None or order.sequence > newest
+        if newest is not None and order.sequence < newest:
+            return ()
+        stops = order.mode in ("off", "stop")
+        if newest is None and len(self._sequences) >= _HOLDERS:
+            if not stops:
+                self.objection = f"`{order.mode}` of {order.holder} refused: {_HOLDERS} others have given orders"
+                return ()
+        else:
+            self._sequences[order.holder] = order.sequence
+        if not stops:
+            objection = self._claim(order, new, now_ns)
+            self.objection = objection if new or not objection else self.objection
+            if objection:
+                return ()
+        elif order.holder == self.lease(now_ns):
+            self._heard_ns = now_ns
+        return self._obey(order.mode) if new else ()
+
+    def _claim(self, order: ModeCommand, new: bool, now_ns: int) -> str:
+        """Give the lease to who orders, or keep it for who has it; why it is refused, in words, or nothing."""
+        holder = self.lease(now_ns)
+        if holder and holder != order.holder and not (order.take and new):
+            return f"`{order.mode}` of {order.holder} refused: {holder} holds the lease; take it over, or wait for its end"
+        if not new and order.holder != self._holder:
+            return f"`{order.mode}` of {order.holder} refused: the lease is no longer theirs; order anew"
+        if order.holder != self._holder:
+            self._may_walk = False
+        self._holder, self._heard_ns = order.holder, now_ns
         return ""
 
-    def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
-        """Why a plan must not be walked, in words; empty when it may, and then it counts as the newest.
+    def _obey(self, mode: str) -> tuple[Act, ...]:
+        """Do what is ordered."""
+        match mode:
+            case "off":
+                return self._let_go("ordered off")
+            case "stop":
+                return self._stop()
+            case "ready":
+                return self._ready()
+            case "stand":
+                return self._stand()
+            case "walk":
+                return self._walk()
+        return self._sit()
 
-        Args:
-            plan: The plan.
-            T_odom_body: (4, 4) where the body should be when the plan sets in: for the next step, at the end of this one.
-            feet: (6, 3) [m] {odom} where the feet will be then.
-        """
-        reason = (
-            _malformed(plan)
-            or _out_of_bounds(plan, T_odom_body)
-            or self._unstable(plan, T_odom_body, feet)
-            or self._out_of_reach(plan, T_odom_body, feet)
+    def _let_go(self, reason: str) -> tuple[Act, ...]:
+        self._enter(Mode.OFF, reason)
+        self._may_walk, self.tipped, self._seat, self._lets_go = False, "", "", False
+        self._midway = False
+        return (Act.LET_GO,)
+
+    def _stop(self) -> tuple[Act, ...]:
+        self._may_walk = False
+        if self.mode is Mode.WALK:
+            return (Act.SET_DOWN,)
+        if self.mode in (Mode.STAND, Mode.SIT):
+            self._enter(Mode.READY, "stopped on its way; order `stand` or `sit`")
+            return (Act.FREEZE,)
+        return ()
+
+    def _ready(self) -> tuple[Act, ...]:
+        if self.mode is Mode.OFF:
+            why = self._verdict.broken or self._verdict.sit
+            if why:
+                self.objection = f"torque stays off: {why}"
+                return ()
+            self._enter(Mode.READY, "torque is on; order `stand` to rise")
+            return (Act.GRIP,)
+        if self.mode is Mode.FAULT:
+            self._may_walk = self._midway = False
+            self._enter(Mode.READY, "torque is on where it was lost; order `stand` to rise")
+            return (Act.GRIP,)
+        return self._stop()
+
+    def _stand(self) -> tuple[Act, ...]:
+        why = self._verdict.broken or self._verdict.sit
+        if why:
+            self.objection = f"`stand` refused: {why}"
+            return ()
+        grip = (Act.GRIP,) if self.mode is Mode.OFF else ()
+        if self.mode is Mode.WALK:
+            return self._stop()
+        self._enter(Mode.STAND, "standing up")
+        self._may_walk, self.tipped, self._seat = False, "", ""
+        return (*grip, Act.RISE)
+
+    def _walk(self) -> tuple[Act, ...]:
+        if self.mode in (Mode.HOLD, Mode.STAND, Mode.WALK):
+            self._may_walk, self.tipped = True, ""
+        else:
+            why = self.reason if self.mode is Mode.FAULT else f"the mode is {self.mode}, order `stand` first"
+            self.objection = f"`walk` refused: {why}"
+        return ()
+
+    def _sit(self) -> tuple[Act, ...]:
+        self._may_walk = False
+        if self.mode in (Mode.HOLD, Mode.STAND, Mode.FAULT):
+            return self._lie_down("ordered to sit")
+        if self.mode is Mode.WALK:
+            self._seat = "ordered to sit"
+            return (Act.SET_DOWN,)
+        return ()
+
+    def _lie_down(self, reason: str) -> tuple[Act, ...]:
+        self._enter(Mode.SIT, reason)
+        self._seat = ""
+        return (Act.LIE_DOWN,)
+
+    def _enter(self, mode: Mode, reason: str) -> None:
+        self.mode, self.reason = mode, reason
+
+    # ----------------------------------------------------------------------------------------------------------- plans
+
+    def consider(self, plan: StepPlan, now_ns: int, legs: Legs) -> bool:
+        """Whether a plan may be walked; if not, `refused` says why."""
+        closed = self._closed(now_ns, legs)
+        self.refused = f"plan of step {plan.step} refused: {closed}" if closed else ""
+        self.refused = self.refused or self._check.untimely(plan, now_ns, legs.step, legs.resting, legs.swing)
+        if self.refused:
+            return False
+        revises = plan.step == legs.step
+        self.refused = self._check.unwalkable(
+            plan, legs.body_now if revises else legs.body, legs.feet_now if revises else legs.feet
         )
-        if not reason:
-            self._last_stamp_ns = plan.stamp_ns
-        return reason
+        if self.refused:
+            self.refused_ns = plan.stamp_ns
+            return False
+        self._accepted_ns, self._late = now_ns, False
+        self._enter(Mode.WALK, "walking")
+        return True
 
-    def _unstable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
-        """Whether the standing legs carry the body where it is and where it goes."""
-        T_odom_world = inverse(plan.T_world_odom)
-        standing = feet[~plan.swing]
-        if len(standing) < 3:
-            return f"only {len(standing)} legs would stand, three are needed"
-        for where, body in (("at the start", T_odom_body), ("at the end", T_odom_world @ plan.body_goal)):
-            margin = support_margin(standing[:, :2], body[:2, 3])
-            if margin < MIN_MARGIN:
-                inside = f"{margin * 1e3:.0f} mm inside its standing feet {where}"
-                return f"the body would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
+    def _closed(self, now_ns: int, legs: Legs) -> str:
+        """Why no plan is taken now, in words, or nothing."""
+        if self.tipped:
+            return f"{self.tipped}; order `walk` anew"
+        if self.mode is Mode.FAULT:
+            return self.reason
+        if not self._may_walk or self.mode not in (Mode.HOLD, Mode.WALK):
+            return f"the mode is {self.mode}, not ordered to walk"
+        if not self.lease(now_ns):
+            return f"no order of {self._holder} for {LEASE_NS * 1e-9:.0f} s, nobody leads"
+        if self._seat:
+            return self._seat
+        if legs.searching:
+            return legs.trouble
+        if self._late:
+            return f"no new plan came for {DEADLINE_NS * 1e-9:.1f} s, feet are set down first"
         return ""
 
-    def _out_of_reach(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
-        """Whether the stance at the end asks more of a leg, swung or not, than it can.
+    # ----------------------------------------------------------------------------------------------------- what happens
 
-        A standing leg that is too short for its foot already, since the ground has given way, may be so at the end, if by less
-        and if it can be held where the leg comes nearest to it.
-        """
-        end = np.where(plan.swing[:, None], plan.touchdown, apply(plan.T_world_odom, feet))
-        end = apply(inverse(plan.body_goal), end)
-        bad = ~within_limits(self._profile, body_inverse(self._profile, end))
-        if bad.any():
-            start, nearest = apply(inverse(T_odom_body), feet), nearest_reachable(self._profile, end)
-            beyond = np.linalg.norm(nearest - end, axis=1)
-            before = np.linalg.norm(nearest_reachable(self._profile, start) - start, axis=1)
-            held = within_limits(self._profile, body_inverse(self._profile, nearest)).all(axis=1)
-            bad[~plan.swing & held & (beyond > 0.0) & (beyond < before)] = False
-        if bad.any():
-            leg, joint = np.argwhere(bad)[0]
-            what = "touchdown" if plan.swing[leg] else "standing foot"
-            return f"the {what} of the {LEGS[leg]} leg is out of reach of its {JOINTS[joint]}"
-        return ""
+    def tip(self, words: str) -> tuple[Act, ...]:
+        """The body leans too far to go on; until it is ordered to walk or stand."""
+        self.tipped, self._may_walk = words, False
+        return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
 
-    def safe_goals(self, q_goal: Array, q_last: Array, dt: float) -> tuple[Array, str]:
-        """Joint goals that are finite, within limits and not faster than the servos, with what had to be withheld.
+    def risen(self) -> None:
+        """The robot stands."""
+        if self.mode is Mode.STAND:
+            self._enter(Mode.HOLD, "standing")
 
-        Args:
-            q_goal: (6, 3) [rad] wanted goals, NaN where a foot is out of reach.
-            q_last: (6, 3) [rad] goals sent last.
-            dt: [s] since then.
+    def seated(self) -> tuple[Act, ...]:
+        """The robot lies."""
+        if self.mode is not Mode.SIT:
+            return ()
+        if self._lets_go:
+            return self._let_go(self.reason)
+        self._enter(Mode.READY, "sitting; order `stand` to rise, or `off`")
+        return ()
 
-        Returns:
-            (6, 3) [rad], and a warning in words or nothing. A leg out of reach keeps its last goals.
-        """
-        lost = np.asarray(~np.isfinite(q_goal).all(axis=1))
-        q = np.where(lost[:, None], q_last, q_goal)
-        limits = self._profile.joint_limits
-        reach = self._profile.servo.no_load_speed * dt
-        q = np.minimum(np.maximum(q, q_last - reach), q_last + reach)
-        q = np.minimum(np.maximum(q, limits[..., 0]), limits[..., 1])
-        names = [LEGS[leg] for leg in np.flatnonzero(lost)]
-        return q, f"foot out of reach, held: {', '.join(names)}" if names else ""
+    def watch(self, now_ns: int, legs: Legs, verdict: Verdict) -> tuple[Act, ...]:
+        """See to what has come about in this cycle."""
+        self._verdict = verdict
+        if self.mode is Mode.OFF:
+            return ()
+        acts = (*self._see_to_faults(legs, verdict), *self._see_to_walk(now_ns, legs))
+        if verdict.sit and not self._lets_go:
+            self._lets_go, self._may_walk = True, False
+            if self.mode in (Mode.READY, Mode.SIT):  # it lies, or is about to
+                self.reason = verdict.sit
+                return (*acts, *(self._let_go(verdict.sit) if self.mode is Mode.READY else ()))
+            self._seat = verdict.sit
+            acts = (*acts, Act.SET_DOWN) if self.mode is Mode.WALK else acts
+        if self._seat and legs.resting and self.mode in (Mode.HOLD, Mode.FAULT, Mode.STAND):
+            acts = (*acts, *self._lie_down(self._seat))
+        return acts
 
+    def _see_to_faults(self, legs: Legs, verdict: Verdict) -> tuple[Act, ...]:
+        """Stop for what is broken, and go on once it is whole."""
+        sits_anyway = self.mode is Mode.SIT and self._lets_go
+        if verdict.broken and self.mode is not Mode.READY and not sits_anyway:
+            acts = {Mode.WALK: (Act.SET_DOWN,), Mode.STAND: (Act.FREEZE,), Mode.SIT: (Act.FREEZE,)}.get(self.mode, ())
+            self._midway |= Act.FREEZE in acts
+            self._enter(Mode.FAULT, verdict.broken)
+            return acts
+        if self.mode is Mode.FAULT and not verdict.broken and legs.resting:
+            midway, self._midway = self._midway, False
+            if midway:
+                self._enter(Mode.READY, "what was broken is whole again; order `stand` or `sit`")
+            else:
+                self._enter(Mode.HOLD, "what was broken is whole again")
+        return ()
 
-def _malformed(plan: StepPlan) -> str:
-    """Whether a pose of the plan is none."""
-    for name, T in (("T_world_odom", plan.T_world_odom), ("body_goal", plan.body_goal)):
-        if not is_rigid(T):
-            return f"the plan's {name} is not a rigid transform"
-    return ""
-
-
-def _out_of_bounds(plan: StepPlan, T_odom_body: Array) -> str:
-    """Whether the plan asks for more than a step may."""
-    move = inverse(T_odom_body) @ inverse(plan.T_world_odom) @ plan.body_goal
-    travel, (roll, pitch, yaw) = float(np.linalg.norm(move[:3, 3])), rpy_from_rotation(move[:3, :3])
-    if travel > MAX_TRAVEL:
-        return f"the body would travel {travel:.2f} m in one step, at most {MAX_TRAVEL} m allowed"
-    if max(abs(roll), abs(pitch)) > MAX_TILT or abs(yaw) > MAX_TURN:
-        return f"the body would turn by {np.degrees([roll, pitch, yaw]).round(1).tolist()} deg in one step"
-    if not DURATION[0] <= plan.duration <= DURATION[1]:
-        return f"a step of {DURATION[0]} to {DURATION[1]} s expected, found {plan.duration:.2f} s"
-    if plan.clearance.min() < 0 or plan.clearance.max() > MAX_CLEARANCE:
-        found = f"{plan.clearance.min():.3f} to {plan.clearance.max():.3f} m"
-        return f"clearances of 0 to {MAX_CLEARANCE} m expected, found {found}"
-    return ""
+    def _see_to_walk(self, now_ns: int, legs: Legs) -> tuple[Act, ...]:
+        """End the walk where it has ended, and when no plan has come for too long."""
+        if self.mode is not Mode.WALK:
+            return ()
+        late = f"no new plan came for {DEADLINE_NS * 1e-9:.1f} s" if self._late else ""
+        why = self.tipped or "; ".join(words for words in (late, legs.trouble) if words)
+        if legs.resting:
+            self._enter(Mode.HOLD, why or "the last accepted step is finished and no new plan came")
+            self._late = False
+            return ()
+        self.reason = why or "walking"
+        if legs.planned and not self._late and now_ns - self._accepted_ns > DEADLINE_NS:
+            self._late = True
+            return (Act.SET_DOWN,)
+        return ()

@@ -7,9 +7,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.actuator import bridge
+from services.actuator import bridge, usb_adapter
 from services.actuator.bridge import Bridge
-from services.actuator.bus import REPLY_TIMEOUT_NS, Port, ServoBus, ServoReading, open_port
+from services.actuator.bus import REPLY_TIMEOUT_NS, BusGone, Port, ServoBus, ServoReading, open_port
 from services.actuator.config import Settings
 from shared import dynamixel as dxl
 from shared.dynamixel import Register
@@ -30,6 +30,16 @@ class Servos(Protocol):
     @property
     def trouble(self) -> str:
         """What is wrong between here and the servos, in words, or nothing."""
+        ...
+
+    @property
+    def missed(self) -> NDArray[np.int64]:
+        """(n,) questions in the loop that each servo has left open in a row."""
+        ...
+
+    @property
+    def loss(self) -> float:
+        """Share of the questions of late without a usable answer."""
         ...
 
     def setup(self) -> None:
@@ -74,14 +84,36 @@ def read_timeout_ns(settings: Settings) -> int:
     return bridge.READ_NS if settings.bridge else REPLY_TIMEOUT_NS
 
 
-def connect(profile: RobotProfile, settings: Settings, port: Port | None, clock: Callable[[], int]) -> Servos:
-    """The robot's servos, on an open port or on the one that the settings name.
+class Outlet:
+    """Where the servos' port is found, again and again: by any of its names, or by what the adapter says of itself."""
 
-    Raises:
-        BusGone: The port cannot be opened.
-    """
+    def __init__(self, settings: Settings):
+        """Look at the port that the settings name; several are separated by commas."""
+        self._names = [name.strip() for name in settings.port.split(",")]
+        self._timeout_ns = read_timeout_ns(settings)
+        self._adapter: tuple[int, int, str] | None = None
+
+    def open(self) -> Port:
+        """Open the first port that there is.
+
+        Raises:
+            BusGone: None can be opened.
+        """
+        found: list[str] = []
+        for name in dict.fromkeys([*self._names, *usb_adapter.named_anew(self._adapter)]):
+            try:
+                port = open_port(name, timeout_ns=self._timeout_ns)
+            except BusGone as error:
+                found.append(str(error))
+            else:
+                self._adapter = usb_adapter.identity(name) or self._adapter
+                return port
+        raise BusGone("; ".join(found))
+
+
+def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
+    """The robot's servos, on an open port."""
     model, names = dxl.MODEL_NAMED[profile.servo.model], profile.servo_names
-    port = port or open_port(settings.port, timeout_ns=read_timeout_ns(settings))
     if settings.bridge:
         return Bridge(port, list(names), clock, model=model, names=names)
     return ServoBus(port, list(names), clock, model=model, names=names, echo=settings.echo)

@@ -1,10 +1,10 @@
-"""Standing up: feet to their resting places while the belly lies on the ground, then the body rises."""
+"""Standing up: feet to their resting places while the belly lies on the ground, then the body rises. And lying down again."""
 
 import numpy as np
 
 from services.actuator.walker import Targets
 from shared.geometry import Array
-from shared.kinematics import body_inverse, within_limits
+from shared.kinematics import body_inverse, nearest_reachable, within_limits
 from shared.robot import RobotProfile
 
 _STANDS = 0.03  # [m] from the resting stance, within which the robot stands in it, about
@@ -50,6 +50,35 @@ class StandUp:
         # From goals that hold a load already, too: those include its sag, which must not be added twice.
         carrying = s if leg == legs - 1 else 0.0
         return Targets(feet, np.full(6, carrying), np.eye(3))
+
+
+class LieDown:
+    """From any stance straight down until the belly lies on the ground, in a given time; the feet stay where they stand."""
+
+    def __init__(self, profile: RobotProfile, feet: Array, duration_s: float):
+        """Begin.
+
+        Args:
+            profile: The robot.
+            feet: (6, 3) [m] {body} where the feet stand.
+            duration_s: [s] for the whole.
+        """
+        lying = feet.copy()
+        lying[:, 2] += max(0.0, profile.foot.radius - float(np.median(feet[:, 2])) - profile.body.size[2] / 2)
+        self._feet, self._lying = feet, nearest_reachable(profile, lying)
+        self._duration, self._elapsed = duration_s, 0.0
+
+    @property
+    def done(self) -> bool:
+        """Whether the robot lies."""
+        return self._elapsed >= self._duration
+
+    def update(self, dt: float) -> Targets:
+        """Move on by dt [s]."""
+        self._elapsed = min(self._elapsed + dt, self._duration)
+        s = self._elapsed / self._duration
+        s = s * s * (3 - 2 * s)
+        return Targets((1 - s) * self._feet + s * self._lying, np.full(6, 1.0 - s), np.eye(3))
 
 
 def _lying_and_risen(profile: RobotProfile) -> tuple[Array, Array]:

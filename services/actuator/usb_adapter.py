@@ -1,12 +1,29 @@
 """The USB adapter's latency timer: how long an FTDI chip keeps bytes back; its 16 ms are 16 ms for every question."""
 
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from serial.tools.list_ports import comports
+
 DEVICES = Path("/sys/bus/usb-serial/devices")  # each with its latency timer, where the driver has one
 WANTED_MS = 1
 _RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+
+
+def identity(url: str, ports: Callable[[], Iterable[Any]] = comports) -> tuple[int, int, str] | None:
+    """Maker, product and serial number of the adapter behind a serial device, None where it has none."""
+    device = str(Path(url).resolve())
+    for port in ports():
+        if port.device == device and port.vid is not None and port.serial_number:
+            return port.vid, port.pid, port.serial_number
+    return None
+
+
+def named_anew(who: tuple[int, int, str] | None, ports: Callable[[], Iterable[Any]] = comports) -> list[str]:
+    """Devices that an adapter answers to now: one that was unplugged and is back may have another name."""
+    return [port.device for port in ports() if who is not None and (port.vid, port.pid, port.serial_number) == who]
 
 
 def latency_ms(url: str, devices: Path = DEVICES) -> int | None:

@@ -50,6 +50,8 @@ _FEEL_FROM_S = 0.03  # [s] before its legs are lifted from which a step wants to
 _SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is measured at rest
 _WAIT_S, _LONGER_S = 0.07, 0.12  # [s] for which it waits for them, and for those that by their last reading may stand
 _BACK_S = 1.4  # [s] in which a step is taken back
+_SOON_S = 0.40  # [s] in which feet in the air are on the ground, once the robot has to stand
+_LOW = 0.010  # [m] clearance of feet that go back to where they have just come from
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +118,7 @@ class Walker:
         self._search: _Search | None = None
         self._way_back: StepPlan | None = None  # of the last step, {world} being {cmd}
         self._waited = 0.0  # [s] before lift-off, for legs that have yet to prove that they stand
+        self._hurry = 1.0  # times as fast as planned
         self._taking_back = False  # whether the last swing was none of a plan: there is no way back from it
         self._findings: list[Finding] = []
         self.trouble = ""  # what happened to the last step, in words; empty when it went as planned
@@ -228,6 +231,7 @@ class Walker:
         self._begin(
             StepPlan(
                 stamp_ns=-1,
+                epoch=0,
                 step=self.step,
                 revision=0,
                 T_world_odom=np.eye(4),
@@ -252,21 +256,46 @@ class Walker:
         if self._way_back is not None:
             self._way_back = replace(self._way_back, touchdown=apply(T_cmd, self._way_back.touchdown))
 
-    def halt(self) -> None:
-        """Forget the plan that waits; the running step is finished, then the robot holds."""
+    @property
+    def planned(self) -> bool:
+        """Whether a step of a plan is running, and none of its own."""
+        return self._plan is not None and self._plan.stamp_ns >= 0
+
+    def set_down(self) -> None:
+        """Stand as soon as can be: feet in the air go on to where they are going, or back, whichever is nearer.
+
+        Both are places that were found good to stand on. Nothing is lifted any more, and a body over six feet stops.
+        """
         self._next = None
+        plan = self._plan
+        if plan is None or not self.planned:
+            return
+        if self._flight is None or not plan.swing.any():
+            self._plan, self._flight = None, None
+            self.swing, self.phase = np.zeros(6, dtype=bool), 1.0
+            return
+        since, left = self._elapsed - self._settings.unload_s, plan.duration - self._elapsed
+        back = self._way_back
+        if back is None or left <= since + self._settings.unload_s + self._settings.load_s:
+            self._hurry = max(1.0, left / _SOON_S)
+            return
+        duration = self._settings.unload_s + self._settings.load_s + min(since, _SOON_S)
+        again = replace(back, step=self.step, clearance=np.full(6, _LOW), duration=duration)
+        self._begin(replace(again, T_world_odom=inverse(self._T_odom_cmd)))
+        self._elapsed = self._settings.unload_s  # they carry nothing
+        self.trouble = "the step is taken back"
 
     def _begin(self, plan: StepPlan) -> None:
         self._plan, self._next = plan, None
         self.plan_ns = plan.stamp_ns
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
         self._start_ref, self._start_velocity = self._ref.copy(), self._velocity.copy()
-        self._flight, self._waited = None, 0.0
+        self._flight, self._waited, self._hurry = None, 0.0, 1.0
         self._stopped &= ~plan.swing
 
     def _advance(self, dt: float, plan: StepPlan, felt: Felt | None) -> None:
         before = self._elapsed
-        self._elapsed = min(before + dt, plan.duration)
+        self._elapsed = min(before + self._hurry * dt, plan.duration)
         self.phase = self._elapsed / plan.duration
         T_cmd_world = inverse(plan.T_world_odom @ self._T_odom_cmd)
         goal = _coordinates(T_cmd_world @ plan.body_goal)

@@ -40,7 +40,8 @@ _STATUS_PERIOD_NS = 100_000_000
 _TRY_AGAIN_NS = 2_000_000_000  # [ns] after every way of taking a step was refused
 _MEASURED_NS = 300_000_000  # [ns] of rest in which feet are measured that have met ground somewhere
 _DOUBT_NS = 1_000_000_000  # [ns] that a crossing goes by the legs alone
-_KEPT = 15  # plans remembered besides the newest
+_KEPT = 40  # plans remembered besides the newest
+_RENEW_NS = 35_000_000  # [ns] after which the running step is sent once more: the actuator goes on for 200 ms without a plan
 _NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] by which a command must differ to be another one
 _STILL = 1e-3  # [m/s] and [rad/s]
 _NOT_MINE = "the running step is not one of mine; waiting for its end"
@@ -78,6 +79,8 @@ class Planner:
         self._asked: VelocityCommand | None = None  # what was commanded when they began
         self._looked_at: tuple[Stride, TerrainMap] | None = None  # for the last retargeting
         self._due_ns = 0
+        self._renew_ns = 0
+        self._step, self._begun_ns = -1, 0  # the running step, or the last, and when it was first heard of
         self._sure_ns = 0  # when perception was last sure of where the robot is
         self._moved_ns = 0  # when legs last moved, by touch
         self._status_due_ns = 0
@@ -102,7 +105,13 @@ class Planner:
                 self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
                 self._sent = [*self._sent[-_KEPT:], sent]
                 self._moved = sent.stride.moved
+                self._renew_ns = state.stamp_ns + _RENEW_NS
                 yield sent.plan
+        renewed = self._renewal(state, known)
+        if renewed is not None:
+            self._sent = [*self._sent[-_KEPT:], renewed]
+            self._renew_ns = state.stamp_ns + _RENEW_NS
+            yield renewed.plan
         yield from self._passage.messages(state.stamp_ns)
         if state.stamp_ns >= self._status_due_ns:
             self._status_due_ns = state.stamp_ns + _STATUS_PERIOD_NS
@@ -110,6 +119,8 @@ class Planner:
 
     def _follow(self, state: ActuatorState) -> None:
         """Notice which plan is walked, and which was refused."""
+        if state.step != self._step:
+            self._step, self._begun_ns = state.step, state.stamp_ns
         running = self._running
         if running is None or running.plan.stamp_ns != state.plan_ns:
             self._running = next((s for s in self._sent if s.plan.stamp_ns == state.plan_ns), None)
@@ -127,8 +138,9 @@ class Planner:
     def _plan(self, state: ActuatorState, inbox: Inbox) -> "_Sent | None":
         """The plan to send now, or none and the reason in the status."""
         pose = inbox.fresh(topics.BODY_POSE, self._settings.pose_age_s)
-        command = inbox.fresh(topics.VELOCITY)
+        command = _paced(inbox.fresh(topics.VELOCITY), state.pace)
         goal = inbox.fresh(topics.GOAL) if command is None else None
+        goal = None if goal is None else replace(goal, speed=goal.speed * state.pace)
         self._led = goal is not None
         if command is not None and not _is_still(command):
             self._passage.abandon()  # who falls silent, or rests, may want it later
@@ -199,7 +211,7 @@ class Planner:
             return self._hold("blocked", f"by touch: {found.reason}", found.leg)
         self._state, self._blocked_leg = "stepping", -1
         self._reason = "by touch: feet find the ground"
-        return self._send(state, pose, found, state.step + 1, way, stop=True)
+        return self._send(state, pose.T_world_odom, found, state.step + 1, way, stop=True)
 
     def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain, inbox: Inbox) -> "_Sent | None":
         """The next step on the way to a goal; where one on the way does not go, walking without turning, or turning alone."""
@@ -253,7 +265,7 @@ class Planner:
             return None if state.phase < self._settings.plan_from else self._walk_by(led, state, pose, terrain)
         if isinstance(led, Move):
             self._state, self._reason, self._blocked_leg = "stepping", led.words, -1
-            return self._send(state, pose, led.stride, led.number, 0, stop=led.stop)
+            return self._send(state, pose.T_world_odom, led.stride, led.number, 0, stop=led.stop)
         if isinstance(led, Refused):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
             both = f"{no_way}; and no passage: {led.reason}" if no_way else f"no passage: {led.reason}"
@@ -297,7 +309,7 @@ class Planner:
             instead = f"; instead of legs that cannot: {found.instead}" if found.instead else ""
             moved = f"{found.moved} of {found.swing.sum()} footholds moved from their nominal place"
             self._reason = f"{moved}{shorter}{slower}{instead}"
-        return self._send(state, pose, found, state.step + 1, way)
+        return self._send(state, pose.T_world_odom, found, state.step + 1, way)
 
     def _where_to_look(self, found: Blocked, command: VelocityCommand) -> str:
         """What to do first where the ground that is walked to was never in view, in words; a goal's pilot does it by itself."""
@@ -332,7 +344,7 @@ class Planner:
             moved = T_world_odom @ inverse(plan.T_world_odom)  # the world as it is believed to be now
             body = moved @ plan.body_goal
             feet[plan.swing] = apply(moved, plan.touchdown)[plan.swing]
-            met = plan.swing & state.touch_carries & (state.touch_ns > state.plan_ns)  # ground before their touchdowns
+            met = plan.swing & state.touch_carries & (state.touch_ns > self._begun_ns)  # ground before their touchdowns
             feet[met] = apply(T_world_odom, state.touch)[met] + [0.0, 0.0, self._profile.foot.radius]
         return body, feet
 
@@ -349,16 +361,29 @@ class Planner:
         found = self._strides.retarget(stride, terrain)
         if np.abs(found.touchdown - stride.touchdown).max() < self._settings.retarget_from_m:
             return None
-        return self._send(state, pose, found, running.plan.step, running.way)
+        return self._send(state, pose.T_world_odom, found, running.plan.step, running.way)
 
-    def _send(self, state: ActuatorState, pose: BodyPose, stride: Stride, number: int, way: int, stop: bool = False) -> "_Sent":
+    def _renewal(self, state: ActuatorState, pose: BodyPose | None) -> "_Sent | None":
+        """The running step as it is, where no plan has been sent for a while: the robot walks on only as long as it is led."""
+        running = self._running
+        if running is None or state.mode is not Mode.WALK or state.phase >= 1.0 or state.stamp_ns < self._renew_ns:
+            return None
+        plan = running.plan
+        T_world_odom = plan.T_world_odom if pose is None else pose.T_world_odom
+        stride = running.stride.moved_by(T_world_odom @ inverse(plan.T_world_odom))
+        return self._send(state, T_world_odom, stride, plan.step, running.way, plan.stop)
+
+    def _send(
+        self, state: ActuatorState, T_world_odom: Array, stride: Stride, number: int, way: int, stop: bool = False
+    ) -> "_Sent":
         """A plan of a step, as the next revision of it."""
         revision = 1 + max((s.plan.revision for s in self._sent if s.plan.step == number), default=0)
         plan = StepPlan(
             stamp_ns=state.stamp_ns,
+            epoch=state.epoch,
             step=number,
             revision=revision,
-            T_world_odom=np.array(pose.T_world_odom),
+            T_world_odom=np.array(T_world_odom),
             swing=stride.swing,
             touchdown=stride.touchdown,
             clearance=stride.clearance,
@@ -403,6 +428,13 @@ class _Sent:
     plan: StepPlan
     stride: Stride
     way: int  # of taking the step, see `StridePlanner.choose`
+
+
+def _paced(command: VelocityCommand | None, pace: float) -> VelocityCommand | None:
+    """A command as fast as the servos can bear for long."""
+    if command is None or pace >= 1.0:
+        return command
+    return replace(command, velocity=command.velocity * pace, yaw_rate=command.yaw_rate * pace)
 
 
 def _is_still(command: VelocityCommand) -> bool:

@@ -158,7 +158,7 @@ def test_the_loss_is_the_share_of_questions_lost(share: float) -> None:
     for _ in range(300):
         rig.cycle()
         found.append(rig.driver.loss)
-    assert 0.7 * share < np.mean(found[20:]) < 1.6 * share  # a loss takes the time of several questions
+    assert 0.6 * share < np.mean(found[20:]) < 1.6 * share  # a loss takes the time of several questions
 
 
 def test_a_silent_bus_is_lost_within_200_ms_and_a_silent_servo_is_not_the_bus() -> None:

@@ -44,13 +44,16 @@ class Rig:
         self.push = np.zeros((6, 3))  # [N] {body} on the feet, as the servos feel it, besides what the ground gives
         self.ground = np.full(6, True)  # legs that stand on something when they are down
         self.order = 0
+        self.ordered: ModeCommand | None = None
+        self.leads = True  # the planner sends the running step again and again, and the operator the order
+        self.running: StepPlan | None = None
         self.state: ActuatorState | None = None
         self.start()
 
     def start(self) -> None:
         """A new actuator on the same servos."""
         self.port = MemoryPort(self.bus, lambda: self.now_ns)
-        self.actuator = Actuator(PROFILE, Settings(), self.port, self.port.now_ns)
+        self.actuator = Actuator(PROFILE, Settings(), lambda: self.port, self.port.now_ns)
         self.inbox = Inbox(self.actuator.reads, self.actuator.stages)
         self.now_ns = self.port.now_ns()
 
@@ -65,11 +68,24 @@ class Rig:
         return all(self.bank.read(row, dxl.TORQUE_ENABLE.address, 1) == b"\x01" for row in range(18))
 
     def hear(self, message: Message) -> None:
+        if isinstance(message, StepPlan):
+            self.running = message
         self.inbox.receive(topics.OF_TYPE[type(message)], codec.encode(message), self.now_ns)
 
     def command(self, mode: str) -> None:
         self.order += 1
-        self.hear(ModeCommand(self.now_ns, mode, self.order))  # type: ignore[arg-type]
+        self.ordered = ModeCommand(self.now_ns, mode, self.order)  # type: ignore[arg-type]
+        self.hear(self.ordered)
+
+    def lead(self) -> None:
+        """What operator and planner say as long as they are there."""
+        state, plan = self.state, self.running
+        if self.ordered is not None and self.now_ns % (25 * PERIOD) < PERIOD:
+            self.hear(self.ordered)
+        if state is None or plan is None or state.phase >= 1.0 or self.now_ns % (4 * PERIOD) >= PERIOD:
+            return
+        if plan.step == state.step:
+            self.hear(replace(plan, stamp_ns=self.now_ns, revision=plan.revision + 1))
 
     def cycle(self, count: int = 1) -> ActuatorState:
         """Let cycles pass; the last state."""
@@ -82,6 +98,8 @@ class Rig:
             torque = PROFILE.servo_signs * joint_torques(PROFILE, q, weight + self.push)
             self.bank.step(PROFILE.servo_angles(q).ravel(), np.zeros(18), torque.ravel(), 0.02)
             self.inbox.now_ns = self.now_ns
+            if self.leads:
+                self.lead()
             self.made = list(self.actuator.step(Tick(self.now_ns), self.inbox))
             self.state = next((m for m in self.made if isinstance(m, ActuatorState)), self.state)
         assert self.state is not None
@@ -96,6 +114,7 @@ class Rig:
         touchdown[:, 2] = feet[:, 2]
         plan = StepPlan(
             stamp_ns=state.stamp_ns,
+            epoch=state.epoch,
             step=state.step + 1,
             revision=1,
             T_world_odom=np.eye(4),
@@ -291,12 +310,36 @@ def test_a_servo_that_shuts_down_is_named_and_the_robot_holds() -> None:
     shut_down(rig, IDS.index(16))
     state = rig.cycle(5)
     assert state.mode is Mode.FAULT
-    assert "femur servo of the right middle leg (id 16) reports overload" in state.reason
+    words = "the femur servo of the right middle leg (id 16) has shut down for its load"
+    assert state.reason == words
     rig.hear(rig.plan(state))
-    assert "the mode is fault" in rig.cycle().refused
+    assert words in rig.cycle().refused
     assert rig.torque
-    rig.command("stand")  # only off leads out
-    assert rig.cycle(2).mode is Mode.FAULT
+    rig.command("stand")
+    state = rig.cycle(2)
+    assert state.mode is Mode.FAULT
+    assert f"`stand` refused: {words}" in state.warnings
+
+
+def test_an_overloaded_servo_is_reset_where_it_is_three_times_and_then_the_robot_lies_down_and_lets_go() -> None:
+    rig = Rig()
+    rig.walking()
+    row = IDS.index(16)
+    for _ in range(3):
+        rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
+        shut_down(rig, row)
+        assert rig.cycle(8).mode is Mode.FAULT
+        state = rig.cycle(100)
+        assert state.mode is Mode.HOLD
+        assert state.reason == "what was broken is whole again"
+        assert rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == dxl.TORQUE_LIMIT.encode(1023)
+    shut_down(rig, row)
+    assert rig.cycle(40).mode is Mode.FAULT
+    assert rig.cycle(60).mode is Mode.SIT
+    state = rig.cycle(200)
+    assert state.mode is Mode.OFF
+    assert "4 times in 5 minutes" in state.reason
+    assert not rig.torque
 
 
 def test_a_fault_while_standing_up_is_not_forgotten() -> None:
@@ -306,8 +349,10 @@ def test_a_fault_while_standing_up_is_not_forgotten() -> None:
     rig.cycle(20)
     shut_down(rig, 4)
     assert rig.cycle(4).mode is Mode.FAULT
+    goals = rig.goals
     rig.bank._faults[:] = 0  # it recovers, but nobody has looked after it
-    assert rig.cycle(200).mode is Mode.FAULT
+    assert rig.cycle(200).mode is Mode.READY
+    np.testing.assert_array_equal(rig.goals, goals)
 
 
 def test_contacts_and_loads_are_those_the_servos_feel() -> None:
@@ -516,7 +561,7 @@ def test_a_sensor_that_is_upside_down_moves_no_leg() -> None:
 def test_a_robot_with_a_fault_moves_no_leg() -> None:
     rig = Rig()
     sure(rig)
-    shut_down(rig, 4)
+    rig.bank._faults[4] = int(dxl.ServoError.ANGLE_LIMIT)
     rig.cycle(20)
     goals = rig.goals
     tip(rig, np.radians(10.0))

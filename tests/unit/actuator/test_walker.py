@@ -37,6 +37,7 @@ def plan_to(number: int, goal: Array, ahead: float = 0.03, **changes: Any) -> St
     swing = TRIPOD if number % 2 else ~TRIPOD
     plan = StepPlan(
         stamp_ns=number,
+        epoch=0,
         step=number,
         revision=1,
         T_world_odom=np.eye(4),
@@ -141,17 +142,52 @@ def test_a_stop_plan_ends_at_rest() -> None:
     np.testing.assert_allclose(walker.body_ref, body_at(0.10), atol=1e-6)
 
 
-def test_halt_forgets_the_waiting_plan_and_finishes_the_running_one() -> None:
+@given(st.floats(0.0, 0.9), st.sampled_from([0.6, 0.8, 1.1]))
+@settings(max_examples=25)
+def test_set_down_stands_soon_on_places_that_were_found_good(at: float, duration: float) -> None:
+    walker, goal = new_walker(), body_at(0.04)
+    walker.accept(plan_to(1, goal, duration=duration))
+    stood, targets = walker.feet_odom, [cycle(walker)]
+    walker.accept(plan_to(2, body_at(0.08)))
+    while walker.phase < at:
+        targets.append(cycle(walker))
+    flying = walker.phase * duration > SETTINGS.unload_s + DT
+    walker.set_down()
+    walker.set_down()  # once is enough
+    took = 0
+    while not walker.resting:
+        targets.append(cycle(walker))
+        took += 1
+    targets += [cycle(walker) for _ in range(50)]
+    assert took * DT <= 0.5
+    assert walker.step == 1, "the plan that waited is forgotten"
+    np.testing.assert_allclose(walker.load_share, 1.0)
+    landed = apply(np.eye(4), plan_to(1, goal).touchdown)
+    back, there = (np.abs(walker.feet_odom - place)[TRIPOD].max() < 1e-3 for place in (stood, landed))
+    assert back or there
+    assert flying or back, "legs that were not lifted stay"
+    np.testing.assert_allclose(walker.feet_odom[~TRIPOD], stood[~TRIPOD], atol=1e-6)
+    assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.4
+
+
+def test_set_down_leaves_alone_what_is_no_plan() -> None:
     walker = new_walker()
-    walker.accept(plan_to(1, body_at(0.05)))
+    walker.set_down()
+    assert walker.resting
+    walker.accept(plan_to(1, body_at(0.03), swing=np.zeros(6, dtype=bool)))
+    for _ in range(20):
+        cycle(walker)
+    walker.set_down()
+    assert walker.resting, "a body over six feet stops"
+    before = walker.body_ref[0, 3]
+    for _ in range(50):
+        cycle(walker)
+    assert 0.0 <= walker.body_ref[0, 3] - before < 0.01
+    walker.lower(TRIPOD, -0.01)
     for _ in range(10):
         cycle(walker)
-    walker.accept(plan_to(2, body_at(0.10)))
-    walker.halt()
-    walk(walker, [], rest_s=0.1)
-    assert walker.step == 1
-    assert walker.resting
-    np.testing.assert_allclose(walker.feet_odom[TRIPOD], landed(1, body_at(0.05)), atol=1e-9)
+    walker.set_down()
+    assert not walker.resting, "feet that come down by themselves go on"
 
 
 @given(

@@ -177,6 +177,7 @@ class Story:
     def plan(self, ms: int, step: int) -> StepPlan:
         return StepPlan(
             stamp_ns=ms * _MS,
+            epoch=0,
             step=step,
             revision=0,
             T_world_odom=np.eye(4),

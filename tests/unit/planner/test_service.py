@@ -53,6 +53,7 @@ class Rig:
         self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
         self.command: VelocityCommand | None = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
         self.goal: Goal | None = None
+        self.running: StepPlan | None = None
         self.state = actuator_state(PROFILE, reason="standing", feet=REST, T_odom_body=standing(), body_ref=standing())
 
     def cycle(self, **state: Any) -> list[Message]:
@@ -67,7 +68,16 @@ class Rig:
         return list(self.planner.step(self.state, self.inbox))
 
     def plans(self, cycles: int = 1, **state: Any) -> list[StepPlan]:
-        return [m for _ in range(cycles) for m in self.cycle(**state) if isinstance(m, StepPlan)]
+        """What is sent that is new: the running step is sent as it is, too, again and again."""
+        made = [m for _ in range(cycles) for m in self.cycle(**state) if isinstance(m, StepPlan)]
+        return [plan for plan in made if not self._renews(plan)]
+
+    def _renews(self, plan: StepPlan) -> bool:
+        running = self.running
+        if running is None or plan.step != running.step:
+            return False
+        now, then = (apply(inverse(p.T_world_odom), p.touchdown) for p in (plan, running))
+        return bool(np.abs(now - then).max() < 1e-9)
 
     def status(self) -> PlannerStatus:
         """The next status, a tenth of a second away at most."""
@@ -75,6 +85,7 @@ class Rig:
 
     def begin(self, plan: StepPlan) -> None:
         """The actuator begins to walk a plan."""
+        self.running = plan
         self.state = replace(self.state, mode=Mode.WALK, step=plan.step, phase=0.0, swing=plan.swing, plan_ns=plan.stamp_ns)
 
     def finish(self, plan: StepPlan) -> None:
@@ -96,6 +107,13 @@ def test_with_everything_there_it_steps() -> None:
     status = rig.status()
     assert status.state == "stepping"
     assert rig.planner.doing().startswith("stepping")
+
+
+def test_servos_that_tire_are_walked_more_slowly() -> None:
+    rig = Rig()
+    rig.state = replace(rig.state, pace=0.5)
+    (plan,) = rig.plans()
+    assert plan.body_goal[0, 3] == pytest.approx(0.03 * PROFILE.stance.step_s)
 
 
 @pytest.mark.parametrize(
@@ -222,6 +240,30 @@ def test_the_next_step_is_planned_from_where_the_running_one_will_end() -> None:
     np.testing.assert_array_equal(second.swing, ~first.swing)
     np.testing.assert_allclose(second.touchdown[first.swing], first.touchdown[first.swing], atol=1e-9)
     assert second.body_goal[0, 3] - first.body_goal[0, 3] == pytest.approx(first.body_goal[0, 3], abs=1e-6)
+
+
+def test_the_running_step_is_sent_again_so_that_the_robot_walks_on() -> None:
+    rig = Rig()
+    first = rig.plans(10)[-1]
+    rig.begin(first)
+    assert rig.pose is not None
+    turned = from_xyz_rpy((0.01, -0.02, 0.003), np.array([0.0, 0.0, 0.01]))
+    rig.pose = replace(rig.pose, T_world_odom=turned)  # the world as it is believed to be by now
+    sent: list[StepPlan] = []
+    for k in range(45):
+        made = [m for m in rig.cycle(phase=min(0.02 * k, 0.9)) if isinstance(m, StepPlan)]
+        sent += made
+        rig.state = replace(rig.state, plan_ns=next((m.stamp_ns for m in made if m.step == first.step), rig.state.plan_ns))
+    stamps = [plan.stamp_ns for plan in sent]
+    assert max(np.diff(stamps)) <= 100 * MS
+    renewed = [plan for plan in sent if plan.step == first.step and rig._renews(plan)]
+    assert len(renewed) > 5
+    for plan in renewed:
+        np.testing.assert_allclose(inverse(plan.T_world_odom) @ plan.body_goal, first.body_goal, atol=1e-9)
+    rig.finish(first)
+    rig.command = None
+    rig.plans(60)
+    assert rig.plans(60) == []  # of a step that is over there is nothing to renew
 
 
 def test_revisions_count_up_and_stamps_with_them() -> None:

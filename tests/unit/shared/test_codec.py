@@ -273,9 +273,9 @@ def test_another_message_or_version_is_named() -> None:
     assert "different versions" in refusal(framed(m.ModeCommand, [0, "off", 1], name="ModeCommand:00000000"), m.ModeCommand)
 
 
-@pytest.mark.parametrize("fields", [[], [0], [0, "off"], [0, "off", 1, 1]])
+@pytest.mark.parametrize("fields", [[], [0], [0, "off", 1], [0, "off", 1, "me", False, 1]])
 def test_the_number_of_fields_counts(fields: list[Any]) -> None:
-    assert refusal(framed(m.ModeCommand, fields), m.ModeCommand) == f"ModeCommand: 3 fields expected, found {len(fields)}"
+    assert refusal(framed(m.ModeCommand, fields), m.ModeCommand) == f"ModeCommand: 5 fields expected, found {len(fields)}"
 
 
 @pytest.mark.parametrize(
@@ -350,7 +350,7 @@ def test_an_array_without_bytes_may_not_claim_a_strange_shape(shape: list[int]) 
 @pytest.mark.parametrize(
     ("kind", "name", "value", "words"),
     [
-        (m.ModeCommand, "mode", "run", "one of ('off', 'stand', 'walk') expected"),
+        (m.ModeCommand, "mode", "run", "one of ('off', 'stop', 'ready', 'stand', 'walk', 'sit') expected"),
         (m.ModeCommand, "mode", ["off"], "expected, found a list"),
         (m.ModeCommand, "sequence", 1.0, "whole number expected"),
         (m.ModeCommand, "sequence", 2**63, "whole number expected"),

@@ -1,0 +1,47 @@
+"""What the joint goals of a cycle must satisfy before they reach the servos. Pure: time comes in."""
+
+import numpy as np
+
+from shared.geometry import Array
+from shared.robot import LEGS, RobotProfile
+
+_FULL_SPEED_S = 0.04  # [s] in which a goal may come from rest to the servos' greatest speed; to stop takes no time
+GENTLE = np.radians(30.0)  # [rad/s] of a joint that takes up its work again
+
+
+class GoalLimits:
+    """Keeps goals finite, within the joints' limits, and no faster than the servos; gentle where a joint begins anew."""
+
+    def __init__(self, profile: RobotProfile):
+        """Begin at rest."""
+        self._profile = profile
+        self._rates: Array = np.zeros((6, 3))  # [rad/s] of the goals that were sent last
+        self._gentle = np.zeros((6, 3), dtype=np.bool_)
+
+    def ease(self, leg: int, joint: int) -> None:
+        """Let a joint take up its work gently: its goals are slow until they have caught up with what is wanted."""
+        self._gentle[leg, joint] = True
+
+    def safe(self, q_goal: Array, q_last: Array, dt: float) -> tuple[Array, str]:
+        """Goals that may be sent, with what had to be withheld.
+
+        Args:
+            q_goal: (6, 3) [rad] wanted goals, NaN where a foot is out of reach.
+            q_last: (6, 3) [rad] goals sent last.
+            dt: [s] since then.
+
+        Returns:
+            (6, 3) [rad], and a warning in words or nothing. A leg out of reach keeps its last goals.
+        """
+        lost = np.asarray(~np.isfinite(q_goal).all(axis=1))
+        wanted = np.where(lost[:, None], q_last, q_goal)
+        limits, fastest = self._profile.joint_limits, self._profile.servo.no_load_speed
+        wanted = np.minimum(np.maximum(wanted, limits[..., 0]), limits[..., 1])
+        top = np.minimum(np.abs(self._rates) + fastest / _FULL_SPEED_S * dt, fastest)
+        top = np.where(self._gentle, np.minimum(top, GENTLE), top)
+        q = np.minimum(np.maximum(wanted, q_last - top * dt), q_last + top * dt)
+        if dt > 0.0:
+            self._rates = (q - q_last) / dt
+        self._gentle &= np.abs(wanted - q) > 1e-9
+        names = [LEGS[leg] for leg in np.flatnonzero(lost)]
+        return q, f"foot out of reach, held: {', '.join(names)}" if names else ""

@@ -1,0 +1,199 @@
+"""What the servos, the battery and the computer can bear, and what must be done when they cannot. Pure: time comes in."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.dynamixel import ServoError
+from shared.geometry import Array
+from shared.robot import JOINTS, LEGS, RobotProfile
+
+SILENT = 4  # questions in a row that a servo has left open, from which it counts as silent
+_QUIET_S = 0.1  # [s] without any reading from which it is the bus, and no servo, that is silent
+_LOSS = 0.30  # share of the questions of late without a usable answer, from which nobody knows how the robot stands
+_LATE, _LATE_CYCLES = 2.0, 5  # periods that a cycle may take, and how many in a row may take longer
+_WARM, _HOT = 12.0, 5.0  # [K] below the servos' own limit: from here on slower; from here on to the ground
+_LOW_S, _SETTLED_S = 1.0, 0.3  # [s] for which the voltage must be low, and its time constant
+_TIRED, _SPENT = 0.36, 0.50  # rms share of the stall torque of late: from here on slower; slowest
+_TIRES_S = 30.0  # [s] time constant of it
+_SLOWEST = 0.4  # share of the usual speed
+_LATCHES, _WITHIN_S = 3, 300.0  # overloads of one servo that are reset, and [s] in which they count
+_REST_S = 1.0  # [s] between an overload and its reset
+_LIMP = ServoError.OVERLOAD | ServoError.OVERHEATING
+_MINOR = ServoError.INPUT_VOLTAGE  # told by the voltage itself
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Vitals:
+    """What is known of the servos in one cycle."""
+
+    missed: NDArray[np.int64]  # (18,) questions left open in a row
+    newest: float  # [s] age of the newest reading of all, infinite before the first
+    load: Array  # (18,) [N m]
+    voltage: Array  # (18,) [V], NaN where never read
+    temperature: Array  # (18,) [deg C], likewise
+    errors: NDArray[np.uint8]  # (18,) of the newest status packets
+    limp: NDArray[np.bool_]  # (18,) servos that do not pull
+    loss: float  # share of the questions of the last 200 ms without a usable answer
+    trouble: str  # what is wrong between here and them, in words, or nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What follows from it."""
+
+    broken: str = ""  # why no step may be taken now, in words
+    sit: str = ""  # why the robot must lie down and let go, in words
+    pace: float = 1.0  # share of the usual speed that can be borne for long
+    revive: tuple[int, ...] = ()  # servos whose shutdown may end now, at the place where they are
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _Latch:
+    """Shutdowns of one servo."""
+
+    since: float | None = None  # [s] of the one that lasts
+    counted: list[float] = field(default_factory=list)  # [s] of those that were ended
+
+
+class Health:
+    """Follows the servos from cycle to cycle."""
+
+    def __init__(self, profile: RobotProfile, period_s: float):
+        """Begin with servos that are cool and rested.
+
+        Args:
+            profile: The robot.
+            period_s: [s] of the control cycle.
+        """
+        self._profile, self._period = profile, period_s
+        self._voltage = np.nan  # [V] smoothed
+        self._low_since: float | None = None
+        self._effort: Array = np.zeros(18)  # mean square share of the stall torque
+        self._late = 0  # cycles in a row
+        self._latches = [_Latch() for _ in range(18)]
+
+    def update(self, now: float, dt: float, vitals: Vitals, torque: bool) -> Verdict:
+        """Take in one cycle.
+
+        Args:
+            now: [s] monotonic time.
+            dt: [s] that the last cycle took.
+            vitals: Of the servos.
+            torque: Whether torque is meant to be on.
+        """
+        self._late = self._late + 1 if dt > _LATE * self._period else 0
+        share = vitals.load / self._profile.servo.stall_torque
+        self._effort += (1.0 - np.exp(-dt / _TIRES_S)) * (share * share - self._effort)
+        overloaded = self._overloads(now, vitals.errors, torque)
+        heat, empty = self._heat(vitals), self._empty(now, dt, vitals.voltage)
+        limp = self._limp(vitals.limp) if torque else ""
+        broken = (self._silence(vitals), self._error(vitals.errors), limp, overloaded.broken)
+        sit = next((words for words in (overloaded.sit, heat.sit, empty.sit) if words), "")
+        return Verdict(
+            broken=next((words for words in broken if words), ""),
+            sit=sit,
+            pace=min(heat.pace, self._fresh()),
+            revive=overloaded.revive,
+            warnings=(*heat.warnings, *empty.warnings),
+        )
+
+    def _silence(self, vitals: Vitals) -> str:
+        """Why the servos cannot be known, or led, in words."""
+        if vitals.trouble:
+            return vitals.trouble
+        silent = np.flatnonzero(vitals.missed >= SILENT)
+        if len(silent) and vitals.newest > _QUIET_S:
+            return "no servo answers; check the power of the bus, its cable and the adapter"
+        if len(silent):
+            return f"{_named(self._profile, silent)} does not answer; check its cable and those before it"
+        if vitals.loss > _LOSS:
+            return f"more than {_LOSS:.0%} of the servos' answers are lost or broken; check cables, plugs and the bus voltage"
+        if self._late >= _LATE_CYCLES:
+            return f"the computer is too slow: {self._late} cycles in a row took more than {_LATE * self._period * 1e3:.0f} ms"
+        return ""
+
+    def _limp(self, limp: NDArray[np.bool_]) -> str:
+        """Which servos have lost their torque, in words."""
+        lost = np.flatnonzero(limp)
+        return (
+            f"{_named(self._profile, lost)} has lost its torque; order `ready` to turn it on where it is" if len(lost) else ""
+        )
+
+    def _error(self, errors: NDArray[np.uint8]) -> str:
+        """Which servo reports what is neither overload nor heat nor voltage, in words."""
+        for index in np.flatnonzero(errors & ~np.uint8(_LIMP | _MINOR)).tolist():
+            words = (ServoError(int(errors[index])) & ~_MINOR).name or ""
+            return f"{_named(self._profile, [index])} reports {words.lower().replace('_', ' ')}"
+        return ""
+
+    def _overloads(self, now: float, errors: NDArray[np.uint8], torque: bool) -> Verdict:
+        """Servos that have shut down: to be reset a few times, if it is for their load."""
+        broken, sit, revive = "", "", list[int]()
+        for index, latch in enumerate(self._latches):
+            error = ServoError(int(errors[index])) & _LIMP
+            if not error:
+                latch.since = None
+                continue
+            name = _named(self._profile, [index])
+            if ServoError.OVERHEATING in error:
+                broken = sit = f"{name} has shut down for its heat"
+                continue
+            if not torque:
+                continue
+            latch.since = now if latch.since is None else latch.since
+            latch.counted = [then for then in latch.counted if now - then < _WITHIN_S]
+            broken = broken or f"{name} has shut down for its load"
+            if now - latch.since < _REST_S:
+                continue
+            if len(latch.counted) >= _LATCHES:
+                sit = sit or f"{name} has shut down for its load {_LATCHES + 1} times in {_WITHIN_S / 60:.0f} minutes"
+            else:
+                latch.since = None
+                latch.counted.append(now)
+                revive.append(index)
+        return Verdict(broken=broken, sit=sit, revive=tuple(revive))
+
+    def _heat(self, vitals: Vitals) -> Verdict:
+        """How warm the hottest servo is against its own limit."""
+        if np.isnan(vitals.temperature).all():
+            return Verdict()
+        hottest = int(np.nanargmax(vitals.temperature))
+        below = self._profile.servo.temperature_limit - float(vitals.temperature[hottest])
+        if below >= _WARM:
+            return Verdict()
+        words = f"{_named(self._profile, [hottest])} is {vitals.temperature[hottest]:.0f} deg C warm"
+        pace = max(_SLOWEST, 1.0 - (1.0 - _SLOWEST) * (_WARM - below) / (_WARM - _HOT))
+        return Verdict(sit=words if below <= _HOT else "", pace=pace, warnings=(f"{words}: the walk is slower",))
+
+    def _empty(self, now: float, dt: float, voltage: Array) -> Verdict:
+        """How far down the battery is; a sag that passes is none."""
+        if np.isnan(voltage).all():
+            return Verdict()
+        lowest = float(np.nanmin(voltage))
+        rate = 1.0 - np.exp(-dt / _SETTLED_S)
+        self._voltage = lowest if np.isnan(self._voltage) else self._voltage + rate * (lowest - self._voltage)
+        battery = self._profile.battery
+        if self._voltage >= battery.empty_voltage:
+            self._low_since = None
+        elif self._low_since is None:
+            self._low_since = now
+        words = f"the battery is low: {self._voltage:.1f} V"
+        warnings = (words,) if self._voltage < battery.warn_voltage else ()
+        empty = self._low_since is not None and now - self._low_since >= _LOW_S
+        return Verdict(sit=words if empty else "", warnings=warnings)
+
+    def _fresh(self) -> float:
+        """Share of the usual speed by the load of late."""
+        worst = float(np.sqrt(self._effort.max()))
+        return min(1.0, max(_SLOWEST, 1.0 - (1.0 - _SLOWEST) * (worst - _TIRED) / (_SPENT - _TIRED)))
+
+
+def _named(profile: RobotProfile, indices: NDArray[np.int64] | list[int]) -> str:
+    """Servos by leg, joint and id, as the subject of a sentence."""
+    first = int(indices[0])
+    leg, joint = divmod(first, 3)
+    words = f"the {JOINTS[joint]} servo of the {LEGS[leg]} leg (id {profile.servo_ids[leg, joint]})"
+    return words if len(indices) == 1 else f"{words}, with {len(indices) - 1} more,"

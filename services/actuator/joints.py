@@ -1,0 +1,230 @@
+"""The joints behind the servo bus: what they measure, what they are told, and the bus itself, which may go and come back."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.actuator.bus import BusGone, BusSetupError, Port, ServoReading
+from services.actuator.config import Settings
+from services.actuator.health import SILENT, Vitals
+from services.actuator.servos import Outlet, Servos, connect
+from shared import dynamixel as dxl
+from shared.geometry import Array
+from shared.robot import RobotProfile
+
+_PATIENCE_NS = (
+    3_000_000_000  # [ns] that servos may take to answer at the start: a simulation that begins is late, a hub wakes up
+)
+_ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
+_AGAIN_NS = 200_000_000  # [ns] between two attempts at finding a bus that is gone
+
+
+class Joints:
+    """18 joints (6, 3) in the robot's coordinates."""
+
+    def __init__(self, profile: RobotProfile, settings: Settings, opener: Callable[[], Port] | None, clock: Callable[[], int]):
+        """Open the bus, and read where the joints are; nothing is moved.
+
+        Args:
+            profile: The robot.
+            settings: Of the actuator.
+            opener: Opens the port, in place of the one that the settings name; an OSError where there is none.
+            clock: [ns] monotonic, what the port's timing goes by.
+
+        Raises:
+            BusSetupError: Servos are missing or wrong, all named.
+            BusGone: The port cannot be opened.
+            ConnectionError: A servo has stopped answering.
+        """
+        self._profile, self._settings, self._clock = profile, settings, clock
+        self._opener = opener or Outlet(settings).open
+        self._budget_ns = round(settings.read_budget_ms * 1e6)
+        self._bus = self._open()
+        self._set_up()
+        self._tried_ns = clock()
+        self.gone = ""  # why there is no bus, in words
+        self.returned = False  # whether it has come back, until that is cleared
+        self._silent = np.zeros(18, dtype=np.bool_)
+        self._lets_go = False  # whether torque is to be off by an order
+        self.q = self._read_all(dxl.PRESENT_POSITION)  # (6, 3) [rad] by the newest readings
+        self.goals = self._first_goals()  # (6, 3) [rad] as they stand in the servos
+        self.torque = np.array([bool(self._ask(i, dxl.TORQUE_ENABLE)) for i in self._bus.servo_ids])  # (18,) that pull
+        self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
+        self.voltage = np.full(18, np.nan)  # [V]
+        self.temperature = np.full(18, np.nan)  # [deg C]
+
+    def close(self) -> None:
+        """Close the port: the servos keep their torque and their goals."""
+        self._bus.close()
+
+    @property
+    def trouble(self) -> str:
+        """Why the joints do not follow, in words, or nothing."""
+        return self.gone or self._bus.trouble
+
+    @property
+    def vitals(self) -> Vitals:
+        """How the servos fare."""
+        return Vitals(
+            missed=self._bus.missed,
+            newest=float(self._bus.ages().min()),
+            load=self.load.ravel(),
+            voltage=self.voltage,
+            temperature=self.temperature,
+            errors=self._bus.errors,
+            limp=~self.torque,
+            loss=0.0 if self.gone else self._bus.loss,
+            trouble=self.trouble,
+        )
+
+    # --------------------------------------------------------------------------------------------------- every cycle
+
+    def read(self, urgent: Sequence[int]) -> list[ServoReading]:
+        """Read the next servos of the rotation, after those (0 to 17) that are urgent; where the bus is gone look for it."""
+        if self.gone:
+            self._seek()
+            return []
+        if self._lets_go:  # nobody answers a broadcast, so it is said until torque is ordered on
+            self._say_let_go()
+        try:
+            readings = self._bus.poll(self._budget_ns, urgent)
+            for reading in readings:
+                self._note(reading)
+            self._find_the_limp(readings)
+        except BusGone as error:
+            self._lose(error)
+            return []
+        return readings
+
+    def write(self, q_goal: Array) -> None:
+        """Send goals (6, 3) [rad] to all servos; kept, unsent, where there is no bus."""
+        self.goals = q_goal
+        self._tell(lambda: self._bus.sync_write_goals(_ticks(self._profile.servo_angles(q_goal).ravel())))
+
+    def let_go(self) -> None:
+        """Turn all torque off; where there is no bus, as soon as there is one, before anything else."""
+        self._lets_go = True
+        self.torque[:] = False
+        self._say_let_go()
+
+    def grip(self) -> None:
+        """Turn torque on where it is off, at the places where those joints are: an operator's act alone leads here."""
+        self._lets_go = False
+        limp = ~self.torque.reshape(6, 3)
+        self.write(np.where(limp, self.q, self.goals))
+        self._tell(lambda: self._bus.set_torque(True))
+        self.torque[:] = not self.gone
+
+    def revive(self, index: int) -> None:
+        """End the shutdown of a servo (0 to 17) at the place where its joint is."""
+        leg, joint = divmod(index, 3)
+        goals = self.goals.copy()
+        goals[leg, joint] = self.q[leg, joint]
+        self.write(goals)
+        servo_id = self._bus.servo_ids[index]
+        self._tell(lambda: self._bus.write(servo_id, dxl.TORQUE_LIMIT, dxl.TORQUE_LIMIT.max))
+
+    def read_loads(self) -> Array:
+        """Every servo's motor torque (6, 3) [N m] in the direction of growing joint angles; zero where one does not answer."""
+        loads = [self._bus.read(i, dxl.PRESENT_LOAD) or 0 for i in self._bus.servo_ids]
+        torque = np.array([dxl.load_from_register(v) for v in loads]).reshape(6, 3) * self._profile.servo.stall_torque
+        return np.asarray(self._profile.servo_signs * torque)
+
+    # ------------------------------------------------------------------------------------------------- the bus itself
+
+    def _open(self) -> Servos:
+        return connect(self._profile, self._settings, self._opener(), self._clock)
+
+    def _set_up(self) -> None:
+        """Set the bus up; servos that are silent at first get some time."""
+        until = self._clock() + _PATIENCE_NS
+        while True:
+            try:
+                self._bus.setup()
+            except BusSetupError:
+                if self._clock() >= until:
+                    raise
+            else:
+                return
+
+    def _note(self, reading: ServoReading) -> None:
+        leg, joint = divmod(reading.index, 3)
+        sign = self._profile.servo_signs[leg, joint]
+        self.q[leg, joint] = sign * reading.position - self._profile.horn_offsets[leg, joint]
+        self.load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
+        self.voltage[reading.index] = reading.voltage
+        self.temperature[reading.index] = reading.temperature
+
+    def _find_the_limp(self, readings: list[ServoReading]) -> None:
+        """See of servos that answer again whether they still pull: one whose power was cut does not."""
+        for reading in readings:
+            if self._silent[reading.index] and self.torque[reading.index]:
+                enabled = self._bus.read(reading.servo_id, dxl.TORQUE_ENABLE)
+                self.torque[reading.index] = bool(enabled) if enabled is not None else True
+            self._silent[reading.index] = False
+        self._silent |= self._bus.missed >= SILENT
+
+    def _tell(self, say: Callable[[], object]) -> None:
+        if self.gone:
+            return
+        try:
+            say()
+        except BusGone as error:
+            self._lose(error)
+
+    def _say_let_go(self) -> None:
+        self._tell(lambda: self._bus.set_torque(False))
+
+    def _lose(self, error: BusGone) -> None:
+        self.gone, self._tried_ns = str(error), self._clock()
+        self._bus.close()
+
+    def _seek(self) -> None:
+        """Try to get the bus back; the goals that stand in the servos, and whether they pull, are read anew."""
+        if self._clock() - self._tried_ns < _AGAIN_NS:
+            return
+        self._tried_ns = self._clock()
+        try:
+            self._bus = self._open()
+            if self._lets_go:
+                self._bus.set_torque(False)
+            pulls = [self._bus.read(i, dxl.TORQUE_ENABLE) for i in self._bus.servo_ids]
+            ticks = [self._bus.read(i, dxl.PRESENT_POSITION) for i in self._bus.servo_ids]
+            goals = [self._bus.read(i, dxl.GOAL_POSITION) for i in self._bus.servo_ids]
+        except OSError as error:
+            self.gone = f"the servo port is gone: {error}"
+            return
+        if None in pulls or None in ticks or None in goals:
+            self._bus.close()
+            return
+        self.torque = np.array(pulls, dtype=np.bool_)
+        self.q, stand = self._angles(ticks), self._angles(goals)
+        self.goals = np.where(np.abs(stand - self.q) < _ADOPT_WITHIN, stand, self.q)
+        self.gone, self.returned = "", True
+
+    def _angles(self, ticks: Sequence[int | None]) -> Array:
+        return self._profile.joint_angles(np.array([dxl.angle_from_ticks(t or 0) for t in ticks]).reshape(6, 3))
+
+    def _read_all(self, register: dxl.Register) -> Array:
+        """Every servo's register of an angle as joint angles (6, 3) [rad]; asked until all have answered."""
+        return self._angles([self._ask(servo_id, register) for servo_id in self._bus.servo_ids])
+
+    def _ask(self, servo_id: int, register: dxl.Register) -> int:
+        """Value of a register; asked until the servo has answered."""
+        until = self._clock() + _PATIENCE_NS
+        while (value := self._bus.read(servo_id, register)) is None:
+            if self._clock() >= until:
+                raise ConnectionError(f"servo {servo_id} stopped answering while its {register.name} was read")
+        return value
+
+    def _first_goals(self) -> Array:
+        """The goals that stand in the servos where the joints are near them, else the measured angles."""
+        goals = self._read_all(dxl.GOAL_POSITION)
+        return np.where(np.abs(goals - self.q) < _ADOPT_WITHIN, goals, self.q)
+
+
+def _ticks(servo: Array) -> NDArray[np.int64]:
+    """Goal registers (18,) of servo angles (18,) [rad]."""
+    ticks = np.rint(dxl.TICK_CENTRE + servo / dxl.TICK_RAD)
+    return np.minimum(np.maximum(ticks, 0.0), dxl.TICK_MAX).astype(np.int64)

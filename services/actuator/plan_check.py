@@ -1,0 +1,142 @@
+"""What a plan must satisfy before it is walked. Pure: time comes in.
+
+A plan is accepted whole or refused whole, with its reason. Whatever is accepted ends with six feet on the ground and the
+robot stable, so the actuator can always finish it alone.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.actuator.config import SHORTEST_STEP_S
+from shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
+from shared.kinematics import body_inverse, nearest_reachable, within_limits
+from shared.messages import StepPlan
+from shared.robot import JOINTS, LEGS, RobotProfile
+from shared.stability import support_margin
+
+MAX_TRAVEL = 0.20  # [m] of the body in one step
+MAX_TILT = np.radians(15.0)
+MAX_TURN = np.radians(25.0)
+DURATION = (SHORTEST_STEP_S, 4.0)  # [s]
+MAX_CLEARANCE = 0.12  # [m]
+MIN_MARGIN = 0.005  # [m] of the body's centre inside the standing feet
+
+
+class PlanCheck:
+    """Judges plans; keeps what it needs to know their order."""
+
+    def __init__(self, profile: RobotProfile, plan_age_s: float, epoch: int = 0):
+        """Begin with nothing accepted.
+
+        Args:
+            profile: The robot.
+            plan_age_s: [s] older plans are refused.
+            epoch: Of {odom}; plans of another one are refused.
+        """
+        self.epoch = epoch
+        self._profile = profile
+        self._plan_age_ns = round(plan_age_s * 1e9)
+        self._last_stamp_ns = -1
+
+    def untimely(self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_]) -> str:
+        """Why a plan comes too late, too early or out of order, in words, or nothing; another one may be welcome.
+
+        Args:
+            plan: The plan.
+            now_ns: [ns] this process's monotonic time.
+            running: Number of the running or last step.
+            resting: Whether no step is running.
+            swing: (6,) legs that the running step swings.
+        """
+        if plan.epoch != self.epoch:
+            return (
+                f"plan of step {plan.step} was made before {{odom}} began anew: epoch {self.epoch} expected, found {plan.epoch}"
+            )
+        age_ns = now_ns - plan.stamp_ns
+        if age_ns > self._plan_age_ns:
+            return f"plan of step {plan.step} is {age_ns * 1e-9:.2f} s old, at most {self._plan_age_ns * 1e-9:.2f} s allowed"
+        if age_ns < -self._plan_age_ns:  # accepted, it would make every later plan an old one
+            return f"plan of step {plan.step} is stamped {-age_ns * 1e-9:.2f} s ahead of now"
+        if plan.stamp_ns <= self._last_stamp_ns:
+            return f"plan of step {plan.step} is not newer than the last accepted one"
+        if plan.step != running + 1 and (resting or plan.step != running):
+            return f"plan of step {plan.step} does not follow step {running}"
+        if plan.step == running and (plan.swing != swing).any():
+            return f"a revision of step {plan.step} swings other legs than the step that is running"
+        return ""
+
+    def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
+        """Why a plan must not be walked, in words; empty when it may, and then it counts as the newest.
+
+        Args:
+            plan: The plan.
+            T_odom_body: (4, 4) where the body should be when the plan sets in: for the next step, at the end of this one.
+            feet: (6, 3) [m] {odom} where the feet will be then.
+        """
+        reason = (
+            _malformed(plan)
+            or _out_of_bounds(plan, T_odom_body)
+            or self._unstable(plan, T_odom_body, feet)
+            or self._out_of_reach(plan, T_odom_body, feet)
+        )
+        if not reason:
+            self._last_stamp_ns = plan.stamp_ns
+        return reason
+
+    def _unstable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
+        """Whether the standing legs carry the body where it is and where it goes."""
+        T_odom_world = inverse(plan.T_world_odom)
+        standing = feet[~plan.swing]
+        if len(standing) < 3:
+            return f"only {len(standing)} legs would stand, three are needed"
+        for where, body in (("at the start", T_odom_body), ("at the end", T_odom_world @ plan.body_goal)):
+            margin = support_margin(standing[:, :2], body[:2, 3])
+            if margin < MIN_MARGIN:
+                inside = f"{margin * 1e3:.0f} mm inside its standing feet {where}"
+                return f"the body would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
+        return ""
+
+    def _out_of_reach(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
+        """Whether the stance at the end asks more of a leg, swung or not, than it can.
+
+        A standing leg that is too short for its foot already, since the ground has given way, may be so at the end, if by less
+        and if it can be held where the leg comes nearest to it.
+        """
+        end = np.where(plan.swing[:, None], plan.touchdown, apply(plan.T_world_odom, feet))
+        end = apply(inverse(plan.body_goal), end)
+        bad = ~within_limits(self._profile, body_inverse(self._profile, end))
+        if bad.any():
+            start, nearest = apply(inverse(T_odom_body), feet), nearest_reachable(self._profile, end)
+            beyond = np.linalg.norm(nearest - end, axis=1)
+            before = np.linalg.norm(nearest_reachable(self._profile, start) - start, axis=1)
+            held = within_limits(self._profile, body_inverse(self._profile, nearest)).all(axis=1)
+            bad[~plan.swing & held & (beyond > 0.0) & (beyond < before)] = False
+        if bad.any():
+            leg, joint = np.argwhere(bad)[0]
+            what = "touchdown" if plan.swing[leg] else "standing foot"
+            return f"the {what} of the {LEGS[leg]} leg is out of reach of its {JOINTS[joint]}"
+        return ""
+
+
+def _malformed(plan: StepPlan) -> str:
+    """Whether a pose of the plan is none."""
+    for name, T in (("T_world_odom", plan.T_world_odom), ("body_goal", plan.body_goal)):
+        if not is_rigid(T):
+            return f"the plan's {name} is not a rigid transform"
+    return ""
+
+
+def _out_of_bounds(plan: StepPlan, T_odom_body: Array) -> str:
+    """Whether the plan asks for more than a step may."""
+    move = inverse(T_odom_body) @ inverse(plan.T_world_odom) @ plan.body_goal
+    travel, (roll, pitch, yaw) = float(np.linalg.norm(move[:3, 3])), rpy_from_rotation(move[:3, :3])
+    if travel > MAX_TRAVEL:
+        return f"the body would travel {travel:.2f} m in one step, at most {MAX_TRAVEL} m allowed"
+    if max(abs(roll), abs(pitch)) > MAX_TILT or abs(yaw) > MAX_TURN:
+        return f"the body would turn by {np.degrees([roll, pitch, yaw]).round(1).tolist()} deg in one step"
+    if not DURATION[0] <= plan.duration <= DURATION[1]:
+        return f"a step of {DURATION[0]} to {DURATION[1]} s expected, found {plan.duration:.2f} s"
+    if plan.clearance.min() < 0 or plan.clearance.max() > MAX_CLEARANCE:
+        found = f"{plan.clearance.min():.3f} to {plan.clearance.max():.3f} m"
+        return f"clearances of 0 to {MAX_CLEARANCE} m expected, found {found}"
+    return ""

@@ -1,0 +1,81 @@
+"""Joint goals: finite, within limits, no faster than the servos, gathering speed no faster than they can; gentle when asked."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from services.actuator.goal_limits import GENTLE, GoalLimits
+from shared.geometry import Array
+from shared.kinematics import body_inverse, within_limits
+from shared.robot import load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+LIMITS = PROFILE.joint_limits
+REST = body_inverse(PROFILE, PROFILE.rest_feet())
+FASTEST = PROFILE.servo.no_load_speed
+DT = 0.02
+anything = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(
+    st.lists(hnp.arrays(np.float64, (6, 3), elements=anything), min_size=1, max_size=4),
+    st.integers(0, 2**32 - 1),
+    st.floats(0, 0.1),
+)
+@settings(max_examples=200)
+def test_goals_are_always_finite_within_limits_and_no_faster_than_the_servos(wanted: list[Array], seed: int, dt: float) -> None:
+    limits = GoalLimits(PROFILE)
+    last = np.random.default_rng(seed).uniform(LIMITS[..., 0], LIMITS[..., 1])
+    for q in wanted:
+        with np.errstate(all="ignore"):
+            goal, warning = limits.safe(q, last, dt)
+        assert np.isfinite(goal).all()
+        assert within_limits(PROFILE, goal).all()
+        assert np.abs(goal - last).max() <= FASTEST * dt + 1e-12
+        lost = ~np.isfinite(q).all(axis=1)
+        np.testing.assert_array_equal(goal[lost], last[lost])
+        assert bool(warning) == bool(lost.any())
+        last = goal
+
+
+def test_a_leg_out_of_reach_is_named() -> None:
+    q = REST.copy()
+    q[2, 1] = np.nan
+    goal, warning = GoalLimits(PROFILE).safe(q, REST, DT)
+    assert warning == "foot out of reach, held: right middle"
+    np.testing.assert_array_equal(goal, REST)
+
+
+def test_goals_in_reach_pass_unchanged() -> None:
+    goal, warning = GoalLimits(PROFILE).safe(REST + 0.01, REST, DT)
+    np.testing.assert_allclose(goal, REST + 0.01)
+    assert warning == ""
+
+
+def test_speed_is_gathered_over_some_cycles_and_lost_in_one() -> None:
+    limits, last, far = GoalLimits(PROFILE), REST, np.clip(REST + 0.5, LIMITS[..., 0], LIMITS[..., 1])
+    steps = list[float]()
+    for _ in range(4):
+        goal, _ = limits.safe(far, last, DT)
+        steps.append(float(np.abs(goal - last).max()))
+        last = goal
+    np.testing.assert_allclose(steps[:3], FASTEST * DT * np.array([0.5, 1.0, 1.0]))
+    goal, _ = limits.safe(last, last, DT)
+    np.testing.assert_array_equal(goal, last)
+
+
+def test_a_joint_that_takes_up_its_work_is_gentle_until_it_has_caught_up() -> None:
+    limits, wanted = GoalLimits(PROFILE), REST + 0.1
+    limits.ease(3, 1)
+    last, slow, others = REST, 0, True
+    for _ in range(40):
+        goal, _ = limits.safe(wanted, last, DT)
+        assert abs(goal[3, 1] - last[3, 1]) <= GENTLE * DT + 1e-12
+        slow += abs(goal[3, 1] - wanted[3, 1]) > 1e-9
+        others = others and np.abs(np.delete((goal - last).ravel(), 10)).max() > GENTLE * DT
+        last = goal
+    assert slow == round(0.1 / (GENTLE * DT) - 0.5)
+    np.testing.assert_allclose(last, wanted)
+    goal, _ = limits.safe(wanted + 0.04, last, DT)
+    np.testing.assert_allclose(goal, wanted + 0.04)  # it has caught up: it is as fast as the others again
