@@ -15,6 +15,7 @@ from deploy.commands import servos
 from deploy.commands.benches import bench_accuracy, bench_bus, bench_passage, bench_servos, bench_speed, bench_stages, replay
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor, list_topics
+from deploy.commands.order import order
 from deploy.commands.trials import table, trials
 from deploy.commands.up import up
 from deploy.commands.walks import DEMOS, demo, run
@@ -167,6 +168,14 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--connect", action="append", help="use the router there, and host none")
     one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
     one.add_argument("--set", action="append", default=[], metavar="SERVICE.KEY=VALUE", help="a setting of one service")
+
+    one = add("order", order, "order the legs of a robot that is up: stand, walk, stop, sit, or let go")
+    words = "off: let go; stop: set the feet down; ready: torque on; stand: rise; walk: let the planner walk; sit: lie down"
+    one.add_argument("what", choices=("off", "stop", "ready", "stand", "walk", "sit"), help=words)
+    one.add_argument("--connect", action="append", default=None, help="router of the robot (default: tcp/127.0.0.1:7447)")
+    one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
+    one.add_argument("--holder", default="operator", help="who orders: one at a time may move the legs (default %(default)s)")
+    one.add_argument("--take", action="store_true", help="take over from whoever may move them now")
 
     one = add("replay", replay, "run perception and mapper on a recorded depth sequence, or the mapper on a recorded run")
     one.add_argument("source", help="folder with depth.txt, camera.toml (and groundtruth.txt), or a recording.mcap")

@@ -1,0 +1,46 @@
+"""`sextant order`: stand, walk, stop, sit or let go, from the terminal."""
+
+import argparse
+
+from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, complain, say
+
+_LOOK_S = 0.05
+_ROUTER = "tcp/127.0.0.1:7447"
+
+
+def order(arguments: argparse.Namespace) -> int:
+    """`sextant order`: give one order to the legs, and say what has come of it."""
+    import threading
+    import time
+
+    from deploy.interrupts import Interrupts
+    from deploy.order import Order
+    from shared import codec, topics
+    from shared.service import run_live
+    from shared.transport import Endpoints, ZenohLink
+
+    given = Order(arguments.what, arguments.holder, arguments.take)
+    met = Endpoints(tuple(arguments.connect or [_ROUTER]), namespace=arguments.namespace)
+    stop, told = threading.Event(), ""
+    with Interrupts() as interrupts, ZenohLink(met) as link:
+        running = threading.Thread(target=run_live, args=(given, link, stop), name="order")
+        running.start()
+        try:
+            while not given.finished and not interrupts.asked():
+                if given.doing() != told:
+                    told = given.doing()
+                    say(told)
+                stop.wait(_LOOK_S)
+        finally:
+            stop.set()
+            running.join()
+        if not given.finished:
+            link.send(topics.MODE, codec.encode(given.withdraw(time.monotonic_ns())))
+            stop_words = "stopped by the operator: the feet are set down"
+            complain(stop_words if arguments.what == "walk" else "stopped by the operator")
+            return INTERRUPTED
+    if given.failed:
+        complain(f"sextant order {arguments.what}: {given.failed}")
+        return FAILED
+    say(given.doing())
+    return SUCCESS

@@ -1,0 +1,91 @@
+"""One order to the legs, given as an operator gives it, and what has come of it."""
+
+from collections.abc import Iterator
+from typing import Literal, TypeAlias
+
+from shared import topics
+from shared.messages import ActuatorState, Message, Mode, ModeCommand, Tick
+from shared.service import AnyTopic, Every, Inbox, Stages
+
+What: TypeAlias = Literal["off", "stop", "ready", "stand", "walk", "sit"]
+_REPEAT_NS = 500_000_000  # [ns] between two messages of the order
+_UNHEARD_NS = 5_000_000_000  # [ns] patience for the first word of the actuator
+_PATIENCE_NS = 15_000_000_000  # [ns] patience for what is ordered
+_SETTLED: dict[What, tuple[Mode, ...]] = {
+    "off": (Mode.OFF,),
+    "stop": (Mode.OFF, Mode.READY, Mode.HOLD, Mode.FAULT),
+    "ready": (Mode.READY, Mode.HOLD),
+    "stand": (Mode.HOLD,),
+    "walk": (Mode.HOLD, Mode.WALK),
+    "sit": (Mode.READY, Mode.OFF),
+}
+
+
+class Order:
+    """Gives an order until the actuator has done it, or says why not; `walk` is given for as long as it is wanted."""
+
+    name = "order"
+    reads: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE,)
+    writes: tuple[AnyTopic, ...] = (topics.MODE,)
+
+    def __init__(self, what: What, holder: str, take: bool = False):
+        """Order as a holder of the lease.
+
+        Args:
+            what: Is ordered.
+            holder: Who orders.
+            take: Take over from whoever may move the legs now.
+        """
+        self.paced_by = Every.hz(20.0)
+        self.stages = Stages()
+        self.finished = False
+        self.failed = ""  # why it was in vain, in words
+        self.words = "waiting for the actuator"
+        self._what, self._holder, self._take = what, holder, take
+        self._begun_ns = -1
+        self._due_ns = 0
+        self._heard: ActuatorState | None = None  # before the order
+
+    def doing(self) -> str:
+        """How far it is, in words."""
+        return self.failed or self.words
+
+    def withdraw(self, now_ns: int) -> ModeCommand:
+        """The message that ends an order to walk."""
+        return ModeCommand(now_ns, "stop", self._begun_ns + 2, self._holder)
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """Say it again when it is due, and see what comes of it."""
+        now = tick.stamp_ns
+        self._begun_ns = now if self._begun_ns < 0 else self._begun_ns
+        state = inbox.latest(topics.ACTUATOR_STATE)
+        if state is not None and self._heard is None:
+            self._heard = state
+        if now >= self._due_ns:
+            self._due_ns = now + _REPEAT_NS
+            yield ModeCommand(now, self._what, self._begun_ns + 1, self._holder, self._take)
+        self._see(state, now - self._begun_ns)
+
+    def _see(self, state: ActuatorState | None, since_ns: int) -> None:
+        if self._heard is None or state is None:
+            if since_ns > _UNHEARD_NS:
+                self._end(f"no word from the actuator within {_UNHEARD_NS * 1e-9:.0f} s; is it up, and met here?")
+            return
+        self.words = f"{state.mode}: {state.reason}"
+        refused = next((words for words in state.warnings if words.startswith((f"`{self._what}` ", "torque stays off"))), "")
+        if refused and refused not in self._heard.warnings:
+            self._end(refused)
+        elif self._done(state):
+            self.finished = self._what != "walk"
+        elif since_ns > _PATIENCE_NS:
+            self._end(f"{_PATIENCE_NS * 1e-9:.0f} s after the order the mode is {state.mode}: {state.reason}")
+
+    def _done(self, state: ActuatorState) -> bool:
+        """Whether what is ordered has come about, by a state made since."""
+        assert self._heard is not None
+        news = state.stamp_ns > self._heard.stamp_ns and (self._what in ("off", "stop") or state.lease == self._holder)
+        changed = self._what not in ("stand", "sit") or state.reason != self._heard.reason
+        return news and changed and state.mode in _SETTLED[self._what]
+
+    def _end(self, why: str) -> None:
+        self.finished, self.failed = True, why

@@ -1,0 +1,98 @@
+"""An order from the terminal: said again and again, done when the actuator says so, in vain with the reason."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from deploy.order import Order
+from shared import codec, topics
+from shared.messages import ActuatorState, Mode, ModeCommand, Tick
+from shared.robot import load_profile
+from shared.service import Inbox
+from tests.support.states import actuator_state
+
+MS = 1_000_000
+PROFILE = load_profile("phantomx_mk2")
+
+
+class Desk:
+    """An order, and an actuator that says what the test has it say."""
+
+    def __init__(self, order: Order, **state: Any) -> None:
+        self.order = order
+        self.inbox = Inbox(order.reads, order.stages)
+        self.now_ns = 1_000 * MS
+        self.state: ActuatorState | None = actuator_state(PROFILE, stamp_ns=0, **{"lease": "", **state})
+        self.given: list[ModeCommand] = []
+
+    def beats(self, count: int, **changes: Any) -> None:
+        for _ in range(count):
+            self.now_ns += 50 * MS
+            self.inbox.now_ns = self.now_ns
+            if self.state is not None:
+                self.state = replace(self.state, stamp_ns=self.now_ns, **changes)
+                self.inbox.receive(topics.ACTUATOR_STATE, codec.encode(self.state), self.now_ns)
+            made = list(self.order.step(Tick(self.now_ns), self.inbox))
+            self.given += [m for m in made if isinstance(m, ModeCommand)]
+
+
+def test_it_stands_up_and_ends_when_the_robot_stands() -> None:
+    desk = Desk(Order("stand", "me"), mode=Mode.OFF, reason="torque is off")
+    desk.beats(2)
+    desk.beats(40, mode=Mode.STAND, reason="standing up", lease="me")
+    assert not desk.order.finished
+    assert desk.order.doing() == "stand: standing up"
+    desk.beats(1, mode=Mode.HOLD, reason="standing", lease="me")
+    assert desk.order.finished
+    assert not desk.order.failed
+    assert len(desk.given) == 5, "twice a second, so that the lease lasts"
+    assert len({(m.sequence, m.mode, m.holder) for m in desk.given}) == 1, "one order, repeated"
+
+
+def test_a_robot_that_stands_already_is_no_answer_to_stand() -> None:
+    desk = Desk(Order("stand", "me"), mode=Mode.HOLD, reason="torque was on at the start")
+    desk.beats(5)
+    assert not desk.order.finished
+
+
+@pytest.mark.parametrize("what", ["off", "stop"])
+def test_anybody_lets_go_and_stops_without_the_lease(what: Any) -> None:
+    desk = Desk(Order(what, "me"), mode=Mode.WALK, reason="walking", lease="another")
+    desk.beats(3)
+    assert not desk.order.finished
+    desk.beats(1, mode=Mode.OFF if what == "off" else Mode.HOLD, reason="ordered")
+    assert desk.order.finished
+    assert not desk.order.failed
+
+
+def test_a_refusal_is_told_and_one_of_before_is_not() -> None:
+    old = "`walk` of me refused: another holds the lease; take it over, or wait for its end"
+    desk = Desk(Order("walk", "me"), mode=Mode.HOLD, reason="standing", warnings=(old,))
+    desk.beats(10)
+    assert not desk.order.finished
+    desk.beats(1, warnings=("`walk` refused: the mode is ready, order `stand` first",))
+    assert desk.order.failed.endswith("order `stand` first")
+
+
+def test_walk_is_held_until_it_is_withdrawn() -> None:
+    desk = Desk(Order("walk", "me", take=True), mode=Mode.HOLD, reason="standing")
+    desk.beats(2)
+    desk.beats(200, mode=Mode.WALK, reason="walking", lease="me")
+    assert not desk.order.finished
+    assert all(m.take for m in desk.given)
+    withdrawn = desk.order.withdraw(desk.now_ns)
+    assert (withdrawn.mode, withdrawn.holder) == ("stop", "me")
+    assert withdrawn.sequence > desk.given[-1].sequence
+
+
+def test_silence_and_what_does_not_come_about_end_it_in_words() -> None:
+    desk = Desk(Order("sit", "me"))
+    desk.state = None
+    desk.beats(90)
+    assert not desk.order.finished
+    desk.beats(20)
+    assert desk.order.failed.startswith("no word from the actuator within 5 s")
+    desk = Desk(Order("sit", "me"), mode=Mode.WALK, reason="walking")
+    desk.beats(320)
+    assert desk.order.failed == "15 s after the order the mode is walk: walking"
