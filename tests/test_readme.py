@@ -39,6 +39,7 @@ RUN_BY = {
     "test_the_command_replays_a_recording_and_the_folder_of_a_run_points_to_it",
     "up --camera": "tests/live/test_camera.py::test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none",
     "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
+    "order": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
     "bench accuracy": "tests/unit/deploy/test_bench.py::test_the_accuracy_command_leaves_its_tables",
     "bench speed": "tests/unit/deploy/test_bench.py::test_the_speed_command_leaves_its_timings",

@@ -173,6 +173,15 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
             assert run.status() == 0
             assert len(run.family()) == 0
         assert up.running(), "who joined leaves the services alone"
+        for order, status, words in (
+            ("sit", 0, "ready: sitting"),
+            ("walk", 1, "the mode is ready, order `stand` first"),
+            ("stand", 0, "hold: standing"),
+            ("off", 0, "off: ordered off"),
+        ):
+            with Command("order", order, "--take", "--holder", order, "--connect", endpoint, *meet, cwd=tmp_path) as given:
+                assert given.status() == status
+                assert words in given.text()
         up.interrupt()
         assert up.status() == 130
         up.gone()
