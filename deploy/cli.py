@@ -155,7 +155,9 @@ def _parser() -> argparse.ArgumentParser:
 
     one = add("up", up, "start the processes of a role and keep them until Ctrl-C")
     one.add_argument(
-        "role", choices=("all", "onboard", "offboard", "sim"), help="onboard: actuator, camera, perception; offboard: the rest"
+        "role",
+        choices=("all", "onboard", "offboard", "sim"),
+        help="onboard: actuator, stop, camera, perception; offboard: the rest",
     )
     one.add_argument("--scenario", help="simulate it in place of the hardware")
     words = "profile by name, or path of a TOML file (default: the scenario's, or phantomx_mk2)"

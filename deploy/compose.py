@@ -35,6 +35,12 @@ _BUILD = """\
         COPY . .
         RUN pip install --no-cache-dir '.[all]'
 """
+_LATCHED = ("actuator", "stop")  # they share the file that says that torque is to be off
+_VOLUMES = """\
+
+volumes:
+  latch: {driver_opts: {type: tmpfs, device: tmpfs}}
+"""
 _PROBE = "import sys; from deploy.launcher import port_taken; sys.exit(not port_taken({port}))"
 
 
@@ -70,7 +76,7 @@ def compose_yaml(scenario: str, seed: int) -> str:
         ConfigError: No such scenario.
     """
     environment = "\n".join(f"    {key}: {json.dumps(value)}" for key, value in ENVIRONMENT.items())
-    return _HEAD.format(environment=environment) + "\n".join(_service(c) for c in compose_commands(scenario, seed))
+    return _HEAD.format(environment=environment) + "\n".join(_service(c) for c in compose_commands(scenario, seed)) + _VOLUMES
 
 
 def _service(command: Command) -> str:
@@ -85,6 +91,8 @@ def _service(command: Command) -> str:
     if command.ready_port:
         probe = json.dumps(["CMD", "python", "-c", _PROBE.format(port=command.ready_port)])
         lines += ["    healthcheck:", f"      test: {probe}", "      interval: 1s", "      retries: 60"]
+    if command.name in _LATCHED:
+        lines += ['    volumes: ["latch:/tmp"]']
     if command.name == "operator":
         lines += ['    volumes: ["../runs:/sextant/runs"]']
     return "\n".join(lines) + "\n"

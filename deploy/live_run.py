@@ -72,6 +72,7 @@ def run_live_scenario(
         recorder = Recorder(out / "recording.mcap", about(scenario, seed, "live"))
         recording = stack.enter_context(_recording(recorder, endpoints))
         attendants = stack.enter_context(Attendants(attendance.services(), endpoints))
+        process_table.new_robot(chosen)
         launcher = Launcher(process_table.commands(rows, chosen, endpoints), hear=_log_to(log))
         stack.callback(lambda: launcher.stop(interrupts.insisted))
         launcher.__enter__()

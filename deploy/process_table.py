@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from services.actuator.latch import Latch
 from shared.scenario import MapOptions, Scenario
 from shared.transport import Endpoints
 
@@ -82,17 +83,21 @@ def _planner(choices: Choices) -> dict[str, Value]:
     return {"blind": choices.blind, "footholds": choices.footholds}
 
 
+def _servo_port(choices: Choices) -> dict[str, Value]:
+    return {"port": f"socket://127.0.0.1:{choices.bus_port}"} if choices.scenario else {}
+
+
 def _actuator(choices: Choices) -> dict[str, Value]:
     arc: dict[str, Value] = {} if choices.arc == "flow" else {"arc": choices.arc}
     bridge: dict[str, Value] = {"bridge": True} if choices.bridge else {}
-    port: dict[str, Value] = {"port": f"socket://127.0.0.1:{choices.bus_port}"} if choices.scenario else {}
-    return {**port, **arc, **bridge}
+    return {**_servo_port(choices), **arc, **bridge}
 
 
 # A dead simulator takes its world with it, so that run has failed; every other process finds its way back from the wire.
 TABLE: tuple[Process, ...] = (
     Process("simulator", "services.simulator", "simulation", 0, _simulator, ready_port=lambda choices: choices.bus_port),
     Process("actuator", "services.actuator", "robot", 3, _actuator, after=("simulator",)),
+    Process("stop", "services.actuator.stop", "robot", 3, _servo_port),
     Process("camera", "services.perception.cameras", "device", 3, _camera),
     Process("perception", "services.perception", "robot", 3, _perception, nice=2),
     Process("mapper", "services.mapper", "either", 3, _mapper, nice=5),
@@ -127,6 +132,12 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
         pose_error=scenario.pose_error,
         map=scenario.map,
     )
+
+
+def new_robot(chosen: Choices) -> None:
+    """See to it that a simulated robot, another one each time, inherits no order to let go."""
+    if chosen.scenario:
+        Latch.of_port(str(_servo_port(chosen)["port"])).open()
 
 
 def rows(role: Role, simulated: bool) -> tuple[Process, ...]:

@@ -31,6 +31,7 @@ def up(arguments: argparse.Namespace) -> int:
     chosen, extra = replace(chosen, camera=arguments.camera and device), _extra(arguments.set, rows)
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
         _see_servo_port(extra.get("actuator", ()))
+    process_table.new_robot(chosen)
     with contextlib.ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
         if arguments.connect:
@@ -104,6 +105,9 @@ def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, t
                 f"--set: no service {service!r} is started; {f'did you mean {near[0]!r}?' if near else ', '.join(names)}"
             )
         extra[service] = (*extra.get(service, ()), rest)
+    port = tuple(rest for rest in extra.get("actuator", ()) if re.match(r"port\s*=", rest))
+    if port and "stop" in names:  # it watches over the same servos
+        extra["stop"] = (*port, *extra.get("stop", ()))
     return extra
 
 

@@ -16,6 +16,7 @@ from services.actuator.goal_limits import GoalLimits
 from services.actuator.guard import Act, Guard, Legs
 from services.actuator.health import Health, Verdict
 from services.actuator.joints import Joints
+from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward, sag_feed_forward
 from services.actuator.odometry import LegOdometry
 from services.actuator.plumb import Plumb
@@ -24,7 +25,7 @@ from services.actuator.walker import Targets, Walker
 from shared import topics
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_forward, body_inverse, nearest_reachable
-from shared.messages import ActuatorState, Message, Mode, Odometry, Tick
+from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, Tick
 from shared.robot import LEGS, RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
@@ -47,6 +48,7 @@ class Actuator:
         settings: Settings,
         opener: Callable[[], Port] | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
+        latch: Latch | None = None,
     ):
         """Open the bus and take the servos over as they stand: torque that is on stays on, torque that is off stays off.
 
@@ -55,6 +57,7 @@ class Actuator:
             settings: Of this service.
             opener: Opens the port, in place of the one that the settings name; again, where it has gone.
             clock: [ns] what the port's timing goes by.
+            latch: That torque is to be off, whoever has ordered it and when; that of the port, where none opens another.
 
         Raises:
             BusSetupError: Servos are missing or wrong, all named.
@@ -66,6 +69,9 @@ class Actuator:
         self._settings = settings
         self._clock = clock
         self._joints = Joints(profile, settings, opener, clock)
+        self._latch = latch or (None if opener else Latch.of_port(settings.port))
+        if self._latched():
+            self._joints.let_go()
         torque = bool(self._joints.torque.all())
         self._guard = Guard(profile, settings.plan_age_s, clock(), torque)
         self._health = Health(profile, 1.0 / settings.rate_hz)
@@ -110,6 +116,9 @@ class Actuator:
         now_ns = self._clock()
         self._contact.update(self._measured(), self._joints.load, dt)
         self._odometry.update(self._measured(), self._standing(), self._walker.ground)
+        if self._latched() and self._guard.mode is not Mode.OFF:
+            off = ModeCommand(tick.stamp_ns, "off", tick.stamp_ns, "stop path")
+            self._perform(self._guard.hear(off, tick.stamp_ns))
         for order in inbox.drain(topics.MODE):
             self._perform(self._guard.hear(order, tick.stamp_ns))
         self._level(dt, tick.stamp_ns, inbox)
@@ -215,14 +224,22 @@ class Actuator:
             searching=bool(walker.searching.any()),
         )
 
+    def _latched(self) -> bool:
+        """Whether torque is to be off, by an order that may be older than this process."""
+        return self._latch is not None and self._latch.closed
+
     def _perform(self, acts: tuple[Act, ...]) -> None:
         """Do what the guard has decided."""
         for act in acts:
             match act:
                 case Act.LET_GO:
+                    if self._latch is not None:
+                        self._latch.close()
                     self._joints.let_go()
                     self._posing = None
                 case Act.GRIP:
+                    if self._latch is not None:
+                        self._latch.open()
                     self._joints.grip()
                     self._still, self._posing = True, None
                     self._q_wanted = self._joints.goals.copy()

@@ -1,12 +1,14 @@
 """The actuator whole, on emulated servos that go where they are told: orders, plans, faults, a new beginning."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from services.actuator.config import Settings
+from services.actuator.latch import Latch
 from services.actuator.service import Actuator
 from services.actuator.walker import Walker
 from services.simulator.bus import MemoryPort, ServoBusEmulator
@@ -33,8 +35,9 @@ CRAWL = PROFILE.rest_feet(0.03) + 0.05 * OUT
 class Rig:
     """Servos on a bus, and the actuator that owns them. A servo with torque is at its goal a cycle later."""
 
-    def __init__(self, feet: Array = REST, torque: bool = True) -> None:
+    def __init__(self, feet: Array = REST, torque: bool = True, latch: Latch | None = None) -> None:
         self.now_ns = 0
+        self.latch = latch
         q = PROFILE.servo_angles(body_inverse(PROFILE, feet)).ravel()
         self.bank = ServoBank(IDS, q=q)
         for row, angle in enumerate(q):
@@ -53,7 +56,7 @@ class Rig:
     def start(self) -> None:
         """A new actuator on the same servos."""
         self.port = MemoryPort(self.bus, lambda: self.now_ns)
-        self.actuator = Actuator(PROFILE, Settings(), lambda: self.port, self.port.now_ns)
+        self.actuator = Actuator(PROFILE, Settings(), lambda: self.port, self.port.now_ns, self.latch)
         self.inbox = Inbox(self.actuator.reads, self.actuator.stages)
         self.now_ns = self.port.now_ns()
 
@@ -200,6 +203,37 @@ def test_off_is_obeyed_at_once() -> None:
     rig.cycle(2)
     assert not rig.torque
     rig.command("walk")  # leads nowhere from there
+    state = rig.cycle(2)
+    assert state.mode is Mode.OFF
+    assert not rig.torque
+
+
+def test_an_order_to_let_go_outlives_the_process_and_a_new_order_alone_undoes_it(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "off")
+    rig = Rig(latch=latch)
+    rig.walking()
+    rig.command("off")
+    rig.cycle(2)
+    assert latch.closed
+    rig.bank.tables[:, dxl.TORQUE_ENABLE.address] = 1  # it was never heard: the bus was gone
+    before = rig.goals
+    rig.start()  # a new process on servos that pull
+    rig.bus.advance(rig.now_ns)
+    assert not rig.torque, "before anything else"
+    np.testing.assert_array_equal(rig.goals, before)
+    rig.leads = False
+    assert rig.cycle(50).mode is Mode.OFF
+    rig.command("stand")
+    assert rig.cycle(2).mode is Mode.STAND
+    assert rig.torque
+    assert not latch.closed
+
+
+def test_the_stop_path_is_obeyed_without_a_word_on_the_wire(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "off")
+    rig = Rig(latch=latch)
+    rig.walking()
+    latch.close()
     state = rig.cycle(2)
     assert state.mode is Mode.OFF
     assert not rig.torque

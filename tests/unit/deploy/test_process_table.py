@@ -46,7 +46,7 @@ def test_a_scenario_s_map_reaches_mapper_and_perception() -> None:
 
 def test_the_roles_share_the_services_out() -> None:
     names = {role: [p.name for p in rows(role, simulated=False)] for role in ("all", "onboard", "offboard", "sim")}  # type: ignore[arg-type]
-    assert names["onboard"] == ["actuator", "camera", "perception"], "the camera's bandwidth stays on the robot"
+    assert names["onboard"] == ["actuator", "stop", "camera", "perception"], "the camera's bandwidth stays on the robot"
     assert sorted(names["onboard"] + names["offboard"]) == sorted(names["all"])
     assert names["sim"] == ["simulator"]
     assert "simulator" not in names["all"]

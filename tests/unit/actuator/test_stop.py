@@ -1,0 +1,76 @@
+"""The stop path: it latches each new order to let go, and nothing that it hears opens the latch."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.actuator.latch import Latch
+from services.actuator.stop.config import Settings
+from services.actuator.stop.service import Stop
+from shared.messages import ModeCommand
+from shared.robot import load_profile
+from shared.service import Inbox
+
+PROFILE = load_profile("phantomx_mk2")
+PORT = "/dev/ttyUSB0"
+
+
+@pytest.fixture
+def latch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Latch:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return Latch.of_port(PORT)
+
+
+def say(stop: Stop, mode: str, sequence: int, holder: str = "operator") -> None:
+    order = ModeCommand(0, mode, sequence, holder)  # type: ignore[arg-type]
+    assert list(stop.step(order, Inbox([stop.paced_by], stop.stages))) == []
+
+
+def test_each_new_order_to_let_go_is_latched_once(latch: Latch) -> None:
+    stop = Stop(PROFILE, Settings(PORT))
+    say(stop, "walk", 1)
+    assert not latch.closed
+    say(stop, "off", 2)
+    assert latch.closed
+    assert stop.doing() == "torque is latched off"
+    latch.open()  # the actuator was ordered to stand
+    say(stop, "off", 2)
+    say(stop, "off", 1)
+    assert not latch.closed, "an order counts once"
+    say(stop, "off", 1, "another")
+    assert latch.closed
+
+
+def test_no_order_opens_it(latch: Latch) -> None:
+    stop = Stop(PROFILE, Settings(PORT))
+    say(stop, "off", 1)
+    for sequence, mode in enumerate(("stop", "ready", "stand", "walk", "sit"), 2):
+        say(stop, mode, sequence)
+    assert latch.closed
+
+
+def test_it_outlives_the_process_and_belongs_to_one_port(latch: Latch) -> None:
+    latch.close()
+    latch.close()
+    assert Latch.of_port(PORT).closed
+    assert not Latch.of_port("/dev/ttyUSB1").closed
+    latch.open()
+    latch.open()
+    assert not Latch.of_port(PORT).closed
+
+
+@given(st.text(min_size=1, max_size=200))
+def test_every_port_has_a_file_name(port: str) -> None:
+    name = Latch.of_port(port).path.name
+    assert "/" not in name
+    assert len(os.fsencode(name)) < 255
+
+
+def test_many_holders_take_no_more_room(latch: Latch) -> None:
+    stop = Stop(PROFILE, Settings(PORT))
+    for k in range(1000):
+        say(stop, "off", k, f"holder {k}")
+    assert len(stop._newest) <= 64
