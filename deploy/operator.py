@@ -32,6 +32,7 @@ _BLOCKED_NS = 20_000_000_000  # [ns] patience with a planner that is blocked
 _NO_POSE_NS = 5_000_000_000  # [ns] patience without a pose, once there was one
 _START_NS = 60_000_000_000  # [ns] patience for the first word of a service
 _LOST_NS = 2_000_000_000  # [ns] that the planner waits for sight, until it is asked to go on by touch, where that is wanted
+_AGAIN_NS = 1_000_000_000  # [ns] that a robot lies ready after it was to stand, until it is ordered to once more
 _FAULT_NS = 10_000_000_000  # [ns] patience with an actuator that is in fault or off
 
 
@@ -79,7 +80,7 @@ class Operator:
         if self._by_touch and pose is not None and state is not None:  # nobody else says where it is
             pose, steerable = replace(pose, T_world_body=pose.T_world_odom @ state.T_odom_body), True
         if not self.finished:
-            self._choose_order(state, pose is not None)
+            self._choose_order(now, state, pose is not None)
             self._ask_for_touch(now, status)
             self._give_up(now, state, status, ever_posed=pose is not None, posed=steerable)
         if now >= self._order_due_ns:
@@ -103,11 +104,16 @@ class Operator:
         """What it is about, in words."""
         return self.reason or self.progress
 
-    def _choose_order(self, state: ActuatorState | None, posed: bool) -> None:
-        """Stand first; walk once the robot has risen and knows where it is."""
+    def _choose_order(self, now: int, state: ActuatorState | None, posed: bool) -> None:
+        """Stand first, anew if something came between; walk once the robot has risen and knows where it is."""
         if self._order == "walk" or state is None:
             return
         self._rising |= state.mode is Mode.STAND
+        if not (self._rising and state.mode is Mode.READY):
+            self._since.pop("lies ready", None)
+        elif now - self._since.setdefault("lies ready", now) >= _AGAIN_NS:
+            self._since.pop("lies ready")
+            self._first_order, self._order_due_ns = self._first_order + 2, 0
         risen = self._rising and state.mode is Mode.HOLD
         if posed and (risen or state.mode is Mode.WALK):
             self._order = "walk"

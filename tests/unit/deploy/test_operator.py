@@ -98,6 +98,25 @@ class Robot:
         return self
 
 
+def test_a_robot_that_something_stopped_while_it_rose_is_ordered_to_stand_anew():
+    robot = Robot()
+    for _ in range(5):
+        robot.beat()
+    assert robot.mode is Mode.STAND
+    robot.mode = Mode.READY  # a fault that is over
+    first = {order.sequence for _, order in robot.orders}
+    for _ in range(60):
+        if {order.sequence for _, order in robot.orders} != first and robot.mode is Mode.READY:
+            robot.mode, robot.rising = Mode.STAND, 5
+        robot.beat()
+    stands = sorted({order.sequence for _, order in robot.orders if order.mode == "stand"})
+    assert len(stands) == 2
+    robot.run()
+    assert robot.operator.reason == "at the goal by the estimated pose"
+    walk = {order.sequence for _, order in robot.orders if order.mode == "walk"}
+    assert min(walk) > max(stands)
+
+
 def test_it_orders_to_stand_then_to_walk_and_repeats_itself():
     robot = Robot().run()
     modes = [order.mode for _, order in robot.orders]
