@@ -49,7 +49,7 @@ def test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none(tmp_path
         words = ("--camera", str(folder), "--set", f"actuator.port={servos.url}", "--listen", endpoint)
         with Command("up", "onboard", *words, cwd=tmp_path) as up:
             up.wait_for(lambda: "starting" in up.text(), "the router")
-            assert "starting actuator, camera, perception" in up.text()
+            assert "starting actuator, stop, camera, perception" in up.text()
             with ZenohLink(Endpoints((endpoint,))) as link:
 
                 def hear(kind: str, topic: AnyTopic) -> None:
