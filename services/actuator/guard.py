@@ -1,7 +1,7 @@
 """The last gate: who may move the legs, which plans they walk, and when they must stand. Pure: time and findings come in.
 
     OFF ── ready ──► READY ── stand ──► STAND ──► HOLD ◄──► WALK        FAULT: as HOLD, while something is broken
-     ▲ off, always     ▲───────────────── SIT ◄── sit
+     ▲ off, always     ▲───────────────── SIT ◄── sit, from anywhere but OFF
 
 Torque is turned on by an operator's order alone. Off is latched: it takes a new order to leave it. One holder of the lease at
 a time may move the legs; anybody may stop them, or let them go. What is broken stops the walk for as long as it is; what
@@ -23,6 +23,7 @@ from shared.robot import RobotProfile
 DEADLINE_NS = 200_000_000  # [ns] that a walk goes on without a new plan
 LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order, be it one that is repeated
 _HOLDERS = 16  # whose orders are remembered; more of them are not obeyed but to stop
+_STOPS = ("off", "stop")  # orders that anybody may give
 
 
 class Act(StrEnum):
@@ -66,19 +67,17 @@ class Guard:
         """
         self.mode = Mode.HOLD if torque else Mode.OFF
         self.reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
-        self.refused, self.refused_ns = (
-            "",
-            -1,
-        )  # why the newest plan was, in words, and its stamp if for what it asks of the legs
+        self.refused = ""  # why the newest plan was, in words
+        self.refused_ns = -1  # [ns] stamp of the newest plan that was refused for what it asks of the legs
         self.objection = ""  # why the newest order was not obeyed, in words
         self._check = PlanCheck(profile, plan_age_s, epoch)
         self._sequences: dict[str, int] = {}  # newest order of each holder
-        self._holder, self._heard_ns = "", -1
+        self._holder, self._heard_ns = "", 0
         self._may_walk = False
-        self._accepted_ns = -1  # when the newest plan was
-        self._late = False  # whether the deadline of this step is over
-        self._seat = ""  # why the robot must lie down, in words, or nothing
-        self._lets_go = False  # then
+        self._accepted_ns = 0  # when the newest plan was
+        self._late = False  # whether this walk has gone on for too long without one
+        self._seat = ""  # why the robot is to lie down as soon as it can, in words, or nothing
+        self._lets_go = False  # whether it then lets go, and lies down whatever is broken
         self.tipped = ""  # that the body leaned too far to go on, in words, until it is ordered to walk or stand
         self._midway = False  # whether a fault has stopped it while it rose or lay down
         self._verdict = Verdict()
@@ -90,7 +89,7 @@ class Guard:
 
     def lease(self, now_ns: int) -> str:
         """Who may move the legs, or nothing."""
-        return self._holder if self._heard_ns >= 0 and now_ns - self._heard_ns <= LEASE_NS else ""
+        return self._holder if now_ns - self._heard_ns <= LEASE_NS else ""
 
     def begin_anew(self, epoch: int) -> None:
         """A new {odom} has begun."""
@@ -99,34 +98,33 @@ class Guard:
     # ---------------------------------------------------------------------------------------------------------- orders
 
     def hear(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
-        """Obey an order, or keep in `objection` why not; one that is repeated only keeps the lease."""
+        """Obey an order, or say in `objection` why not; one that is repeated only keeps the lease."""
         newest = self._sequences.get(order.holder)
-        new = newest is None or order.sequence > newest
-        if newest is not None and order.sequence < newest:
+        if newest is not None and order.sequence <= newest:
+            if order.sequence < newest:
+                self.objection = f"`{order.mode}` of {order.holder} refused: it is older than their newest order"
+            elif order.holder == self._holder:
+                self._heard_ns = now_ns
             return ()
-        stops = order.mode in ("off", "stop")
-        if newest is None and len(self._sequences) >= _HOLDERS:
-            if not stops:
-                self.objection = f"`{order.mode}` of {order.holder} refused: {_HOLDERS} others have given orders"
-                return ()
-        else:
+        stranger = newest is None and len(self._sequences) >= _HOLDERS
+        if not stranger:
             self._sequences[order.holder] = order.sequence
-        if not stops:
-            objection = self._claim(order, new, now_ns)
-            self.objection = objection if new or not objection else self.objection
-            if objection:
+        if order.mode not in _STOPS:
+            self.objection = self._claim(order, now_ns, stranger)
+            if self.objection:
                 return ()
-        elif order.holder == self.lease(now_ns):
+        elif order.holder == self._holder:
             self._heard_ns = now_ns
-        return self._obey(order.mode) if new else ()
+        self.objection = ""
+        return self._obey(order.mode)
 
-    def _claim(self, order: ModeCommand, new: bool, now_ns: int) -> str:
-        """Give the lease to who orders, or keep it for who has it; why it is refused, in words, or nothing."""
-        holder = self.lease(now_ns)
-        if holder and holder != order.holder and not (order.take and new):
-            return f"`{order.mode}` of {order.holder} refused: {holder} holds the lease; take it over, or wait for its end"
-        if not new and order.holder != self._holder:
-            return f"`{order.mode}` of {order.holder} refused: the lease is no longer theirs; order anew"
+    def _claim(self, order: ModeCommand, now_ns: int, stranger: bool) -> str:
+        """Give the lease to who orders; why it is refused, in words, or nothing."""
+        holder, refused = self.lease(now_ns), f"`{order.mode}` of {order.holder} refused"
+        if stranger:
+            return f"{refused}: {_HOLDERS} others have given orders"
+        if holder and holder != order.holder and not order.take:
+            return f"{refused}: {holder} holds the lease; take it over, or wait for its end"
         if order.holder != self._holder:
             self._may_walk = False
         self._holder, self._heard_ns = order.holder, now_ns
@@ -149,12 +147,13 @@ class Guard:
 
     def _let_go(self, reason: str) -> tuple[Act, ...]:
         self._enter(Mode.OFF, reason)
-        self._may_walk, self.tipped, self._seat, self._lets_go = False, "", "", False
-        self._midway = False
+        self._may_walk, self.tipped, self._seat, self._lets_go, self._midway = False, "", "", False, False
         return (Act.LET_GO,)
 
     def _stop(self) -> tuple[Act, ...]:
         self._may_walk = False
+        if not self._verdict.sit:
+            self._seat, self._lets_go = "", False
         if self.mode is Mode.WALK:
             return (Act.SET_DOWN,)
         if self.mode in (Mode.STAND, Mode.SIT):
@@ -163,55 +162,48 @@ class Guard:
         return ()
 
     def _ready(self) -> tuple[Act, ...]:
-        if self.mode is Mode.OFF:
-            why = self._verdict.broken or self._verdict.sit
-            if why:
-                self.objection = f"torque stays off: {why}"
-                return ()
-            self._enter(Mode.READY, "torque is on; order `stand` to rise")
-            return (Act.GRIP,)
-        if self.mode is Mode.FAULT:
-            self._may_walk = self._midway = False
-            self._enter(Mode.READY, "torque is on where it was lost; order `stand` to rise")
-            return (Act.GRIP,)
-        return self._stop()
+        if self.mode not in (Mode.OFF, Mode.READY, Mode.FAULT):
+            return self._stop()
+        why = self._verdict.broken or self._verdict.sit
+        if why and self.mode is Mode.OFF:
+            self.objection = f"torque stays off: {why}"
+            return ()
+        self._enter(Mode.READY, "torque is on; order `stand` to rise")
+        self._may_walk, self._seat, self._lets_go, self._midway = False, "", False, False
+        return (Act.GRIP,)
 
     def _stand(self) -> tuple[Act, ...]:
-        why = self._verdict.broken or self._verdict.sit
-        if why:
-            self.objection = f"`stand` refused: {why}"
-            return ()
-        grip = (Act.GRIP,) if self.mode is Mode.OFF else ()
         if self.mode is Mode.WALK:
             return self._stop()
+        why = self._verdict.broken or self._verdict.sit
+        if why or self.mode is Mode.FAULT:
+            self.objection = f"`stand` refused: {why or 'feet are being set down'}"
+            return ()
+        grip = (Act.GRIP,) if self.mode is Mode.OFF else ()
         self._enter(Mode.STAND, "standing up")
-        self._may_walk, self.tipped, self._seat = False, "", ""
+        self._may_walk, self.tipped, self._seat, self._lets_go = False, "", "", False
         return (*grip, Act.RISE)
 
     def _walk(self) -> tuple[Act, ...]:
-        if self.mode in (Mode.HOLD, Mode.STAND, Mode.WALK):
-            self._may_walk, self.tipped = True, ""
-        else:
+        if self.mode not in (Mode.HOLD, Mode.STAND, Mode.WALK):
             why = self.reason if self.mode is Mode.FAULT else f"the mode is {self.mode}, order `stand` first"
             self.objection = f"`walk` refused: {why}"
+        elif self._verdict.sit:
+            self.objection = f"`walk` refused: {self._verdict.sit}"
+        else:
+            self._may_walk, self.tipped, self._seat, self._lets_go = True, "", "", False
         return ()
 
     def _sit(self) -> tuple[Act, ...]:
-        self._may_walk = False
-        if self.mode in (Mode.HOLD, Mode.STAND, Mode.FAULT):
-            return self._lie_down("ordered to sit")
-        if self.mode is Mode.WALK:
-            self._seat = "ordered to sit"
-            return (Act.SET_DOWN,)
-        return ()
-
-    def _lie_down(self, reason: str) -> tuple[Act, ...]:
-        self._enter(Mode.SIT, reason)
-        self._seat = ""
-        return (Act.LIE_DOWN,)
+        if self.mode is Mode.OFF:
+            self.objection = "`sit` refused: torque is off"
+        elif self.mode is not Mode.SIT:
+            self._may_walk, self._seat = False, self._seat or "ordered to sit"
+            self._lets_go |= self.mode is Mode.FAULT  # nobody can answer for how it would lie with torque on
+        return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
 
     def _enter(self, mode: Mode, reason: str) -> None:
-        self.mode, self.reason = mode, reason
+        self.mode, self.reason, self._late = mode, reason, False
 
     # ----------------------------------------------------------------------------------------------------------- plans
 
@@ -219,7 +211,7 @@ class Guard:
         """Whether a plan may be walked; if not, `refused` says why."""
         closed = self._closed(now_ns, legs)
         self.refused = f"plan of step {plan.step} refused: {closed}" if closed else ""
-        self.refused = self.refused or self._check.untimely(plan, now_ns, legs.step, legs.resting, legs.swing)
+        self.refused = self.refused or self._check.untimely(plan, now_ns, legs.step, not legs.planned, legs.swing)
         if self.refused:
             return False
         revises = plan.step == legs.step
@@ -229,7 +221,7 @@ class Guard:
         if self.refused:
             self.refused_ns = plan.stamp_ns
             return False
-        self._accepted_ns, self._late = now_ns, False
+        self._accepted_ns = now_ns
         self._enter(Mode.WALK, "walking")
         return True
 
@@ -239,12 +231,12 @@ class Guard:
             return f"{self.tipped}; order `walk` anew"
         if self.mode is Mode.FAULT:
             return self.reason
+        if self._seat:
+            return self._seat
         if not self._may_walk or self.mode not in (Mode.HOLD, Mode.WALK):
             return f"the mode is {self.mode}, not ordered to walk"
         if not self.lease(now_ns):
             return f"no order of {self._holder} for {LEASE_NS * 1e-9:.0f} s, nobody leads"
-        if self._seat:
-            return self._seat
         if legs.searching:
             return legs.trouble
         if self._late:
@@ -277,19 +269,29 @@ class Guard:
         self._verdict = verdict
         if self.mode is Mode.OFF:
             return ()
-        acts = (*self._see_to_faults(legs, verdict), *self._see_to_walk(now_ns, legs))
+        still = self.mode in (Mode.READY, Mode.STAND) or self._midway  # a walk that was broken off stays where it is
+        rests = legs.resting or still
+        acts = (*self._see_to_faults(rests, verdict), *self._see_to_walk(now_ns, legs))
         if verdict.sit and not self._lets_go:
-            self._lets_go, self._may_walk = True, False
-            if self.mode in (Mode.READY, Mode.SIT):  # it lies, or is about to
-                self.reason = verdict.sit
-                return (*acts, *(self._let_go(verdict.sit) if self.mode is Mode.READY else ()))
-            self._seat = verdict.sit
-            acts = (*acts, Act.SET_DOWN) if self.mode is Mode.WALK else acts
-        if self._seat and legs.resting and self.mode in (Mode.HOLD, Mode.FAULT, Mode.STAND):
-            acts = (*acts, *self._lie_down(self._seat))
+            acts = (*acts, *self._give_in(verdict.sit))
+        if self.mode is Mode.READY and not verdict.sit:
+            self._lets_go = False  # it was stopped as it lay down
+        if self._seat and rests:
+            self._enter(Mode.SIT, self._seat)
+            self._seat, self._midway = "", False
+            acts = (*acts, Act.LIE_DOWN)
         return acts
 
-    def _see_to_faults(self, legs: Legs, verdict: Verdict) -> tuple[Act, ...]:
+    def _give_in(self, why: str) -> tuple[Act, ...]:
+        """Lie down for what cannot be borne, and let go."""
+        self._lets_go, self._may_walk = True, False
+        if self.mode is Mode.SIT:
+            self.reason = why
+        else:
+            self._seat = why
+        return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
+
+    def _see_to_faults(self, rests: bool, verdict: Verdict) -> tuple[Act, ...]:
         """Stop for what is broken, and go on once it is whole."""
         sits_anyway = self.mode is Mode.SIT and self._lets_go
         if verdict.broken and self.mode is not Mode.READY and not sits_anyway:
@@ -297,7 +299,7 @@ class Guard:
             self._midway |= Act.FREEZE in acts
             self._enter(Mode.FAULT, verdict.broken)
             return acts
-        if self.mode is Mode.FAULT and not verdict.broken and legs.resting:
+        if self.mode is Mode.FAULT and not verdict.broken and rests:
             midway, self._midway = self._midway, False
             if midway:
                 self._enter(Mode.READY, "what was broken is whole again; order `stand` or `sit`")
@@ -313,7 +315,6 @@ class Guard:
         why = self.tipped or "; ".join(words for words in (late, legs.trouble) if words)
         if legs.resting:
             self._enter(Mode.HOLD, why or "the last accepted step is finished and no new plan came")
-            self._late = False
             return ()
         self.reason = why or "walking"
         if legs.planned and not self._late and now_ns - self._accepted_ns > DEADLINE_NS:

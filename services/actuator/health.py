@@ -182,7 +182,8 @@ class Health:
             self._low_since = now
         words = f"the battery is low: {self._voltage:.1f} V"
         warnings = (words,) if self._voltage < battery.warn_voltage else ()
-        empty = self._low_since is not None and now - self._low_since >= _LOW_S
+        lasts = self._low_since is not None and now - self._low_since >= _LOW_S
+        empty = lasts and lowest < battery.empty_voltage  # and it is no sag that is over
         return Verdict(sit=words if empty else "", warnings=warnings)
 
     def _fresh(self) -> float:

@@ -250,7 +250,7 @@ class Actuator:
                         self._profile, body_forward(self._profile, self._joints.goals), self._settings.stand_s
                     )
                 case Act.LIE_DOWN:
-                    self._q_last = None
+                    self._still, self._q_last = False, None
                     feet = body_forward(self._profile, self._q_wanted)
                     self._posing = LieDown(self._profile, feet, self._settings.stand_s)
                 case Act.SET_DOWN:

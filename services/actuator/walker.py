@@ -277,7 +277,7 @@ class Walker:
         since, left = self._elapsed - self._settings.unload_s, plan.duration - self._elapsed
         back = self._way_back
         if back is None or left <= since + self._settings.unload_s + self._settings.load_s:
-            self._hurry = max(1.0, left / _SOON_S)
+            self._hurry = max(self._hurry, left / _SOON_S)
             return
         duration = self._settings.unload_s + self._settings.load_s + min(since, _SOON_S)
         again = replace(back, step=self.step, clearance=np.full(6, _LOW), duration=duration)

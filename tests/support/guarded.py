@@ -1,0 +1,183 @@
+"""A small model of the actuator around the guard, and plans that must not pass."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from services.actuator.guard import Act, Guard, Legs
+from services.actuator.health import Verdict
+from shared.geometry import apply, from_xyz_rpy
+from shared.messages import Mode, ModeCommand, StepPlan
+from shared.robot import load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+START = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
+FEET = apply(START, PROFILE.rest_feet())
+TRIPOD = np.arange(6) % 2 == 0
+AGE_NS = 600_000_000
+CYCLE = 20_000_000
+EPOCH = 7
+ORDERS = ("off", "stop", "ready", "stand", "walk", "sit")
+BROKEN, SPENT = Verdict(broken="a servo is silent"), Verdict(sit="the battery is low")
+
+
+class Robot:
+    """Legs that do what the guard says, and nothing else that an actuator has: a step runs or not, a pose is taken or not."""
+
+    def __init__(self, torque: bool) -> None:
+        self.guard = Guard(PROFILE, AGE_NS * 1e-9, EPOCH, torque)
+        self.now = 10_000_000_000
+        self.torque, self.still, self.posing = torque, False, ""
+        self.verdict = Verdict()
+        self.step, self.swing = 0, np.zeros(6, dtype=bool)
+        self.running = self.own = self.searching = False  # a step, and whether it is none of a plan; a foot on its way down
+        self.next: StepPlan | None = None
+        self.trouble = ""
+        self.number = 0
+
+    @property
+    def mode(self) -> Mode:
+        return self.guard.mode
+
+    @property
+    def legs(self) -> Legs:
+        resting = not self.running and not self.searching
+        planned = self.running and not self.own
+        where = (START, FEET, START, FEET)
+        return Legs(self.step, resting, planned, self.swing, *where, self.trouble, self.searching)
+
+    # What the operator, the planner and the clock do.
+
+    def order(self, mode: str, holder: str = "a", take: bool = False) -> tuple[Act, ...]:
+        """A new order."""
+        self.number += 1
+        return self.hear(ModeCommand(self.now, mode, self.number, holder, take))  # type: ignore[arg-type]
+
+    def hear(self, order: ModeCommand) -> tuple[Act, ...]:
+        return self.perform(self.guard.hear(order, self.now))
+
+    def plan(self, **changes: Any) -> StepPlan:
+        """The next step, on the spot; the other legs than those of the last one."""
+        good = StepPlan(
+            stamp_ns=self.now,
+            epoch=self.guard.epoch,
+            step=self.step + 1,
+            revision=1,
+            T_world_odom=np.eye(4),
+            swing=TRIPOD if self.step % 2 else ~TRIPOD,
+            touchdown=FEET,
+            clearance=np.full(6, 0.04),
+            body_goal=START,
+            duration=0.8,
+            stop=False,
+        )
+        return replace(good, **changes)
+
+    def renewal(self, **changes: Any) -> StepPlan:
+        """The running step, planned once more."""
+        return self.plan(**{"step": self.step, "swing": self.swing, **changes})
+
+    def consider(self, plan: StepPlan) -> bool:
+        taken = self.guard.consider(plan, self.now, self.legs)
+        if taken and plan.step != self.step:
+            self.next = plan
+        return taken
+
+    def cycle(self, after: int = CYCLE, ends: bool = False) -> tuple[Act, ...]:
+        """The next cycle; on demand what goes on in it ends."""
+        self.now += after
+        acts = self.move(ends) if self.torque and not self.still else ()
+        return (*acts, *self.perform(self.guard.watch(self.now, self.legs, self.verdict)))
+
+    def move(self, ends: bool) -> tuple[Act, ...]:
+        """The legs go on; on demand what they are about ends."""
+        if self.posing and ends:
+            posing, self.posing = self.posing, ""
+            if posing == "lie":
+                self.still = True
+                return self.perform(self.guard.seated())
+            self.guard.risen()
+            self.running = self.own = self.searching = False
+            self.step, self.swing, self.next = 0, np.zeros(6, dtype=bool), None
+            self.guard.begin_anew(self.guard.epoch + 1)
+        elif not self.posing:
+            if ends:
+                self.running = self.own = self.searching = False
+            if not self.running and not self.searching and self.next is not None:
+                self.step, self.swing, self.running, self.own = self.next.step, self.next.swing, True, False
+                self.next = None
+        return ()
+
+    def perform(self, acts: tuple[Act, ...]) -> tuple[Act, ...]:
+        """As the actuator does."""
+        for act in acts:
+            match act:
+                case Act.LET_GO:
+                    self.torque, self.posing = False, ""
+                case Act.GRIP:
+                    self.torque, self.still, self.posing = True, True, ""
+                case Act.RISE:
+                    self.still, self.posing = False, "rise"
+                case Act.LIE_DOWN:
+                    self.still, self.posing = False, "lie"
+                case Act.FREEZE:
+                    self.still, self.posing = True, ""
+                case Act.SET_DOWN:
+                    self.next = None
+        return acts
+
+    # How it gets where.
+
+    def walking(self) -> "Robot":
+        """In the middle of a step."""
+        self.order("walk")
+        assert self.consider(self.plan())
+        self.cycle()
+        assert self.mode is Mode.WALK
+        assert self.legs.planned
+        return self
+
+
+def in_mode(mode: Mode) -> Robot:
+    """A robot whose operator is `a`."""
+    robot = Robot(torque=mode is not Mode.OFF)
+    robot.cycle()
+    match mode:
+        case Mode.READY | Mode.SIT:
+            robot.order("sit")
+            robot.cycle()
+            if mode is Mode.READY:
+                robot.cycle(ends=True)
+        case Mode.STAND:
+            robot.order("stand")
+        case Mode.WALK:
+            robot.walking()
+        case Mode.FAULT:
+            robot.verdict = BROKEN
+            robot.cycle()
+    assert robot.mode is mode
+    return robot
+
+
+def rested(robot: Robot, cycles: int = 6) -> Robot:
+    """After everything that goes on has ended."""
+    for _ in range(cycles):
+        robot.cycle(ends=True)
+    return robot
+
+
+BAD: dict[str, tuple[Callable[[Robot], StepPlan], str]] = {
+    "old": (lambda r: r.renewal(stamp_ns=r.now - AGE_NS - 1), "0.60 s old"),
+    "of the future": (lambda r: r.renewal(stamp_ns=r.now + AGE_NS + 1), "ahead of now"),
+    "of another epoch": (lambda r: r.renewal(epoch=r.guard.epoch + 1), "made before {odom} began anew"),
+    "repeated": (lambda r: r.renewal(stamp_ns=r.now - CYCLE), "not newer than the last accepted one"),
+    "reordered": (lambda r: r.renewal(stamp_ns=r.now - CYCLE - 1), "not newer than the last accepted one"),
+    "too far ahead": (lambda r: r.plan(step=r.step + 2), "does not follow step 1"),
+    "over": (lambda r: r.renewal(step=r.step - 1), "does not follow step 1"),
+    "with other legs": (lambda r: r.renewal(swing=~r.swing), "swings other legs"),
+    "out of reach": (lambda r: r.renewal(touchdown=FEET + np.array([0.3, 0.0, 0.0])), "out of reach"),
+    "without end": (lambda r: r.renewal(duration=9.0), "found 9.00 s"),
+    "no pose": (lambda r: r.renewal(body_goal=2.0 * START), "not a rigid transform"),
+}

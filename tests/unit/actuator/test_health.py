@@ -1,0 +1,303 @@
+"""Health by its laws: who is named when they fall silent, what is reset how often, what lays the robot down."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.actuator.health import SILENT, Health, Verdict, Vitals
+from shared.dynamixel import ServoError
+from shared.robot import JOINTS, LEGS, load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+PERIOD = 0.02
+LIMIT = PROFILE.servo.temperature_limit
+EMPTY, WARN = PROFILE.battery.empty_voltage, PROFILE.battery.warn_voltage
+STALL = PROFILE.servo.stall_torque
+WELL = Vitals(
+    missed=np.zeros(18, dtype=np.int64),
+    newest=0.0,
+    load=np.zeros(18),
+    voltage=np.full(18, 11.5),
+    temperature=np.full(18, 30.0),
+    errors=np.zeros(18, dtype=np.uint8),
+    limp=np.zeros(18, dtype=np.bool_),
+    loss=0.0,
+    trouble="",
+)
+WILD = settings(deadline=None, derandomize=True, max_examples=15)
+servos = st.integers(0, 17)
+
+
+class Patient:
+    """Servos whose vitals are told, cycle after cycle."""
+
+    def __init__(self) -> None:
+        self.health, self.now, self.verdict = Health(PROFILE, PERIOD), 100.0, Verdict()
+
+    def cycle(self, vitals: Vitals = WELL, torque: bool = True, dt: float = PERIOD) -> Verdict:
+        self.now += dt
+        self.verdict = self.health.update(self.now, dt, vitals, torque)
+        return self.verdict
+
+    def live(self, seconds: float, vitals: Vitals = WELL, torque: bool = True) -> list[Verdict]:
+        return [self.cycle(vitals, torque) for _ in range(round(seconds / PERIOD))]
+
+
+def one(servo: int, **changes: Any) -> Vitals:
+    """All well but for something of one servo."""
+    made = {}
+    for name, value in changes.items():
+        made[name] = getattr(WELL, name).copy()
+        made[name][servo] = value
+    return replace(WELL, **made)
+
+
+def name(servo: int) -> str:
+    leg, joint = divmod(servo, 3)
+    return f"the {JOINTS[joint]} servo of the {LEGS[leg]} leg (id {PROFILE.servo_ids[leg, joint]})"
+
+
+def test_who_is_well_hears_nothing() -> None:
+    patient = Patient()
+    assert set(patient.live(2.0)) == {Verdict()}
+    assert set(patient.live(2.0, torque=False)) == {Verdict()}
+
+
+def test_before_the_first_readings_nothing_is_known_and_nothing_is_said() -> None:
+    unknown = replace(WELL, voltage=np.full(18, np.nan), temperature=np.full(18, np.nan))
+    patient = Patient()
+    assert set(patient.live(1.0, unknown)) == {Verdict()}
+    assert patient.cycle() == Verdict()
+    some = one(4, voltage=np.nan, temperature=np.nan)
+    assert patient.cycle(some) == Verdict()
+
+
+# ------------------------------------------------------------------------------------------------------------- silence
+
+
+@pytest.mark.parametrize("servo", range(18))
+def test_a_silent_servo_is_named_by_leg_joint_and_id(servo: int) -> None:
+    patient = Patient()
+    assert patient.cycle(one(servo, missed=SILENT - 1)).broken == ""
+    broken = patient.cycle(one(servo, missed=SILENT)).broken
+    assert broken == f"{name(servo)} does not answer; check its cable and those before it"
+    assert patient.cycle().broken == ""
+
+
+def test_of_several_the_first_is_named_and_the_others_are_counted() -> None:
+    missed = WELL.missed.copy()
+    missed[[3, 7, 8]] = SILENT
+    assert f"{name(3)}, with 2 more, does not answer" in Patient().cycle(replace(WELL, missed=missed)).broken
+
+
+def test_a_bus_is_silent_when_nobody_has_answered_for_a_while() -> None:
+    silent = replace(WELL, missed=np.full(18, SILENT), newest=0.15)
+    assert Patient().cycle(silent).broken == "no servo answers; check the power of the bus, its cable and the adapter"
+    assert Patient().cycle(replace(silent, newest=np.inf)).broken.startswith("no servo answers")
+    assert "with 17 more" in Patient().cycle(replace(silent, newest=0.05)).broken
+    assert Patient().cycle(replace(WELL, newest=np.inf)).broken == "", "none has been asked often enough"
+
+
+def test_too_many_lost_answers_are_nothing_to_walk_on() -> None:
+    assert Patient().cycle(replace(WELL, loss=0.30)).broken == ""
+    assert Patient().cycle(replace(WELL, loss=0.31)).broken.startswith("more than 30% of the servos' answers are lost")
+
+
+def test_trouble_on_the_way_to_the_servos_comes_first() -> None:
+    gone = replace(WELL, trouble="the port is gone", missed=np.full(18, SILENT), newest=np.inf)
+    assert Patient().cycle(gone).broken == "the port is gone"
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60))
+@WILD
+def test_five_late_cycles_in_a_row_and_no_fewer_stop_it_as_long_as_they_last(late: list[bool]) -> None:
+    patient, row = Patient(), 0
+    for slow in late:
+        row = row + 1 if slow else 0
+        broken = patient.cycle(dt=2.1 * PERIOD if slow else 2.0 * PERIOD).broken
+        assert (broken != "") == (row >= 5)
+        assert broken == "" or broken == f"the computer is too slow: {row} cycles in a row took more than 40 ms"
+
+
+@pytest.mark.parametrize("servo", [0, 4, 17])
+def test_a_servo_without_torque_is_broken_only_where_torque_is_meant_to_be(servo: int) -> None:
+    limp = one(servo, limp=True)
+    assert Patient().cycle(limp).broken == f"{name(servo)} has lost its torque; order `ready` to turn it on where it is"
+    assert Patient().cycle(limp, torque=False).broken == ""
+
+
+def test_other_errors_are_named_but_the_voltage_tells_of_itself() -> None:
+    odd = one(5, errors=int(ServoError.ANGLE_LIMIT | ServoError.INPUT_VOLTAGE))
+    assert Patient().cycle(odd).broken == f"{name(5)} reports angle limit"
+    assert Patient().cycle(one(5, errors=int(ServoError.INPUT_VOLTAGE))) == Verdict()
+
+
+# ------------------------------------------------------------------------------------------------------------ overload
+
+
+class Overloaded(Patient):
+    """One servo shuts down whenever it is told to; a reset ends that."""
+
+    def __init__(self, servo: int) -> None:
+        super().__init__()
+        self.servo, self.resets = servo, list[float]()
+
+    def shut_down(self, seconds: float = 1.5) -> Verdict:
+        """Until it is reset, or for a while; the last verdict."""
+        until = self.now + seconds
+        while self.now < until:
+            verdict = self.cycle(one(self.servo, errors=int(ServoError.OVERLOAD)))
+            assert verdict.broken == f"{name(self.servo)} has shut down for its load"
+            if verdict.revive:
+                assert verdict.revive == (self.servo,)
+                self.resets.append(self.now)
+                break
+        return verdict
+
+
+@given(servos, st.lists(st.floats(0.5, 200.0), min_size=4, max_size=10))
+@WILD
+def test_an_overloaded_servo_is_reset_at_most_three_times_in_five_minutes_and_then_it_sits(
+    servo: int, pauses: list[float]
+) -> None:
+    patient = Overloaded(servo)
+    for pause in pauses:
+        before = patient.now
+        verdict = patient.shut_down()
+        if verdict.revive:
+            assert patient.now - before == pytest.approx(1.0, abs=2.5 * PERIOD), "it rests first"
+            assert verdict.sit == ""
+        else:
+            recent = [then for then in patient.resets if patient.now - then < 300.0]
+            assert len(recent) == 3
+            assert verdict.sit == f"{name(servo)} has shut down for its load 4 times in 5 minutes"
+        assert patient.cycle().broken == ""
+        assert patient.verdict.sit == ""
+        patient.now += pause
+    for then in patient.resets:
+        assert sum(then <= other < then + 300.0 for other in patient.resets) <= 3
+
+
+def test_every_servo_has_resets_of_its_own() -> None:
+    errors = WELL.errors.copy()
+    errors[[2, 9]] = int(ServoError.OVERLOAD)
+    patient = Patient()
+    revived = [verdict.revive for verdict in patient.live(1.1, replace(WELL, errors=errors)) if verdict.revive]
+    assert revived == [(2, 9)]
+    assert patient.verdict.broken == f"{name(2)} has shut down for its load"
+
+
+def test_without_torque_nobody_is_reset() -> None:
+    patient = Patient()
+    assert set(patient.live(3.0, one(2, errors=int(ServoError.OVERLOAD)), torque=False)) == {Verdict()}
+
+
+@pytest.mark.parametrize("torque", [True, False])
+def test_a_servo_that_shut_down_for_its_heat_is_never_reset(torque: bool) -> None:
+    patient = Patient()
+    hot = one(2, errors=int(ServoError.OVERHEATING | ServoError.OVERLOAD))
+    words = f"{name(2)} has shut down for its heat"
+    assert {(v.broken, v.sit, v.revive) for v in patient.live(3.0, hot, torque)} == {(words, words, ())}
+
+
+# ------------------------------------------------------------------------------------------------------- heat and load
+
+
+@given(servos, st.floats(20.0, 90.0), st.floats(0.0, 10.0))
+@WILD
+def test_the_warmer_the_slower_and_five_kelvin_below_its_limit_it_sits(servo: int, temperature: float, more: float) -> None:
+    cool = Patient().cycle(one(servo, temperature=temperature))
+    warm = Patient().cycle(one(servo, temperature=temperature + more))
+    assert 0.4 <= warm.pace <= cool.pace <= 1.0
+    below = LIMIT - temperature
+    assert (cool.pace == 1.0) == (below >= 12.0) or below == pytest.approx(12.0)
+    assert (cool.sit != "") == (below <= 5.0)
+    assert (cool.warnings != ()) == (below < 12.0)
+    for words in (*cool.warnings, cool.sit):
+        assert words == "" or words.startswith(f"{name(servo)} is {temperature:.0f} deg C warm") or temperature < 30.0
+    assert cool.broken == ""
+
+
+def test_a_robot_that_heats_up_slowly_sits_before_a_servo_shuts_down() -> None:
+    patient, temperature = Patient(), 30.0
+    while not patient.cycle(one(7, temperature=temperature)).sit:
+        temperature += 1.0 * PERIOD
+    assert temperature < LIMIT - 4.9
+    assert patient.verdict.pace == pytest.approx(0.4, abs=0.01)
+
+
+@given(st.floats(0.0, 1.0), st.floats(-1.0, 1.0))
+@WILD
+def test_a_load_that_tires_slows_the_walk_and_rest_restores_it(share: float, sign: float) -> None:
+    patient = Patient()
+    load = np.zeros(18)
+    load[3] = np.copysign(share * STALL, sign)
+    for _ in range(200):
+        verdict = patient.cycle(replace(WELL, load=load), dt=1.0)
+    if share < 0.35:
+        assert verdict.pace == 1.0
+    elif share > 0.51:
+        assert verdict.pace == 0.4
+    assert patient.verdict.sit == ""
+    for _ in range(200):
+        rested = patient.cycle(dt=1.0)
+    assert rested.pace == 1.0
+
+
+def test_a_short_exertion_does_not_tire() -> None:
+    patient = Patient()
+    assert {verdict.pace for verdict in patient.live(1.0, replace(WELL, load=np.full(18, 0.8 * STALL)))} == {1.0}
+
+
+# ------------------------------------------------------------------------------------------------------------- battery
+
+
+@given(st.floats(0.0, EMPTY), st.floats(PERIOD, 0.97))
+@WILD
+def test_a_sag_shorter_than_a_second_lays_nobody_down(voltage: float, seconds: float) -> None:
+    patient = Patient()
+    patient.live(1.0)
+    verdicts = [*patient.live(seconds, replace(WELL, voltage=np.full(18, voltage))), *patient.live(3.0)]
+    assert {verdict.sit for verdict in verdicts} == {""}
+
+
+@given(st.floats(0.03, 2.0), servos)
+@WILD
+def test_an_empty_battery_always_does_before_the_servos_cut_off(rate: float, servo: int) -> None:
+    """At any rate [V/s] that a battery, and no short circuit, falls at."""
+    patient, voltage = Patient(), EMPTY + 0.5
+    warned = False
+    while not patient.cycle(one(servo, voltage=voltage)).sit:
+        warned |= patient.verdict.warnings != ()
+        voltage -= rate * PERIOD
+    assert warned or EMPTY + 0.5 < WARN
+    assert patient.verdict.sit.startswith("the battery is low: ")
+    assert voltage > EMPTY - 1.6 * rate - 0.05, "a second, and what smoothing takes"
+
+
+def test_a_low_battery_is_said_and_no_reason_to_sit() -> None:
+    patient = Patient()
+    low = replace(WELL, voltage=np.full(18, (EMPTY + WARN) / 2))
+    verdict = patient.live(5.0, low)[-1]
+    assert verdict.warnings == (f"the battery is low: {(EMPTY + WARN) / 2:.1f} V",)
+    assert verdict.sit == ""
+
+
+def test_sags_that_come_again_and_again_count_one_by_one() -> None:
+    patient = Patient()
+    for _ in range(10):
+        verdicts = [*patient.live(0.4, replace(WELL, voltage=np.full(18, 8.0))), *patient.live(1.0)]
+        assert {verdict.sit for verdict in verdicts} == {""}
+
+
+def test_what_is_broken_and_what_is_spent_are_told_at_once() -> None:
+    patient = Patient()
+    verdict = patient.live(2.0, replace(one(4, missed=SILENT), voltage=np.full(18, EMPTY - 1.0)))[-1]
+    assert name(4) in verdict.broken
+    assert "battery" in verdict.sit
+    hot = one(4, errors=int(ServoError.OVERHEATING), temperature=LIMIT)
+    assert "shut down for its heat" in Patient().cycle(hot).sit, "the worst comes first"
