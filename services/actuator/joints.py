@@ -1,6 +1,6 @@
 """The joints behind the servo bus: what they measure, what they are told, and the bus itself, which may go and come back."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ _PATIENCE_NS = (
 )
 _ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
 _AGAIN_NS = 200_000_000  # [ns] between two attempts at finding a bus that is gone
+_STANDS = (dxl.TORQUE_ENABLE, dxl.PRESENT_POSITION, dxl.GOAL_POSITION)  # what tells how a servo stands
+_TRIES = 3  # questions to one servo of a bus that is back
 
 
 class Joints:
@@ -45,7 +47,7 @@ class Joints:
         self._tried_ns = clock()
         self.gone = ""  # why there is no bus, in words
         self.returned = False  # whether it has come back, until that is cleared
-        self._silent = np.zeros(18, dtype=np.bool_)
+        self._doubted = np.zeros(18, dtype=np.bool_)  # servos that have been silent since it was seen that they pull
         self._lets_go = False  # whether torque is to be off by an order
         self.q = self._read_all(dxl.PRESENT_POSITION)  # (6, 3) [rad] by the newest readings
         self.goals = self._first_goals()  # (6, 3) [rad] as they stand in the servos
@@ -113,17 +115,17 @@ class Joints:
         self._lets_go = False
         limp = ~self.torque.reshape(6, 3)
         self.write(np.where(limp, self.q, self.goals))
-        self._tell(lambda: self._bus.set_torque(True))
+        for _ in range(2):  # nobody answers a broadcast
+            self._tell(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
 
     def revive(self, index: int) -> None:
-        """End the shutdown of a servo (0 to 17) at the place where its joint is."""
+        """End the shutdown of a servo (0 to 17) at the place where its joint is, if it says that it has that for its goal."""
         leg, joint = divmod(index, 3)
         goals = self.goals.copy()
         goals[leg, joint] = self.q[leg, joint]
         self.write(goals)
-        servo_id = self._bus.servo_ids[index]
-        self._tell(lambda: self._bus.write(servo_id, dxl.TORQUE_LIMIT, dxl.TORQUE_LIMIT.max))
+        self._tell(lambda: self._wake(index))
 
     def read_loads(self) -> Array:
         """Every servo's motor torque (6, 3) [N m] in the direction of growing joint angles; zero where one does not answer."""
@@ -159,11 +161,19 @@ class Joints:
     def _find_the_limp(self, readings: list[ServoReading]) -> None:
         """See of servos that answer again whether they still pull: one whose power was cut does not."""
         for reading in readings:
-            if self._silent[reading.index] and self.torque[reading.index]:
+            i = reading.index
+            if self._doubted[i] and self.torque[i]:
                 enabled = self._bus.read(reading.servo_id, dxl.TORQUE_ENABLE)
-                self.torque[reading.index] = bool(enabled) if enabled is not None else True
-            self._silent[reading.index] = False
-        self._silent |= self._bus.missed >= SILENT
+                if enabled is None:
+                    continue
+                self.torque[i] = bool(enabled)
+            self._doubted[i] = False
+        self._doubted |= self._bus.missed >= SILENT
+
+    def _wake(self, index: int) -> None:
+        servo_id, goal = self._bus.servo_ids[index], _ticks(self._profile.servo_angles(self.goals).ravel())[index]
+        if self._bus.write(servo_id, dxl.GOAL_POSITION, int(goal)):
+            self._bus.write(servo_id, dxl.TORQUE_LIMIT, dxl.TORQUE_LIMIT.max)
 
     def _tell(self, say: Callable[[], object]) -> None:
         if self.gone:
@@ -189,22 +199,26 @@ class Joints:
             self._bus = self._open()
             if self._lets_go:
                 self._bus.set_torque(False)
-            pulls = [self._bus.read(i, dxl.TORQUE_ENABLE) for i in self._bus.servo_ids]
-            ticks = [self._bus.read(i, dxl.PRESENT_POSITION) for i in self._bus.servo_ids]
-            goals = [self._bus.read(i, dxl.GOAL_POSITION) for i in self._bus.servo_ids]
+            found = [self._insist(i, register) for i in self._bus.servo_ids for register in _STANDS]
         except OSError as error:
+            self._bus.close()
             self.gone = f"the servo port is gone: {error}"
             return
-        if None in pulls or None in ticks or None in goals:
-            self._bus.close()
-            return
-        self.torque = np.array(pulls, dtype=np.bool_)
+        pulls, ticks, goals = np.array(found).reshape(-1, len(_STANDS)).T
+        self.torque = pulls.astype(np.bool_)
         self.q, stand = self._angles(ticks), self._angles(goals)
         self.goals = np.where(np.abs(stand - self.q) < _ADOPT_WITHIN, stand, self.q)
         self.gone, self.returned = "", True
 
-    def _angles(self, ticks: Sequence[int | None]) -> Array:
-        return self._profile.joint_angles(np.array([dxl.angle_from_ticks(t or 0) for t in ticks]).reshape(6, 3))
+    def _insist(self, servo_id: int, register: dxl.Register) -> int:
+        """Value of a register of a bus that is back."""
+        for _ in range(_TRIES):
+            if (value := self._bus.read(servo_id, register)) is not None:
+                return value
+        raise ConnectionError(f"it is back, but {self._profile.servo_names[servo_id]} (id {servo_id}) does not answer")
+
+    def _angles(self, ticks: Iterable[int]) -> Array:
+        return self._profile.joint_angles(np.array([dxl.angle_from_ticks(t) for t in ticks]).reshape(6, 3))
 
     def _read_all(self, register: dxl.Register) -> Array:
         """Every servo's register of an angle as joint angles (6, 3) [rad]; asked until all have answered."""

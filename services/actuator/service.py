@@ -72,7 +72,7 @@ class Actuator:
         self._latch = latch or (None if opener else Latch.of_port(settings.port))
         if self._latched():
             self._joints.let_go()
-        torque = bool(self._joints.torque.all())
+        torque = bool(self._joints.torque.any())  # one that does not pull then is a fault, and named
         self._guard = Guard(profile, settings.plan_age_s, clock(), torque)
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
