@@ -15,6 +15,7 @@ from deploy.commands import servos
 from deploy.commands.benches import bench_accuracy, bench_bus, bench_passage, bench_servos, bench_speed, bench_stages, replay
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor, list_topics
+from deploy.commands.faults import faults
 from deploy.commands.order import order
 from deploy.commands.trials import table, trials
 from deploy.commands.up import up
@@ -152,6 +153,16 @@ def _parser() -> argparse.ArgumentParser:
     choices = ("walks", "reached", "missteps", "maps", "passages", "sections")
     one.add_argument("--of", choices=choices, default="walks", help=f"{words} (default %(default)s)")
     one.add_argument("--json", action="store_true", help="print all of it as JSON")
+
+    one = add("faults", faults, "break a walk in every way at many phases of a step, and see what the robot does")
+    one.add_argument("fault", nargs="*", metavar="FAULT", help="only these (default: all)")
+    one.add_argument(
+        "--phases", type=_positive, default=300, metavar="N", help="times that each is injected (default %(default)s)"
+    )
+    one.add_argument("--list", action="store_true", help="name the faults, and break nothing")
+    one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
+    one.add_argument("--out", metavar="DIR", help="folder to write to; what it has already is not done again")
+    one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
 
     one = add("up", up, "start the processes of a role and keep them until Ctrl-C")
     one.add_argument(

@@ -5,7 +5,7 @@ The same frames, too, but for depth frames that nobody would look at: where it c
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +16,11 @@ from deploy.progress import Progress, Silent
 from deploy.recording import Recorder
 from deploy.report import Report
 from services.actuator.config import Settings as ActuatorSettings
+from services.actuator.latch import Latch
 from services.actuator.service import Actuator
 from services.actuator.servos import read_timeout_ns
+from services.actuator.stop.config import Settings as StopSettings
+from services.actuator.stop.service import Stop
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception.config import Settings as PerceptionSettings
@@ -28,6 +31,7 @@ from services.simulator.bus import MemoryPort
 from services.simulator.config import Settings as SimulatorSettings
 from services.simulator.service import Simulator
 from shared.host import keep_memory, spare_collector
+from shared.messages import Message
 from shared.robot import RobotProfile, load_profile
 from shared.scenario import Fault, Scenario
 from shared.service import AnyTopic, Lockstep, Outage, Service
@@ -48,6 +52,8 @@ class LockstepRun:
         tap: Tap = lambda _topic, _frame, _at_ns: None,
         guests: Sequence[Service] = (),
         every_frame: bool = True,
+        around: Mapping[str, Callable[[Service], Service]] | None = None,
+        stop_port: str = "",
     ):
         keep_memory()
         if scenario.goal.passage:
@@ -55,6 +61,7 @@ class LockstepRun:
         self.scenario = scenario
         self.attendance = Attendance(profile, scenario, seed)
         self._lockstep: Lockstep | None = None
+        self._socket: _Socket | None = None
         looks = PerceptionSettings(method=scenario.variation.registration, scan_resolution=scenario.map.scan_resolution)
         frames_per_picture = 1
         # Colours are laid over every frame, and what a fault does depends on the frame that it comes upon.
@@ -67,15 +74,20 @@ class LockstepRun:
         )
         makers: dict[str, Callable[[], Service]] = {
             "simulator": lambda: simulator,
-            "actuator": lambda: _actuator(profile, scenario, simulator, self.now_ns),
+            "actuator": self._actuator(profile, scenario, simulator, Latch.of_port(stop_port) if stop_port else None),
             "perception": lambda: _perception(profile, looks, scenario, seed),
             "mapper": lambda: Mapper(profile, _map_settings(scenario)),
             "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind, footholds=scenario.walk.footholds)),
         }
+        if stop_port:
+            makers["stop"] = lambda: Stop(profile, StopSettings(stop_port))
         for name, service in [*self.attendance.services().items(), *((guest.name, guest) for guest in guests)]:
             makers[name] = lambda service=service: service  # type: ignore[misc]
+        for name, wrap in (around or {}).items():
+            makers[name] = lambda make=makers[name], wrap=wrap: wrap(make())  # type: ignore[misc]
         spare_collector()
-        self._lockstep = Lockstep(makers, tap, outages=[_outage(fault) for fault in scenario.faults if not fault.of_camera])
+        outages = [_outage(fault) for fault in scenario.faults if not fault.of_camera]
+        self._lockstep = Lockstep(makers, tap, outages=outages, busy_until={"actuator": self._busy_until})
 
     def now_ns(self) -> int:
         """Simulated time [ns]."""
@@ -91,6 +103,31 @@ class LockstepRun:
         assert self._lockstep is not None
         return self._lockstep.service(name)
 
+    def _actuator(
+        self, profile: RobotProfile, scenario: Scenario, simulator: Simulator, latch: Latch | None
+    ) -> Callable[[], Actuator]:
+        settings = ActuatorSettings(arc=scenario.walk.arc, bridge=scenario.bridge)
+
+        def make() -> Actuator:
+            self._socket = socket = _Socket(simulator, self.now_ns, read_timeout_ns(settings) * 1e-9)
+            return Actuator(profile, settings, socket.open, socket.now_ns, latch)
+
+        return make
+
+    def _busy_until(self) -> int:
+        """Until when [ns] the actuator waits for its bus; with the first port it has done so before time begins."""
+        return 0 if self._socket is None or self._socket.is_first else self._socket.now_ns()
+
+    def lose(self, outage: Outage) -> None:
+        """Let a service be away between two times, beside those of the scenario."""
+        assert self._lockstep is not None
+        self._lockstep.lose(outage)
+
+    def say(self, message: Message) -> None:
+        """Send a message now, as somebody who is none of the services."""
+        assert self._lockstep is not None
+        self._lockstep.say(message)
+
 
 def assemble(
     scenario: Scenario,
@@ -99,6 +136,8 @@ def assemble(
     tap: Tap = lambda _topic, _frame, _at_ns: None,
     guests: Sequence[Service] = (),
     every_frame: bool = True,
+    around: Mapping[str, Callable[[Service], Service]] | None = None,
+    stop_port: str = "",
 ) -> LockstepRun:
     """All services of a run in this process, the actuator's port being the other end of the simulator's servo bus.
 
@@ -109,8 +148,10 @@ def assemble(
         tap: Sees every frame as it is sent, with the simulated time [ns].
         guests: Further services that take part.
         every_frame: Make the depth frames, too, that nobody but the tap would look at; it costs a tenth of the run.
+        around: Name of a service -> what takes its place, made of it.
+        stop_port: The stop path takes part, its latch being that of such a port.
     """
-    return LockstepRun(scenario, seed, profile, tap, guests, every_frame)
+    return LockstepRun(scenario, seed, profile, tap, guests, every_frame, around, stop_port)
 
 
 def run_lockstep(
@@ -177,23 +218,19 @@ def _map_settings(scenario: Scenario) -> MapperSettings:
     return MapperSettings(scenario.map.cells, scenario.map.cells_y, scenario.map.resolution)
 
 
-def _actuator(profile: RobotProfile, scenario: Scenario, simulator: Simulator, clock: Callable[[], int]) -> Actuator:
-    settings = ActuatorSettings(arc=scenario.walk.arc, bridge=scenario.bridge)
-    socket = _Socket(simulator, clock, read_timeout_ns(settings) * 1e-9)
-    return Actuator(profile, settings, socket.open, socket.now_ns)
-
-
 class _Socket:
     """Where the actuator opens the emulated bus, again where it was unplugged; one clock for all of its ports."""
 
     def __init__(self, simulator: Simulator, clock: Callable[[], int], timeout: float):
         self._simulator, self._clock, self._timeout = simulator, clock, timeout
         self._port: MemoryPort | None = None
+        self.is_first = clock() == 0  # whether no port has been open before this one
 
     def now_ns(self) -> int:
         return self._clock() if self._port is None else self._port.now_ns()
 
     def open(self) -> MemoryPort:
+        self.is_first &= self._port is None
         self._port = MemoryPort(self._simulator.device, self._clock, self._timeout, start_ns=self.now_ns())
         return self._port
 

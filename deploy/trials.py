@@ -130,7 +130,7 @@ def run_trials(
     wanted = sorted(set(seeds))
     if not wanted or jobs < 1:
         raise ValueError(f"at least one seed and one job expected, found {len(wanted)} seeds and {jobs} jobs")
-    _refuse_another_program()
+    refuse_another_program()
     scenario = replace(scenario, walk=replace(scenario.walk, blind=scenario.walk.blind or blind))
     out.mkdir(parents=True, exist_ok=True)
     path, mark = out / "trials.jsonl", fingerprint(scenario)
@@ -323,7 +323,12 @@ def _begun_by() -> tuple[bytes, str]:
     return _program(), provenance.commit()
 
 
-def _refuse_another_program() -> None:
+def refuse_another_program() -> None:
+    """Remember the program as it is now, the first time; see from then on that it is still the same.
+
+    Raises:
+        ChangedError: It is another one.
+    """
     begun_by, commit = _begun_by()
     if _program() != begun_by:
         raise ChangedError(f"the program has changed since this campaign began; begin it anew, or restore commit {commit}")

@@ -366,6 +366,7 @@ class Lockstep:
         tap: Callable[[AnyTopic, bytes, int], object] = lambda _topic, _frame, _at_ns: None,
         latency_s: Mapping[str, float] | None = None,
         outages: Sequence[Outage] = (),
+        busy_until: Mapping[str, Callable[[], int]] | None = None,
     ):
         """Make the services.
 
@@ -374,6 +375,7 @@ class Lockstep:
             tap: Sees every frame as it is sent, with the time; what a recorder or a test listens at.
             latency_s: Topic key -> delay [s], for topics whose delay differs from the table's.
             outages: What goes away, and when.
+            busy_until: Name -> until when [ns] a service is busy: what takes it longer than a beat costs it the next ones.
 
         Raises:
             ValueError: An outage of a service that is not there, or a latency of a topic that is not.
@@ -388,7 +390,8 @@ class Lockstep:
         self._makers = makers
         self._tap = tap
         self._latency_ns = {t.key: round(1e9 * (latency_s or {}).get(t.key, t.latency_s)) for t in topics.TOPICS}
-        self._outages = {name: tuple(o for o in outages if o.service == name) for name in makers}
+        self._outages: dict[str, list[Outage]] = {name: [] for name in makers}
+        self._busy_until = busy_until or {}
         self._decode = _DecodedOnce()
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
         self._sequence = 0
@@ -400,12 +403,21 @@ class Lockstep:
             if isinstance(pace, Every):
                 self._keep_beating(name, pace.period_ns, order)
         for outage in outages:
-            if outage.kill:
-                self._schedule(outage.until_ns, -2, lambda name=outage.service: self._start(name))  # type: ignore[misc]
+            self.lose(outage)
 
     def service(self, name: str) -> Service:
         """The object that runs now under a name."""
         return self._workers[name].service
+
+    def lose(self, outage: Outage) -> None:
+        """Let a service be away between two times; the second is still to come."""
+        self._outages[outage.service].append(outage)
+        if outage.kill:
+            self._schedule(outage.until_ns, -2, lambda: self._start(outage.service))
+
+    def say(self, message: Message) -> None:
+        """Send a message now, as somebody who is none of the services."""
+        self._send(topics.OF_TYPE[type(message)], codec.encode(message, codec.Timing(self.now_ns, self.now_ns)), self.now_ns)
 
     def run(self, until_ns: int) -> None:
         """Let simulated time pass up to and including an instant."""
@@ -438,8 +450,10 @@ class Lockstep:
         heapq.heappush(self._events, (at_ns, rank, self._sequence, act))
 
     def _keep_beating(self, name: str, period_ns: int, order: int) -> None:
+        busy_until = self._busy_until.get(name, lambda: 0)
+
         def beat() -> None:
-            if self._outage(name) is None:
+            if self._outage(name) is None and busy_until() <= self.now_ns:
                 self._workers[name].tick()
             self._schedule(self.now_ns + period_ns, order, beat)
 

@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 _PATIENCE = 3  # questions in a row that a servo may leave open before it is asked more rarely: a busy host loses answers
-_AT_ONCE = 2  # ... and after which it still comes first in the next call
+_AT_ONCE = 3  # ... and after which it still comes first in the next call
 _MAX_BACKOFF = 32  # a silent servo is still asked every this many turns
 _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
 _LOOKS = 3  # questions to one servo in its turn, where its answers are broken or doubted

@@ -25,7 +25,14 @@ _TRIES = 3  # questions to one servo of a bus that is back
 class Joints:
     """18 joints (6, 3) in the robot's coordinates."""
 
-    def __init__(self, profile: RobotProfile, settings: Settings, opener: Callable[[], Port] | None, clock: Callable[[], int]):
+    def __init__(
+        self,
+        profile: RobotProfile,
+        settings: Settings,
+        opener: Callable[[], Port] | None,
+        clock: Callable[[], int],
+        lets_go: bool = False,
+    ):
         """Open the bus, and read where the joints are; nothing is moved.
 
         Args:
@@ -33,6 +40,7 @@ class Joints:
             settings: Of the actuator.
             opener: Opens the port, in place of the one that the settings name; an OSError where there is none.
             clock: [ns] monotonic, what the port's timing goes by.
+            lets_go: Torque is to be off, before anything else.
 
         Raises:
             BusSetupError: Servos are missing or wrong, all named.
@@ -42,13 +50,13 @@ class Joints:
         self._profile, self._settings, self._clock = profile, settings, clock
         self._opener = opener or Outlet(settings).open
         self._budget_ns = round(settings.read_budget_ms * 1e6)
+        self._lets_go = lets_go  # whether torque is to be off by an order
         self._bus = self._open()
         self._set_up()
         self._tried_ns = clock()
         self.gone = ""  # why there is no bus, in words
         self.returned = False  # whether it has come back, until that is cleared
         self._doubted = np.zeros(18, dtype=np.bool_)  # servos that have been silent since it was seen that they pull
-        self._lets_go = False  # whether torque is to be off by an order
         self.q = self._read_all(dxl.PRESENT_POSITION)  # (6, 3) [rad] by the newest readings
         self.goals = self._first_goals()  # (6, 3) [rad] as they stand in the servos
         self.torque = np.array([bool(self._ask(i, dxl.TORQUE_ENABLE)) for i in self._bus.servo_ids])  # (18,) that pull
@@ -142,6 +150,8 @@ class Joints:
         """Set the bus up; servos that are silent at first get some time."""
         until = self._clock() + _PATIENCE_NS
         while True:
+            if self._lets_go:
+                self._bus.set_torque(False)
             try:
                 self._bus.setup()
             except BusSetupError:
@@ -192,7 +202,7 @@ class Joints:
 
     def _seek(self) -> None:
         """Try to get the bus back; the goals that stand in the servos, and whether they pull, are read anew."""
-        if self._clock() - self._tried_ns < _AGAIN_NS:
+        if self._clock() - self._tried_ns < _AGAIN_NS and not self._lets_go:
             return
         self._tried_ns = self._clock()
         try:

@@ -68,8 +68,8 @@ class Actuator:
         self._profile = profile
         self._settings = settings
         self._clock = clock
-        self._joints = Joints(profile, settings, opener, clock)
         self._latch = latch or (None if opener else Latch.of_port(settings.port))
+        self._joints = Joints(profile, settings, opener, clock, lets_go=self._latched())
         if self._latched():
             self._joints.let_go()
         torque = bool(self._joints.torque.any())  # one that does not pull then is a fault, and named

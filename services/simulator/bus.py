@@ -70,6 +70,7 @@ class ServoBusEmulator(AnswersOnly):
             echo: The adapter hears itself and returns every byte sent, as single-wire adapters do.
         """
         self.counts = BusCounts()
+        self.overhear: Callable[[bytes, int], object] = _nobody  # hears what arrives, and when
         self._bank = bank
         self._timing = timing or BusTiming()
         self._echo = echo
@@ -95,6 +96,7 @@ class ServoBusEmulator(AnswersOnly):
         Bytes queue behind what is still on the wire: the adapter's buffer holds them.
         """
         replies = []
+        self.overhear(data, now_ns)
         if self._parser.pending and now_ns - self._last_ns > _INTER_BYTE_NS:
             self._parser.flush()  # nobody answers what arrives late
         self._last_ns = now_ns
@@ -333,6 +335,10 @@ def _collision(*packets: bytes) -> bytes:
         for i, byte in enumerate(packet):
             heard[i] &= byte
     return bytes(heard)
+
+
+def _nobody(data: bytes, now_ns: int) -> None:
+    """Hear nothing."""
 
 
 @lru_cache(maxsize=1024)

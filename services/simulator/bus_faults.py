@@ -5,7 +5,7 @@ fault means is said in `shared.bus_fault.GRID`.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from random import Random
 
@@ -92,6 +92,7 @@ class BusFaults(AnswersOnly):
             ValueError: A fault of a servo that is not there.
         """
         self.origin_ns: int | None = 0  # bus time at the beginning of simulated time; None while that has not begun
+        self._overhear: Callable[[bytes, int], object] | None = None
         self._bus = bus
         self._bank = bank
         self._seed = seed
@@ -124,6 +125,10 @@ class BusFaults(AnswersOnly):
             self._gone.append(self._running[-1])
         self._injected += 1
 
+    def overhear(self, sent: Callable[[bytes, int], object], arrived: Callable[[bytes, int], object]) -> None:
+        """Have a recorder hear what the host sends and what of it comes to the servos, and when [ns]."""
+        self._overhear, self._bus.overhear = sent, arrived
+
     def words(self, now_ns: int) -> str:
         """What is wrong now, or nothing."""
         t_ns = self._simulated(now_ns)
@@ -146,6 +151,8 @@ class BusFaults(AnswersOnly):
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:
         """Take bytes that the host sends at a time and return what it gets, as `ServoBusEmulator.receive`."""
         t_ns = self._simulated(now_ns)
+        if self._overhear is not None:
+            self._overhear(data, now_ns)
         active = [running for running in self._running if running.on(t_ns)]
         self._bus.cut_off(frozenset(r.row for r in active if r.fault.target == "servo" and r.away(t_ns)))
         if not active:

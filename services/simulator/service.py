@@ -136,6 +136,11 @@ class Simulator:
         refused = f", fault refused: {self._fault_refused}" if self._fault_refused else ""
         return f"simulating {self._scenario.name}, {self.world.time_ns * 1e-9:.1f} s{late}{faults}{refused}"
 
+    @property
+    def servos(self) -> ServoBank:
+        """The servos themselves, for who measures by the truth or lets a run begin with what takes long to come about."""
+        return self._bank
+
     def inject(self, fault: BusFault) -> None:
         """Let something go wrong with servos or bus at its simulated time, or at once where that is past.
 

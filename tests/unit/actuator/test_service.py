@@ -229,6 +229,16 @@ def test_an_order_to_let_go_outlives_the_process_and_a_new_order_alone_undoes_it
     assert not latch.closed
 
 
+def test_a_new_process_lets_go_before_it_asks_anything(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "off")
+    rig = Rig(latch=latch)
+    latch.close()
+    heard: list[bytes] = []
+    rig.bus.overhear = lambda data, _: heard.append(data)
+    rig.start()
+    assert heard[0] == dxl.sync_write(dxl.TORQUE_ENABLE.address, 1, [(i, b"\0") for i in IDS])
+
+
 def test_the_stop_path_is_obeyed_without_a_word_on_the_wire(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "off")
     rig = Rig(latch=latch)

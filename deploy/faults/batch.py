@@ -1,0 +1,137 @@
+"""Faults injected many times, each at phases of its own; what was done before, by the same program, is not done again.
+
+Every injection is a line of JSON in `faults.jsonl`.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from deploy import kept, provenance
+from deploy.faults.cases import BY_NAME, Case
+from deploy.faults.score import Outcome, score
+from deploy.faults.walk import SCENARIO, run_group
+from deploy.trials import fingerprint, refuse_another_program
+from deploy.workers import share_out
+
+FILE = "faults.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class Injection:
+    """One fault, once."""
+
+    fault: str
+    number: int  # gives its phase
+    seed: int  # of the walk
+    at_s: float  # in that walk
+    phase: float  # [1] of the step
+    servo: int  # -1 for none
+    outcome: Outcome
+
+
+Runner = Callable[[str, tuple[int, ...]], list[Injection]]
+
+
+def run_faults(
+    cases: Sequence[Case],
+    phases: int,
+    jobs: int,
+    out: Path,
+    say: Callable[[str], None] = lambda _: None,
+    run: Runner | None = None,
+) -> list[Injection]:
+    """Inject each fault so many times, those left out that are on file already.
+
+    Args:
+        cases: The faults.
+        phases: Of each.
+        jobs: Walks at a time, each in a process of its own.
+        out: Folder for `faults.jsonl`.
+        say: Hears a line per walk.
+        run: What injects a fault several times, in lockstep by default.
+
+    Raises:
+        KeptError: The file there is not one of finished lines.
+        ChangedError: The program has changed since this process began.
+    """
+    refuse_another_program()
+    out.mkdir(parents=True, exist_ok=True)
+    path, mark = out / FILE, fingerprint(SCENARIO)
+    kept.mend(path)
+    done = {(one.fault, one.number): one for one in read(path, mark)}
+    tasks = [task for case in cases for task in _tasks(case, phases, done)]
+    left = sum(len(numbers) for _, numbers in tasks)
+    wanted = phases * len(cases)
+    if left < wanted:
+        say(f"{wanted - left} of {wanted} injections are done already; see {path}")
+    marks = {"fingerprint": mark, "commit": provenance.commit()}
+    with path.open("a", encoding="utf-8") as lines:
+        for found in share_out(run or inject, tasks, min(jobs, len(tasks)), in_order=False):
+            for one in found:
+                done[one.fault, one.number] = one
+                entry = {**marks, "time": provenance.now(), "scenario": SCENARIO.name, **_plain(asdict(one))}
+                lines.write(json.dumps(entry, ensure_ascii=False, separators=(",", ":")) + "\n")
+            lines.flush()
+            left -= len(found)
+            say(f"[{wanted - left}/{wanted}] {found[0].fault}, {len(found)} phases")
+    names = [case.name for case in cases]
+    return [done[name, number] for name in names for number in range(phases)]
+
+
+def inject(name: str, numbers: tuple[int, ...]) -> list[Injection]:
+    """Inject a fault at several phases and score what happened."""
+    case = BY_NAME[name]
+    return [
+        Injection(name, number, seed, line.begin_s, line.phase, line.servo, score(line, case, profile))
+        for number, seed, line, profile in run_group(case, numbers)
+    ]
+
+
+def read(path: Path, mark: str) -> Iterator[Injection]:
+    """Injections on file with a fingerprint, none where there is no file; a line cut off at the end is left out.
+
+    Raises:
+        KeptError: A line is no injection.
+    """
+    if not path.exists():
+        return
+    *lines, _ = path.read_bytes().split(b"\n")
+    for number, line in enumerate(lines, 1):
+        try:
+            entry = json.loads(line)
+            if entry["fingerprint"] == mark:
+                yield _injection(entry)
+        except (ValueError, KeyError, TypeError) as error:
+            words = f"{path}, line {number}: an injection as JSON expected, found {line[:60]!r} ({error}); remove the line"
+            raise kept.KeptError(words) from None
+
+
+def _tasks(case: Case, phases: int, done: Iterable[tuple[str, int]]) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Groups of one walk each in which something is left to do."""
+    done = set(done)
+    for first in range(0, phases, case.per_walk):
+        numbers = tuple(range(first, min(first + case.per_walk, phases)))
+        if any((case.name, number) not in done for number in numbers):
+            yield case.name, numbers
+
+
+def _plain(table: dict[str, Any]) -> dict[str, Any]:
+    """Without what JSON has no word for: a time that never was is null."""
+    return {
+        name: _plain(value) if isinstance(value, dict) else None if isinstance(value, float) and not isfinite(value) else value
+        for name, value in table.items()
+    }
+
+
+def _injection(entry: dict[str, Any]) -> Injection:
+    outcome = {f.name: _number(entry["outcome"][f.name]) for f in fields(Outcome)}
+    values = {f.name: entry[f.name] for f in fields(Injection) if f.name != "outcome"}
+    return Injection(**values, outcome=Outcome(**outcome))
+
+
+def _number(value: Any) -> Any:
+    return float("nan") if value is None else value

@@ -1,0 +1,208 @@
+"""The faults as a table of data: what is done to a walk, for how long, and what the robot is to do then.
+
+A number that is not limited is infinite. Times count from the fault's beginning but where something else is said.
+"""
+
+from dataclasses import dataclass, field
+from math import inf
+from typing import Literal
+
+from shared.bus_fault import BusFault
+
+
+@dataclass(frozen=True, slots=True)
+class Away:
+    """A service is away: killed, a new one comes back; or stopped, the same one goes on."""
+
+    service: Literal["planner", "actuator"]
+    kill: bool
+    for_s: float
+    after_s: float = 0.0  # of the fault's beginning
+
+
+@dataclass(frozen=True, slots=True)
+class Meddling:
+    """The planner is there, and its words are not its own."""
+
+    how: Literal["mute", "repeating", "fuzzed"]
+    for_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class OnBus:
+    """Something is broken with servos, bus or supply."""
+
+    fault: BusFault  # at time 0, of servo 0 where it needs one
+    any_servo: bool = False  # one that is drawn takes its place
+
+    @property
+    def for_s(self) -> float:
+        """How long it lasts [s]."""
+        return self.fault.for_s
+
+
+@dataclass(frozen=True, slots=True)
+class Off:
+    """Torque is ordered off, and the order is repeated as an operator's page does."""
+
+    from_s: float = 0.05  # drawn between the two, after the fault's beginning
+    until_s: float = 0.8
+    for_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """The wall clock is stepped, and stepped back at the end."""
+
+    step_s: float
+    for_s: float
+
+
+Deed = Away | Meddling | OnBus | Off | Clock
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the robot is to do; nobody falls in any case."""
+
+    decided_s: float = inf  # until it says that it stops
+    named: str = ""  # pattern of what the reason says meanwhile, {servo} being the id
+    rest_s: float = inf  # until it stands still
+    margin_m: float = -inf  # least stability margin over the three seconds after
+    again_s: float = inf  # until it walks again, from the fault's end on
+    jump_deg: float = inf  # of a joint, from the fault's end until it walks again
+    lunge_dps: float = inf  # [deg/s] of a joint, from the reset of a shutdown on
+    off_s: float = inf  # until servos hear that torque is off; from the order, or from the bus' return
+    torque_stays: bool = True  # no torque is switched
+    walks_on: bool = False  # there is no stop
+    seated: bool = False  # it lies and has let go before a servo shuts down or the battery is empty
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One fault of the table."""
+
+    name: str
+    words: str
+    deeds: tuple[Deed, ...]
+    limits: Limits = field(default_factory=Limits)
+    per_walk: int = 6  # injections in one walk, one after the other
+    warm_c: float = 0.0  # [deg C] of the drawn servo when the walk begins; 0 leaves it as it is
+    charge: float = 1.0  # of the battery when the walk begins
+    watch_s: float = 8.0  # [s] after the fault's end, at most
+
+    @property
+    def for_s(self) -> float:
+        """How long it lasts [s]."""
+        return max(deed.for_s + (deed.after_s if isinstance(deed, Away) else 0.0) for deed in self.deeds)
+
+    @property
+    def lets_go(self) -> bool:
+        """Whether torque is ordered off."""
+        return any(isinstance(deed, Off) for deed in self.deeds)
+
+
+_OUT_S = 2.0  # [s] that what is broken stays so
+_RESTART_S = 1.0  # [s] in which a killed actuator's successor is there: seen, started, imported
+_STOPPED_S = 3.5  # [s] that a stopped one stays so
+_STOPS = Limits(decided_s=0.25, named="no new plan", rest_s=0.7, margin_m=0.010, again_s=2.0)
+_ONE_SERVO = Limits(decided_s=0.25, named=r"\(id {servo}\)", again_s=3.0)
+_NO_BUS = Limits(decided_s=0.25, named="no servo answers|port", again_s=3.0)
+_CALM = Limits(walks_on=True)
+_LETS_GO = Limits(off_s=0.060, torque_stays=False)
+
+
+def _bus(target: str, kind: str, for_s: float = _OUT_S, **values: object) -> OnBus:
+    fault = BusFault(target, kind, 0.0, for_s, **{"servo": 0, **values} if target == "servo" else values)  # type: ignore[arg-type]
+    return OnBus(fault, any_servo=target == "servo" or kind == "heat")
+
+
+_BROKEN_BUSES: tuple[tuple[str, str, OnBus], ...] = (
+    ("lost-10", "10 % of the answers lost", _bus("packets", "silent", share=0.10)),
+    ("lost-40", "40 % of the answers lost", _bus("packets", "silent", share=0.40)),
+    ("bytes-lost", "1 % of the bytes lost, both ways", _bus("bytes", "silent", share=0.01)),
+    ("bytes-garbage", "1 % of the bytes garbage, both ways", _bus("bytes", "garbage", share=0.01)),
+    ("noise-bursts", "bursts of noise, 50 of every 250 ms", _bus("bytes", "intermittent")),
+    ("packets-noisy", "noise in front of 20 % of the answers", _bus("packets", "garbage", share=0.20)),
+    ("servo-silent", "one servo silent", _bus("servo", "silent")),
+    ("servo-garbage", "one servo answers with garbage", _bus("servo", "garbage")),
+    ("servo-slow", "one servo's answers 16 ms late", _bus("servo", "slow")),
+    ("servo-intermittent", "one servo's cable is loose", _bus("servo", "intermittent", on_ms=200.0, off_ms=200.0)),
+    ("bus-silent", "nobody hears, nobody answers", _bus("bus", "silent")),
+    ("bus-stuck", "the line is held", _bus("bus", "stuck")),
+    ("bus-garbage", "the line is full of garbage", _bus("bus", "garbage")),
+    ("bus-wrong", "each answer is the one before", _bus("bus", "wrong")),
+    ("bus-slow", "every answer 16 ms late", _bus("bus", "slow")),
+    ("bus-intermittent", "the bus is away for 50 of every 250 ms", _bus("bus", "intermittent")),
+    ("bus-gone", "the adapter is unplugged and comes back under another name", _bus("bus", "gone", renamed=True)),
+)
+_LIMITS_OF_BUSES = {
+    "lost-40": Limits(decided_s=0.45, named="lost or broken|does not answer|no servo answers", again_s=3.0),
+    "servo-silent": _ONE_SERVO,
+    "servo-garbage": _ONE_SERVO,
+    **dict.fromkeys(("bus-silent", "bus-stuck", "bus-garbage", "bus-gone"), _NO_BUS),
+}
+
+_OFF: tuple[tuple[str, str, tuple[Deed, ...]], ...] = (
+    ("off", "the actuator is killed a second later", (Off(), Away("actuator", True, 0.5, 1.5))),
+    *((f"off-{name}", words, (deed, Off())) for name, words, deed in _BROKEN_BUSES),
+    ("off-overload", "one servo has shut down", (_bus("servo", "overload"), Off())),
+    ("off-planner-killed", "the planner is killed", (Away("planner", True, _OUT_S), Off())),
+    ("off-actuator-killed", "the actuator is killed", (Away("actuator", True, _RESTART_S), Off())),
+    ("off-actuator-stopped", "the actuator is stopped", (Away("actuator", False, _OUT_S), Off())),
+)
+
+CASES: tuple[Case, ...] = (
+    Case("planner-killed", "the planner is killed, another comes after 2 s", (Away("planner", True, _OUT_S),), _STOPS),
+    Case("planner-hung", "the planner hangs for 2 s, its heartbeat goes on", (Meddling("mute", _OUT_S),), _STOPS),
+    Case("planner-repeating", "the planner says its last plans again and again", (Meddling("repeating", _OUT_S),), _STOPS),
+    Case(
+        "actuator-killed",
+        "the actuator is killed, another is there after 1 s",
+        (Away("actuator", True, _RESTART_S),),
+        Limits(decided_s=1.5, jump_deg=2.0),
+    ),
+    Case(
+        "actuator-stopped",
+        "the actuator is stopped for 3.5 s",
+        (Away("actuator", False, _STOPPED_S),),
+        Limits(decided_s=_STOPPED_S + 0.1, jump_deg=2.0),
+    ),
+    Case("lost-1", "1 % of the answers lost", (_bus("packets", "silent", 4.0, share=0.01),), _CALM),
+    Case("corrupted-1", "1 % of the answers broken", (_bus("packets", "wrong", 4.0, share=0.01, part="two bytes"),), _CALM),
+    Case("corrupted-10", "10 % of the answers broken", (_bus("packets", "wrong", 4.0, share=0.10, part="two bytes"),)),
+    *(Case(name, words, (deed,), _LIMITS_OF_BUSES.get(name, Limits())) for name, words, deed in _BROKEN_BUSES),
+    Case("servo-stuck", "one servo's position register does not change", (_bus("servo", "stuck"),)),
+    Case("servo-wrong", "one servo's position register is 29 deg off", (_bus("servo", "wrong"),)),
+    Case("servo-jammed", "one joint does not move", (_bus("servo", "jammed", 1.0),)),
+    Case(
+        "overload",
+        "one servo has shut down for its load",
+        (_bus("servo", "overload", 0.5),),
+        Limits(rest_s=1.0, named=r"\(id {servo}\)", again_s=10.0, lunge_dps=30.0),
+        watch_s=12.0,
+    ),
+    Case(
+        "heat",
+        "one servo, 58 deg C warm, is heated by 1 K/s",
+        (_bus("servo", "heat", 30.0, kelvin_per_s=1.0),),
+        Limits(torque_stays=False, seated=True),
+        per_walk=1,
+        warm_c=58.0,
+        watch_s=0.0,
+    ),
+    Case(
+        "drain",
+        "the battery, 12 % full, runs empty within 60 s",
+        (_bus("supply", "drain", 60.0),),
+        Limits(torque_stays=False, seated=True),
+        per_walk=1,
+        charge=0.12,
+        watch_s=0.0,
+    ),
+    Case("sag", "the voltage is 3 V lower for 0.4 s", (_bus("supply", "sag", 0.4, volts=3.0),), _CALM),
+    Case("fuzzed-plans", "plans are fuzzed by the thousand for 1 s", (Meddling("fuzzed", 1.0),)),
+    Case("clock-stepped", "the wall clock is stepped by an hour", (Clock(3600.0, 3.0),), _CALM),
+    *(Case(name, f"torque is ordered off; {words}", deeds, _LETS_GO, per_walk=1, watch_s=2.0) for name, words, deeds in _OFF),
+)
+BY_NAME = {case.name: case for case in CASES}

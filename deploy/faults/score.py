@@ -1,0 +1,185 @@
+"""What came of one injection: arrays in, numbers out. A time is NaN where what it is of did not happen."""
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from math import inf, nan
+
+import numpy as np
+
+from deploy.faults.cases import Case
+from deploy.faults.timeline import Timeline, Truth, Word
+from deploy.scorer import FALL_TILT_DEG
+from deploy.walk_metrics import Flags, debounced, stability_margin
+from shared import dynamixel as dxl
+from shared.geometry import Array
+from shared.messages import Mode
+from shared.robot import RobotProfile
+
+_MARGIN_S = 3.0  # [s] over which the stability margin is looked at
+_STILL_S = 0.2  # [s] for which a robot that is at rest has been so
+_STILL = 0.02  # [m/s] of the body, and of each foot
+_HANGING = 0.003  # [m] a foot so far over level ground catches the body after a degree of tilt
+_DEBOUNCE = 1  # samples of truth, 20 ms
+_CLEARANCE = 0.005  # [m] the body's underside this near the ground is a fall, unless it was to come down
+_DOWN = (Mode.OFF, Mode.SIT, Mode.READY)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of one injection; times in seconds."""
+
+    decided_s: float  # until the actuator says that it stops
+    named: bool  # whether it has said why
+    rest_s: float  # until the robot stands still
+    margin_m: float  # least stability margin over the three seconds after
+    falls: int
+    again_s: float  # until it walks again, from the fault's end on
+    jump_deg: float  # largest change of a joint, or of its goal, in 20 ms, from the fault's end until it walks again
+    lunge_dps: float  # [deg/s] fastest joint from the reset of a shutdown until it walks again; 0 without a reset
+    switched: bool  # whether torque was, by anybody on the bus
+    off_s: float  # until all servos that hear have heard that torque is off; see `off_time`
+    goals_before_off: int  # sent after the order, or the bus' return, and before torque was
+    on_again: bool  # whether torque was ordered off and yet a servo pulls in the end
+    stops: int  # times that it stopped
+    seated_s: float  # until it has lain down and let go
+    cut_off: bool  # whether a servo shut down, or the battery was empty, before that
+    outside: int  # goals outside of the joints' limits
+    plans: int  # fuzzed
+    reason: str  # of the last stop, in the actuator's words
+
+
+def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
+    """What came of an injection."""
+    since = [word for word in line.words if word.t_s > line.begin_s]
+    pattern = re.compile(case.limits.named.format(servo=line.servo)) if case.limits.named else None
+    decided = next((w.t_s for w in since if w.mode is not Mode.WALK or _names(pattern, w)), nan)
+    again = _again(since, max(line.end_s, decided)) if np.isfinite(decided) else nan
+    quiet = (line.end_s, min(again, line.words[-1].t_s))
+    reset = next((s.t_s for s in line.switches if s.heard and s.register is dxl.TORQUE_LIMIT and s.t_s > line.begin_s), inf)
+    stopped = [w for w in since if w.mode is not Mode.WALK]
+    off_s, before = off_time(line)
+    seated = next((w.t_s for w in since if w.mode is Mode.OFF), nan)
+    return Outcome(
+        decided_s=decided - line.begin_s,
+        named=any(_names(pattern, w) for w in since),
+        rest_s=_at_rest(line.truth, decided, _broken_leg(line, profile)) - line.begin_s,
+        margin_m=_margin(line.truth, line.begin_s, profile),
+        falls=int(_falls(line, profile)),
+        again_s=again - line.end_s,
+        jump_deg=_jump(line, *quiet, profile) if np.isfinite(decided) else 0.0,
+        lunge_dps=_fastest(line.truth, reset, again if np.isfinite(again) else inf),
+        switched=any(s.heard and s.register is dxl.TORQUE_ENABLE and s.t_s > line.begin_s for s in line.switches),
+        off_s=off_s,
+        goals_before_off=before,
+        on_again=bool(np.isfinite(line.ordered_s) and line.pulls.any()),
+        stops=_stops(line.words),
+        seated_s=seated - line.begin_s,
+        cut_off=_cut_off(line, seated),
+        outside=len(line.outside),
+        plans=line.plans,
+        reason=stopped[-1].reason if stopped else "",
+    )
+
+
+def _names(pattern: re.Pattern[str] | None, word: Word) -> bool:
+    return pattern is not None and pattern.search(word.reason) is not None
+
+
+def _again(since: list[Word], after_s: float) -> float:
+    """When it walks again, NaN where it does not."""
+    return next((w.t_s for w in since if w.t_s > after_s and w.mode is Mode.WALK), nan)
+
+
+def _stops(words: tuple[Word, ...]) -> int:
+    walking = [word.mode is Mode.WALK for word in words]
+    return sum(before and not now for before, now in pairwise(walking))
+
+
+def off_time(line: Timeline) -> tuple[float, int]:
+    """How long [s] it took until all servos heard that torque is off, and how many goals were sent before.
+
+    From the order on; or from when bus and actuator were there again, if later. A servo that does not hear does not count.
+    """
+    if not np.isfinite(line.ordered_s):
+        return nan, 0
+    begin = np.fmax(line.ordered_s, line.returned_s)
+    offs = [s for s in line.switches if s.register is dxl.TORQUE_ENABLE and not any(s.values.values()) and len(s.values) == 18]
+    heard = next((s.t_s for s in offs if s.heard and s.t_s >= line.ordered_s), nan)
+    sent = next((s.t_s for s in offs if not s.heard and s.t_s >= begin), inf)
+    first = min(heard, sent) if np.isfinite(heard) else sent
+    return max(heard - begin, 0.0), sum(
+        begin < goals.t_s < first for goals in line.goals
+    ) if line.returned_s > line.ordered_s else 0
+
+
+def carrying(truth: Truth, profile: RobotProfile) -> Flags:
+    """Feet (n, 6) that carry on level ground, or would as soon as the body leaned on them."""
+    low = truth.feet[..., 2] - profile.foot.radius < _HANGING
+    return np.asarray(debounced(truth.contact, _DEBOUNCE) | low)
+
+
+def _margin(truth: Truth, begin_s: float, profile: RobotProfile) -> float:
+    rows = (truth.t >= begin_s) & (truth.t <= begin_s + _MARGIN_S)
+    if not rows.any():
+        return nan
+    margin = stability_margin(truth.feet[rows, :, :2], carrying(truth, profile)[rows], truth.body[rows, :2, 3])
+    return float(np.nanmin(margin)) if np.isfinite(margin).any() else nan
+
+
+def _falls(line: Timeline, profile: RobotProfile) -> bool:
+    truth = line.truth
+    rows = truth.t >= line.begin_s
+    tilted = truth.body[rows, 2, 2] < np.cos(np.radians(FALL_TILT_DEG))
+    low = truth.body[rows, 2, 3] < profile.body.size[2] / 2 + _CLEARANCE
+    may_lie = any(w.mode in _DOWN for w in line.words) or np.isfinite(line.ordered_s)
+    return bool(tilted.any() or (low.any() and not may_lie))
+
+
+def _broken_leg(line: Timeline, profile: RobotProfile) -> Flags:
+    """The leg (6,) whose servo is broken: where that is limp, the foot may hang."""
+    return np.asarray((profile.servo_ids == line.servo).any(axis=1))
+
+
+def _at_rest(truth: Truth, decided_s: float, broken: Flags) -> float:
+    """When all feet but those of broken legs (6,) stood, and nothing moved any more, for a while."""
+    if not np.isfinite(decided_s) or len(truth.t) < 3:
+        return nan
+    still = (truth.contact | broken).all(axis=1) & (_speeds(truth.body[:, None, :3, 3], truth.t).max(axis=1) < _STILL)
+    still &= _speeds(truth.feet, truth.t).max(axis=1) < _STILL
+    samples = max(1, round(_STILL_S / float(np.median(np.diff(truth.t)))))
+    for i in np.flatnonzero(still & (truth.t >= decided_s)).tolist():
+        if i + samples <= len(still) and still[i : i + samples].all():
+            return float(truth.t[i])
+    return nan
+
+
+def _speeds(points: Array, t: Array) -> Array:
+    """Speeds (n, k) [m/s] of points (n, k, 3), over two samples."""
+    return np.asarray(np.linalg.norm(np.gradient(points, t, axis=0), axis=-1))
+
+
+def _jump(line: Timeline, from_s: float, until_s: float, profile: RobotProfile) -> float:
+    """Largest change [deg] of a joint in one sample, or of its goal from one to the next, but of a broken servo."""
+    rows = (line.truth.t >= from_s) & (line.truth.t <= until_s)
+    joints = np.degrees(np.abs(np.diff(line.truth.q[rows], axis=0))).max(initial=0.0)
+    recent = [goals for goals in line.goals if goals.t_s <= until_s]
+    first = max(sum(goals.t_s < from_s for goals in recent) - 1, 0)  # the last before is where the servos are told to be
+    ticks = np.array([goals.ticks for goals in recent[first:]]).reshape(-1, 18)
+    whole = profile.servo_ids.ravel() != line.servo
+    goals = np.degrees(dxl.TICK_RAD * np.abs(np.diff(ticks, axis=0)))[:, whole].max(initial=0.0)
+    return float(max(joints, goals))
+
+
+def _fastest(truth: Truth, from_s: float, until_s: float) -> float:
+    """Speed [deg/s] of the fastest joint, over two samples."""
+    rows = (truth.t >= from_s) & (truth.t <= until_s)
+    if rows.sum() < 3:
+        return 0.0
+    return float(np.degrees(np.abs(np.gradient(truth.q[rows], truth.t[rows], axis=0))).max())
+
+
+def _cut_off(line: Timeline, seated_s: float) -> bool:
+    until = seated_s if np.isfinite(seated_s) else inf
+    rows = (line.truth.t >= line.begin_s) & (line.truth.t <= until)
+    return bool(line.truth.shutdown[rows].any() or line.empty_s <= until)

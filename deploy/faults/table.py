@@ -1,0 +1,196 @@
+"""What many injections came to, against the limits: numbers in, a table out."""
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from math import ceil, isfinite, isinf, nan
+from typing import Any
+
+from deploy.faults.batch import Injection
+from deploy.faults.cases import BY_NAME, Case
+from deploy.faults.score import Outcome
+from deploy.statistics import wilson
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One quantity over the injections in which it was measured, NaN where it was in none; nearest ranks."""
+
+    n: int
+    p50: float
+    p99: float
+    worst: float
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What one fault came to."""
+
+    fault: str
+    n: int
+    decided_s: Figure
+    rest_s: Figure
+    margin_m: Figure  # the worst is the least
+    again_s: Figure
+    jump_deg: Figure
+    lunge_dps: Figure
+    off_s: Figure
+    seated_s: Figure
+    falls: int
+    switched: int  # injections in which torque was
+    stopped: int  # in which it stopped
+    outside: int  # goals outside of the joints' limits
+    plans: int  # fuzzed
+    missed: tuple[str, ...]  # limits, each with the number of injections that miss it
+
+    @property
+    def passed(self) -> bool:
+        """Whether all limits are kept."""
+        return not self.missed
+
+
+def rows(found: Iterable[Injection]) -> list[Row]:
+    """A row for each fault, in their order."""
+    by_fault: dict[str, list[Outcome]] = {}
+    for one in found:
+        by_fault.setdefault(one.fault, []).append(one.outcome)
+    return [row(BY_NAME[fault], outcomes) for fault, outcomes in by_fault.items()]
+
+
+def row(case: Case, outcomes: Sequence[Outcome]) -> Row:
+    """What one fault came to."""
+
+    def of(name: str, worst_is_least: bool = False) -> Figure:
+        return figure([getattr(one, name) for one in outcomes], worst_is_least)
+
+    return Row(
+        fault=case.name,
+        n=len(outcomes),
+        decided_s=of("decided_s"),
+        rest_s=of("rest_s"),
+        margin_m=of("margin_m", worst_is_least=True),
+        again_s=of("again_s"),
+        jump_deg=of("jump_deg"),
+        lunge_dps=of("lunge_dps"),
+        off_s=of("off_s"),
+        seated_s=of("seated_s"),
+        falls=sum(one.falls for one in outcomes),
+        switched=sum(one.switched for one in outcomes),
+        stopped=sum(one.stops > 0 for one in outcomes),
+        outside=sum(one.outside for one in outcomes),
+        plans=sum(one.plans for one in outcomes),
+        missed=_missed(case, outcomes),
+    )
+
+
+def figure(values: Sequence[float], worst_is_least: bool = False) -> Figure:
+    """p50, p99 and worst of values by nearest rank; where the worst is the least, p99 is what 99 % are above."""
+    known = sorted((value for value in values if isfinite(value)), reverse=worst_is_least)
+    if not known:
+        return Figure(0, nan, nan, nan)
+    p50, p99 = (known[ceil(share * len(known)) - 1] for share in (0.50, 0.99))
+    return Figure(len(known), p50, p99, known[-1])
+
+
+def _missed(case: Case, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+    """Which limits are not kept, and how often."""
+    counts = [(words, sum(not keeps(one) for one in outcomes)) for words, keeps in _laws(case)]
+    return tuple(f"{words}: missed by {count} of {len(outcomes)}" for words, count in counts if count)
+
+
+def _laws(case: Case) -> Iterable[tuple[str, Callable[[Outcome], bool]]]:
+    """What every injection of a fault is held to, in words."""
+    limits = case.limits
+    for name, rounding, words, unit, factor in _AT_MOST:
+        most = getattr(limits, name)
+        if not isinf(most):
+            # A time that never came keeps no limit.
+            yield f"{words} {most * factor:g} {unit}", _at_most(name, most + rounding)
+    if isfinite(limits.margin_m):
+        yield f"margin {limits.margin_m * 1e3:g} mm", lambda one: one.margin_m >= limits.margin_m
+    if limits.named:
+        yield "named", lambda one: one.named
+    if limits.torque_stays:
+        yield "torque stays as it is", lambda one: not one.switched
+    if limits.walks_on:
+        yield "walks on", lambda one: one.stops == 0
+    if limits.seated:
+        yield "seated before the cut-off", lambda one: isfinite(one.seated_s) and not one.cut_off
+    if case.lets_go:
+        yield "off stays off", lambda one: not one.on_again
+        yield "off before any goal", lambda one: one.goals_before_off == 0
+    yield "no fall", lambda one: one.falls == 0
+    yield "no goal outside of the limits", lambda one: one.outside == 0
+
+
+def _at_most(name: str, most: float) -> Callable[[Outcome], bool]:
+    return lambda one: bool(getattr(one, name) <= most)
+
+
+_AT_MOST = (  # name, rounding allowed, words, unit, factor
+    ("decided_s", 1e-6, "hold decided within", "ms", 1e3),
+    ("rest_s", 1e-6, "at rest within", "ms", 1e3),
+    ("again_s", 1e-6, "walks again within", "s", 1.0),
+    ("jump_deg", 1e-6, "joints jump by at most", "deg", 1.0),
+    ("lunge_dps", 1e-6, "joints after a reset at most", "deg/s", 1.0),
+    ("off_s", 1e-6, "torque off within", "ms", 1e3),
+)
+
+
+def markdown(table: Sequence[Row]) -> str:
+    """The table for people and documents; p50 / p99 / worst."""
+    columns = (
+        "fault | n | hold decided [ms] | at rest [ms] | margin [mm] | falls | walks again [s] | jump [deg] | torque switched"
+    )
+    lines = [f"| {columns} | other | limits |", f"|{' --- |' * 11}"]
+    for one in table:
+        cells = (
+            one.fault,
+            f"{one.n}",
+            _cell(one.decided_s, 1e3, ".0f"),
+            _cell(one.rest_s, 1e3, ".0f"),
+            _cell(one.margin_m, 1e3, ".0f"),
+            f"{one.falls}",
+            _cell(one.again_s, 1.0, ".1f"),
+            _cell(one.jump_deg, 1.0, ".1f"),
+            f"{one.switched}",
+            "; ".join(_others(one)),
+            "pass" if one.passed else f"FAIL: {'; '.join(one.missed)}",
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    passed = sum(one.passed for one in table)
+    least = min((one.n for one in table), default=0)
+    high = f", at most {100 * wilson(0, least).high:.1f} % by 95 % where none of {least} does" if least else ""
+    lines += ["", f"{passed} of {len(table)} faults keep all limits. A limit is kept when no injection misses it{high}."]
+    return "\n".join(lines)
+
+
+def _others(one: Row) -> Iterable[str]:
+    """What only some faults are about."""
+    if one.off_s.n:
+        yield f"torque off after {_cell(one.off_s, 1e3, '.0f')} ms"
+    if one.seated_s.n and not one.off_s.n:
+        yield f"seated after {_cell(one.seated_s, 1.0, '.1f')} s"
+    if one.lunge_dps.worst > 0.0:
+        yield f"after the reset {_cell(one.lunge_dps, 1.0, '.0f')} deg/s"
+    if one.plans:
+        yield f"{one.plans} plans, {one.outside} goals outside"
+    if one.stopped < one.n:
+        yield f"stopped in {one.stopped}"
+
+
+def _cell(one: Figure, unit: float, form: str) -> str:
+    if not one.n:
+        return "-"
+    return " / ".join(f"{unit * value:{form}}" for value in (one.p50, one.p99, one.worst))
+
+
+def to_json(table: Sequence[Row]) -> str:
+    """The table for scripts; what was never measured is null."""
+    return json.dumps([_plain(asdict(one)) | {"passed": one.passed} for one in table], indent=1, ensure_ascii=False) + "\n"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    return None if isinstance(value, float) and not isfinite(value) else value

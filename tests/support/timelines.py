@@ -1,0 +1,52 @@
+"""Made-up timelines of faults: a robot that stands where it rests, and says what it is told to say."""
+
+from typing import Any
+
+import numpy as np
+
+from deploy.faults.timeline import Timeline, Truth, Word
+from shared.messages import Mode
+from shared.robot import load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+BEGIN_S, PERIOD_S = 10.0, 0.02
+WALKING = Word(BEGIN_S - 0.01, Mode.WALK, "walking")
+
+
+def standing(for_s: float = 4.0, **changes: Any) -> Truth:
+    """The truth of a robot that stands still, from a sample before the fault on."""
+    t = BEGIN_S - PERIOD_S + PERIOD_S * np.arange(round(for_s / PERIOD_S))
+    n, height = len(t), PROFILE.stance.body_height
+    body = np.tile(np.eye(4), (n, 1, 1))
+    body[:, 2, 3] = height
+    values: dict[str, Any] = {
+        "t": t,
+        "q": np.zeros((n, 6, 3)),
+        "feet": np.tile(PROFILE.rest_feet() + np.array([0.0, 0.0, height]), (n, 1, 1)),
+        "contact": np.ones((n, 6), dtype=np.bool_),
+        "body": body,
+        "shutdown": np.zeros((n, 6, 3), dtype=np.bool_),
+    }
+    return Truth(**(values | changes))
+
+
+def timeline(*words: Word, **changes: Any) -> Timeline:
+    """An injection in which the robot stood, with what the actuator said after its beginning."""
+    values: dict[str, Any] = {
+        "begin_s": BEGIN_S,
+        "end_s": BEGIN_S + 2.0,
+        "servo": -1,
+        "phase": 0.5,
+        "words": (WALKING, *words),
+        "truth": standing(),
+        "goals": (),
+        "switches": (),
+        "outside": (),
+        "pulls": np.ones(18, dtype=np.bool_),
+    }
+    return Timeline(**(values | changes))
+
+
+def word(after_s: float, mode: Mode, reason: str = "") -> Word:
+    """Something said so long [s] after the beginning."""
+    return Word(BEGIN_S + after_s, mode, reason)

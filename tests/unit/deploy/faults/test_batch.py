@@ -1,0 +1,108 @@
+"""Batches of made-up injections: nothing is done twice, and a table is told of all."""
+
+import json
+from dataclasses import replace
+from math import nan
+from pathlib import Path
+
+import pytest
+
+from deploy import kept
+from deploy.faults import table as tables
+from deploy.faults.batch import FILE, Injection, read, run_faults
+from deploy.faults.cases import BY_NAME, CASES
+from deploy.faults.score import score
+from tests.support.timelines import PROFILE, timeline
+
+KILLED, SAG, OFF = (BY_NAME[name] for name in ("planner-killed", "sag", "off-lost-10"))
+CALM = replace(score(timeline(), SAG, PROFILE), margin_m=0.03)
+GOOD = replace(CALM, decided_s=0.22, named=True, rest_s=0.6, again_s=0.4, stops=1)
+
+
+class Runner:
+    def __init__(self) -> None:
+        self.asked: list[tuple[str, tuple[int, ...]]] = []
+
+    def __call__(self, name: str, numbers: tuple[int, ...]) -> list[Injection]:
+        self.asked.append((name, numbers))
+        outcome = CALM if name == "sag" else GOOD
+        return [Injection(name, number, 1000, 5.0 + number, 0.5, -1, outcome) for number in numbers]
+
+
+def test_a_batch_goes_on_where_it_was(tmp_path: Path) -> None:
+    first, second = Runner(), Runner()
+    found = run_faults([KILLED, SAG], 8, 1, tmp_path, run=first)
+    assert [(one.fault, one.number) for one in found] == [(name, k) for name in ("planner-killed", "sag") for k in range(8)]
+    assert first.asked[:2] == [("planner-killed", tuple(range(6))), ("planner-killed", (6, 7))]
+    path = tmp_path / FILE
+    path.write_bytes(path.read_bytes()[:-20])
+    again = run_faults([KILLED, SAG], 8, 1, tmp_path, run=second)
+    assert second.asked == [("sag", (6, 7))]
+    assert [one.outcome.decided_s for one in again[:8]] == [0.22] * 8
+    assert again[8].outcome.decided_s != again[8].outcome.decided_s, "NaN comes back as it went"
+
+
+def test_lines_of_another_program_do_not_count_and_other_lines_are_told(tmp_path: Path) -> None:
+    run_faults([SAG], 1, 1, tmp_path, run=Runner())
+    path = tmp_path / FILE
+    mark = json.loads(path.read_text())["fingerprint"]
+    assert len(list(read(path, mark))) == 1
+    assert not list(read(path, "another"))
+    path.write_text(path.read_text() + "{}\n")
+    with pytest.raises(kept.KeptError, match="line 2"):
+        list(read(path, mark))
+
+
+def test_a_row_passes_when_every_injection_keeps_every_limit() -> None:
+    assert tables.row(KILLED, [GOOD] * 3).passed
+    wrongs = (
+        replace(GOOD, decided_s=0.26),
+        replace(GOOD, decided_s=nan),
+        replace(GOOD, rest_s=0.71),
+        replace(GOOD, margin_m=0.009),
+        replace(GOOD, again_s=2.1),
+        replace(GOOD, falls=1),
+        replace(GOOD, switched=True),
+        replace(GOOD, outside=1),
+        replace(GOOD, named=False),
+    )
+    for wrong in wrongs:
+        row = tables.row(KILLED, [GOOD, wrong, GOOD])
+        assert not row.passed
+        assert len(row.missed) == 1
+        assert "1 of 3" in row.missed[0]
+
+
+def test_a_walk_that_is_to_go_on_may_not_stop_and_off_is_off() -> None:
+    assert tables.row(SAG, [CALM]).passed
+    assert not tables.row(SAG, [replace(CALM, stops=1)]).passed
+    let_go = replace(CALM, off_s=0.05, switched=True, stops=1)
+    assert tables.row(OFF, [let_go]).passed
+    for wrong in (replace(let_go, off_s=0.07), replace(let_go, on_again=True), replace(let_go, goals_before_off=1)):
+        assert not tables.row(OFF, [wrong]).passed
+
+
+def test_ranks_are_nearest_and_a_least_margin_is_the_worst() -> None:
+    values = [float(k) for k in range(1, 201)]
+    assert tables.figure(values) == tables.Figure(200, 100.0, 198.0, 200.0)
+    assert tables.figure(values, worst_is_least=True) == tables.Figure(200, 101.0, 3.0, 1.0)
+    assert tables.figure([nan, 2.0]).n == 1
+
+
+def test_the_table_says_pass_and_fail_and_is_json_too() -> None:
+    found = [Injection(case.name, 0, 1000, 5.0, 0.5, -1, outcome) for case, outcome in ((KILLED, GOOD), (SAG, GOOD))]
+    made = tables.rows(found)
+    text = tables.markdown(made)
+    assert "| planner-killed | 1 | 220 / 220 / 220 | 600 / 600 / 600 |" in text
+    assert "FAIL: walks on: missed by 1 of 1" in text
+    assert "1 of 2 faults keep all limits" in text
+    assert [row["passed"] for row in json.loads(tables.to_json(made))] == [True, False]
+
+
+def test_names_are_given_once_and_every_limit_of_the_issue_is_somewhere() -> None:
+    assert len(BY_NAME) == len(CASES)
+    limits = [case.limits for case in CASES]
+    assert {one.decided_s for one in limits} >= {0.25, 1.5}
+    assert {one.rest_s for one in limits} >= {0.7, 1.0}
+    assert {one.again_s for one in limits} >= {2.0, 3.0, 10.0}
+    assert all(case.limits.off_s == 0.060 for case in CASES if case.lets_go)
