@@ -4,7 +4,7 @@ import numpy as np
 
 from services.actuator.walker import Targets
 from shared.geometry import Array
-from shared.kinematics import body_inverse, nearest_reachable, within_limits
+from shared.kinematics import body_inverse, within_limits
 from shared.robot import RobotProfile
 
 _STANDS = 0.03  # [m] from the resting stance, within which the robot stands in it, about
@@ -53,7 +53,10 @@ class StandUp:
 
 
 class LieDown:
-    """From any stance straight down until the belly lies on the ground, in a given time; the feet stay where they stand."""
+    """From any stance straight down until the belly lies on the ground, in a given time.
+
+    The feet stay where they stand; those that a folded leg does not reach slide outward as far as they must.
+    """
 
     def __init__(self, profile: RobotProfile, feet: Array, duration_s: float):
         """Begin.
@@ -65,7 +68,7 @@ class LieDown:
         """
         lying = feet.copy()
         lying[:, 2] += max(0.0, profile.foot.radius - float(np.median(feet[:, 2])) - profile.body.size[2] / 2)
-        self._feet, self._lying = feet, nearest_reachable(profile, lying)
+        self._feet, self._lying = feet, lying + _outward(profile, lying)
         self._duration, self._elapsed = duration_s, 0.0
 
     @property
@@ -87,12 +90,16 @@ def _lying_and_risen(profile: RobotProfile) -> tuple[Array, Array]:
     Each leg's are the nearest to its resting place from which it reaches both.
     """
     lying, risen = profile.rest_feet(profile.body.size[2] / 2 - _BELLY_CLEARANCE), profile.rest_feet()
+    wider = _outward(profile, lying, risen)
+    return lying + wider, risen + wider
+
+
+def _outward(profile: RobotProfile, *stances: Array) -> Array:
+    """(6, 3) [m] {body} by which feet must be further out, so that every leg reaches its place in all stances (6, 3)."""
     outward = np.column_stack([profile.T_body_coxa[:, :2, 0], np.zeros(6)])
     reached = [
-        within_limits(profile, body_inverse(profile, lying + wider * outward)).all(axis=1)
-        & within_limits(profile, body_inverse(profile, risen + wider * outward)).all(axis=1)
+        np.all([within_limits(profile, body_inverse(profile, feet + wider * outward)).all(axis=1) for feet in stances], axis=0)
         for wider in _WIDER
     ]
     # Where there is none, the servos go as far as they can, and the guard keeps them within their limits.
-    wider = np.where(np.any(reached, axis=0), _WIDER[np.argmax(reached, axis=0)], 0.0)[:, None] * outward
-    return lying + wider, risen + wider
+    return np.where(np.any(reached, axis=0), _WIDER[np.argmax(reached, axis=0)], 0.0)[:, None] * outward
