@@ -165,7 +165,10 @@ class Hunt:
         child = os.fork()
         if child == 0:
             signal.setitimer(signal.ITIMER_VIRTUAL, _PATIENCE_S)  # one that never ends is noticed, too
-            os._exit(self._run(tree))
+            try:
+                os._exit(self._run(tree))
+            finally:
+                os._exit(_MOST)  # whatever went wrong, there is one hunter
         failed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         if 0 < failed <= len(self._tests):
             self._tests.insert(0, self._tests.pop(failed - 1))
