@@ -20,6 +20,7 @@ _BAND = 0.35  # [m] either side of the middle line in which it counts
 _WORTH = 0.05  # [m] of the body's way that a section must bring
 _SPARE = 0.10  # [m] of the body's way that is planned beyond where a section ends that does not get to the goal
 _RETREAT = 0.06  # [m] of the body before the furthest that was reached
+_VERGE = 0.06  # [m] of bare ground before a foot, from which it stands among it and not at its verge
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,7 +231,8 @@ class Roadmap:
         rows, x0, resolution = bare(self._field), self._field.corner[0], self._field.resolution
 
         def within(x: float) -> bool:
-            return bool(rows[min(max(round((x - x0) / resolution), 0), len(rows) - 1)])
+            row = min(max(round((x - x0) / resolution), 0), len(rows) - 1)
+            return bool(rows[max(row - round(_VERGE / resolution), 0) : row + 1].all())
 
         if any(within(float(foot[0])) for foot in self._root.feet):
             return False

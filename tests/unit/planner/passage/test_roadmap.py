@@ -10,6 +10,7 @@ from deploy.passage_checker import violations
 from services.planner.passage import search
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance
+from services.planner.passage.sections import bare
 from services.planner.passage.settings import PassageSettings
 from shared.geometry import from_xyz_rpy
 from shared.messages import UNKNOWN
@@ -131,6 +132,22 @@ def test_nobody_ventures_onto_pillars_that_lead_into_the_unknown(roadmap: Roadma
     if isinstance(found, NoWay):
         assert found.unseen
         assert "cells ahead are unknown" in found.reason
+
+
+def test_who_stands_with_a_foot_at_the_very_verge_has_not_ventured_yet(roadmap: Roadmap) -> None:
+    """A foot on the last bare rows of the near side is no foot among the pillars."""
+    plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
+    from_, to = (round((NEAR + along) / plain.resolution) for along in (0.25, 0.75))
+    evaluation = plain.evaluation.copy()
+    evaluation[from_:to] = UNKNOWN
+    field = Field(plain.elevation, evaluation, plain.resolution, plain.T_world_strip)
+    near = round(START / field.resolution)
+    verge = (near + int(np.argmax(bare(field)[near:])) + 1) * field.resolution
+    level = stance_at(PROFILE, START, HEIGHT)
+    ahead = np.array([verge - level.feet[:, 0].max(), 0.0, 0.0])
+    found = grown(roadmap, field, Stance(level.body + ahead, level.feet + ahead), NEAR + GAP + BEYOND)
+    assert isinstance(found, NoWay)
+    assert found.unseen
 
 
 def test_a_stance_a_little_off_is_repaired_by_a_shift_of_the_body(roadmap: Roadmap) -> None:
