@@ -12,7 +12,16 @@ from collections.abc import Sequence
 from typing import Any
 
 from deploy.commands import servos
-from deploy.commands.benches import bench_accuracy, bench_bus, bench_passage, bench_servos, bench_speed, bench_stages, replay
+from deploy.commands.benches import (
+    bench_accuracy,
+    bench_bus,
+    bench_passage,
+    bench_servos,
+    bench_speed,
+    bench_stages,
+    bench_start,
+    replay,
+)
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor, list_topics
 from deploy.commands.faults import faults
@@ -216,6 +225,12 @@ def _parser() -> argparse.ArgumentParser:
     _add_out_and_json(one)
     one = add("servos", bench_servos, "time the servo bus through our own packets and through dynamixel-sdk", group)
     one.add_argument("--rounds", type=_positive, default=300, metavar="N", help="of each job (default %(default)s)")
+    _add_out_and_json(one)
+
+    one = add(
+        "start", bench_start, "time how soon the actuator holds a robot that stands, from the start of its process", group
+    )
+    one.add_argument("--rounds", type=_positive, default=20, metavar="N", help="starts (default %(default)s)")
     _add_out_and_json(one)
 
     group = commands.add_parser("topics", help="what travels on the wire").add_subparsers(required=True, metavar="WHAT")

@@ -47,6 +47,7 @@ RUN_BY = {
     "bench stages": "tests/unit/deploy/test_bench.py::test_the_stages_command_leaves_timings_and_a_picture",
     "compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
     "bench bus": "tests/unit/deploy/test_bench_bus.py::test_the_bus_command_leaves_its_table",
+    "bench start": "tests/unit/deploy/test_bench_start.py::test_the_start_command_leaves_its_figures",
     "bench servos": "tests/unit/deploy/test_bench_servos.py::test_the_servos_command_leaves_its_figures",
     "servos set-id": "tests/test_commissioning.py::test_the_tutorial_runs_as_it_is_written",
     "servos emulate": "tests/test_commissioning.py::test_the_tutorial_runs_as_it_is_written",

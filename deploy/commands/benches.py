@@ -73,6 +73,15 @@ def bench_bus(arguments: argparse.Namespace) -> int:
     return _tell_bench(bus.in_words(found), bus.to_json(found), out / "bus.json", arguments.json)
 
 
+def bench_start(arguments: argparse.Namespace) -> int:
+    """`sextant bench start`: how soon the actuator holds a robot that stands."""
+    from deploy.bench import start
+
+    out = out_folder(arguments, "bench-start")
+    found = start.measure(arguments.rounds, open_progress(arguments.json).say)
+    return _tell_bench(start.in_words(found), start.to_json(found), out / "start.json", arguments.json)
+
+
 def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:
     path.write_text(text, encoding="utf-8")
     say(text.rstrip() if as_json else f"{words}\nwritten to {path}")

@@ -204,8 +204,12 @@ class Actuator:
         """Where the bus was gone and is back, let all joints take up their work gently, from where they are."""
         if self._joints.returned:
             self._joints.returned = False
-            for leg, joint in np.ndindex(6, 3):
-                self._limits.ease(leg, joint)
+            self._ease()
+
+    def _ease(self) -> None:
+        """Let all joints take up their work gently."""
+        for leg, joint in np.ndindex(6, 3):
+            self._limits.ease(leg, joint)
 
     def _legs(self) -> Legs:
         """How far the walk is, for the guard."""
@@ -312,6 +316,8 @@ class Actuator:
     def _take_over(self, torque: bool) -> None:
         """Begin where the robot stands; feet that were in the air, since the last actuator ended in mid-step, come down."""
         q = self._joints.q
+        if torque:
+            self._ease()
         carrying = self._contact.update(q, self._joints.read_loads(), math.inf)
         standing = carrying if torque and carrying.sum() >= 3 else np.ones(6, dtype=np.bool_)
         self._stand_on(q, standing=standing)

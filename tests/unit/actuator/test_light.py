@@ -1,0 +1,71 @@
+"""The actuator is light: what its role installs, and what its processes import."""
+
+import importlib.metadata
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[3]
+MOST_MB = 150.0
+HEAVY = {"cv2", "numba", "mujoco", "kiss_icp", "scipy", "matplotlib", "llvmlite", "mcap"}
+
+
+def closure(wanted: Iterable[str]) -> set[str]:
+    """The distributions that requirements lead to on this machine, by name."""
+    found: dict[str, set[str]] = {}  # with the extras that are looked at already
+    waiting = [Requirement(text) for text in wanted]
+    while waiting:
+        one = waiting.pop()
+        extras, name = {"", *one.extras}, canonicalize_name(one.name)
+        if one.marker is not None and not one.marker.evaluate():
+            continue
+        new = extras - found.setdefault(name, set())
+        found[name] |= new
+        for text in importlib.metadata.requires(name) or []:
+            inner = Requirement(text)
+            if any(inner.marker is None or inner.marker.evaluate({"extra": extra}) for extra in new):
+                inner.marker = None
+                waiting.append(inner)
+    return set(found)
+
+
+def megabytes(paths: Iterable[Path]) -> float:
+    return sum(path.stat().st_size for path in paths if path.is_file()) / 1e6
+
+
+def own_files() -> Iterable[Path]:
+    """Of Sextant itself, which may be installed as it lies here; what runs have left there is not installed."""
+    found = (path for part in ("shared", "services", "deploy") for path in (ROOT / part).rglob("*"))
+    return (path for path in found if "__pycache__" not in path.parts)
+
+
+def test_the_role_installs_in_150_megabytes() -> None:
+    """Everything but Python itself, pip and setuptools; bytecode as far as this machine keeps it."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = closure([*project["dependencies"], *project["optional-dependencies"]["actuator"]])
+    assert {"numpy", "eclipse-zenoh", "pyserial"} <= names
+    assert not names & {"opencv-python-headless", "numba", "mujoco"}
+    files = {name: importlib.metadata.files(name) or [] for name in names}
+    assert all(files.values())
+    sizes = {name: megabytes(Path(str(file.locate())) for file in found) for name, found in files.items()}
+    sizes["sextant"] = megabytes(own_files())
+    assert sum(sizes.values()) <= MOST_MB, sizes
+
+
+@pytest.mark.parametrize("process", ["services.actuator", "services.actuator.stop"])
+def test_its_processes_import_nothing_heavy(process: str) -> None:
+    """All that is imported by the time that `process.main` is called."""
+    look = (
+        "import sys; from shared import process; process.main = lambda *_: None; "
+        f"import {process}.__main__; print(*{{name.partition('.')[0] for name in sys.modules}})"
+    )
+    ran = subprocess.run([sys.executable, "-c", look], cwd=ROOT, capture_output=True, text=True, check=True)
+    modules = set(ran.stdout.split())
+    assert {"numpy", "services", "zenoh"} <= modules
+    assert not modules & HEAVY
