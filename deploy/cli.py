@@ -165,11 +165,11 @@ def _parser() -> argparse.ArgumentParser:
 
     one = add("faults", faults, "break a walk in every way at many phases of a step, and see what the robot does")
     one.add_argument("fault", nargs="*", metavar="FAULT", help="only these (default: all)")
-    one.add_argument(
-        "--phases", type=_positive, default=300, metavar="N", help="times that each is injected (default %(default)s)"
-    )
+    one.add_argument("--live", action="store_true", help="all that need processes over Zenoh, in place of those in lockstep")
+    one.add_argument("--phases", type=_positive, metavar="N", help="times that each is injected (default 300, live 30)")
     one.add_argument("--list", action="store_true", help="name the faults, and break nothing")
-    one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
+    words = "processes at a time, in lockstep (default %(default)s)"
+    one.add_argument("--jobs", type=_positive, default=1, metavar="N", help=words)
     one.add_argument("--out", metavar="DIR", help="folder to write to; what it has already is not done again")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
 

@@ -1,31 +1,47 @@
-"""`sextant faults`: faults injected into walks in lockstep, and what the robot did, against its limits."""
+"""`sextant faults`: faults injected into walks, and what the robot did, against its limits."""
 
 import argparse
 import difflib
 import sys
+from typing import TYPE_CHECKING
 
 from deploy.commands.common import FAILED, SUCCESS, InputError, open_progress, out_folder, say
+from deploy.interrupts import Interrupts
+
+if TYPE_CHECKING:
+    from deploy.progress import Progress
+
+_PHASES, _LIVE_PHASES = 300, 30
 
 
 def faults(arguments: argparse.Namespace) -> int:
     """`sextant faults`: inject each fault at many phases; success only if every limit is kept."""
-    from deploy.faults.cases import BY_NAME, CASES
+    from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES
 
     unknown = [name for name in arguments.fault if name not in BY_NAME]
     if unknown:
         near = difflib.get_close_matches(unknown[0], BY_NAME, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise InputError(f"no fault {unknown[0]!r}; {hint}`sextant faults --list` names them all")
-    cases = [BY_NAME[name] for name in dict.fromkeys(arguments.fault)] or list(CASES)
+    wanted = [BY_NAME[name] for name in dict.fromkeys(arguments.fault)]
+    cases = wanted or list(LIVE_CASES if arguments.live else CASES)
     if arguments.list:
-        for case in cases:
-            say(f"{case.name:<24} {case.words}")
+        for case in wanted or (*(() if arguments.live else CASES), *LIVE_CASES):
+            say(f"{case.name:<28} {case.words}{'; live' if case.live else ''}")
         return SUCCESS
+    live = {case.live for case in cases}
+    if len(live) > 1:
+        raise InputError("either faults in lockstep or live ones expected, found both; run the command once for each")
+    phases = arguments.phases or (_LIVE_PHASES if live == {True} else _PHASES)
+    jobs = 1 if live == {True} else arguments.jobs
     out = out_folder(arguments, "faults")
     from deploy.faults import table as tables
     from deploy.faults.batch import FILE, run_faults
 
-    found = run_faults(cases, arguments.phases, arguments.jobs, out, open_progress(arguments.json).say)
+    progress = open_progress(arguments.json)
+    if live == {True}:
+        _warm_up(progress)
+    found = run_faults(cases, phases, jobs, out, progress.say)
     table = tables.rows(found)
     (out / "faults.json").write_text(tables.to_json(table), encoding="utf-8")
     (out / "faults.md").write_text(tables.markdown(table) + "\n", encoding="utf-8")
@@ -35,3 +51,20 @@ def faults(arguments: argparse.Namespace) -> int:
         say(tables.markdown(table))
         say(f"written to {out}: faults.md, faults.json, {FILE}")
     return SUCCESS if all(row.passed for row in table) else FAILED
+
+
+def _warm_up(progress: "Progress") -> None:
+    """Compile what services would else compile while they walk.
+
+    Raises:
+        InputError: It failed, in words.
+        KeyboardInterrupt: The operator has had enough.
+    """
+    from deploy.live_run import warm_up
+
+    with Interrupts() as interrupts:
+        problem = warm_up(progress, interrupts)
+    if interrupts.asked():
+        raise KeyboardInterrupt
+    if problem:
+        raise InputError(f"{problem}; `sextant doctor` checks what the services need")

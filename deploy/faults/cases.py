@@ -12,11 +12,11 @@ from shared.bus_fault import BusFault
 
 @dataclass(frozen=True, slots=True)
 class Away:
-    """A service is away: killed, a new one comes back; or stopped, the same one goes on."""
+    """A process is away: killed, a new one comes back; or stopped, the same one goes on."""
 
-    service: Literal["planner", "actuator"]
+    service: Literal["planner", "actuator", "perception", "mapper", "operator", "router"]
     kill: bool
-    for_s: float
+    for_s: float  # of one that is killed live it is as long as its successor needs
     after_s: float = 0.0  # of the fault's beginning
 
 
@@ -58,7 +58,14 @@ class Clock:
     for_s: float
 
 
-Deed = Away | Meddling | OnBus | Off | Clock
+@dataclass(frozen=True, slots=True)
+class Hogs:
+    """Others compute, as many as there are cores, with as much right to them as the services; live alone."""
+
+    for_s: float
+
+
+Deed = Away | Meddling | OnBus | Off | Clock | Hogs
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +82,7 @@ class Limits:
     off_s: float = inf  # until servos hear that torque is off; from the order, or from the bus' return
     torque_stays: bool = True  # no torque is switched
     walks_on: bool = False  # there is no stop
+    cycle_s: float = inf  # p99 of the time from one sync write of goals to the next; five that are missed in a row are said
     seated: bool = False  # it lies and has let go before a servo shuts down or the battery is empty
 
 
@@ -90,6 +98,7 @@ class Case:
     warm_c: float = 0.0  # [deg C] of the drawn servo when the walk begins; 0 leaves it as it is
     charge: float = 1.0  # of the battery when the walk begins
     watch_s: float = 8.0  # [s] after the fault's end, at most
+    live: bool = False  # of processes over Zenoh at real time; else in lockstep
 
     @property
     def for_s(self) -> float:
@@ -205,4 +214,38 @@ CASES: tuple[Case, ...] = (
     Case("clock-stepped", "the wall clock is stepped by an hour", (Clock(3600.0, 3.0),), _CALM),
     *(Case(name, f"torque is ordered off; {words}", deeds, _LETS_GO, per_walk=1, watch_s=2.0) for name, words, deeds in _OFF),
 )
-BY_NAME = {case.name: case for case in CASES}
+
+_GOES_ON = Limits(named="no new plan", margin_m=0.010, again_s=8.0)
+_LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
+    ("planner-killed", "the planner is killed", (Away("planner", True, 0.0),), _STOPS),
+    ("planner-stopped", "the planner is stopped for 2 s", (Away("planner", False, _OUT_S),), _STOPS),
+    ("perception-killed", "perception is killed", (Away("perception", True, 0.0),), _GOES_ON),
+    ("mapper-killed", "the mapper is killed", (Away("mapper", True, 0.0),), _GOES_ON),
+    ("operator-killed", "the operator's side is killed", (Away("operator", True, 0.0),), _GOES_ON),
+    ("router-killed", "the router is killed", (Away("router", True, 0.0),), Limits(again_s=8.0)),
+    ("actuator-killed", "the actuator is killed", (Away("actuator", True, 0.0),), Limits(decided_s=1.5, jump_deg=2.0)),
+    (
+        "actuator-stopped",
+        "the actuator is stopped for 3.5 s",
+        (Away("actuator", False, _STOPPED_S),),
+        Limits(decided_s=_STOPPED_S + 0.1, jump_deg=2.0),
+    ),
+    ("hogs", "a busy process for each core, 5 s long", (Hogs(5.0),), Limits(cycle_s=0.025)),
+    ("off", "torque is ordered off", (Off(),), _LETS_GO),
+    (
+        "off-actuator-killed",
+        "torque is ordered off; the actuator is killed",
+        (Away("actuator", True, 0.0), Off(until_s=0.3)),
+        _LETS_GO,
+    ),
+    (
+        "off-actuator-stopped",
+        "torque is ordered off; the actuator is stopped for 2 s",
+        (Away("actuator", False, _OUT_S), Off()),
+        _LETS_GO,
+    ),
+)
+LIVE_CASES: tuple[Case, ...] = tuple(
+    Case(f"live-{name}", words, deeds, limits, per_walk=10, live=True) for name, words, deeds, limits in _LIVE
+)
+BY_NAME = {case.name: case for case in (*CASES, *LIVE_CASES)}

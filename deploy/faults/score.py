@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf, nan
+from math import ceil, inf, nan
 
 import numpy as np
 
@@ -21,6 +21,7 @@ _STILL_S = 0.2  # [s] for which a robot that is at rest has been so
 _STILL = 0.02  # [m/s] of the body, and of each foot
 _HANGING = 0.003  # [m] a foot so far over level ground catches the body after a degree of tilt
 _DEBOUNCE = 1  # samples of truth, 20 ms
+_MISSED_S = 0.040  # [s] two periods: what takes a cycle longer has missed a beat
 _CLEARANCE = 0.005  # [m] the body's underside this near the ground is a fall, unless it was to come down
 _DOWN = (Mode.OFF, Mode.SIT, Mode.READY)
 
@@ -47,6 +48,8 @@ class Outcome:
     outside: int  # goals outside of the joints' limits
     plans: int  # fuzzed
     reason: str  # of the last stop, in the actuator's words
+    cycle_s: float = nan  # p99 of the time from one sync write of goals to the next, while the fault lasted
+    missed: int = 0  # most cycles in a row that took more than two periods
 
 
 def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
@@ -60,6 +63,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     stopped = [w for w in since if w.mode is not Mode.WALK]
     off_s, before = off_time(line)
     seated = next((w.t_s for w in since if w.mode is Mode.OFF), nan)
+    cycle_s, missed = cycles(line)
     return Outcome(
         decided_s=decided - line.begin_s,
         named=any(_names(pattern, w) for w in since),
@@ -79,6 +83,8 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         outside=len(line.outside),
         plans=line.plans,
         reason=stopped[-1].reason if stopped else "",
+        cycle_s=cycle_s,
+        missed=missed,
     )
 
 
@@ -111,6 +117,15 @@ def off_time(line: Timeline) -> tuple[float, int]:
     return max(heard - begin, 0.0), sum(
         begin < goals.t_s < first for goals in line.goals
     ) if line.returned_s > line.ordered_s else 0
+
+
+def cycles(line: Timeline) -> tuple[float, int]:
+    """How long [s] 99 % of the cycles took at most while the fault lasted, by the goals sent, and most missed in a row."""
+    spans = np.diff([goals.t_s for goals in line.goals if line.begin_s <= goals.t_s <= line.end_s])
+    if not len(spans):
+        return nan, 0
+    longest = max(len(run) for run in "".join("x" if span > _MISSED_S else " " for span in spans).split(" "))
+    return float(np.sort(spans)[ceil(0.99 * len(spans)) - 1]), longest
 
 
 def carrying(truth: Truth, profile: RobotProfile) -> Flags:

@@ -11,6 +11,8 @@ from deploy.faults.cases import BY_NAME, Case
 from deploy.faults.score import Outcome
 from deploy.statistics import wilson
 
+_TOO_MANY = 5  # missed cycles in a row
+
 
 @dataclass(frozen=True, slots=True)
 class Figure:
@@ -36,6 +38,7 @@ class Row:
     lunge_dps: Figure
     off_s: Figure
     seated_s: Figure
+    cycle_s: Figure  # p99 of each
     falls: int
     switched: int  # injections in which torque was
     stopped: int  # in which it stopped
@@ -74,6 +77,7 @@ def row(case: Case, outcomes: Sequence[Outcome]) -> Row:
         lunge_dps=of("lunge_dps"),
         off_s=of("off_s"),
         seated_s=of("seated_s"),
+        cycle_s=of("cycle_s"),
         falls=sum(one.falls for one in outcomes),
         switched=sum(one.switched for one in outcomes),
         stopped=sum(one.stops > 0 for one in outcomes),
@@ -116,6 +120,8 @@ def _laws(case: Case) -> Iterable[tuple[str, Callable[[Outcome], bool]]]:
         yield "walks on", lambda one: one.stops == 0
     if limits.seated:
         yield "seated before the cut-off", lambda one: isfinite(one.seated_s) and not one.cut_off
+    if not isinf(limits.cycle_s):
+        yield "five missed cycles in a row are said", lambda one: one.missed < _TOO_MANY or isfinite(one.decided_s)
     if case.lets_go:
         yield "off stays off", lambda one: not one.on_again
         yield "off before any goal", lambda one: one.goals_before_off == 0
@@ -134,6 +140,7 @@ _AT_MOST = (  # name, rounding allowed, words, unit, factor
     ("jump_deg", 1e-6, "joints jump by at most", "deg", 1.0),
     ("lunge_dps", 1e-6, "joints after a reset at most", "deg/s", 1.0),
     ("off_s", 1e-6, "torque off within", "ms", 1e3),
+    ("cycle_s", 1e-6, "cycle p99 at most", "ms", 1e3),
 )
 
 
@@ -173,6 +180,8 @@ def _others(one: Row) -> Iterable[str]:
         yield f"seated after {_cell(one.seated_s, 1.0, '.1f')} s"
     if one.lunge_dps.worst > 0.0:
         yield f"after the reset {_cell(one.lunge_dps, 1.0, '.0f')} deg/s"
+    if not isinf(BY_NAME[one.fault].limits.cycle_s):
+        yield f"cycle p99 {_cell(one.cycle_s, 1e3, '.1f')} ms"
     if one.plans:
         yield f"{one.plans} plans, {one.outside} goals outside"
     if one.stopped < one.n:

@@ -11,35 +11,26 @@ from zlib import crc32
 
 import numpy as np
 
-from deploy.faults.cases import Away, Case, Clock, Meddling, Off, OnBus
+from deploy.faults.cases import Away, Case, Clock, Deed, Meddling, Off, OnBus
 from deploy.faults.planner import Meddler
-from deploy.faults.timeline import Timeline, Truth, Word
-from deploy.faults.wire import Recorder
+from deploy.faults.timeline import Timeline
+from deploy.faults.watched import LEAST_WATCH_S, PHASES_S, REPEAT_S, SCENARIO, STEADY_S, Watched
 from deploy.lockstep_run import LockstepRun, assemble
 from services.actuator.latch import Latch
 from services.simulator.service import Simulator
-from shared import codec, topics
 from shared import dynamixel as dxl
-from shared.messages import ActuatorState, GroundTruth, Mode, ModeCommand
-from shared.robot import RobotProfile, load_profile
-from shared.scenario import Goal, Plane, Scenario
+from shared import topics
+from shared.messages import Mode, ModeCommand
+from shared.robot import RobotProfile
 from shared.service import AnyTopic, Outage
 
-SCENARIO = Scenario("faults", (Plane(),), Goal(12.0), time_limit_s=600.0)
 _LOOK_NS = 20_000_000
-_START_S = 20.0  # [s] in which a walk must have begun
-_STEADY_S = 0.5  # [s] of walking before a fault, ...
-_PHASES_S = 2.0  # ... and up to so much more, drawn: two steps and more
-_LEAST_WATCH_S = 3.0
-_REPEAT_S = 0.5  # [s] between an order and its repetition
 
 
-class NoWalkError(RuntimeError):
-    """The robot does not walk before anything was broken, in words."""
-
-
-class FaultWalk:
+class FaultWalk(Watched):
     """A walk, what was heard and seen of it, and those who break something."""
+
+    start_s = 20.0
 
     def __init__(self, case: Case, seed: int):
         """Assemble it.
@@ -48,11 +39,7 @@ class FaultWalk:
             case: The fault that will be injected.
             seed: Of everything random but the phases.
         """
-        self.profile = load_profile(SCENARIO.robot)
-        self.words: list[Word] = []
-        self.state: ActuatorState | None = None
-        self._truth: list[GroundTruth] = []
-        self._case = case
+        super().__init__(case)
         self._rng = np.random.default_rng([crc32(case.name.encode()), seed])
         self._meddler = Meddler(np.random.default_rng([seed, 1]))
         self._sequence = 0
@@ -66,7 +53,6 @@ class FaultWalk:
         simulator = self._run.service("simulator")
         assert isinstance(simulator, Simulator)
         self._simulator = simulator
-        self.recorder = Recorder(self.profile)
         simulator.bus.overhear(self.recorder.sent, self.recorder.heard)
         self._servo = int(self._rng.choice(self.profile.servo_ids.ravel()))
         servos = simulator.servos
@@ -93,28 +79,24 @@ class FaultWalk:
             NoWalkError: It does not walk by itself.
         """
         rng = np.random.default_rng([crc32(self._case.name.encode()), number])
-        self._walk_for(_STEADY_S + _PHASES_S * rng.random())
+        self.walk_for(STEADY_S + PHASES_S * rng.random())
         if not self._case.warm_c:
             self._servo = int(rng.choice(self.profile.servo_ids.ravel()))
-        begin = self.now_s
-        first_word, first_truth = len(self.words) - 1, len(self._truth) - 1
-        first_goal, first_switch, first_outside = (
-            len(kept) for kept in (self.recorder.goals, self.recorder.switches, self.recorder.outside)
-        )
+        begin, mark = self.now_s, self.mark()
         assert self.state is not None
         phase, fuzzed = self.state.phase, self._meddler.fuzzed
         ordered, empty = self._break_and_watch(begin, rng)
-        end = begin + self._case.for_s
+        end, heard = begin + self._case.for_s, self.since(mark)
         return Timeline(
             begin_s=begin,
             end_s=end,
             servo=self._servo if self._concerns_one else -1,
             phase=phase,
-            words=tuple(self.words[first_word:]),
-            truth=_as_arrays(self._truth[first_truth:]),
-            goals=tuple(self.recorder.goals[max(first_goal - 1, 0) :]),
-            switches=tuple(self.recorder.switches[first_switch:]),
-            outside=tuple(self.recorder.outside[first_outside:]),
+            words=heard.words,
+            truth=heard.truth,
+            goals=heard.goals,
+            switches=heard.switches,
+            outside=heard.outside,
             pulls=self._simulator.servos.tables[:, dxl.TORQUE_ENABLE.address] > 0,
             ordered_s=ordered,
             returned_s=begin + self._away_for() if self._case.lets_go else nan,
@@ -124,24 +106,8 @@ class FaultWalk:
         )
 
     @property
-    def walks(self) -> bool:
-        """Whether the robot walks on its plans, nothing being wrong."""
-        return self.state is not None and self.state.mode is Mode.WALK and self.state.reason == "walking"
-
-    @property
     def _concerns_one(self) -> bool:
         return any(isinstance(deed, OnBus) and deed.any_servo for deed in self._case.deeds)
-
-    def _walk_for(self, length_s: float) -> None:
-        """Let it walk without a stop for so long, then up to the next moment at which it does."""
-        since, patience = self.now_s, self.now_s + _START_S + length_s
-        while self.now_s < since + length_s or not self.walks:
-            if self.now_s > patience:
-                said = f"{self.state.mode}: {self.state.reason}" if self.state else "nothing"
-                raise NoWalkError(f"a walk within {_START_S:.0f} s expected before {self._case.name}, the actuator says {said}")
-            self._pass()
-            if not self.walks:
-                since = self.now_s
 
     def _break_and_watch(self, begin: float, rng: np.random.Generator) -> tuple[float, float]:
         """Do what the case says, and watch; when torque was ordered off and when the battery was empty [s], NaN for never."""
@@ -149,15 +115,15 @@ class FaultWalk:
         due = [self._do(deed, begin) for deed in case.deeds if not isinstance(deed, Off)]
         order_s = next((begin + rng.uniform(d.from_s, d.until_s) for d in case.deeds if isinstance(d, Off)), nan)
         end = begin + case.for_s
-        last, least = max(end + case.watch_s, begin + _LEAST_WATCH_S), max(end, begin + _LEAST_WATCH_S)
+        last, least = max(end + case.watch_s, begin + LEAST_WATCH_S), max(end, begin + LEAST_WATCH_S)
         stopped, again_due = False, order_s
         try:
             while self.now_s < last:
-                self._pass(min([t for t in (again_due, *due) if t > self.now_s], default=last))
+                self.look(min([t for t in (again_due, *due) if t > self.now_s], default=last))
                 now = self.now_s
                 if now >= again_due - 1e-9:
                     self._order_off()
-                    ordered, again_due = (now if np.isnan(ordered) else ordered), now + _REPEAT_S
+                    ordered, again_due = (now if np.isnan(ordered) else ordered), now + REPEAT_S
                 if now >= end - 1e-9:
                     self._meddler.how, time.time = "", wall
                 if np.isnan(empty) and self._simulator.servos.charge <= 0.0:
@@ -172,7 +138,7 @@ class FaultWalk:
             self._meddler.how, time.time = "", wall
         return ordered, empty
 
-    def _do(self, deed: Away | Meddling | OnBus | Clock | Off, begin: float) -> float:
+    def _do(self, deed: Deed, begin: float) -> float:
         """Begin to break something; when it ends [s]."""
         match deed:
             case Away(service, kill, for_s, after_s):
@@ -189,7 +155,7 @@ class FaultWalk:
             case Clock(step_s, for_s):
                 time.time = _stepped(time.time, step_s)
                 return begin + for_s
-        raise ValueError(f"a fault to begin with expected, found {deed}")
+        raise ValueError(f"a fault to begin with expected, found {deed}; run it live")
 
     def _away_for(self) -> float:
         """How long [s] after the beginning nobody can turn torque off: without bus, or without actuator."""
@@ -205,17 +171,16 @@ class FaultWalk:
         self._sequence = self._sequence or self._run.now_ns()
         self._run.say(ModeCommand(self._run.now_ns(), "off", self._sequence, "bench"))
 
-    def _pass(self, until_s: float = float("inf")) -> None:
-        """Let one look's time pass, or less."""
+    def look(self, until_s: float = float("inf")) -> None:
+        """Let one look's simulated time pass, or less."""
         now = self._run.now_ns()
         self._run.run(min(now + _LOOK_NS, max(round(min(until_s, 1e6) * 1e9), now + 1)))
 
     def _hear(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
         if topic is topics.ACTUATOR_STATE:
-            self.state = codec.decode(frame, topics.ACTUATOR_STATE.type)[0]
-            self.words.append(Word(at_ns * 1e-9, self.state.mode, self.state.reason))
+            self.hear_state(frame, at_ns)
         elif topic is topics.TRUTH:
-            self._truth.append(codec.decode(frame, topics.TRUTH.type)[0])
+            self.hear_truth(frame)
 
 
 _BUSES_AWAY = ("silent", "stuck", "garbage", "gone")
@@ -240,14 +205,3 @@ def run_group(case: Case, numbers: tuple[int, ...]) -> list[tuple[int, int, Time
 
 def _stepped(clock: Callable[[], float], by_s: float) -> Callable[[], float]:
     return lambda: clock() + by_s
-
-
-def _as_arrays(truth: list[GroundTruth]) -> Truth:
-    return Truth(
-        t=np.array([m.stamp_ns for m in truth]) * 1e-9,
-        q=np.array([m.q for m in truth]),
-        feet=np.array([m.feet for m in truth]),
-        contact=np.array([m.contact for m in truth], dtype=np.bool_),
-        body=np.array([m.T_world_body for m in truth]),
-        shutdown=np.array([m.shutdown for m in truth], dtype=np.bool_),
-    )

@@ -10,7 +10,7 @@ import pytest
 from deploy import kept
 from deploy.faults import table as tables
 from deploy.faults.batch import FILE, Injection, read, run_faults
-from deploy.faults.cases import BY_NAME, CASES
+from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES
 from deploy.faults.score import score
 from tests.support.timelines import PROFILE, timeline
 
@@ -100,9 +100,21 @@ def test_the_table_says_pass_and_fail_and_is_json_too() -> None:
 
 
 def test_names_are_given_once_and_every_limit_of_the_issue_is_somewhere() -> None:
-    assert len(BY_NAME) == len(CASES)
+    assert len(BY_NAME) == len(CASES) + len(LIVE_CASES)
+    assert all(case.live for case in LIVE_CASES)
+    assert not any(case.live for case in CASES)
     limits = [case.limits for case in CASES]
     assert {one.decided_s for one in limits} >= {0.25, 1.5}
     assert {one.rest_s for one in limits} >= {0.7, 1.0}
     assert {one.again_s for one in limits} >= {2.0, 3.0, 10.0}
     assert all(case.limits.off_s == 0.060 for case in CASES if case.lets_go)
+
+
+def test_a_computer_that_is_too_slow_is_held_to_its_cycle_and_must_be_said() -> None:
+    hogs = BY_NAME["live-hogs"]
+    fine = replace(CALM, cycle_s=0.024, missed=2)
+    assert tables.row(hogs, [fine]).passed
+    assert not tables.row(hogs, [fine, replace(fine, cycle_s=0.026)]).passed
+    assert not tables.row(hogs, [replace(fine, missed=5)]).passed
+    assert tables.row(hogs, [replace(fine, missed=5, decided_s=0.3)]).passed
+    assert "cycle p99 24.0 / 24.0 / 24.0 ms" in tables.markdown([tables.row(hogs, [fine])])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.faults.cases import BY_NAME
-from deploy.faults.score import off_time, score
+from deploy.faults.score import cycles, off_time, score
 from deploy.faults.timeline import Timeline
 from deploy.faults.wire import Goals, Switch
 from shared import dynamixel as dxl
@@ -152,3 +152,16 @@ def test_who_lies_before_a_servo_shuts_down_is_seated_in_time() -> None:
         assert found.cut_off is cut_off
     assert score(timeline(truth=hot), HEAT, PROFILE).cut_off
     assert score(timeline(word(3.0, Mode.OFF), empty_s=BEGIN_S + 2.0), HEAT, PROFILE).cut_off
+
+
+@given(st.lists(st.sampled_from([0.02, 0.05]), min_size=1, max_size=30))
+def test_cycles_are_the_spans_between_goals_while_the_fault_lasted(spans: list[float]) -> None:
+    times = np.cumsum([0.1, *spans])
+    line = timeline(goals=tuple(goal(t) for t in (-0.5, *times, 9.0)), end_s=BEGIN_S + 5.0)
+    p99, missed = cycles(line)
+    assert p99 == pytest.approx(max(spans))
+    assert missed == max(len(run) for run in "".join("x" if span > 0.04 else " " for span in spans).split(" "))
+
+
+def test_without_two_goals_there_is_no_cycle() -> None:
+    assert isnan(cycles(timeline(goals=(goal(0.1),)))[0])

@@ -1,0 +1,28 @@
+"""A process that keeps a core busy: python -m deploy.faults.hog."""
+
+import argparse
+import os
+
+from deploy.process_table import ENVIRONMENT, Command
+from shared.host import end_with
+
+
+def commands() -> tuple[Command, ...]:
+    """How to start one for each core that this process may use."""
+    count = len(os.sched_getaffinity(0))
+    return tuple(Command(f"hog {i}", ("-m", "deploy.faults.hog"), ENVIRONMENT) for i in range(count))
+
+
+def main() -> None:
+    """Compute nothing, until somebody ends this process."""
+    parser = argparse.ArgumentParser(prog="python -m deploy.faults.hog", description=__doc__)
+    parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
+    arguments = parser.parse_args()
+    if arguments.parent:
+        end_with(arguments.parent)
+    while True:
+        pass
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,266 @@
+"""One walk of processes over Zenoh at real time, into which faults are injected, each at a phase of its own."""
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf, nan
+from typing import Self
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy import process_table
+from deploy.faults import hog, tap
+from deploy.faults.cases import Away, Case, Deed, Hogs, Off
+from deploy.faults.timeline import Timeline
+from deploy.faults.watched import LEAST_WATCH_S, PHASES_S, STEADY_S, NoWalkError, Watched
+from deploy.launcher import Launcher, free_port
+from deploy.process_table import ENVIRONMENT, Command
+from services.actuator.latch import Latch
+from shared import codec, topics
+from shared import dynamixel as dxl
+from shared.messages import Mode, ModeCommand
+from shared.robot import RobotProfile
+from shared.scenario import load_scenario
+from shared.service import AnyTopic
+from shared.transport import Endpoints, ZenohLink
+
+_GROUND = "flat"  # the scenario that the simulator is given: level ground
+_LOOK_S = 0.02
+_STALE_S = 0.25  # [s] after which an actuator that says nothing does not walk
+_SETTLE_S = 0.5  # [s] after a fault's end before which nothing is over
+_BACK_S = 15.0  # [s] in which a killed process must be back
+_RESTARTS = 1000
+_WORDS = 40  # lines kept of what the processes say
+
+
+class LiveWalk(Watched):
+    """Processes that walk a robot, a tap on their servo bus, and who breaks some of them; a context manager."""
+
+    start_s = 60.0
+
+    def __init__(self, case: Case, seed: int):
+        """Prepare.
+
+        Args:
+            case: The fault that will be injected.
+            seed: Of everything random in the simulator.
+        """
+        super().__init__(case)
+        self._said: deque[str] = deque(maxlen=_WORDS)
+        self._signs: dict[str, float] = {}  # newest sign of life [s] of each process
+        self._ended: dict[str, float] = {}  # when [s] each was last seen to have ended
+        self._sequence = 0
+        self._acts: list[tuple[float, Callable[[], object]]] = []  # what is to be done, and when [s]
+        router = f"tcp/127.0.0.1:{free_port()}"
+        self._endpoints = Endpoints((router,), namespace="faults")
+        bus, listen = free_port(), free_port()
+        self._latch = Latch.of_port(f"socket://127.0.0.1:{listen}")
+        self._launcher = Launcher(_commands(self._endpoints, router, bus, listen, seed), hear=self._hear_line)
+
+    @property
+    def now_s(self) -> float:
+        """The machine's monotonic time [s]."""
+        return time.monotonic_ns() * 1e-9
+
+    def __enter__(self) -> Self:
+        self._latch.open()
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._latch.open)  # leave none behind
+            stack.callback(self._launcher.stop)
+            self._launcher.__enter__()
+            self._link = stack.enter_context(ZenohLink(self._endpoints))
+            for topic in (topics.ACTUATOR_STATE, topics.TRUTH, topics.HEALTH):
+                self._link.subscribe(topic, self._hear)
+            self._link.wanted(topics.MODE)  # announced now, the order to let go is not the first word
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End all processes."""
+        self._stack.close()
+
+    @property
+    def walks(self) -> bool:
+        """Whether the robot walks on its plans, nothing being wrong, by a word that is no older than it may be."""
+        return super().walks and self.now_s - self.words[-1].t_s < _STALE_S
+
+    def inject(self, number: int) -> Timeline:
+        """Walk until a phase that its number gives, break something, and watch until the robot walks again.
+
+        Raises:
+            NoWalkError: It does not walk by itself.
+        """
+        rng = np.random.default_rng([crc32(self._case.name.encode()), number])
+        if self.state is not None and self.state.mode is Mode.OFF:
+            self._launcher.kill("operator")  # a new one has the robot stand up
+        try:
+            self.walk_for(STEADY_S + PHASES_S * rng.random())
+        except NoWalkError as error:
+            raise NoWalkError(f"{error}; the processes' last words: {' / '.join(list(self._said)[-5:])}") from None
+        mark, begin = self.mark(), self.now_s
+        assert self.state is not None
+        phase = self.state.phase
+        end, ordered, returned = self._break_and_watch(begin, rng)
+        heard = self.since(mark)
+        return Timeline(
+            begin_s=begin,
+            end_s=end,
+            servo=-1,
+            phase=phase,
+            words=heard.words,
+            truth=heard.truth,
+            goals=heard.goals,
+            switches=heard.switches,
+            outside=heard.outside,
+            pulls=self._pulls(),
+            ordered_s=ordered,
+            returned_s=returned if self._case.lets_go else nan,
+        )
+
+    def look(self, until_s: float = inf) -> None:
+        """Let one look's time pass, or less; start again what has ended."""
+        for ended in self._launcher.wait(min(_LOOK_S, max(until_s - self.now_s, 0.0))):
+            self._ended[ended.name] = self.now_s
+            self._said.append(str(ended))
+
+    def _break_and_watch(self, begin: float, rng: np.random.Generator) -> tuple[float, float, float]:
+        """Do what the case says, and watch; when [s] the fault ended, torque was ordered off and the actuator was back."""
+        self._ordered, ends = nan, [self._begin(deed, begin, rng) for deed in self._case.deeds]
+        try:
+            while True:
+                self.look(min((at for at, _ in self._acts), default=inf))
+                now, end = self.now_s, max(over() for over in ends)
+                for at, act in sorted(self._acts, key=lambda planned: planned[0]):
+                    if at <= now:
+                        self._acts.remove((at, act))
+                        act()
+                if np.isnan(end):
+                    if now > begin + _BACK_S:
+                        break
+                    continue
+                if now > end + self._case.watch_s:
+                    break
+                over = now > max(end + _SETTLE_S, begin + LEAST_WATCH_S)
+                if over and (self.walks or (self._case.lets_go and self.state is not None and self.state.mode is Mode.OFF)):
+                    break
+        finally:
+            for _, act in self._acts:  # nothing stays broken
+                act()
+            self._acts.clear()
+        end = max(over() for over in ends)
+        away = any(isinstance(deed, Away) and deed.service == "actuator" for deed in self._case.deeds)
+        return (self.now_s if np.isnan(end) else end), self._ordered, (end if away else begin)
+
+    def _begin(self, deed: Deed, begin: float, rng: np.random.Generator) -> Callable[[], float]:
+        """Begin to break something; tells when [s] that ends, NaN for not yet."""
+        match deed:
+            case Away(service, kill=True):
+                self._launcher.kill(service)
+                return lambda: self._returned(service, begin)
+            case Away(service, kill=False, for_s=for_s):
+                self._launcher.freeze(service)
+                self._acts.append((begin + for_s, lambda: self._launcher.thaw(service)))
+                return lambda: begin + for_s
+            case Hogs(for_s):
+                hogs = Launcher(hog.commands()).__enter__()
+                self._acts.append((begin + for_s, hogs.stop))
+                return lambda: begin + for_s
+            case Off(from_s, until_s):
+                self._acts.append((begin + rng.uniform(from_s, until_s), self._order_off))
+                return lambda: begin
+        raise ValueError(f"a fault that can be live expected, found {deed}; run it in lockstep")
+
+    def _returned(self, name: str, since_s: float) -> float:
+        """When [s] a killed process's successor gave its first sign of life, NaN for not yet."""
+        ended, sign = self._ended.get(name, -inf), self._signs.get(name, -inf)
+        return sign if since_s < ended < sign else nan
+
+    def _order_off(self) -> None:
+        now_ns = time.monotonic_ns()
+        self._sequence = self._sequence or now_ns
+        if np.isnan(self._ordered):
+            self._ordered = now_ns * 1e-9
+        order = ModeCommand(now_ns, "off", self._sequence, "bench")
+        self._link.send(topics.MODE, codec.encode(order, codec.Timing(now_ns, now_ns)))
+
+    def _pulls(self) -> NDArray[np.bool_]:
+        """Servos (18,) whose torque is on, by what they were told on the wire; at first it was."""
+        on = dict.fromkeys(self.profile.servo_ids.ravel().tolist(), True)
+        for switch in self.recorder.switches:
+            if switch.heard and switch.register is dxl.TORQUE_ENABLE:
+                on |= {servo: bool(value) for servo, value in switch.values.items()}
+        return np.array(list(on.values()))
+
+    def _hear(self, topic: AnyTopic, frame: bytes) -> None:
+        if topic is topics.ACTUATOR_STATE:
+            self.hear_state(frame)
+            self._sign("router", self.now_s)
+        elif topic is topics.TRUTH:
+            self.hear_truth(frame)
+        else:
+            health = codec.decode(frame, topics.HEALTH.type)[0]
+            if health.service != "actuator":  # of that the tap knows
+                self._sign(health.service, health.stamp_ns * 1e-9)
+
+    def _hear_line(self, name: str, line: str) -> None:
+        """Take in what a process says, the tap's words for the recorder; from the launcher's threads."""
+        if name != "tap":
+            self._said.append(line)
+            return
+        match tap.understood(line):
+            case tap.Opened(at_ns):
+                self._sign("actuator", at_ns * 1e-9)
+            case tap.Sent(at_ns, data):
+                self.recorder.sent(data, at_ns)
+                self.recorder.heard(data, at_ns)
+
+    def _sign(self, name: str, at_s: float) -> None:
+        """Note a sign of life, but none later than the first since a process ended."""
+        known = self._signs.get(name, -inf)
+        if known <= self._ended.get(name, inf):
+            self._signs[name] = at_s
+
+
+def _commands(endpoints: Endpoints, router: str, bus: int, listen: int, seed: int) -> list[Command]:
+    """All processes: the services, their router, the tap between actuator and servos, and the operator."""
+    chosen = process_table.choices(load_scenario(_GROUND), _GROUND, seed, bus)
+    tapped = (process_table.assignment("port", f"socket://127.0.0.1:{listen}"),)
+    services = process_table.commands(
+        process_table.rows("all", simulated=True), chosen, endpoints, {"actuator": tapped, "stop": tapped}
+    )
+    meeting = ("--robot", chosen.robot, "--connect", router, "--namespace", endpoints.namespace)
+    operator = Command("operator", ("-m", "deploy.faults.console", *meeting), ENVIRONMENT)
+    needs = {"actuator": ("tap",)}
+    return [
+        process_table.router_command(router),
+        tap.command(listen, bus),
+        *(
+            replace(
+                one,
+                restarts=_RESTARTS if one.name != "simulator" else 0,
+                after=("router", *one.after, *needs.get(one.name, ())),
+            )
+            for one in (*services, operator)
+        ),
+    ]
+
+
+def run_group(case: Case, numbers: tuple[int, ...]) -> list[tuple[int, int, Timeline, RobotProfile]]:
+    """Inject a fault several times, in one walk as long as the robot walks on.
+
+    Returns:
+        For each number: it, the seed of its walk, what happened, and the robot.
+    """
+    found: list[tuple[int, int, Timeline, RobotProfile]] = []
+    left = deque(numbers)
+    while left:
+        seed = 1000 + left[0]
+        with LiveWalk(case, seed) as walk:
+            found.append((left[0], seed, walk.inject(left.popleft()), walk.profile))
+            while left and (walk.walks or case.lets_go):
+                found.append((left[0], seed, walk.inject(left.popleft()), walk.profile))
+    return found

@@ -1,0 +1,117 @@
+"""A tap on a live servo bus, as a process: it passes bytes on between host and servos, and says what the host sent and when.
+
+python -m deploy.faults.tap --listen 21000 --servos 22000
+
+A line of stdout each time: `open NS` where a host has come, `sent NS HEX` for bytes that went to the servos; NS is the
+machine's monotonic clock [ns].
+"""
+
+import argparse
+import select
+import socket
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from deploy.process_table import ENVIRONMENT, Command
+from shared.host import end_with
+
+_CHUNK = 4096  # [bytes]
+_HOST = "127.0.0.1"
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """A host has opened the port."""
+
+    at_ns: int
+
+    def __str__(self) -> str:
+        return f"open {self.at_ns}"
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A host's bytes have gone to the servos."""
+
+    at_ns: int
+    data: bytes
+
+    def __str__(self) -> str:
+        return f"sent {self.at_ns} {self.data.hex()}"
+
+
+def command(listen: int, servos: int) -> Command:
+    """How a tap is started between a host that opens one TCP port of 127.0.0.1 and servos at another."""
+    words = ("-m", "deploy.faults.tap", "--listen", str(listen), "--servos", str(servos))
+    return Command("tap", words, ENVIRONMENT, ready_port=listen)
+
+
+def understood(line: str) -> Opened | Sent:
+    """What a tap's line says.
+
+    Raises:
+        ValueError: It is none.
+    """
+    match line.split():
+        case ["open", at_ns]:
+            return Opened(int(at_ns))
+        case ["sent", at_ns, data]:
+            return Sent(int(at_ns), bytes.fromhex(data))
+    raise ValueError(f"`open NS` or `sent NS HEX` expected of a tap, found {line[:60]!r}; run `python -m deploy.faults.tap`")
+
+
+def serve(listener: socket.socket, servos: int, say: Callable[[Opened | Sent], object]) -> None:
+    """Pass on between one host after another and the servos, a connection for each; until the listener is closed."""
+    while True:
+        try:
+            host, _ = listener.accept()
+        except OSError:  # closed
+            return
+        say(Opened(time.monotonic_ns()))
+        with host:
+            try:
+                with socket.create_connection((_HOST, servos)) as bus:
+                    _pass_on(host, bus, say)
+            except OSError:  # one of them went away without a word; so does this
+                continue
+
+
+def _pass_on(host: socket.socket, bus: socket.socket, say: Callable[[Opened | Sent], object]) -> None:
+    for end in (host, bus):
+        end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    while True:
+        ready, _, _ = select.select([host, bus], [], [])
+        for end in ready:
+            data = end.recv(_CHUNK)
+            if not data:
+                return
+            if end is bus:
+                host.sendall(data)
+            else:
+                bus.sendall(data)
+                say(Sent(time.monotonic_ns(), data))
+
+
+def main() -> int:
+    """Serve until somebody ends this process."""
+    parser = argparse.ArgumentParser(prog="python -m deploy.faults.tap", description=__doc__)
+    parser.add_argument("--listen", type=int, required=True, help="TCP port of 127.0.0.1 that the host opens")
+    parser.add_argument("--servos", type=int, required=True, help="TCP port of 127.0.0.1 of the servo bus")
+    parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
+    arguments = parser.parse_args()
+    if arguments.parent:
+        end_with(arguments.parent)
+
+    def say(word: Opened | Sent) -> None:
+        sys.stdout.write(f"{word}\n")
+        sys.stdout.flush()
+
+    with socket.create_server((_HOST, arguments.listen)) as listener:
+        serve(listener, arguments.servos, say)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,129 @@
+"""A walk over level ground that is listened to while somebody breaks something, in lockstep or live."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from deploy.faults.cases import Case
+from deploy.faults.timeline import Truth, Word
+from deploy.faults.wire import Goals, Outside, Recorder, Switch
+from shared import codec, topics
+from shared.messages import ActuatorState, GroundTruth, Mode
+from shared.robot import load_profile
+from shared.scenario import Goal, Plane, Scenario
+
+SCENARIO = Scenario("faults", (Plane(),), Goal(12.0), time_limit_s=600.0)
+STEADY_S = 0.5  # [s] of walking before a fault, ...
+PHASES_S = 2.0  # ... and up to so much more, drawn: two steps and more
+LEAST_WATCH_S = 3.0
+REPEAT_S = 0.5  # [s] between an order and its repetition
+
+
+class NoWalkError(RuntimeError):
+    """The robot does not walk before anything was broken, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """How much had been heard at a time."""
+
+    word: int
+    truth: int
+    goal: int
+    switch: int
+    outside: int
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What was heard since a mark, as a timeline has it."""
+
+    words: tuple[Word, ...]
+    truth: Truth
+    goals: tuple[Goals, ...]
+    switches: tuple[Switch, ...]
+    outside: tuple[Outside, ...]
+
+
+class Watched(ABC):
+    """What was heard of a walk, and the waiting for it to go on."""
+
+    start_s: float  # in which a walk must have begun
+
+    def __init__(self, case: Case):
+        """Begin with nothing heard, of a walk in which a fault will be injected."""
+        self.profile = load_profile(SCENARIO.robot)
+        self.recorder = Recorder(self.profile)
+        self.words: list[Word] = []
+        self.state: ActuatorState | None = None
+        self._case = case
+        self._truth: list[GroundTruth] = []
+
+    @property
+    @abstractmethod
+    def now_s(self) -> float:
+        """Time [s]."""
+
+    @abstractmethod
+    def look(self, until_s: float = float("inf")) -> None:
+        """Let one look's time pass, or less."""
+
+    @property
+    def walks(self) -> bool:
+        """Whether the robot walks on its plans, nothing being wrong."""
+        return self.state is not None and self.state.mode is Mode.WALK and self.state.reason == "walking"
+
+    def walk_for(self, length_s: float) -> None:
+        """Let it walk without a stop for so long, then up to the next moment at which it does.
+
+        Raises:
+            NoWalkError: It does not walk by itself.
+        """
+        since, patience = self.now_s, self.now_s + self.start_s + length_s
+        while self.now_s < since + length_s or not self.walks:
+            if self.now_s > patience:
+                said = f"{self.state.mode}: {self.state.reason}" if self.state else "nothing"
+                raise NoWalkError(
+                    f"a walk within {self.start_s:.0f} s expected before {self._case.name}, the actuator says {said}"
+                )
+            self.look()
+            if not self.walks:
+                since = self.now_s
+
+    def mark(self) -> Mark:
+        """How much has been heard by now."""
+        kept = self.recorder
+        return Mark(len(self.words), len(self._truth), len(kept.goals), len(kept.switches), len(kept.outside))
+
+    def since(self, mark: Mark) -> Heard:
+        """What has been heard since a mark, and the last word, truth and goals before it."""
+        kept = self.recorder
+        return Heard(
+            words=tuple(self.words[max(mark.word - 1, 0) :]),
+            truth=_as_arrays(self._truth[max(mark.truth - 1, 0) :]),
+            goals=tuple(kept.goals[max(mark.goal - 1, 0) :]),
+            switches=tuple(kept.switches[mark.switch :]),
+            outside=tuple(kept.outside[mark.outside :]),
+        )
+
+    def hear_state(self, frame: bytes, at_ns: int | None = None) -> None:
+        """Take in a word of the actuator, said at a time [ns] or, by default, at its stamp."""
+        self.state = codec.decode(frame, topics.ACTUATOR_STATE.type)[0]
+        at = self.state.stamp_ns if at_ns is None else at_ns
+        self.words.append(Word(at * 1e-9, self.state.mode, self.state.reason))
+
+    def hear_truth(self, frame: bytes) -> None:
+        """Take in how the robot truly was."""
+        self._truth.append(codec.decode(frame, topics.TRUTH.type)[0])
+
+
+def _as_arrays(truth: list[GroundTruth]) -> Truth:
+    return Truth(
+        t=np.array([m.stamp_ns for m in truth]) * 1e-9,
+        q=np.array([m.q for m in truth]),
+        feet=np.array([m.feet for m in truth]),
+        contact=np.array([m.contact for m in truth], dtype=np.bool_),
+        body=np.array([m.T_world_body for m in truth]),
+        shutdown=np.array([m.shutdown for m in truth], dtype=np.bool_),
+    )
