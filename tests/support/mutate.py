@@ -104,10 +104,10 @@ def _changes(node: ast.AST, module: ModuleType, inside: bool) -> Iterator[tuple[
             yield f"{value + 1}", ast.Constant(value + 1)
         case ast.Constant(str(value)):
             yield "other words", ast.Constant(f"{value}XX")
-        case ast.Return(ast.expr() as value) if not isinstance(value, ast.Constant):
-            yield "returns nothing", ast.Return(ast.Tuple([], ast.Load()))
         case ast.Assign() | ast.Expr(ast.Call()) | ast.Return(ast.Tuple([])) if inside:
             yield "no statement", ast.Pass()
+        case ast.Return(ast.expr() as value) if not isinstance(value, ast.Constant):
+            yield "returns nothing", ast.Return(ast.Tuple([], ast.Load()))
         case ast.Attribute(ast.Name(name), member) if inside and isinstance(of := getattr(module, name, None), enum.EnumMeta):
             members = list(of.__members__)
             yield "another member", ast.Attribute(node.value, members[(members.index(member) + 1) % len(members)], ast.Load())

@@ -22,6 +22,13 @@ def test_it_begins_as_the_servos_stand_and_says_so(torque: bool) -> None:
     assert guard.lease(0) == ""
 
 
+@pytest.mark.parametrize("torque", [True, False])
+def test_it_walks_by_nobodys_order(torque: bool) -> None:
+    robot = in_mode(Mode.HOLD if torque else Mode.OFF)
+    assert not robot.consider(robot.plan())
+    assert robot.guard.refused == f"plan of step 1 refused: the mode is {robot.mode}, not ordered to walk"
+
+
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("holder", ["a", "b"])
 def test_anybody_lets_go_from_anywhere_in_one_order(mode: Mode, holder: str) -> None:
@@ -30,6 +37,8 @@ def test_anybody_lets_go_from_anywhere_in_one_order(mode: Mode, holder: str) -> 
     assert robot.mode is Mode.OFF
     assert robot.guard.reason == "ordered off"
     assert not robot.torque
+    assert not robot.consider(robot.plan())
+    assert robot.guard.refused.endswith("refused: the mode is off, not ordered to walk")
 
 
 def test_off_is_latched() -> None:
@@ -189,8 +198,9 @@ def test_more_than_sixteen_are_remembered_by_none_but_may_stop() -> None:
     robot = in_mode(Mode.HOLD)
     for k in range(16):
         robot.order("stop", f"holder {k}")
-    assert robot.order("stand", "holder 16", take=True) == ()
-    assert robot.guard.objection == "`stand` of holder 16 refused: 16 others have given orders"
+    for _ in range(2):
+        assert robot.order("stand", "holder 16", take=True) == ()
+        assert robot.guard.objection == "`stand` of holder 16 refused: 16 others have given orders"
     assert robot.order("stand", "holder 15") == (Act.RISE,)
     assert robot.guard.objection == ""
     robot.order("walk", "holder 16")

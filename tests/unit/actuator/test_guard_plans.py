@@ -218,6 +218,29 @@ def test_feet_come_down_before_a_fault_is_over_and_the_walk_goes_on_by_itself() 
     assert robot.consider(robot.plan())
 
 
+@pytest.mark.parametrize("way", ["ready", "sit", "a fault while it rises"])
+def test_however_it_came_to_stand_a_fault_lasts_until_its_feet_are_down(way: str) -> None:
+    robot = in_mode(Mode.OFF if way == "ready" else Mode.SIT if way == "sit" else Mode.STAND)
+    robot.order("ready")
+    if way == "sit":
+        robot.order("sit")
+    robot.verdict = BROKEN if "fault" in way else Verdict()
+    robot.cycle()
+    robot.verdict = Verdict()
+    rested(robot)
+    assert robot.mode is Mode.READY
+    robot.order("stand")
+    rested(robot)
+    robot.walking()
+    robot.verdict = BROKEN
+    assert robot.cycle() == (Act.SET_DOWN,)
+    robot.verdict = Verdict()
+    robot.cycle()
+    assert robot.mode is Mode.FAULT
+    robot.cycle(ends=True)
+    assert robot.mode is Mode.HOLD
+
+
 @pytest.mark.parametrize("order", ["off", "ready"])
 def test_legs_that_stopped_in_mid_step_are_in_nobodys_way(order: str) -> None:
     """A step that will never end must not keep a fault, or an order to sit, from ending."""
@@ -298,6 +321,35 @@ def test_once_decided_it_is_done() -> None:
     robot.verdict = Verdict()
     assert robot.cycle() == ()
     assert robot.cycle(ends=True) == (Act.LIE_DOWN,)
+    assert robot.cycle(ends=True) == (Act.LET_GO,)
+
+
+def test_what_breaks_while_its_feet_come_down_is_named_first() -> None:
+    robot = in_mode(Mode.WALK)
+    robot.verdict = SPENT
+    robot.cycle()
+    robot.verdict = replace(SPENT, broken="a servo is silent")
+    assert robot.cycle() == (Act.SET_DOWN,)
+    assert (robot.mode, robot.guard.reason) == (Mode.FAULT, "a servo is silent")
+    assert robot.cycle(ends=True) == (Act.LIE_DOWN,)
+    assert (robot.mode, robot.guard.reason) == (Mode.SIT, "the battery is low")
+
+
+def test_an_order_to_sit_does_not_hide_why_it_must() -> None:
+    robot = in_mode(Mode.WALK)
+    robot.verdict = SPENT
+    robot.cycle()
+    robot.order("sit")
+    robot.cycle(ends=True)
+    assert (robot.mode, robot.guard.reason) == (Mode.SIT, "the battery is low")
+
+
+def test_servos_that_are_taken_up_again_do_not_save_it_from_lying_down() -> None:
+    robot = in_mode(Mode.WALK)
+    robot.verdict = replace(SPENT, broken="a servo is silent")
+    robot.cycle()
+    assert robot.order("ready") == (Act.GRIP,)
+    assert robot.cycle() == (Act.LIE_DOWN,)
     assert robot.cycle(ends=True) == (Act.LET_GO,)
 
 
