@@ -9,7 +9,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -29,12 +29,14 @@ _PYTHON = (3, 11)
 _CORES = 2
 _DISK_WARN, _DISK_FAIL = 2 << 30, 200 << 20  # [bytes]
 _ROUND_TRIPS = 50
+_CYCLE_HZ, _CYCLES, _MISSED_MS = 50.0, 200, 25.0  # of the actuator
 _SLOW_MS = 5.0  # a loopback round trip takes well under a millisecond
 
 
 def examine(port: str | None = None, robot: str = "phantomx_mk2", camera: str = "") -> list[Check]:
     """Check everything; a servo port only when one is given, the camera of the robot's profile or another one."""
-    checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), disk(Path()), depth_camera(robot, camera)]
+    checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), cycle(), disk(Path())]
+    checks.append(depth_camera(robot, camera))
     return [*checks, *servo_checks.examine(port, robot)]
 
 
@@ -131,6 +133,22 @@ def cores(count: int | None = None) -> Check:
         advice = "`sextant run --lockstep` needs one core; to walk in real time give the machine two"
         return Check("cores", Level.WARN, f"{found} usable", advice)
     return Check("cores", Level.OK, f"{found} usable")
+
+
+def cycle(clock: Callable[[], int] = time.monotonic_ns, wait: Callable[[float], object] = time.sleep) -> Check:
+    """Whether this machine keeps the time of a control loop, as it is loaded now: the actuator's cycle, without its work."""
+    from shared.service import Beats, Every
+
+    beats = Beats(Every.hz(_CYCLE_HZ), clock)
+    took = sorted(1e-6 * beats.next(wait) for _ in range(_CYCLES))
+    p50, p99 = (took[round(share * (_CYCLES - 1))] for share in (0.50, 0.99))
+    missed = sum(ms > _MISSED_MS for ms in took)
+    words = f"of {1e3 / _CYCLE_HZ:g} ms takes {p50:.1f} ms (p50), {p99:.1f} (p99), {took[-1]:.1f} at most"
+    words += f"; {missed} of {_CYCLES} took more than {_MISSED_MS:g}"
+    if p99 <= _MISSED_MS:
+        return Check("control cycle", Level.OK, words)
+    advice = "end other programs; or put the actuator before them: `sudo chrt --rr -p 10 $(pgrep -of 'services.actuator ')`"
+    return Check("control cycle", Level.WARN, words, advice)
 
 
 def disk(folder: Path, free: int | None = None) -> Check:

@@ -38,6 +38,22 @@ class Every:
         return cls(round(1e9 / rate_hz))
 
 
+class Beats:
+    """The beats of a service that its own clock paces: one a period; after a stall they are left out, none are raced."""
+
+    def __init__(self, pace: Every, clock: Callable[[], int]):
+        """The first one is due a period from now, by a clock [ns]."""
+        self._period_ns, self._clock = pace.period_ns, clock
+        self._due_ns = self._at_ns = clock()
+
+    def next(self, wait: Callable[[float], object]) -> int:
+        """Wait [s] until the next one; how long it is since the last [ns]."""
+        self._due_ns = max(self._due_ns + self._period_ns, self._clock() - self._period_ns)
+        wait(max(0, self._due_ns - self._clock()) * 1e-9)
+        before, self._at_ns = self._at_ns, self._clock()
+        return self._at_ns - before
+
+
 class Stages:
     """Durations of the named stages of a service's work, the newest few thousand of each."""
 
@@ -316,11 +332,10 @@ def run_live(service: Service, link: Link, stop: threading.Event) -> None:
 
     for topic in worker.reads:
         link.subscribe(topic, receive)
-    due_ns = clock()
+    beats = Beats(pace, clock) if isinstance(pace, Every) else None
     while not stop.is_set():
-        if isinstance(pace, Every):
-            due_ns = max(due_ns + pace.period_ns, clock() - pace.period_ns)  # after a stall skip beats, do not race
-            stop.wait(max(0, due_ns - clock()) * 1e-9)
+        if beats is not None:
+            service.stages.add("cycle", beats.next(stop.wait) * 1e-6)
             worker.tick()
         elif arrived.wait(0.2):
             arrived.clear()

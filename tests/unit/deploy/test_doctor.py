@@ -1,6 +1,7 @@
 import importlib
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -27,6 +28,34 @@ def test_too_little_is_told_from_nothing() -> None:
 def test_frames_get_round_through_a_router_here() -> None:
     check = doctor.zenoh_round_trip()
     assert check.level is not Level.FAIL, check.found
+
+
+def clocked(late_ms: Callable[[int], float]) -> Check:
+    """The check of the cycle where the kth wait lasts longer by some time."""
+    now, waits = 0, 0
+
+    def wait(seconds: float) -> None:
+        nonlocal now, waits
+        now += round(1e9 * seconds + 1e6 * late_ms(waits))
+        waits += 1
+
+    return doctor.cycle(lambda: now, wait)
+
+
+def test_a_machine_that_keeps_time_is_in_order() -> None:
+    check = clocked(lambda _: 0.0)
+    assert (check.level, check.advice) == (Level.OK, "")
+    assert check.found == "of 20 ms takes 20.0 ms (p50), 20.0 (p99), 20.0 at most; 0 of 200 took more than 25"
+
+
+def test_a_cycle_that_is_late_now_and_then_is_told_and_no_failure() -> None:
+    once = clocked(lambda k: 9.0 if k == 50 else 0.0)
+    assert once.level is Level.OK
+    assert once.found == "of 20 ms takes 20.0 ms (p50), 20.0 (p99), 29.0 at most; 1 of 200 took more than 25"
+    often = clocked(lambda k: 9.0 if k % 20 == 0 else 0.0)
+    assert often.level is Level.WARN
+    assert often.found.endswith("20.0 ms (p50), 29.0 (p99), 29.0 at most; 10 of 200 took more than 25")
+    assert "chrt" in often.advice
 
 
 def test_a_missing_wheel_is_named_with_the_role_that_lacks_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from shared import codec, topics
 from shared.messages import Health, Message, ModeCommand, PlannerStatus, Tick, VelocityCommand
-from shared.service import QUEUE_LENGTH, AnyTopic, Every, Inbox, Lockstep, Outage, Service, Stages, Worker, run_live
+from shared.service import QUEUE_LENGTH, AnyTopic, Beats, Every, Inbox, Lockstep, Outage, Service, Stages, Worker, run_live
 
 MS = 1_000_000
 VELOCITY, MODE, STATUS, HEALTH = topics.VELOCITY, topics.MODE, topics.PLANNER_STATUS, topics.HEALTH
@@ -551,7 +553,39 @@ def test_live_a_beat_comes_at_its_rate_and_stops(wire: Wire) -> None:
     assert not thread.is_alive()
     stamps = [tick.stamp_ns for _, tick in service.seen]
     assert stamps == sorted(stamps)
+    assert service.stages.runs("cycle") == len(stamps), "how regular it is goes out with its health"
     assert stamps[10] - stamps[0] > 30 * MS  # ten periods of 5 ms; a busy machine is late, never early by much
+
+
+def beaten(stalls: list[int], period: int) -> list[int]:
+    """When beats come [ns], with work of some length before each, on a clock that nothing else moves."""
+    now, came = 0, [0]
+
+    def wait(seconds: float) -> None:
+        nonlocal now
+        now += round(seconds * 1e9)
+
+    beats = Beats(Every(period), lambda: now)
+    for stall in stalls:
+        now += stall
+        interval = beats.next(wait)
+        assert interval == now - came[-1]
+        came.append(now)
+    return came
+
+
+@given(work=st.lists(st.integers(0, 20 * MS), max_size=50))
+def test_beats_come_when_they_are_due_whatever_the_work_takes(work: list[int]) -> None:
+    assert beaten(work, 20 * MS) == [k * 20 * MS for k in range(len(work) + 1)]
+
+
+@given(stalls=st.lists(st.integers(0, 200 * MS), max_size=50))
+def test_beats_are_not_raced_after_a_stall(stalls: list[int]) -> None:
+    came, period = beaten(stalls, 20 * MS), 20 * MS
+    for i, at in enumerate(came):
+        for k in range(i, len(came)):
+            assert came[k] - at >= (k - i - 2) * period
+            assert came[k] >= k * period
 
 
 def test_live_an_error_in_a_step_ends_the_run(wire: Wire) -> None:
