@@ -20,7 +20,7 @@ from shared.geometry import Array
 from shared.messages import Mode, ModeCommand, StepPlan
 from shared.robot import RobotProfile
 
-DEADLINE_NS = 200_000_000  # [ns] that a walk goes on without a new plan
+DEADLINE_NS = 180_000_000  # [ns] that a walk goes on without a new plan
 LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order, be it one that is repeated
 _HOLDERS = 16  # whose orders are remembered; more of them are not obeyed but to stop
 _STOPS = ("off", "stop")  # orders that anybody may give
@@ -240,7 +240,7 @@ class Guard:
         if legs.searching:
             return legs.trouble
         if self._late:
-            return f"no new plan came for {DEADLINE_NS * 1e-9:.1f} s, feet are set down first"
+            return f"no new plan came for {DEADLINE_NS * 1e-9:.2f} s, feet are set down first"
         return ""
 
     # ----------------------------------------------------------------------------------------------------- what happens
@@ -311,7 +311,7 @@ class Guard:
         """End the walk where it has ended, and when no plan has come for too long."""
         if self.mode is not Mode.WALK:
             return ()
-        late = f"no new plan came for {DEADLINE_NS * 1e-9:.1f} s" if self._late else ""
+        late = f"no new plan came for {DEADLINE_NS * 1e-9:.2f} s" if self._late else ""
         why = self.tipped or "; ".join(words for words in (late, legs.trouble) if words)
         if legs.resting:
             self._enter(Mode.HOLD, why or "the last accepted step is finished and no new plan came")

@@ -13,6 +13,7 @@ SILENT = 4  # questions in a row that a servo has left open, from which it count
 _QUIET_S = 0.1  # [s] without any reading from which it is the bus, and no servo, that is silent
 _LOSS = 0.30  # share of the questions of late without a usable answer, from which nobody knows how the robot stands
 _LATE, _LATE_CYCLES = 2.0, 5  # periods that a cycle may take, and how many in a row may take longer
+_GAP_S = 0.2  # [s] between two cycles in which nobody has led the robot
 _WARM, _HOT = 12.0, 5.0  # [K] below the servos' own limit: from here on slower; from here on to the ground
 _LOW_S, _SETTLED_S = 1.0, 0.3  # [s] for which the voltage must be low, and its time constant
 _TIRED, _SPENT = 0.36, 0.50  # rms share of the stall torque of late: from here on slower; slowest
@@ -35,6 +36,7 @@ class Vitals:
     temperature: Array  # (18,) [deg C], likewise
     errors: NDArray[np.uint8]  # (18,) of the newest status packets
     limp: NDArray[np.bool_]  # (18,) servos that do not pull
+    behind: NDArray[np.bool_]  # (18,) servos that have missed goals and have not caught up yet
     loss: float  # share of the questions of the last 200 ms without a usable answer
     trouble: str  # what is wrong between here and them, in words, or nothing
 
@@ -90,7 +92,7 @@ class Health:
         overloaded = self._overloads(now, vitals.errors, torque)
         heat, empty = self._heat(vitals), self._empty(now, dt, vitals.voltage)
         limp = self._limp(vitals.limp) if torque else ""
-        broken = (self._silence(vitals), self._error(vitals.errors), limp, overloaded.broken)
+        broken = (self._silence(vitals), self._delay(dt), self._error(vitals.errors), limp, overloaded.broken)
         sit = next((words for words in (overloaded.sit, heat.sit, empty.sit) if words), "")
         return Verdict(
             broken=next((words for words in broken if words), ""),
@@ -111,6 +113,13 @@ class Health:
             return f"{_named(self._profile, silent)} does not answer; check its cable and those before it"
         if vitals.loss > _LOSS:
             return f"more than {_LOSS:.0%} of the servos' answers are lost or broken; check cables, plugs and the bus voltage"
+        behind = np.flatnonzero(vitals.behind)
+        return f"{_named(self._profile, behind)} catches up, slowly, with what it has missed" if len(behind) else ""
+
+    def _delay(self, dt: float) -> str:
+        """Why the computer cannot lead the servos, in words."""
+        if dt > _GAP_S:
+            return f"the computer has kept the actuator waiting for {dt:.1f} s"
         if self._late >= _LATE_CYCLES:
             return f"the computer is too slow: {self._late} cycles in a row took more than {_LATE * self._period * 1e3:.0f} ms"
         return ""

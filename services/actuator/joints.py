@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from services.actuator.bus import BusGone, BusSetupError, Port, ServoReading
 from services.actuator.config import Settings
+from services.actuator.goal_limits import GENTLE
 from services.actuator.health import SILENT, Vitals
 from services.actuator.servos import Outlet, Servos, connect
 from shared import dynamixel as dxl
@@ -20,6 +21,11 @@ _ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when
 _AGAIN_NS = 200_000_000  # [ns] between two attempts at finding a bus that is gone
 _STANDS = (dxl.TORQUE_ENABLE, dxl.PRESENT_POSITION, dxl.GOAL_POSITION)  # what tells how a servo stands
 _TRIES = 3  # questions to one servo of a bus that is back
+_DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: nobody may hear what is sent; nobody knows how the robot stands
+_PATIENT_S = 1.0  # [s] for which servos that stay silent are waited for once the others have answered again
+_CAUGHT_UP = np.radians(5.0)  # between a joint and its goal; under load it stays some degrees off, ...
+_STILL = np.radians(10.0)  # [rad/s] ... and it has arrived where it is slower, ...
+_MOVED_NS = 100_000_000  # [ns] ... so long after it was heard again
 
 
 class Joints:
@@ -55,8 +61,12 @@ class Joints:
         self._set_up()
         self._tried_ns = clock()
         self.gone = ""  # why there is no bus, in words
-        self.returned = False  # whether it has come back, until that is cleared
         self._doubted = np.zeros(18, dtype=np.bool_)  # servos that have been silent since it was seen that they pull
+        self._behind = np.zeros(
+            18, dtype=np.bool_
+        )  # servos that have missed goals: they go on slowly until they have caught up
+        self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those were heard again, 0 before
+        self.out_of_touch = False  # whether all of them have, and are not heard and caught up yet
         self.q = self._read_all(dxl.PRESENT_POSITION)  # (6, 3) [rad] by the newest readings
         self.goals = self._first_goals()  # (6, 3) [rad] as they stand in the servos
         self.torque = np.array([bool(self._ask(i, dxl.TORQUE_ENABLE)) for i in self._bus.servo_ids])  # (18,) that pull
@@ -74,6 +84,11 @@ class Joints:
         return self.gone or self._bus.trouble
 
     @property
+    def deaf(self) -> bool:
+        """Whether goals had better stay as they are, for nobody may hear what is sent."""
+        return bool(self.trouble) or self.out_of_touch or float(self._bus.ages().min()) > _DEAF_S
+
+    @property
     def vitals(self) -> Vitals:
         """How the servos fare."""
         return Vitals(
@@ -84,6 +99,7 @@ class Joints:
             temperature=self.temperature,
             errors=self._bus.errors,
             limp=~self.torque,
+            behind=self._behind & (self._back_ns > 0),
             loss=0.0 if self.gone else self._bus.loss,
             trouble=self.trouble,
         )
@@ -101,16 +117,28 @@ class Joints:
             readings = self._bus.poll(self._budget_ns, urgent)
             for reading in readings:
                 self._note(reading)
+                self._see_whether_it_caught_up(reading)
             self._find_the_limp(readings)
+            self._see_to_touch()
         except BusGone as error:
             self._lose(error)
             return []
         return readings
 
     def write(self, q_goal: Array) -> None:
-        """Send goals (6, 3) [rad] to all servos; kept, unsent, where there is no bus."""
+        """Send goals (6, 3) [rad] to all servos; kept, unsent, where there is no bus.
+
+        Servos that have missed goals are told to go slowly: nobody knows from where they set out when they hear again.
+        """
         self.goals = q_goal
-        self._tell(lambda: self._bus.sync_write_goals(_ticks(self._profile.servo_angles(q_goal).ravel())))
+        self._leave_behind(self._bus.missed >= SILENT)
+        speeds = np.where(self._behind, dxl.moving_speed_from(GENTLE), 0)
+        self._tell(lambda: self._bus.sync_write_goals(_ticks(self._profile.servo_angles(q_goal).ravel()), speeds))
+
+    def lose_touch(self) -> None:
+        """Begin to find out anew where all joints are: goals that were sent of late may not have been heard, or meant."""
+        self.out_of_touch = True
+        self._leave_behind(np.ones(18, dtype=np.bool_))
 
     def let_go(self) -> None:
         """Turn all torque off; where there is no bus, as soon as there is one, before anything else."""
@@ -168,6 +196,29 @@ class Joints:
         self.voltage[reading.index] = reading.voltage
         self.temperature[reading.index] = reading.temperature
 
+    def _leave_behind(self, servos: NDArray[np.bool_]) -> None:
+        self._behind |= servos
+        self._back_ns[servos] = 0
+
+    def _see_to_touch(self) -> None:
+        """Lose touch where nobody answers, and regain it once all have answered and are where they were sent."""
+        if float(self._bus.ages().min()) > _LOST_S:
+            self.lose_touch()
+        elif self.out_of_touch:
+            back = self._back_ns[self._back_ns > 0]
+            waited = len(back) > 0 and self._clock() - int(back.min()) > _PATIENT_S * 1e9
+            self.out_of_touch = bool(self._behind.any()) and not waited
+
+    def _see_whether_it_caught_up(self, reading: ServoReading) -> None:
+        """Let a servo that has missed goals go as fast as it can again, once it is where it was sent."""
+        i = reading.index
+        if not self._behind[i]:
+            return
+        self._back_ns[i] = self._back_ns[i] or reading.stamp_ns
+        arrived = abs(reading.speed) < _STILL and reading.stamp_ns - self._back_ns[i] > _MOVED_NS
+        if arrived or abs(self.q.flat[i] - self.goals.flat[i]) < _CAUGHT_UP:
+            self._behind[i] = False
+
     def _find_the_limp(self, readings: list[ServoReading]) -> None:
         """See of servos that answer again whether they still pull: one whose power was cut does not."""
         for reading in readings:
@@ -197,7 +248,7 @@ class Joints:
         self._tell(lambda: self._bus.set_torque(False))
 
     def _lose(self, error: BusGone) -> None:
-        self.gone, self._tried_ns = str(error), self._clock()
+        self.gone, self._tried_ns, self.out_of_touch = str(error), self._clock(), True
         self._bus.close()
 
     def _seek(self) -> None:
@@ -218,7 +269,8 @@ class Joints:
         self.torque = pulls.astype(np.bool_)
         self.q, stand = self._angles(ticks), self._angles(goals)
         self.goals = np.where(np.abs(stand - self.q) < _ADOPT_WITHIN, stand, self.q)
-        self.gone, self.returned = "", True
+        self.gone = ""
+        self._behind[:] = False
 
     def _insist(self, servo_id: int, register: dxl.Register) -> int:
         """Value of a register of a bus that is back."""

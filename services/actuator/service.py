@@ -32,6 +32,7 @@ from shared.service import AnyTopic, Every, Inbox, Stages
 _STANDS = 0.5  # share of its load from which a leg counts as standing
 _SLIPS = 0.01  # [m] against the others from which a standing foot is said to slip; rolling and looseness are some millimetres
 _LIFTED = 0.01  # [m] over the standing feet from which a foot without load is in the air
+_ALONE_S = 0.2  # [s] between two cycles from which the legs count as led by nobody meanwhile
 _BALANCED = (Mode.HOLD, Mode.WALK)  # modes in which legs follow an inertial sensor
 
 
@@ -93,8 +94,10 @@ class Actuator:
         self._silent = False  # whether the last cycle sent none
         self._posing: StandUp | LieDown | None = None  # what moves the legs in place of the walk
         self._still = False  # whether the legs stay as they are told
+        self._away = False  # whether in the last cycle nobody knew how the servos fare
         self._T_world_odom: Array = np.eye(4)
-        self._take_over(torque)
+        if self._take_over(torque, self._joints.read_loads()):
+            self._guard.reason = "torque was on at the start; lowering the feet that are in the air"
 
     def __enter__(self) -> Self:
         return self
@@ -126,7 +129,7 @@ class Actuator:
             if self._guard.consider(plan, tick.stamp_ns, self._legs()):
                 self._walker.accept(plan)
                 self._T_world_odom = plan.T_world_odom
-        self._rejoin()
+        self._see_to_gaps(elapsed)
         if self._guard.mode is not Mode.OFF:
             self._move(dt, self._odometry.T_odom_body, tick.stamp_ns)
             self._note_findings(now_ns)
@@ -200,11 +203,13 @@ class Actuator:
             self._joints.revive(index)
             self._limits.ease(*divmod(index, 3))
 
-    def _rejoin(self) -> None:
-        """Where the bus was gone and is back, let all joints take up their work gently, from where they are."""
-        if self._joints.returned:
-            self._joints.returned = False
-            self._ease()
+    def _see_to_gaps(self, elapsed: float) -> None:
+        """Begin anew, gently, where nobody has led the legs for a while: the bus was away, or this process."""
+        away, self._away = self._away, self._joints.out_of_touch
+        if elapsed > _ALONE_S and self._guard.mode is not Mode.OFF:
+            self._joints.lose_touch()
+        elif away and not self._away and not self._still and self._posing is None:
+            self._take_over(self._guard.mode is not Mode.OFF, self._joints.load)
 
     def _ease(self) -> None:
         """Let all joints take up their work gently."""
@@ -265,7 +270,7 @@ class Actuator:
     # ------------------------------------------------------------------------------------------------------------ moves
 
     def _move(self, dt: float, T_odom_body: Array, now_ns: int) -> None:
-        if self._still or self._joints.trouble:  # legs that do not follow are not led on
+        if self._still or self._joints.deaf:  # legs that do not follow are not led on
             self._joints.write(self._joints.goals)
             return
         if self._posing is not None:
@@ -313,18 +318,27 @@ class Actuator:
         self._q_wanted = np.where(reached, q, self._q_wanted)
         self._joints.write(goal)
 
-    def _take_over(self, torque: bool) -> None:
-        """Begin where the robot stands; feet that were in the air, since the last actuator ended in mid-step, come down."""
+    def _take_over(self, torque: bool, load: Array) -> bool:
+        """Begin where the robot stands; feet in the air, since somebody ended in mid-step, come down gently.
+
+        Args:
+            torque: Whether torque is on.
+            load: (6, 3) [N m] of the motors.
+
+        Returns:
+            Whether there are such feet.
+        """
         q = self._joints.q
         if torque:
             self._ease()
-        carrying = self._contact.update(q, self._joints.read_loads(), math.inf)
+        carrying = self._contact.update(q, load, math.inf)
         standing = carrying if torque and carrying.sum() >= 3 else np.ones(6, dtype=np.bool_)
         self._stand_on(q, standing=standing)
-        lifted = self._odometry.anchors[:, 2] - self._profile.foot.radius > _LIFTED
-        if torque and (lifted & ~standing).any():
-            self._walker.lower(lifted & ~standing, self._profile.foot.radius)
-            self._guard.reason = "torque was on at the start; lowering the feet that are in the air"
+        lifted = (self._odometry.anchors[:, 2] - self._profile.foot.radius > _LIFTED) & ~standing
+        if torque and lifted.any():
+            self._walker.lower(lifted, self._profile.foot.radius)
+            return True
+        return False
 
     def _stand_on(self, q: Array, feet: Array | None = None, standing: NDArray[np.bool_] | None = None) -> None:
         """Begin odometry and walk anew: the ground is level at z = 0 under the standing feet, the body over their middle."""

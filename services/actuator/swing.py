@@ -29,6 +29,7 @@ _START, _END, _END_SPEED = 0.08, 0.18, 0.35  # shares of the time to gather spee
 _SUBSTEPS = 4  # per cycle: the field turns within a centimetre
 _NEWTON_STEPS = 8
 _NEAR = 1e-3  # [m] horizontally at the target: straight down
+_LEAST = 1e-3  # [m] to rise over the higher end, of a foot that is asked for no clearance
 
 
 def flow_slope(x: float, y: float, v_h: float, level: float, over: float, rise: float) -> float:
@@ -116,7 +117,7 @@ class _Flight:
 
     def __init__(self, foot: list[float], target: list[float], clearance: float):
         self._start_z = foot[2]
-        self._rise_by = _LEVEL_SHARE * clearance  # [m] over the higher end
+        self._rise_by = max(_LEVEL_SHARE * clearance, _LEAST)  # [m] over the higher end
         self._length = max(math.hypot(target[0] - foot[0], target[1] - foot[1]), 0.02)
         higher = max(foot[2] - target[2], 0.0)
         rise = self._rise_by + max(target[2] - foot[2], 0.0)

@@ -50,7 +50,7 @@ _FEEL_FROM_S = 0.03  # [s] before its legs are lifted from which a step wants to
 _SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is measured at rest
 _WAIT_S, _LONGER_S = 0.07, 0.12  # [s] for which it waits for them, and for those that by their last reading may stand
 _BACK_S = 1.4  # [s] in which a step is taken back
-_SOON_S = 0.40  # [s] in which feet in the air are on the ground, once the robot has to stand
+_SOON_S = 0.30  # [s] in which feet in the air are on the ground, once the robot has to stand
 _LOW = 0.010  # [m] clearance of feet that go back to where they have just come from
 
 

@@ -21,7 +21,7 @@ SETTLE_S = 0.5  # in which servos without a master reach the last goal
 REASONS = {
     "perception": "no fresh pose from perception",
     "mapper": "no fresh terrain map",
-    "planner": "no new plan came for 0.2 s",
+    "planner": "no new plan came for 0.18 s",
 }
 SERVOS = load_profile("phantomx_mk2").servo_ids.ravel().tolist()
 

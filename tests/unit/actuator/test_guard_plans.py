@@ -107,18 +107,18 @@ def test_without_a_living_lease_no_plan_is_taken() -> None:
 
 def test_a_walk_without_a_new_plan_ends_after_the_deadline_and_goes_on_when_the_feet_are_down() -> None:
     robot = in_mode(Mode.WALK)
-    assert DEADLINE_NS == 200_000_000
+    assert DEADLINE_NS == 180_000_000
     robot.now += DEADLINE_NS - 2 * CYCLE
     assert robot.cycle() == ()
     assert robot.guard.reason == "walking"
     assert robot.cycle(1) == (Act.SET_DOWN,)
     assert robot.cycle() == (), "once"
-    assert robot.guard.reason == "no new plan came for 0.2 s"
+    assert robot.guard.reason == "no new plan came for 0.18 s"
     assert not robot.consider(robot.renewal())
-    assert robot.guard.refused == "plan of step 1 refused: no new plan came for 0.2 s, feet are set down first"
+    assert robot.guard.refused == "plan of step 1 refused: no new plan came for 0.18 s, feet are set down first"
     robot.trouble = "the step is taken back"
     robot.cycle(ends=True)
-    assert robot.guard.reason == "no new plan came for 0.2 s; the step is taken back"
+    assert robot.guard.reason == "no new plan came for 0.18 s; the step is taken back"
     assert robot.mode is Mode.HOLD
     robot.trouble = ""
     assert robot.consider(robot.plan())

@@ -25,6 +25,7 @@ WELL = Vitals(
     temperature=np.full(18, 30.0),
     errors=np.zeros(18, dtype=np.uint8),
     limp=np.zeros(18, dtype=np.bool_),
+    behind=np.zeros(18, dtype=np.bool_),
     loss=0.0,
     trouble="",
 )
@@ -121,6 +122,19 @@ def test_five_late_cycles_in_a_row_and_no_fewer_stop_it_as_long_as_they_last(lat
         broken = patient.cycle(dt=2.1 * PERIOD if slow else 2.0 * PERIOD).broken
         assert (broken != "") == (row >= 5)
         assert broken == "" or broken == f"the computer is too slow: {row} cycles in a row took more than 40 ms"
+
+
+@pytest.mark.parametrize("gap_s", [0.21, 3.5])
+def test_a_robot_that_nobody_has_led_for_a_while_stops(gap_s: float) -> None:
+    assert Patient().cycle(dt=0.2).broken == ""
+    patient = Patient()
+    assert patient.cycle(dt=gap_s).broken == f"the computer has kept the actuator waiting for {gap_s:.1f} s"
+    assert patient.cycle().broken == ""
+
+
+@pytest.mark.parametrize("servo", [0, 4, 17])
+def test_a_servo_that_has_missed_goals_is_waited_for(servo: int) -> None:
+    assert Patient().cycle(one(servo, behind=True)).broken == f"{name(servo)} catches up, slowly, with what it has missed"
 
 
 @pytest.mark.parametrize("servo", [0, 4, 17])

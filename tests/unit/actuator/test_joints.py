@@ -9,6 +9,8 @@ import pytest
 from services.actuator import servos, usb_adapter
 from services.actuator.bus import BusGone, BusSetupError
 from services.actuator.config import Settings
+from services.actuator.goal_limits import GENTLE
+from services.actuator.health import SILENT
 from services.actuator.joints import Joints
 from services.simulator.bus import MemoryPort, ServoBusEmulator
 from services.simulator.bus_faults import BusFaults
@@ -100,6 +102,12 @@ class Rig:
     @property
     def measured(self) -> Array:
         return PROFILE.joint_angles(self.q.reshape(6, 3))
+
+    @property
+    def said_speeds(self) -> list[int]:
+        """Moving speeds of the newest goals, heard or not."""
+        goals = next(p for p in reversed(self.bus.said) if p.code == Instruction.SYNC_WRITE and p.parameters[1] == 4)
+        return [int.from_bytes(goals.parameters[at + 3 : at + 5], "little") for at in range(2, len(goals.parameters), 5)]
 
     def orders(self, since: int = 0) -> list[str]:
         """What was said to the servos, but for questions."""
@@ -196,6 +204,63 @@ def test_motor_torques_are_those_in_the_direction_of_growing_angles_and_zero_whe
     np.testing.assert_allclose(rig.joints.read_loads(), load, atol=0.005)
 
 
+# ------------------------------------------------------------------------------------------------------- missed goals
+
+GENTLY = dxl.moving_speed_from(GENTLE)
+
+
+def test_a_servo_that_was_silent_goes_slowly_until_it_is_where_it_was_sent_and_nobody_else_does() -> None:
+    rig = Rig().start()
+    rig.cycle(8, write=True)
+    rig.suffer("servo", "silent", 1.0, servo=IDS[SERVO])
+    rig.until(lambda: rig.joints.vitals.missed[SERVO] >= SILENT, write=True)
+    moved = rig.joints.goals.copy()
+    moved[LEG, JOINT] += np.radians(20.0)
+    rig.joints.write(moved)
+    rig.until(lambda: rig.joints.vitals.missed[SERVO] == 0, write=True)
+    speeds = np.array(rig.registers(dxl.MOVING_SPEED))
+    np.testing.assert_array_equal(speeds, np.where(np.arange(18) == SERVO, GENTLY, 0))
+    assert not rig.joints.out_of_touch, "the others were there all the while"
+    rig.until(lambda: not rig.joints.vitals.behind.any(), write=True)
+    rig.cycle(2, write=True)
+    assert rig.registers(dxl.MOVING_SPEED) == [0] * 18
+    assert abs(rig.measured[LEG, JOINT] - moved[LEG, JOINT]) < np.radians(5.0)
+
+
+def test_where_nobody_answers_touch_is_lost_and_regained_once_all_have_answered_and_all_go_slowly_meanwhile() -> None:
+    rig = Rig().start()
+    rig.cycle(8, write=True)
+    assert not rig.joints.deaf
+    rig.suffer("bus", "silent", 0.5)
+    begin = rig.now_ns
+    rig.until(lambda: rig.joints.deaf, write=True)
+    assert not rig.joints.out_of_touch
+    rig.until(lambda: rig.joints.out_of_touch, write=True)
+    assert rig.now_ns - begin < 0.25e9
+    while rig.now_ns - begin < 0.5e9:
+        assert rig.said_speeds == [GENTLY] * 18
+        rig.cycle(write=True)
+    assert rig.joints.out_of_touch
+    rig.until(lambda: not rig.joints.out_of_touch, write=True)
+    assert not rig.joints.deaf
+    assert not rig.joints.vitals.missed.any()
+    rig.cycle(2, write=True)
+    assert rig.registers(dxl.MOVING_SPEED) == [0] * 18
+
+
+def test_a_servo_that_stays_silent_does_not_keep_the_others_waiting_for_long() -> None:
+    rig = Rig().start()
+    rig.cycle(8, write=True)
+    rig.suffer("bus", "silent", 0.5)
+    rig.suffer("servo", "silent", 100.0, servo=IDS[SERVO])
+    rig.until(lambda: rig.joints.out_of_touch, write=True)
+    rig.until(lambda: rig.joints.vitals.newest < 0.05, write=True)
+    begin = rig.now_ns
+    rig.until(lambda: not rig.joints.out_of_touch, write=True)
+    assert rig.now_ns - begin < 2.0e9
+    assert rig.joints.vitals.missed[SERVO] >= SILENT
+
+
 # ------------------------------------------------------------------------------------------------------ a port that goes
 
 
@@ -210,7 +275,7 @@ def test_a_port_that_goes_is_said_and_raises_nothing_and_comes_back_as_it_stands
     rig.joints.write(rig.joints.goals + 0.5)  # to nobody
     rig.until(lambda: rig.joints.gone == "")
     assert 1.0e9 <= rig.now_ns - begin < 1.5e9
-    assert rig.joints.returned
+    assert rig.joints.out_of_touch
     assert rig.joints.torque.all()
     np.testing.assert_allclose(rig.joints.goals, rig.measured, atol=TICK)
     for register in (dxl.GOAL_POSITION, dxl.TORQUE_ENABLE, dxl.TORQUE_LIMIT):

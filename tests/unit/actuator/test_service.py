@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from services.actuator.config import Settings
 from services.actuator.goal_limits import GENTLE
@@ -27,6 +28,7 @@ REST = PROFILE.rest_feet()
 IDS = PROFILE.servo_ids.ravel().tolist()
 PERIOD = 20_000_000
 TRIPOD = np.arange(6) % 2 == 0
+TICK = dxl.TICK_RAD
 OUT = np.column_stack([PROFILE.T_body_coxa[:, :2, 0], np.zeros(6)])
 UP = np.array([0.0, 0.0, 1.0])
 STILL = 0.02  # [rad] of goals: sag that is integrated away, and rounding to ticks
@@ -130,6 +132,11 @@ class Rig:
             stop=False,
         )
         return replace(plan, **changes)
+
+    def air(self, state: ActuatorState) -> NDArray[np.bool_]:
+        """(6,) feet that are over the others."""
+        heights = apply(state.T_odom_body, state.feet)[:, 2]
+        return np.asarray(heights > heights.min() + 0.01)
 
     def walking(self) -> ActuatorState:
         """Ordered to walk and standing."""
@@ -435,6 +442,26 @@ def test_a_killed_actuator_comes_back_standing_as_it_stood() -> None:
     state = rig.cycle(2)
     rig.hear(rig.plan(state))
     assert rig.cycle().mode is Mode.WALK
+
+
+def test_after_a_while_without_anybody_to_lead_them_legs_begin_anew_and_feet_come_down_gently() -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    state = rig.cycle(15)
+    assert state.mode is Mode.WALK
+    assert (rig.air(state) == TRIPOD).all()
+    epoch = state.epoch
+    rig.now_ns += 3_500_000_000
+    state = rig.cycle()
+    assert state.mode is Mode.FAULT
+    assert state.reason == "the computer has kept the actuator waiting for 3.5 s"
+    for _ in range(100):
+        last = rig.goals
+        state = rig.cycle()
+        assert np.abs(rig.goals - last).max() <= np.radians(30.0) * 0.04 + TICK  # a cycle may take two periods
+    assert state.epoch > epoch
+    assert not rig.air(state).any()
+    assert state.mode is Mode.HOLD
 
 
 def test_a_robot_without_servos_does_not_start() -> None:

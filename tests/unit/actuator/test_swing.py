@@ -137,3 +137,17 @@ def test_a_step_on_the_spot_arrives_without_a_leap(length: float, rise: float) -
     way = fly_to(length, rise, 0.04)
     np.testing.assert_array_equal(way[-1], [length, 0.0, rise])
     assert steps_of(way).max() <= 4.0 * (abs(rise) + length + 2 * 0.04) / CYCLES + 1e-3
+
+
+@WILD
+@given(st.floats(-0.08, 0.0), st.lists(st.tuples(st.integers(0, CYCLES - 1), st.floats(-0.005, 0.005)), max_size=4))
+def test_a_foot_that_is_lowered_without_clearance_comes_down_wherever_the_ground_has_gone(
+    drop: float, moves: list[tuple[int, float]]
+) -> None:
+    targets = np.tile([0.0, 0.0, drop], (CYCLES, 1))
+    for cycle, shift in moves:
+        targets[cycle:, 0] += shift
+    way = fly(targets, 0.0)
+    assert np.isfinite(way).all()
+    np.testing.assert_array_equal(way[-1], targets[-1])
+    assert way[:, 2].max() <= 0.01

@@ -17,7 +17,7 @@ from tests.support.timelines import BEGIN_S, PERIOD_S, PROFILE, standing, timeli
 
 KILLED, SILENT, OFF, HEAT = (BY_NAME[name] for name in ("planner-killed", "servo-silent", "off-bus-gone", "heat"))
 IDS = PROFILE.servo_ids.ravel().tolist()
-NO_PLAN = "no new plan came for 0.2 s"
+NO_PLAN = "no new plan came for 0.18 s"
 
 
 def torque(after_s: float, on: bool, heard: bool = True, ids: list[int] = IDS) -> Switch:
