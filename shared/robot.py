@@ -84,6 +84,7 @@ class Servo:
     armature: float  # [kg m^2] reflected rotor inertia; unknown for most servos, so it is varied in tests
     friction: float  # [N m] dry friction
     temperature_limit: float = 70.0  # [deg C] at which a servo shuts itself down
+    lock_eeprom: bool = True  # once set up, id, baud rate and limits cannot be written until its power goes
 
     checks = (
         *config.each("stall_torque no_load_speed stiffness", lambda value: value > 0, "more than 0"),

@@ -40,6 +40,7 @@ class Bridge:
         *,
         model: ServoModel = dxl.AX_12A,
         names: Mapping[int, str] | None = None,
+        lock: bool = False,
     ) -> None:
         """Take over an open port. Nothing is sent before `setup` or another call.
 
@@ -49,6 +50,7 @@ class Bridge:
             clock: Monotonic time [ns]; of an emulated port, the port's own.
             model: The servo type that `setup` expects.
             names: Leg and joint of each id, for what is said of it.
+            lock: `setup` locks the EEPROM of the servos, see `ServoBus`.
 
         Raises:
             ValueError: Too many ids, one out of range or given twice.
@@ -62,7 +64,8 @@ class Bridge:
         self._port = port
         self._clock = clock
         self._receiver = Receiver(bridge.TO_HOST)
-        self._registers = ServoBus(_Questions(self), servo_ids, clock, model=model, names=names, reply_timeout_ns=0)
+        questions = _Questions(self)
+        self._registers = ServoBus(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
         self.servo_ids = self._registers.servo_ids
         self._odd: Counter[str] = Counter()  # states that were not taken
         self._session = 0

@@ -111,6 +111,7 @@ class ServoBus:
         names: Mapping[int, str] | None = None,
         echo: bool = False,
         reply_timeout_ns: int = REPLY_TIMEOUT_NS,
+        lock: bool = False,
     ) -> None:
         """Take over an open port. Nothing is sent before `setup` or another call.
 
@@ -122,6 +123,7 @@ class ServoBus:
             names: Leg and joint of each id, for what is said of it.
             echo: The adapter returns every byte sent; exactly those are dropped.
             reply_timeout_ns: [ns] after which an answer is given up.
+            lock: `setup` locks the EEPROM of the servos, until their power goes: no broken packet changes it then.
 
         Raises:
             ValueError: An id out of range or given twice.
@@ -134,7 +136,7 @@ class ServoBus:
         self.errors: NDArray[np.uint8] = np.zeros(n, dtype=np.uint8)  # (n,) error bits of the last status packets
         self._port = port
         self._clock = clock
-        self._model = model
+        self._model, self._lock = model, lock
         self._line = Line(port, clock, echo=echo, reply_timeout_ns=reply_timeout_ns)
         self._index = {servo_id: i for i, servo_id in enumerate(servo_ids)}
         self._loss = LossRate(_LOSS_WINDOW_NS)
@@ -249,7 +251,7 @@ class ServoBus:
             )
         wrong = roll_call.problems(self.names, seen, self._model)
         for i in self.names.keys() - wrong.keys():
-            if words := roll_call.prepare(self, seen[i]):
+            if words := roll_call.prepare(self, seen[i], self._lock):
                 wrong[i] = Problem(f"{roll_call.named(i, self.names)} {words}", "")
         if wrong:
             words = "; ".join(problem.words for problem in wrong.values())

@@ -236,6 +236,9 @@ def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: 
         what = f"it is an {seen.model}" if seen.voice is Voice.CLEAR else f"it {seen.voice.value}"
         operator.say(f"a servo {wanted.name} expected, but {what}: left as it is; plug another one in")
         return False
+    if seen[dxl.LOCK]:
+        operator.say(f"servo {old} is locked, as the actuator leaves it: switch its power off and on and try again")
+        return False
     if old != target:
         bus.tell(old, dxl.ID, target)  # the answer may have the old id or the new one
     settings = [(dxl.STATUS_RETURN_LEVEL, ANSWER_ALL), (dxl.RETURN_DELAY, 0)]

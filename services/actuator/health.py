@@ -37,6 +37,7 @@ class Vitals:
     errors: NDArray[np.uint8]  # (18,) of the newest status packets
     limp: NDArray[np.bool_]  # (18,) servos that do not pull
     behind: NDArray[np.bool_]  # (18,) servos that have missed goals and have not caught up yet
+    strength: Array  # (18,) torque limit, as a share of the greatest
     loss: float  # share of the questions of the last 200 ms without a usable answer
     trouble: str  # what is wrong between here and them, in words, or nothing
 
@@ -91,15 +92,16 @@ class Health:
         self._effort += (1.0 - np.exp(-dt / _TIRES_S)) * (share * share - self._effort)
         overloaded = self._overloads(now, vitals.errors, torque)
         heat, empty = self._heat(vitals), self._empty(now, dt, vitals.voltage)
-        limp = self._limp(vitals.limp) if torque else ""
-        broken = (self._silence(vitals), self._delay(dt), self._error(vitals.errors), limp, overloaded.broken)
+        limp, weak = self._limp(vitals.limp) if torque else "", self._weak(vitals.strength)
+        unknown = (self._silence(vitals), self._delay(dt), self._error(vitals.errors))
+        broken = (*unknown, limp, overloaded.broken, weak if torque else "")
         sit = next((words for words in (overloaded.sit, heat.sit, empty.sit) if words), "")
         return Verdict(
             broken=next((words for words in broken if words), ""),
             sit=sit,
             pace=min(heat.pace, self._fresh()),
             revive=overloaded.revive,
-            warnings=(*heat.warnings, *empty.warnings),
+            warnings=(*heat.warnings, *empty.warnings, *filter(None, (weak,))),
         )
 
     def _silence(self, vitals: Vitals) -> str:
@@ -130,6 +132,14 @@ class Health:
         return (
             f"{_named(self._profile, lost)} has lost its torque; order `ready` to turn it on where it is" if len(lost) else ""
         )
+
+    def _weak(self, strength: Array) -> str:
+        """Which servos were left with less than their torque, in words."""
+        weak = np.flatnonzero(strength < 1.0)
+        if not len(weak):
+            return ""
+        left = f"{_named(self._profile, weak)} was left with {strength[weak].min():.0%} of its torque"
+        return f"{left}; order `ready` to turn it up where it is"
 
     def _error(self, errors: NDArray[np.uint8]) -> str:
         """Which servo reports what is neither overload nor heat nor voltage, in words."""

@@ -1,6 +1,7 @@
 """The joints behind the servo bus: what they measure, what they are told, and the bus itself, which may go and come back."""
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from services.actuator.goal_limits import GENTLE
 from services.actuator.health import SILENT, Vitals
 from services.actuator.servos import Outlet, Servos, connect
 from shared import dynamixel as dxl
+from shared.dynamixel import ServoError
 from shared.geometry import Array
 from shared.robot import RobotProfile
 
@@ -70,6 +72,7 @@ class Joints:
         self.q = self._read_all(dxl.PRESENT_POSITION)  # (6, 3) [rad] by the newest readings
         self.goals = self._first_goals()  # (6, 3) [rad] as they stand in the servos
         self.torque = np.array([bool(self._ask(i, dxl.TORQUE_ENABLE)) for i in self._bus.servo_ids])  # (18,) that pull
+        self.strength = np.array([self._strength(i) for i in self._bus.servo_ids])  # (18,) share of its torque that each has
         self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
         self.voltage = np.full(18, np.nan)  # [V]
         self.temperature = np.full(18, np.nan)  # [deg C]
@@ -100,6 +103,7 @@ class Joints:
             errors=self._bus.errors,
             limp=~self.torque,
             behind=self._behind & (self._back_ns > 0),
+            strength=self.strength,
             loss=0.0 if self.gone else self._bus.loss,
             trouble=self.trouble,
         )
@@ -147,13 +151,19 @@ class Joints:
         self._say_let_go()
 
     def grip(self) -> None:
-        """Turn torque on where it is off, at the places where those joints are: an operator's act alone leads here."""
+        """Turn torque on where it is off, and up where a servo was left weak, at the places where those joints are.
+
+        An operator's act alone leads here.
+        """
         self._lets_go = False
-        limp = ~self.torque.reshape(6, 3)
-        self.write(np.where(limp, self.q, self.goals))
+        weak = (self.strength < 1.0) & (self._bus.errors & ServoError.OVERHEATING == 0)
+        anew = (~self.torque | weak).reshape(6, 3)
+        self.write(np.where(anew, self.q, self.goals))
         for _ in range(2):  # nobody answers a broadcast
             self._tell(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
+        for index in np.flatnonzero(weak).tolist():
+            self._tell(partial(self._wake, index))
 
     def revive(self, index: int) -> None:
         """End the shutdown of a servo (0 to 17) at the place where its joint is, if it says that it has that for its goal."""
@@ -232,9 +242,11 @@ class Joints:
         self._doubted |= self._bus.missed >= SILENT
 
     def _wake(self, index: int) -> None:
+        """Give a servo all its torque, if it says that it has its place for its goal."""
         servo_id, goal = self._bus.servo_ids[index], _ticks(self._profile.servo_angles(self.goals).ravel())[index]
-        if self._bus.write(servo_id, dxl.GOAL_POSITION, int(goal)):
-            self._bus.write(servo_id, dxl.TORQUE_LIMIT, dxl.TORQUE_LIMIT.max)
+        placed = self._bus.write(servo_id, dxl.GOAL_POSITION, int(goal))
+        if placed and self._bus.write(servo_id, dxl.TORQUE_LIMIT, dxl.TORQUE_LIMIT.max):
+            self.strength[index] = 1.0
 
     def _tell(self, say: Callable[[], object]) -> None:
         if self.gone:
@@ -293,6 +305,11 @@ class Joints:
             if self._clock() >= until:
                 raise ConnectionError(f"servo {servo_id} stopped answering while its {register.name} was read")
         return value
+
+    def _strength(self, servo_id: int) -> float:
+        """Share of its torque that a servo was left with."""
+        limit = self._ask(servo_id, dxl.TORQUE_LIMIT)
+        return 1.0 if limit == dxl.TORQUE_LIMIT.max else min(1.0, limit / max(1, self._ask(servo_id, dxl.MAX_TORQUE)))
 
     def _first_goals(self) -> Array:
         """The goals that stand in the servos where the joints are near them, else the measured angles."""

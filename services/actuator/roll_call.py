@@ -232,9 +232,13 @@ def error_of(seen: Seen) -> str:
     return ", ".join(filter(None, (dxl.error_words(seen.error), left)))
 
 
-def prepare(bus: Bus, seen: Seen) -> str:
-    """Make a servo answer everything at once; what it does not take, or nothing. EEPROM is written only where it differs."""
-    for register, value in ((dxl.STATUS_RETURN_LEVEL, ANSWER_ALL), (dxl.RETURN_DELAY, 0)):
+def prepare(bus: Bus, seen: Seen, lock: bool) -> str:
+    """Make a servo answer everything at once, and lock its EEPROM; what it does not take, or nothing.
+
+    EEPROM is written only where it differs.
+    """
+    wanted = ((dxl.STATUS_RETURN_LEVEL, ANSWER_ALL), (dxl.RETURN_DELAY, 0), *(((dxl.LOCK, 1),) if lock else ()))
+    for register, value in wanted:
         if seen[register] != value and not ensure(bus, seen.servo_id, register, value):
             return f"does not take {register.name} {value}; its EEPROM may be locked until its power is cycled"
     return ""

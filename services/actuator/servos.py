@@ -113,7 +113,7 @@ class Outlet:
 
 def connect(profile: RobotProfile, settings: Settings, port: Port, clock: Callable[[], int]) -> Servos:
     """The robot's servos, on an open port."""
-    model, names = dxl.MODEL_NAMED[profile.servo.model], profile.servo_names
+    model, names, lock = dxl.MODEL_NAMED[profile.servo.model], profile.servo_names, profile.servo.lock_eeprom
     if settings.bridge:
-        return Bridge(port, list(names), clock, model=model, names=names)
-    return ServoBus(port, list(names), clock, model=model, names=names, echo=settings.echo)
+        return Bridge(port, list(names), clock, model=model, names=names, lock=lock)
+    return ServoBus(port, list(names), clock, model=model, names=names, echo=settings.echo, lock=lock)

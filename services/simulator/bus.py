@@ -20,6 +20,7 @@ _INTER_BYTE_NS = 100_000_000  # a servo gives a packet up when its next byte tak
 _ANSWER_ALL, _ANSWER_READ = 2, 1  # status return levels
 # Baud rate, return delay and status level lie close: one read gives id, delay and level.
 _HEAD_START, _HEAD_SIZE = dxl.ID.address, dxl.STATUS_RETURN_LEVEL.address - dxl.ID.address + 1
+_FREE = dxl.TORQUE_ENABLE.address, dxl.TORQUE_LIMIT.address + dxl.TORQUE_LIMIT.size  # written also where the rest is locked
 _HEAD_DELAY = dxl.RETURN_DELAY.address - dxl.ID.address
 
 
@@ -223,8 +224,8 @@ class ServoBusEmulator(AnswersOnly):
     def _check(self, row: int, address: int, data: bytes) -> ServoError:
         """Whether a servo takes a write: whole registers that may be written, in range, goals within the limits."""
         registers = _registers_in(address, len(data))
-        if registers is None:
-            return ServoError.RANGE
+        if registers is None or (not _FREE[0] <= address <= _FREE[1] - len(data) and self._value(row, dxl.LOCK)):
+            return ServoError.RANGE  # locked until the power goes
         for register in registers:
             start = register.address - address
             value = data[start] if register.size == 1 else data[start] | data[start + 1] << 8
@@ -235,8 +236,6 @@ class ServoBusEmulator(AnswersOnly):
                 low, high = limits[0] | limits[1] << 8, limits[2] | limits[3] << 8
                 if not low <= value <= high and high:
                     return ServoError.ANGLE_LIMIT
-            elif (register.eeprom or register is dxl.LOCK) and self._value(row, dxl.LOCK):
-                return ServoError.RANGE  # locked until the power goes
         return ServoError.NONE
 
     def _table(self, row: int, address: int, size: int) -> bytes:

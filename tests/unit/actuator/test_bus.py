@@ -77,6 +77,19 @@ def test_setup_takes_the_return_delay_away_and_leaves_torque_alone(rig: Rig) -> 
     assert rig.bus.counts.instructions[dxl.Instruction.WRITE] == writes
 
 
+@given(at=st.integers(0, dxl.SHUTDOWN.address), value=st.integers(0, 255))
+def test_where_servos_are_locked_no_goals_that_went_astray_change_what_they_keep(at: int, value: int) -> None:
+    rig = Rig((1, 2))
+    ServoBus(rig.port, (1, 2), rig.port.now_ns, lock=True).setup()
+    rig.settle()
+    before = rig.bank.tables[:, : dxl.TORQUE_ENABLE.address].copy()
+    astray = [dxl.sync_write(at, 4, [(i, bytes([value] * 4)) for i in (1, 2)]), dxl.write(1, at, bytes([value]))]
+    for packet in astray:
+        rig.port.write(packet)
+    rig.settle()
+    np.testing.assert_array_equal(rig.bank.tables[:, : dxl.TORQUE_ENABLE.address], before)
+
+
 def test_goals_and_torque_reach_the_servos(rig: Rig) -> None:
     rig.driver.set_torque(True)
     goals = np.arange(300, 318)

@@ -45,6 +45,9 @@ def test_a_leg_out_of_reach_is_named() -> None:
     goal, warning = GoalLimits(PROFILE).safe(q, REST, DT)
     assert warning == "foot out of reach, held: right middle"
     np.testing.assert_array_equal(goal, REST)
+    q[4, 0] = np.inf
+    _, warning = GoalLimits(PROFILE).safe(q, REST, DT)
+    assert warning == "foot out of reach, held: right middle, left rear"
 
 
 def test_goals_in_reach_pass_unchanged() -> None:
@@ -63,6 +66,9 @@ def test_speed_is_gathered_over_some_cycles_and_lost_in_one() -> None:
     np.testing.assert_allclose(steps[:3], FASTEST * DT * np.array([0.5, 1.0, 1.0]))
     goal, _ = limits.safe(last, last, DT)
     np.testing.assert_array_equal(goal, last)
+    slow, _ = limits.safe(last - 0.01, last, DT)
+    fast, _ = limits.safe(REST, slow, DT)
+    np.testing.assert_allclose(np.abs(fast - slow).max(), 0.01 + 0.5 * FASTEST * DT)
 
 
 def test_a_joint_that_takes_up_its_work_is_gentle_until_it_has_caught_up() -> None:

@@ -221,7 +221,8 @@ def test_feet_come_down_before_a_fault_is_over_and_the_walk_goes_on_by_itself() 
 @pytest.mark.parametrize("way", ["ready", "sit", "a fault while it rises"])
 def test_however_it_came_to_stand_a_fault_lasts_until_its_feet_are_down(way: str) -> None:
     robot = in_mode(Mode.OFF if way == "ready" else Mode.SIT if way == "sit" else Mode.STAND)
-    robot.order("ready")
+    if way != "a fault while it rises":
+        robot.order("ready")
     if way == "sit":
         robot.order("sit")
     robot.verdict = BROKEN if "fault" in way else Verdict()

@@ -24,6 +24,7 @@ WELL = Vitals(
     voltage=np.full(18, 11.5),
     temperature=np.full(18, 30.0),
     errors=np.zeros(18, dtype=np.uint8),
+    strength=np.ones(18),
     limp=np.zeros(18, dtype=np.bool_),
     behind=np.zeros(18, dtype=np.bool_),
     loss=0.0,
@@ -75,6 +76,15 @@ def test_before_the_first_readings_nothing_is_known_and_nothing_is_said() -> Non
     assert patient.cycle() == Verdict()
     some = one(4, voltage=np.nan, temperature=np.nan)
     assert patient.cycle(some) == Verdict()
+
+
+@pytest.mark.parametrize("servo", range(18))
+def test_a_weak_servo_is_named_and_stops_a_robot_that_stands_on_it(servo: int) -> None:
+    words = f"{name(servo)} was left with 30% of its torque; order `ready` to turn it up where it is"
+    verdict = Patient().cycle(one(servo, strength=0.3))
+    assert (verdict.broken, verdict.warnings) == (words, (words,))
+    limp = Patient().cycle(one(servo, strength=0.3), torque=False)
+    assert (limp.broken, limp.warnings) == ("", (words,))
 
 
 # ------------------------------------------------------------------------------------------------------------- silence

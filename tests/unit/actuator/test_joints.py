@@ -1,6 +1,7 @@
 """The joints behind the emulated bus, byte for byte: taken over, let go, woken; a port that goes and is back."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -158,6 +159,58 @@ def test_goals_that_stand_in_the_servos_are_kept_within_ten_degrees_and_else_the
     expected = PROFILE.joint_angles((STAND + np.where(np.abs(off) < np.radians(10.0), off, 0.0)).reshape(6, 3))
     np.testing.assert_allclose(rig.joints.goals, expected, atol=TICK)
     np.testing.assert_allclose(rig.joints.q, rig.measured, atol=TICK)
+
+
+@pytest.mark.parametrize("lock", [True, False])
+def test_a_beginning_locks_what_servos_keep_without_power_if_the_robot_says_so(lock: bool) -> None:
+    rig = Rig()
+    rig.joints = Joints(replace(PROFILE, servo=replace(PROFILE.servo, lock_eeprom=lock)), Settings(), rig.opener, rig.clock)
+    rig.cycle(1)
+    assert rig.registers(dxl.LOCK) == [int(lock)] * 18
+    rig.put(SERVO, dxl.TORQUE_LIMIT, 300)
+    said = len(rig.bus.said)
+    rig.start()
+    rig.joints.grip()
+    rig.cycle(1)
+    assert (f"{dxl.LOCK.name} of {IDS[0]}" in rig.orders(said)) == (not lock), "once is enough"
+    assert rig.registers(dxl.TORQUE_LIMIT) == [dxl.TORQUE_LIMIT.max] * 18, "what moves a joint is not locked"
+
+
+@pytest.mark.parametrize("torque", [True, False])
+def test_a_servo_that_was_left_weak_is_known_and_stays_so_until_an_order_takes_it_up_where_it_is(torque: bool) -> None:
+    rig = Rig(torque, off=np.radians(5.0))
+    rig.put(SERVO, dxl.TORQUE_LIMIT, 300)
+    rig.start()
+    rig.cycle(5, write=True)
+    np.testing.assert_allclose(rig.joints.vitals.strength, np.where(np.arange(18) == SERVO, 300 / 1023, 1.0))
+    assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 300
+    said, where = len(rig.bus.said), rig.measured[LEG, JOINT]
+    rig.joints.grip()
+    rig.cycle(1)
+    assert rig.orders(said)[-2:] == [f"{dxl.GOAL_POSITION.name} of {IDS[SERVO]}", f"{dxl.TORQUE_LIMIT.name} of {IDS[SERVO]}"]
+    assert rig.registers(dxl.TORQUE_LIMIT) == [dxl.TORQUE_LIMIT.max] * 18
+    assert abs(rig.measured[LEG, JOINT] - where) < TICK
+    assert (rig.joints.vitals.strength == 1.0).all()
+
+
+def test_less_torque_than_the_data_sheets_is_not_weak_where_the_servo_keeps_that_for_its_most() -> None:
+    rig = Rig()
+    rig.put(SERVO, dxl.MAX_TORQUE, 800)
+    rig.put(SERVO, dxl.TORQUE_LIMIT, 800)
+    rig.start()
+    assert (rig.joints.strength == 1.0).all()
+
+
+def test_a_servo_that_has_shut_down_for_its_heat_is_not_taken_up() -> None:
+    rig = Rig()
+    rig.bank._faults[SERVO] = int(dxl.ServoError.OVERHEATING)
+    rig.put(SERVO, dxl.LED, 0)
+    rig.bank.tables[SERVO, dxl.TORQUE_LIMIT.address :][:2] = 0
+    rig.start()
+    rig.cycle(8)
+    rig.joints.grip()
+    rig.cycle(1)
+    assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 0
 
 
 def test_nothing_is_known_before_the_first_readings_and_then_all_is() -> None:

@@ -358,6 +358,23 @@ def shut_down(rig: Rig, row: int) -> None:
     rig.bank._faults[row] = int(dxl.ServoError.OVERLOAD)
 
 
+def test_a_servo_that_was_left_weak_is_named_and_taken_up_by_order_alone() -> None:
+    rig = Rig()
+    row = IDS.index(9)
+    rig.bank.write(row, dxl.TORQUE_LIMIT.address, dxl.TORQUE_LIMIT.encode(300))
+    rig.start()
+    state = rig.cycle(5)
+    words = (
+        "the femur servo of the left rear leg (id 9) was left with 29% of its torque; order `ready` to turn it up where it is"
+    )
+    assert (state.mode, words in state.warnings) == (Mode.FAULT, True)
+    rig.command("ready")
+    state = rig.cycle(2)
+    assert state.mode is Mode.READY
+    assert words not in state.warnings
+    assert rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == dxl.TORQUE_LIMIT.encode(dxl.TORQUE_LIMIT.max)
+
+
 def test_a_servo_that_shuts_down_is_named_and_the_robot_holds() -> None:
     rig = Rig()
     state = rig.walking()

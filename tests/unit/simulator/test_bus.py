@@ -225,7 +225,9 @@ def test_locked_eeprom_stays_locked() -> None:
     assert answer(bus, put(1, dxl.LOCK, 1)).code == 0
     assert answer(bus, put(1, dxl.ID, 5)).code == ServoError.RANGE
     assert answer(bus, put(1, dxl.LOCK, 0)).code == ServoError.RANGE
-    assert answer(bus, put(1, dxl.LED, 1)).code == 0
+    assert answer(bus, put(1, dxl.PUNCH, 40)).code == ServoError.RANGE
+    for register in (dxl.TORQUE_ENABLE, dxl.LED, dxl.GOAL_POSITION, dxl.MOVING_SPEED, dxl.TORQUE_LIMIT):
+        assert answer(bus, put(1, register, 1)).code == 0
 
 
 def test_echo_returns_every_byte_sent() -> None:
