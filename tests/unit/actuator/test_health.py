@@ -115,7 +115,8 @@ def test_a_bus_is_silent_when_nobody_has_answered_for_a_while() -> None:
 
 def test_too_many_lost_answers_are_nothing_to_walk_on() -> None:
     assert Patient().cycle(replace(WELL, loss=0.30)).broken == ""
-    assert Patient().cycle(replace(WELL, loss=0.31)).broken.startswith("more than 30% of the servos' answers are lost")
+    words = "more than 30% of the servos' answers are lost or broken; check cables, plugs and the bus voltage"
+    assert Patient().cycle(replace(WELL, loss=0.31)).broken == words
 
 
 def test_trouble_on_the_way_to_the_servos_comes_first() -> None:
@@ -206,6 +207,25 @@ def test_an_overloaded_servo_is_reset_at_most_three_times_in_five_minutes_and_th
         assert sum(then <= other < then + 300.0 for other in patient.resets) <= 3
 
 
+@pytest.mark.parametrize(("after", "counts"), [(299.0, True), (300.5, False)])
+def test_a_reset_counts_for_five_minutes(after: float, counts: bool) -> None:
+    patient = Overloaded(4)
+    for _ in range(3):
+        patient.shut_down()
+        patient.cycle()
+    patient.now = patient.resets[0] + after - 1.0  # it rests for a second before it is reset
+    assert bool(patient.shut_down(1.1).revive) != counts
+
+
+def test_of_two_servos_that_cannot_be_reset_any_more_the_first_is_the_reason() -> None:
+    errors = WELL.errors.copy()
+    errors[[2, 9]] = int(ServoError.OVERLOAD)
+    patient = Patient()
+    while not patient.cycle(replace(WELL, errors=errors)).sit:
+        pass
+    assert patient.verdict.sit == f"{name(2)} has shut down for its load 4 times in 5 minutes"
+
+
 def test_every_servo_has_resets_of_its_own() -> None:
     errors = WELL.errors.copy()
     errors[[2, 9]] = int(ServoError.OVERLOAD)
@@ -246,6 +266,17 @@ def test_the_warmer_the_slower_and_five_kelvin_below_its_limit_it_sits(servo: in
     assert cool.broken == ""
 
 
+@pytest.mark.parametrize(("below", "pace", "sits"), [(12.0, 1.0, False), (8.5, 0.7, False), (5.0, 0.4, True), (0.0, 0.4, True)])
+def test_between_twelve_and_five_kelvin_below_its_limit_the_walk_is_slower_in_proportion(
+    below: float, pace: float, sits: bool
+) -> None:
+    words = f"{name(7)} is {LIMIT - below:.0f} deg C warm"
+    verdict = Patient().cycle(one(7, temperature=LIMIT - below))
+    assert verdict.pace == pytest.approx(pace)
+    assert verdict.sit == (words if sits else "")
+    assert verdict.warnings == ((f"{words}: the walk is slower",) if below < 12.0 else ())
+
+
 def test_a_robot_that_heats_up_slowly_sits_before_a_servo_shuts_down() -> None:
     patient, temperature = Patient(), 30.0
     while not patient.cycle(one(7, temperature=temperature)).sit:
@@ -270,6 +301,14 @@ def test_a_load_that_tires_slows_the_walk_and_rest_restores_it(share: float, sig
     for _ in range(200):
         rested = patient.cycle(dt=1.0)
     assert rested.pace == 1.0
+
+
+@pytest.mark.parametrize("seconds", [5.0, 15.0, 30.0])
+def test_it_tires_as_its_motors_heat_up_within_half_a_minute(seconds: float) -> None:
+    patient, load = Patient(), replace(WELL, load=np.full(18, 0.55 * STALL))
+    verdict = patient.live(seconds, load)[-1]
+    rms = 0.55 * np.sqrt(1.0 - np.exp(-seconds / 30.0))
+    assert verdict.pace == pytest.approx(np.clip(1.0 - 0.6 * (rms - 0.36) / 0.14, 0.4, 1.0))
 
 
 def test_a_short_exertion_does_not_tire() -> None:

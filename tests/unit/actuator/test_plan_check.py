@@ -72,29 +72,67 @@ FOUR = np.array([True, True, True, True, False, False])
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"stamp_ns": NOW - 700_000_000}, "is 0.70 s old, at most 0.60 s allowed"),
-        ({"stamp_ns": NOW + 5_000_000_000}, "stamped 5.00 s ahead of now"),
-        ({"epoch": 7}, "epoch 0 expected, found 7"),
-        ({"step": 2}, "does not follow step 0"),
-        ({"step": 0}, "does not follow step 0"),
-        ({"T_world_odom": SKEWED}, "T_world_odom is not a rigid transform"),
-        ({"body_goal": MIRRORED}, "body_goal is not a rigid transform"),
-        ({"T_world_odom": np.zeros((4, 4))}, "not a rigid transform"),
-        ({"body_goal": goal(0.25)}, "would travel 0.25 m in one step"),
-        ({"body_goal": goal(roll=0.4)}, "would turn by"),
-        ({"body_goal": goal(yaw=0.6)}, "would turn by"),
+        ({"stamp_ns": NOW - 700_000_000}, "plan of step 1 is 0.70 s old, at most 0.60 s allowed"),
+        ({"stamp_ns": NOW + 5_000_000_000}, "plan of step 1 is stamped 5.00 s ahead of now"),
+        ({"epoch": 7}, "plan of step 1 was made before {odom} began anew: epoch 0 expected, found 7"),
+        ({"step": 2}, "plan of step 2 does not follow step 0"),
+        ({"step": 0}, "plan of step 0 does not follow step 0"),
+        ({"T_world_odom": SKEWED}, "the plan's T_world_odom is not a rigid transform"),
+        ({"body_goal": MIRRORED}, "the plan's body_goal is not a rigid transform"),
+        ({"T_world_odom": np.zeros((4, 4))}, "the plan's T_world_odom is not a rigid transform"),
+        ({"body_goal": goal(0.25)}, "the body would travel 0.25 m in one step, at most 0.2 m allowed"),
+        ({"body_goal": goal(roll=0.4)}, "the body would turn by [22.9, -0.0, 0.0] deg in one step"),
+        ({"body_goal": goal(roll=np.radians(15.5))}, "the body would turn by [15.5, -0.0, 0.0] deg in one step"),
+        ({"body_goal": goal(yaw=0.6)}, "the body would turn by [0.0, -0.0, 34.4] deg in one step"),
+        ({"body_goal": goal(yaw=np.radians(25.5))}, "the body would turn by [0.0, -0.0, 25.5] deg in one step"),
         ({"duration": 0.1}, "a step of 0.3 to 4.0 s expected, found 0.10 s"),
-        ({"duration": 9.0}, "found 9.00 s"),
-        ({"clearance": np.full(6, 0.2)}, "clearances of 0 to 0.12 m expected"),
-        ({"clearance": np.full(6, -0.01)}, "found -0.010 to -0.010 m"),
-        ({"swing": FOUR}, "only 2 legs would stand"),
-        ({"body_goal": goal(0.15)}, "mm inside its standing feet at the end"),
-        ({"touchdown": FAR}, "the touchdown of the left front leg is out of reach of its"),
-        ({"body_goal": goal(z=0.215), "touchdown": apply(goal(z=0.215), REST)}, "standing foot"),
+        ({"duration": 9.0}, "a step of 0.3 to 4.0 s expected, found 9.00 s"),
+        ({"clearance": np.full(6, 0.2)}, "clearances of 0 to 0.12 m expected, found 0.200 to 0.200 m"),
+        ({"clearance": np.full(6, -0.01)}, "clearances of 0 to 0.12 m expected, found -0.010 to -0.010 m"),
+        ({"swing": FOUR}, "only 2 legs would stand, three are needed"),
+        ({"body_goal": goal(0.15)}, "the body would be -28 mm inside its standing feet at the end, 5 mm needed"),
+        ({"touchdown": FAR}, "the touchdown of the left front leg is out of reach of its coxa"),
+        (
+            {"body_goal": goal(z=0.215), "touchdown": apply(goal(z=0.215), REST)},
+            "the standing foot of the right front leg is out of reach of its coxa",
+        ),
     ],
 )
 def test_it_says_why_it_refuses(changes: dict[str, object], words: str) -> None:
-    assert words in refusal(plan(**changes))
+    assert refusal(plan(**changes)) == words
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"stamp_ns": NOW - 600_000_000},
+        {"stamp_ns": NOW + 600_000_000},
+        {"duration": 0.3},
+        {"duration": 4.0},
+        {"clearance": np.zeros(6)},
+        {"clearance": np.full(6, 0.12)},
+    ],
+)
+def test_what_is_allowed_at_most_passes(changes: dict[str, object]) -> None:
+    assert refusal(plan(**changes)) == ""
+
+
+@pytest.mark.parametrize("stamp_ns", [NOW - 600_000_001, NOW + 600_000_001])
+def test_and_not_a_nanosecond_more(stamp_ns: int) -> None:
+    assert refusal(plan(stamp_ns=stamp_ns)) != ""
+
+
+def test_time_may_begin_with_the_plan() -> None:
+    assert PlanCheck(PROFILE, AGE).untimely(plan(stamp_ns=0), 0, 0, True, NOBODY) == ""
+
+
+def test_the_whole_way_of_a_step_may_be_gone_and_no_more() -> None:
+    """From the middle of the standing feet backwards to it, so that nothing but the travel is in question."""
+    check, where = PlanCheck(PROFILE, AGE), START.copy()
+    where[0, 3] = 0.0
+    for x, allowed in ((0.2, True), (0.2001, False)):
+        reason = check.unwalkable(plan(body_goal=from_xyz_rpy((x, 0.0, START[2, 3]), np.zeros(3))), where, FEET)
+        assert ("travel" not in reason) == allowed, reason
 
 
 @pytest.mark.parametrize(("towards", "words"), [(0.01, ""), (0.0, "out of reach of its"), (-0.01, "out of reach of its")])
@@ -107,17 +145,25 @@ def test_a_foot_that_sank_beyond_its_legs_reach_may_be_approached_but_not_left(t
     assert found == "" if not words else words in found
 
 
+def test_a_swinging_foot_comes_down_within_reach_wherever_it_came_from() -> None:
+    feet, nearer, first = FEET.copy(), FEET.copy(), np.arange(6) == 0
+    feet[0] += (0.16, 0.0, -0.03)
+    nearer[0] += (0.15, 0.0, -0.02)
+    found = PlanCheck(PROFILE, AGE).unwalkable(plan(body_goal=START, swing=first, touchdown=nearer), START, feet)
+    assert found == "the touchdown of the left front leg is out of reach of its coxa"
+
+
 def test_a_body_outside_its_standing_feet_at_the_start_is_refused() -> None:
     outside = from_xyz_rpy((0.2, 0.0, 0.1), np.zeros(3))
     words = PlanCheck(PROFILE, AGE).unwalkable(plan(body_goal=outside), outside, FEET)
-    assert "mm inside its standing feet at the start" in words
+    assert words == "the body would be -72 mm inside its standing feet at the start, 5 mm needed"
 
 
 def test_a_plan_is_accepted_once_and_only_forward() -> None:
     check = PlanCheck(PROFILE, AGE)
     assert refusal(plan(), check) == ""
-    assert "not newer" in refusal(plan(), check)
-    assert "not newer" in refusal(plan(stamp_ns=NOW - 1), check)
+    assert refusal(plan(), check) == "plan of step 1 is not newer than the last accepted one"
+    assert refusal(plan(stamp_ns=NOW - 1), check) == "plan of step 1 is not newer than the last accepted one"
     assert refusal(plan(stamp_ns=NOW + 1), check) == ""
 
 
@@ -129,12 +175,14 @@ def test_a_refused_plan_leaves_no_trace() -> None:
 
 
 def test_a_step_that_is_over_is_not_revised() -> None:
-    assert "does not follow" in refusal(plan(step=4), running=4, resting=True)
+    assert refusal(plan(step=4), running=4, resting=True) == "plan of step 4 does not follow step 4"
+    assert refusal(plan(step=6), running=4, resting=False) == "plan of step 6 does not follow step 4"
     assert refusal(plan(step=4), running=4, resting=False, swing=TRIPOD) == ""
 
 
 def test_a_revision_may_not_change_its_mind_about_the_legs() -> None:
-    assert "swings other legs" in refusal(plan(step=4), running=4, resting=False, swing=~TRIPOD)
+    words = "a revision of step 4 swings other legs than the step that is running"
+    assert refusal(plan(step=4), running=4, resting=False, swing=~TRIPOD) == words
 
 
 small = st.floats(-0.15, 0.15)
