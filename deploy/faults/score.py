@@ -19,6 +19,7 @@ from shared.robot import RobotProfile
 _MARGIN_S = 3.0  # [s] over which the stability margin is looked at
 _STILL_S = 0.2  # [s] for which a robot that is at rest has been so
 _STILL = 0.02  # [m/s] of the body, and of each foot
+_DOWN_BY = 0.010  # [m] over level ground: a foot of a body that leans may hang, and is down
 _HANGING = 0.003  # [m] a foot so far over level ground catches the body after a degree of tilt
 _DEBOUNCE = 1  # samples of truth, 20 ms
 _MISSED_S = 0.040  # [s] two periods: what takes a cycle longer has missed a beat
@@ -67,7 +68,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     return Outcome(
         decided_s=decided - line.begin_s,
         named=any(_names(pattern, w) for w in since),
-        rest_s=_at_rest(line.truth, decided, _broken_leg(line, profile)) - line.begin_s,
+        rest_s=_at_rest(line.truth, decided, _broken_leg(line, profile), profile) - line.begin_s,
         margin_m=_margin(line.truth, line.begin_s, profile),
         falls=int(_falls(line, profile)),
         again_s=again - line.end_s,
@@ -114,9 +115,9 @@ def off_time(line: Timeline) -> tuple[float, int]:
     heard = next((s.t_s for s in offs if s.heard and s.t_s >= line.ordered_s), nan)
     sent = next((s.t_s for s in offs if not s.heard and s.t_s >= begin), inf)
     first = min(heard, sent) if np.isfinite(heard) else sent
-    return max(heard - begin, 0.0), sum(
-        begin < goals.t_s < first for goals in line.goals
-    ) if line.returned_s > line.ordered_s else 0
+    away = line.returned_s > line.ordered_s
+    before = [goals for goals in line.goals if begin < goals.t_s < first] if away else []
+    return float(max(heard - begin, 0.0)), len(before)
 
 
 def cycles(line: Timeline) -> tuple[float, int]:
@@ -156,11 +157,12 @@ def _broken_leg(line: Timeline, profile: RobotProfile) -> Flags:
     return np.asarray((profile.servo_ids == line.servo).any(axis=1))
 
 
-def _at_rest(truth: Truth, decided_s: float, broken: Flags) -> float:
-    """When all feet but those of broken legs (6,) stood, and nothing moved any more, for a while."""
+def _at_rest(truth: Truth, decided_s: float, broken: Flags, profile: RobotProfile) -> float:
+    """When all feet but those of broken legs (6,) were down, and nothing moved any more, for a while."""
     if not np.isfinite(decided_s) or len(truth.t) < 3:
         return nan
-    still = (truth.contact | broken).all(axis=1) & (_speeds(truth.body[:, None, :3, 3], truth.t).max(axis=1) < _STILL)
+    down = truth.contact | broken | (truth.feet[..., 2] - profile.foot.radius < _DOWN_BY)
+    still = down.all(axis=1) & (_speeds(truth.body[:, None, :3, 3], truth.t).max(axis=1) < _STILL)
     still &= _speeds(truth.feet, truth.t).max(axis=1) < _STILL
     samples = max(1, round(_STILL_S / float(np.median(np.diff(truth.t)))))
     for i in np.flatnonzero(still & (truth.t >= decided_s)).tolist():

@@ -300,9 +300,14 @@ class ServoBus:
     def set_torque(self, enabled: bool) -> None:
         """Turn the torque of all servos on or off.
 
-        Before turning it on, send the measured positions as goals: not every firmware holds where it is.
+        Before turning it on, send the measured positions as goals: not every firmware holds where it is. Off is said to
+        whoever is on the bus, twice: the shortest packet is the likeliest to get through where bytes are lost.
         """
-        self.sync_write(dxl.TORQUE_ENABLE, int(enabled))
+        if enabled:
+            self.sync_write(dxl.TORQUE_ENABLE, 1)
+            return
+        for _ in range(2):
+            self._line.send(dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, dxl.TORQUE_ENABLE.encode(0)))
 
     def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
         """Set Torque Limit, (n,) or one for all, 0 to 1023 of the stall torque.

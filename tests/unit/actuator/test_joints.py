@@ -382,8 +382,8 @@ def test_what_is_ordered_off_while_the_port_is_gone_is_off_first_of_all_on_its_r
     assert len(rig.bus.said) == heard
     rig.until(lambda: rig.joints.gone == "")
     first = rig.bus.said[heard]
-    assert (first.code, first.parameters[0]) == (Instruction.SYNC_WRITE, dxl.TORQUE_ENABLE.address)
-    assert not any(first.parameters[3::2]), "off, all of them"
+    assert (first.servo_id, first.code) == (dxl.BROADCAST_ID, Instruction.WRITE)
+    assert first.parameters == bytes((dxl.TORQUE_ENABLE.address, 0)), "off, all of them"
     assert GOALS not in rig.orders(heard)
     rig.cycle()
     assert rig.registers(dxl.TORQUE_ENABLE) == [0] * 18

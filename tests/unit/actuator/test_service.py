@@ -248,7 +248,7 @@ def test_a_new_process_lets_go_before_it_asks_anything(tmp_path: Path) -> None:
     heard: list[bytes] = []
     rig.bus.overhear = lambda data, _: heard.append(data)
     rig.start()
-    assert heard[0] == dxl.sync_write(dxl.TORQUE_ENABLE.address, 1, [(i, b"\0") for i in IDS])
+    assert heard[0] == dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\0")
 
 
 def test_the_stop_path_is_obeyed_without_a_word_on_the_wire(tmp_path: Path) -> None:

@@ -67,9 +67,11 @@ def test_a_robot_is_at_rest_from_its_last_motion_on(moves_s: float) -> None:
     assert moving.any()
 
 
-def test_a_robot_with_a_foot_in_the_air_is_not_at_rest() -> None:
+def test_a_robot_with_a_foot_in_the_air_is_not_at_rest_and_one_with_a_foot_that_barely_hangs_is() -> None:
     truth = standing()
     truth.contact[:, 2] = False
+    assert score(timeline(word(0.2, Mode.HOLD, NO_PLAN), truth=truth), KILLED, PROFILE).rest_s == pytest.approx(0.2)
+    truth.feet[:, 2, 2] += 0.011
     assert isnan(score(timeline(word(0.2, Mode.HOLD, NO_PLAN), truth=truth), KILLED, PROFILE).rest_s)
 
 
