@@ -91,6 +91,8 @@ def _service(command: Command) -> str:
     if command.ready_port:
         probe = json.dumps(["CMD", "python", "-c", _PROBE.format(port=command.ready_port)])
         lines += ["    healthcheck:", f"      test: {probe}", "      interval: 1s", "      retries: 60"]
+    if "--urgent" in command.arguments:
+        lines += ["    ulimits: {rtprio: 10}"]
     if command.name in _LATCHED:
         lines += ['    volumes: ["latch:/tmp"]']
     if command.name == "operator":

@@ -32,7 +32,9 @@ _BLOCKED_NS = 20_000_000_000  # [ns] patience with a planner that is blocked
 _NO_POSE_NS = 5_000_000_000  # [ns] patience without a pose, once there was one
 _START_NS = 60_000_000_000  # [ns] patience for the first word of a service
 _LOST_NS = 2_000_000_000  # [ns] that the planner waits for sight, until it is asked to go on by touch, where that is wanted
-_AGAIN_NS = 1_000_000_000  # [ns] that a robot lies ready after it was to stand, until it is ordered to once more
+_AGAIN_NS = (
+    1_000_000_000  # [ns] that a robot lies ready after it was to stand, or stands and did not rise, until it is ordered again
+)
 _FAULT_NS = 10_000_000_000  # [ns] patience with an actuator that is in fault or off
 
 
@@ -109,10 +111,11 @@ class Operator:
         if self._order == "walk" or state is None:
             return
         self._rising |= state.mode is Mode.STAND
-        if not (self._rising and state.mode is Mode.READY):
-            self._since.pop("lies ready", None)
-        elif now - self._since.setdefault("lies ready", now) >= _AGAIN_NS:
-            self._since.pop("lies ready")
+        # One that walked when this operator came has taken the order for a stop.
+        if state.mode is not (Mode.READY if self._rising else Mode.HOLD):
+            self._since.pop("waits", None)
+        elif now - self._since.setdefault("waits", now) >= _AGAIN_NS:
+            self._since.pop("waits")
             self._first_order, self._order_due_ns = self._first_order + 2, 0
         risen = self._rising and state.mode is Mode.HOLD
         if posed and (risen or state.mode is Mode.WALK):

@@ -53,6 +53,7 @@ class Process:
     restarts: int  # times that a run starts it again after it died
     settings: Callable[[Choices], dict[str, Value]] = field(compare=False)
     nice: int = 0  # how far it gives way where cores are short: the servos' side never does
+    urgent: bool = False  # goes before all others, where the user may: what has a beat to keep
     after: tuple[str, ...] = ()  # processes that must be ready before it starts
     ready_port: Callable[[Choices], int] = field(default=lambda _: 0, compare=False)  # listens there once ready, 0: at once
 
@@ -96,7 +97,7 @@ def _actuator(choices: Choices) -> dict[str, Value]:
 # A dead simulator takes its world with it, so that run has failed; every other process finds its way back from the wire.
 TABLE: tuple[Process, ...] = (
     Process("simulator", "services.simulator", "simulation", 0, _simulator, ready_port=lambda choices: choices.bus_port),
-    Process("actuator", "services.actuator", "robot", 3, _actuator, after=("simulator",)),
+    Process("actuator", "services.actuator", "robot", 3, _actuator, urgent=True, after=("simulator",)),
     Process("stop", "services.actuator.stop", "robot", 3, _servo_port),
     Process("camera", "services.perception.cameras", "device", 3, _camera),
     Process("perception", "services.perception", "robot", 3, _perception, nice=2),
@@ -165,7 +166,7 @@ def commands(
         Command(
             name=p.name,
             arguments=(
-                *("-m", _module(p, chosen), "--robot", chosen.robot, *_meeting(endpoints), *_giving_way(p.nice)),
+                *("-m", _module(p, chosen), "--robot", chosen.robot, *_meeting(endpoints), *_giving_way(p)),
                 *_set([assignment(key, value) for key, value in p.settings(chosen).items()]),
                 *_set((extra or {}).get(p.name, ())),
             ),
@@ -183,8 +184,8 @@ def _module(process: Process, chosen: Choices) -> str:
     return "deploy.erring_perception" if process.name == "perception" and chosen.pose_error != "none" else process.module
 
 
-def _giving_way(nice: int) -> tuple[str, ...]:
-    return ("--nice", str(nice)) if nice else ()
+def _giving_way(process: Process) -> tuple[str, ...]:
+    return (*(("--nice", str(process.nice)) if process.nice else ()), *(("--urgent",) if process.urgent else ()))
 
 
 def assignment(key: str, value: Value) -> str:

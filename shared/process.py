@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from shared import config
-from shared.host import end_with, keep_memory
+from shared.host import end_with, go_first, keep_memory
 from shared.robot import RobotProfile, load_profile
 from shared.service import Service, run_live
 from shared.transport import Endpoints, TransportError, ZenohLink
@@ -49,6 +49,8 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
     if arguments.parent:
         end_with(arguments.parent)
     os.nice(arguments.nice)
+    if arguments.urgent and (refused := go_first()):
+        logging.warning(refused)
     keep_memory()
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -135,5 +137,6 @@ def _parser(name: str, package: str, schema: type[Any]) -> argparse.ArgumentPars
     parser.add_argument("--config", help="TOML file with settings")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one setting of: {known}")
     parser.add_argument("--nice", type=int, default=0, help="how far to give way to others where cores are short, 0 to 19")
+    parser.add_argument("--urgent", action="store_true", help="go before others where cores are short, if this user may")
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     return parser

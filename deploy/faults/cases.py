@@ -3,7 +3,7 @@
 A number that is not limited is infinite. Times count from the fault's beginning but where something else is said.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Literal
 
@@ -16,7 +16,7 @@ class Away:
 
     service: Literal["planner", "actuator", "perception", "mapper", "operator", "router"]
     kill: bool
-    for_s: float  # of one that is killed live it is as long as its successor needs
+    for_s: float  # live, who is killed is back as soon as it can be, and is killed again and again for so long
     after_s: float = 0.0  # of the fault's beginning
 
 
@@ -215,12 +215,15 @@ CASES: tuple[Case, ...] = (
     *(Case(name, f"torque is ordered off; {words}", deeds, _LETS_GO, per_walk=1, watch_s=2.0) for name, words, deeds in _OFF),
 )
 
+_BACK_AT_ONCE = replace(_STOPS, rest_s=inf)  # before it has come to rest
 _GOES_ON = Limits(named="no new plan", margin_m=0.010, again_s=8.0)
 _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
-    ("planner-killed", "the planner is killed", (Away("planner", True, 0.0),), _STOPS),
+    ("planner-killed", "the planner is killed", (Away("planner", True, 0.0),), _BACK_AT_ONCE),
+    ("planner-crashing", "the planner is killed, and its successors are, for 2 s", (Away("planner", True, _OUT_S),), _STOPS),
     ("planner-stopped", "the planner is stopped for 2 s", (Away("planner", False, _OUT_S),), _STOPS),
     ("perception-killed", "perception is killed", (Away("perception", True, 0.0),), _GOES_ON),
-    ("mapper-killed", "the mapper is killed", (Away("mapper", True, 0.0),), _GOES_ON),
+    ("mapper-killed", "the mapper is killed", (Away("mapper", True, 0.0),), Limits(margin_m=0.010)),
+    ("mapper-stopped", "the mapper is stopped for 3 s", (Away("mapper", False, 3.0),), _GOES_ON),
     ("operator-killed", "the operator's side is killed", (Away("operator", True, 0.0),), _GOES_ON),
     ("router-killed", "the router is killed", (Away("router", True, 0.0),), Limits(again_s=8.0)),
     ("actuator-killed", "the actuator is killed", (Away("actuator", True, 0.0),), Limits(decided_s=1.5, jump_deg=2.0)),
@@ -228,7 +231,7 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
         "actuator-stopped",
         "the actuator is stopped for 3.5 s",
         (Away("actuator", False, _STOPPED_S),),
-        Limits(decided_s=_STOPPED_S + 0.1, jump_deg=2.0),
+        Limits(decided_s=_STOPPED_S + 0.1, named="no new plan", margin_m=0.010, again_s=2.0),
     ),
     ("hogs", "a busy process for each core, 5 s long", (Hogs(5.0),), Limits(cycle_s=0.025)),
     ("off", "torque is ordered off", (Off(),), _LETS_GO),

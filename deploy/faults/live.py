@@ -32,6 +32,7 @@ _GROUND = "flat"  # the scenario that the simulator is given: level ground
 _LOOK_S = 0.02
 _STALE_S = 0.25  # [s] after which an actuator that says nothing does not walk
 _SETTLE_S = 0.5  # [s] after a fault's end before which nothing is over
+_AGAIN_S = 0.3  # [s] from one crash to the next
 _BACK_S = 15.0  # [s] in which a killed process must be back
 _RESTARTS = 1000
 _WORDS = 40  # lines kept of what the processes say
@@ -53,7 +54,6 @@ class LiveWalk(Watched):
         self._said: deque[str] = deque(maxlen=_WORDS)
         self._signs: dict[str, float] = {}  # newest sign of life [s] of each process
         self._ended: dict[str, float] = {}  # when [s] each was last seen to have ended
-        self._sequence = 0
         self._acts: list[tuple[float, Callable[[], object]]] = []  # what is to be done, and when [s]
         router = f"tcp/127.0.0.1:{free_port()}"
         self._endpoints = Endpoints((router,), namespace="faults")
@@ -158,8 +158,11 @@ class LiveWalk(Watched):
     def _begin(self, deed: Deed, begin: float, rng: np.random.Generator) -> Callable[[], float]:
         """Begin to break something; tells when [s] that ends, NaN for not yet."""
         match deed:
-            case Away(service, kill=True):
+            case Away(service, kill=True, for_s=for_s):
                 self._launcher.kill(service)
+                self._acts += [
+                    (begin + at, lambda: self._launcher.kill(service)) for at in np.arange(_AGAIN_S, for_s, _AGAIN_S)
+                ]
                 return lambda: self._returned(service, begin)
             case Away(service, kill=False, for_s=for_s):
                 self._launcher.freeze(service)
@@ -181,10 +184,8 @@ class LiveWalk(Watched):
 
     def _order_off(self) -> None:
         now_ns = time.monotonic_ns()
-        self._sequence = self._sequence or now_ns
-        if np.isnan(self._ordered):
-            self._ordered = now_ns * 1e-9
-        order = ModeCommand(now_ns, "off", self._sequence, "bench")
+        self._ordered = now_ns * 1e-9
+        order = ModeCommand(now_ns, "off", now_ns, "bench")
         self._link.send(topics.MODE, codec.encode(order, codec.Timing(now_ns, now_ns)))
 
     def _pulls(self) -> NDArray[np.bool_]:
@@ -229,9 +230,9 @@ def _commands(endpoints: Endpoints, router: str, bus: int, listen: int, seed: in
     """All processes: the services, their router, the tap between actuator and servos, and the operator."""
     chosen = process_table.choices(load_scenario(_GROUND), _GROUND, seed, bus)
     tapped = (process_table.assignment("port", f"socket://127.0.0.1:{listen}"),)
-    services = process_table.commands(
-        process_table.rows("all", simulated=True), chosen, endpoints, {"actuator": tapped, "stop": tapped}
-    )
+    rows = process_table.rows("all", simulated=True)
+    rows = tuple(replace(row, urgent=True) if row.side == "simulation" else row for row in rows)  # the world waits for nobody
+    services = process_table.commands(rows, chosen, endpoints, {"actuator": tapped, "stop": tapped})
     meeting = ("--robot", chosen.robot, "--connect", router, "--namespace", endpoints.namespace)
     operator = Command("operator", ("-m", "deploy.faults.console", *meeting), ENVIRONMENT)
     needs = {"actuator": ("tap",)}

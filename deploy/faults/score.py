@@ -22,6 +22,7 @@ _STILL = 0.02  # [m/s] of the body, and of each foot
 _DOWN_BY = 0.010  # [m] over level ground: a foot of a body that leans may hang, and is down
 _HANGING = 0.003  # [m] a foot so far over level ground catches the body after a degree of tilt
 _DEBOUNCE = 1  # samples of truth, 20 ms
+_TWICE_S = 0.002  # [s] within which goals are those of one cycle: they are sent twice while answers get lost
 _MISSED_S = 0.040  # [s] two periods: what takes a cycle longer has missed a beat
 _CLEARANCE = 0.005  # [m] the body's underside this near the ground is a fall, unless it was to come down
 _DOWN = (Mode.OFF, Mode.SIT, Mode.READY)
@@ -58,7 +59,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     since = [word for word in line.words if word.t_s > line.begin_s]
     pattern = re.compile(case.limits.named.format(servo=line.servo)) if case.limits.named else None
     decided = next((w.t_s for w in since if w.mode is not Mode.WALK or _names(pattern, w)), nan)
-    again = _again(since, max(line.end_s, decided)) if np.isfinite(decided) else nan
+    again = _again(since, max(line.end_s, decided), pattern) if np.isfinite(decided) else nan
     quiet = (line.end_s, min(again, line.words[-1].t_s))
     reset = next((s.t_s for s in line.switches if s.heard and s.register is dxl.TORQUE_LIMIT and s.t_s > line.begin_s), inf)
     stopped = [w for w in since if w.mode is not Mode.WALK]
@@ -93,9 +94,9 @@ def _names(pattern: re.Pattern[str] | None, word: Word) -> bool:
     return pattern is not None and pattern.search(word.reason) is not None
 
 
-def _again(since: list[Word], after_s: float) -> float:
-    """When it walks again, NaN where it does not."""
-    return next((w.t_s for w in since if w.t_s > after_s and w.mode is Mode.WALK), nan)
+def _again(since: list[Word], after_s: float, stopping: re.Pattern[str] | None) -> float:
+    """When it walks again, NaN where it does not; one that says why it stops is not there yet."""
+    return next((w.t_s for w in since if w.t_s > after_s and w.mode is Mode.WALK and not _names(stopping, w)), nan)
 
 
 def _stops(words: tuple[Word, ...]) -> int:
@@ -122,7 +123,8 @@ def off_time(line: Timeline) -> tuple[float, int]:
 
 def cycles(line: Timeline) -> tuple[float, int]:
     """How long [s] 99 % of the cycles took at most while the fault lasted, by the goals sent, and most missed in a row."""
-    spans = np.diff([goals.t_s for goals in line.goals if line.begin_s <= goals.t_s <= line.end_s])
+    times = np.array([goals.t_s for goals in line.goals if line.begin_s <= goals.t_s <= line.end_s])
+    spans = np.diff(times[np.diff(times, prepend=-inf) > _TWICE_S])
     if not len(spans):
         return nan, 0
     longest = max(len(run) for run in "".join("x" if span > _MISSED_S else " " for span in spans).split(" "))

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from deploy.process_table import ENVIRONMENT, Command
-from shared.host import end_with
+from shared.host import end_with, go_first
 
 _CHUNK = 4096  # [bytes]
 _HOST = "127.0.0.1"
@@ -103,6 +103,7 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.parent:
         end_with(arguments.parent)
+    go_first()  # a wire does not wait
 
     def say(word: Opened | Sent) -> None:
         sys.stdout.write(f"{word}\n")

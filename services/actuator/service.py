@@ -271,7 +271,7 @@ class Actuator:
 
     def _move(self, dt: float, T_odom_body: Array, now_ns: int) -> None:
         if self._still or self._joints.deaf:  # legs that do not follow are not led on
-            self._joints.write(self._joints.goals)
+            self._send(self._joints.goals)
             return
         if self._posing is not None:
             targets = self._posing.update(dt)
@@ -316,7 +316,12 @@ class Actuator:
         self._q_last = q
         goal, self._warning = self._limits.safe(q + sag + lag, self._joints.goals, dt)
         self._q_wanted = np.where(reached, q, self._q_wanted)
-        self._joints.write(goal)
+        self._send(goal)
+
+    def _send(self, goals: Array) -> None:
+        """Send goals, unless torque is to be off: this process may have been stopped for long since the cycle began."""
+        if not self._latched():
+            self._joints.write(goals)
 
     def _take_over(self, torque: bool, load: Array) -> bool:
         """Begin where the robot stands; feet in the air, since somebody ended in mid-step, come down gently.

@@ -261,6 +261,34 @@ def test_the_stop_path_is_obeyed_without_a_word_on_the_wire(tmp_path: Path) -> N
     assert not rig.torque
 
 
+class LateLatch(Latch):
+    """One that somebody else closes as soon as it has been looked at, once that is wished for."""
+
+    armed = False
+
+    @property
+    def closed(self) -> bool:
+        was = super().closed
+        if self.armed:
+            self.close()
+        return was
+
+
+def test_an_order_to_let_go_that_comes_in_mid_cycle_comes_before_any_goal(tmp_path: Path) -> None:
+    """As where the process was stopped after it had looked, and goes on for long after."""
+    latch = LateLatch(tmp_path / "off")
+    rig = Rig(latch=latch)
+    rig.walking()
+    heard: list[bytes] = []
+    rig.bus.overhear = lambda data, _: heard.append(data)
+    latch.armed = True
+    rig.cycle(3)
+    writes = [data[5] for data in heard if data[4] == dxl.Instruction.SYNC_WRITE]  # the register's address
+    assert writes[0] == dxl.TORQUE_ENABLE.address
+    assert dxl.GOAL_POSITION.address not in writes
+    assert not rig.torque
+
+
 def test_without_the_order_to_walk_a_plan_is_refused_in_words() -> None:
     rig = Rig()
     rig.hear(rig.plan(rig.cycle(2)))

@@ -117,6 +117,21 @@ def test_a_robot_that_something_stopped_while_it_rose_is_ordered_to_stand_anew()
     assert min(walk) > max(stands)
 
 
+def test_one_who_comes_as_the_robot_walks_and_stops_it_before_he_knows_where_it_is_has_it_stand_up_anew():
+    robot = Robot()
+    robot.mode, robot.pose_comes = Mode.WALK, False
+    robot.beat()
+    robot.mode, robot.pose_comes = Mode.HOLD, True  # it has taken his order to stand for a stop
+    for _ in range(60):
+        stands = sorted({order.sequence for _, order in robot.orders if order.mode == "stand"})
+        if len(stands) > 1 and robot.mode is Mode.HOLD and not robot.may_walk:
+            robot.mode, robot.rising = Mode.STAND, 5
+        robot.beat()
+    assert len(stands) == 2
+    assert robot.run().operator.reason == "at the goal by the estimated pose"
+    assert min(order.sequence for _, order in robot.orders if order.mode == "walk") > max(stands)
+
+
 def test_it_orders_to_stand_then_to_walk_and_repeats_itself():
     robot = Robot().run()
     modes = [order.mode for _, order in robot.orders]

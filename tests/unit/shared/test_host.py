@@ -1,12 +1,13 @@
 """What a process asks of its host."""
 
 import gc
+import os
 import weakref
 from collections.abc import Iterator
 
 import pytest
 
-from shared.host import spare_collector
+from shared.host import go_first, spare_collector
 
 
 @pytest.fixture(autouse=True)
@@ -32,3 +33,16 @@ def test_what_an_earlier_run_left_behind_goes_when_the_next_one_begins() -> None
     assert left() is not None
     spare_collector()
     assert left() is None
+
+
+def test_who_may_goes_first_in_real_time_and_who_may_not_is_told_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, int, int]] = []
+    monkeypatch.setattr(os, "sched_setscheduler", lambda pid, policy, way: asked.append((pid, policy, way.sched_priority)))
+    assert go_first() == ""
+    assert asked == [(0, os.SCHED_RR, 10)]
+
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    assert "ulimit -r" in go_first()
