@@ -78,6 +78,7 @@ class Start:
     told_ms: float  # until the first goals on the wire
     heard_ms: float  # until its first word to everybody
     mode: str  # by that word
+    reason: str  # likewise
     moved_deg: float  # by which those goals differ from the ones that stood in the servos, at most
 
 
@@ -127,7 +128,8 @@ def _start(watched: Watched, server: TcpBusServer, endpoints: Endpoints) -> Star
                     watched.receive(b"", time.monotonic_ns())
     asked, told, word = (1e-6 * (at - began) for at in (watched.asked_ns, watched.told_ns, heard[0][0]))
     moved = max(abs(watched.goals[i] - ticks) for i, ticks in before.items())
-    return Start(asked, told, word, heard[0][1].mode, math.degrees(moved * dxl.TICK_RAD))
+    state = heard[0][1]
+    return Start(asked, told, word, state.mode, state.reason, math.degrees(moved * dxl.TICK_RAD))
 
 
 def _goals_in(parameters: bytes) -> dict[int, int]:
@@ -159,6 +161,7 @@ def in_words(found: Sequence[Start]) -> str:
     lines.append(
         f"holding: {table['holding']} of {len(found)}, first goals at most {table['moved_deg']:.1f} deg off those that stood"
     )
+    lines += [f"not holding: {one.mode}, {one.reason}" for one in found if one.mode != Mode.HOLD]
     lines.append(f"later than {WITHIN_MS:g} ms: {table['late']} of {len(found)}")
     return "\n".join(lines)
 

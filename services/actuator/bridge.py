@@ -174,6 +174,10 @@ class Bridge:
         """Value of one register, None when the servo does not answer."""
         return self._registers.read(servo_id, register)
 
+    def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
+        """Bytes of a control table, None when the servo does not answer or refuses."""
+        return self._registers.read_bytes(servo_id, address, size)
+
     def write(self, servo_id: int, register: Register, value: int) -> bool:
         """Write one register; True when the servo says that it took it. The bridge refuses to turn torque on this way.
 

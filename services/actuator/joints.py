@@ -21,7 +21,10 @@ _PATIENCE_NS = (
 )
 _ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
 _AGAIN_NS = 200_000_000  # [ns] between two attempts at finding a bus that is gone
-_STANDS = (dxl.TORQUE_ENABLE, dxl.PRESENT_POSITION, dxl.GOAL_POSITION)  # what tells how a servo stands
+_STANDS = (dxl.MAX_TORQUE, dxl.TORQUE_ENABLE, dxl.GOAL_POSITION, dxl.TORQUE_LIMIT, dxl.PRESENT_POSITION)
+_BLOCK = range(
+    dxl.MAX_TORQUE.address, dxl.PRESENT_POSITION.address + dxl.PRESENT_POSITION.size
+)  # what tells how a servo stands
 _TRIES = 3  # questions to one servo of a bus that is back
 _DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: nobody may hear what is sent; nobody knows how the robot stands
 _PATIENT_S = 1.0  # [s] for which servos that stay silent are waited for once the others have answered again
@@ -69,10 +72,10 @@ class Joints:
         )  # servos that have missed goals: they go on slowly until they have caught up
         self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those were heard again, 0 before
         self.out_of_touch = False  # whether all of them have, and are not heard and caught up yet
-        self.q = self._read_all(dxl.PRESENT_POSITION)  # (6, 3) [rad] by the newest readings
-        self.goals = self._first_goals()  # (6, 3) [rad] as they stand in the servos
-        self.torque = np.array([bool(self._ask(i, dxl.TORQUE_ENABLE)) for i in self._bus.servo_ids])  # (18,) that pull
-        self.strength = np.array([self._strength(i) for i in self._bus.servo_ids])  # (18,) share of its torque that each has
+        self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; as they stand in the servos
+        self.torque = np.zeros(18, dtype=np.bool_)  # that pull
+        self.strength = np.ones(18)  # share of its torque that each was left with
+        self._take_in([self._ask(i) for i in self._bus.servo_ids])
         self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
         self.voltage = np.full(18, np.nan)  # [V]
         self.temperature = np.full(18, np.nan)  # [deg C]
@@ -272,49 +275,49 @@ class Joints:
             self._bus = self._open()
             if self._lets_go:
                 self._bus.set_torque(False)
-            found = [self._insist(i, register) for i in self._bus.servo_ids for register in _STANDS]
+            found = [self._insist(i) for i in self._bus.servo_ids]
         except OSError as error:
             self._bus.close()
             self.gone = f"the servo port is gone: {error}"
             return
-        pulls, ticks, goals = np.array(found).reshape(-1, len(_STANDS)).T
-        self.torque = pulls.astype(np.bool_)
-        self.q, stand = self._angles(ticks), self._angles(goals)
-        self.goals = np.where(np.abs(stand - self.q) < _ADOPT_WITHIN, stand, self.q)
+        self._take_in(found)
         self.gone = ""
         self._behind[:] = False
 
-    def _insist(self, servo_id: int, register: dxl.Register) -> int:
-        """Value of a register of a bus that is back."""
+    def _take_in(self, tables: list[bytes]) -> None:
+        """Take over how each servo stands; goals are kept where the joints are near them, and else are where those are."""
+        found = [[_value(table, register) for register in _STANDS] for table in tables]
+        most, pulls, goals, limits, ticks = np.array(found).T
+        self.torque, self.strength = pulls.astype(np.bool_), np.minimum(limits / np.maximum(most, 1), 1.0)
+        self.q, stand = self._angles(ticks), self._angles(goals)
+        self.goals = np.where(np.abs(stand - self.q) < _ADOPT_WITHIN, stand, self.q)
+
+    def _stand(self, servo_id: int) -> bytes | None:
+        """What a servo says of how it stands, if it answers."""
+        return self._bus.read_bytes(servo_id, _BLOCK.start, len(_BLOCK))
+
+    def _ask(self, servo_id: int) -> bytes:
+        """The same, asked until the servo has answered."""
+        until = self._clock() + _PATIENCE_NS
+        while (table := self._stand(servo_id)) is None:
+            if self._clock() >= until:
+                raise ConnectionError(f"servo {servo_id} stopped answering while it was asked how it stands")
+        return table
+
+    def _insist(self, servo_id: int) -> bytes:
+        """The same, of a bus that is back."""
         for _ in range(_TRIES):
-            if (value := self._bus.read(servo_id, register)) is not None:
-                return value
+            if (table := self._stand(servo_id)) is not None:
+                return table
         raise ConnectionError(f"it is back, but {self._profile.servo_names[servo_id]} (id {servo_id}) does not answer")
 
     def _angles(self, ticks: Iterable[int]) -> Array:
         return self._profile.joint_angles(np.array([dxl.angle_from_ticks(t) for t in ticks]).reshape(6, 3))
 
-    def _read_all(self, register: dxl.Register) -> Array:
-        """Every servo's register of an angle as joint angles (6, 3) [rad]; asked until all have answered."""
-        return self._angles([self._ask(servo_id, register) for servo_id in self._bus.servo_ids])
 
-    def _ask(self, servo_id: int, register: dxl.Register) -> int:
-        """Value of a register; asked until the servo has answered."""
-        until = self._clock() + _PATIENCE_NS
-        while (value := self._bus.read(servo_id, register)) is None:
-            if self._clock() >= until:
-                raise ConnectionError(f"servo {servo_id} stopped answering while its {register.name} was read")
-        return value
-
-    def _strength(self, servo_id: int) -> float:
-        """Share of its torque that a servo was left with."""
-        limit = self._ask(servo_id, dxl.TORQUE_LIMIT)
-        return 1.0 if limit == dxl.TORQUE_LIMIT.max else min(1.0, limit / max(1, self._ask(servo_id, dxl.MAX_TORQUE)))
-
-    def _first_goals(self) -> Array:
-        """The goals that stand in the servos where the joints are near them, else the measured angles."""
-        goals = self._read_all(dxl.GOAL_POSITION)
-        return np.where(np.abs(goals - self.q) < _ADOPT_WITHIN, goals, self.q)
+def _value(table: bytes, register: dxl.Register) -> int:
+    start = register.address - _BLOCK.start
+    return int.from_bytes(table[start : start + register.size], "little")
 
 
 def _ticks(servo: Array) -> NDArray[np.int64]:

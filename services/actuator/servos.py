@@ -50,6 +50,10 @@ class Servos(Protocol):
         """Value of one register, None when the servo does not answer."""
         ...
 
+    def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
+        """Bytes of a control table, None when the servo does not answer."""
+        ...
+
     def write(self, servo_id: int, register: Register, value: int) -> bool:
         """Write one register; whether the servo took it."""
         ...

@@ -244,7 +244,7 @@ def test_a_servo_that_falls_silent_while_it_is_taken_over_is_an_error(monkeypatc
         rig.suffer("servo", "silent", 100.0, servo=IDS[SERVO])
 
     monkeypatch.setattr(Joints, "_set_up", set_up)
-    with pytest.raises(ConnectionError, match=f"servo {IDS[SERVO]} stopped answering while its"):
+    with pytest.raises(ConnectionError, match=f"servo {IDS[SERVO]} stopped answering while it was asked how it stands"):
         rig.start()
 
 

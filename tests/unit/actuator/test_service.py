@@ -365,7 +365,7 @@ def test_the_next_plan_waits_and_joins_on() -> None:
     state = rig.walking()
     first = rig.plan(state)
     rig.hear(first)
-    state = rig.cycle(20)
+    state = rig.cycle(26)  # so that it does not wait for longer than the deadline: nobody renews it
     swing = ~first.swing
     goal = first.body_goal @ from_xyz_rpy((0.04, 0.0, 0.0), np.zeros(3))
     touchdown = np.where(swing[:, None], apply(goal, REST + np.array([0.02, 0.0, 0.0])), first.touchdown)
