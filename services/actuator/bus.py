@@ -336,7 +336,7 @@ class ServoBus:
         urgent = [*first, *(i for i in self._again if i not in first)]
         self._again, ahead = [], iter(urgent)
         for _ in range(len(self) + len(urgent)):
-            if start + self._typical_ns > end:
+            if start + min(self._typical_ns, max(budget_ns, 1)) > end:  # one at least
                 break
             i = next(ahead, -1)
             if i < 0:
@@ -379,7 +379,9 @@ class ServoBus:
             if found is not None:
                 self._missed[index], self._backoff[index] = 0, 1
                 self._read_ns[index] = start
-                self._typical_ns += (done - start - self._typical_ns) // _SMOOTHING
+                # What took longer is no property of the bus: this process was stopped meanwhile.
+                took = min(done - start, self._line.reply_timeout_ns)
+                self._typical_ns += (took - self._typical_ns) // _SMOOTHING
                 return found
             if done - start >= self._line.reply_timeout_ns:  # asking on would cost another timeout
                 break

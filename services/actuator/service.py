@@ -319,8 +319,8 @@ class Actuator:
         self._send(goal)
 
     def _send(self, goals: Array) -> None:
-        """Send goals, unless torque is to be off: this process may have been stopped for long since the cycle began."""
-        if not self._latched():
+        """Send goals, unless torque is to be off or they are too old: this process may have been stopped in mid-cycle."""
+        if not self._latched() and self._clock() - self._last_ns < _ALONE_S * 1e9:
             self._joints.write(goals)
 
     def _take_over(self, torque: bool, load: Array) -> bool:

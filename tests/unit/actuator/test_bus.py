@@ -159,6 +159,25 @@ def test_four_servos_fit_a_50_hz_cycle() -> None:
     assert rig.port.now_ns() - start == 980_000 + 4 * 1_220_000
 
 
+def test_a_process_that_is_stopped_while_it_asks_asks_on_when_it_is_back() -> None:
+    rig = Rig()
+    stopped_ns = [0]
+
+    def stop(data: bytes) -> bytes:
+        rig.now_ns, stopped_ns[0] = rig.port.now_ns() + stopped_ns[0], 0
+        return data
+
+    driver = ServoBus(Tampered(rig.port, stop), IDS, rig.port.now_ns)
+    usual = len(driver.poll(7_000_000))
+    stopped_ns[0] = 3_000_000_000
+    driver.poll(7_000_000)
+    assert stopped_ns[0] == 0
+    found = [len(driver.poll(7_000_000)) for _ in range(9)]
+    assert min(found) >= 1
+    assert found[-1] >= usual - 1
+    assert len(driver.poll(100_000)) == 1, "a budget that is too small for a question has room for one"
+
+
 def test_no_budget_reads_nothing(rig: Rig) -> None:
     assert rig.driver.poll(0) == []
     assert np.isinf(rig.driver.ages()).all()

@@ -283,10 +283,32 @@ def test_an_order_to_let_go_that_comes_in_mid_cycle_comes_before_any_goal(tmp_pa
     rig.bus.overhear = lambda data, _: heard.append(data)
     latch.armed = True
     rig.cycle(3)
-    writes = [data[5] for data in heard if data[4] == dxl.Instruction.SYNC_WRITE]  # the register's address
+    writes = [data[5] for data in heard if data[4] in (dxl.Instruction.WRITE, dxl.Instruction.SYNC_WRITE)]  # the address
     assert writes[0] == dxl.TORQUE_ENABLE.address
     assert dxl.GOAL_POSITION.address not in writes
     assert not rig.torque
+
+
+def test_goals_of_a_cycle_in_which_the_process_was_stopped_for_long_are_not_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig()
+    state = rig.walking()
+    rig.hear(rig.plan(state))
+    rig.cycle(5)
+    heard: list[bytes] = []
+    rig.bus.overhear = lambda data, _: heard.append(data)
+    read = rig.port.read
+
+    def stopped(size: int = 1) -> bytes:
+        data, rig.now_ns = read(size), rig.port.now_ns() + 2_000_000_000
+        monkeypatch.undo()
+        return data
+
+    monkeypatch.setattr(rig.port, "read", stopped)
+    rig.cycle()
+    assert len(heard) >= 1, "it has asked"
+    assert not [data for data in heard if data[4] == dxl.Instruction.SYNC_WRITE]
+    rig.cycle()
+    assert [data for data in heard if data[4] == dxl.Instruction.SYNC_WRITE and data[5] == dxl.GOAL_POSITION.address]
 
 
 def test_without_the_order_to_walk_a_plan_is_refused_in_words() -> None:
