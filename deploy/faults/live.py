@@ -55,11 +55,11 @@ class LiveWalk(Watched):
         self._signs: dict[str, float] = {}  # newest sign of life [s] of each process
         self._ended: dict[str, float] = {}  # when [s] each was last seen to have ended
         self._acts: list[tuple[float, Callable[[], object]]] = []  # what is to be done, and when [s]
-        router = f"tcp/127.0.0.1:{free_port()}"
-        self._endpoints = Endpoints((router,), namespace="faults")
+        self._endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="faults")
         bus, listen = free_port(), free_port()
-        self._latch = Latch.of_port(f"socket://127.0.0.1:{listen}")
-        self._launcher = Launcher(_commands(self._endpoints, router, bus, listen, seed), hear=self._hear_line)
+        self.port = _port(listen)
+        self._latch = Latch.of_port(self.port)
+        self._launcher = Launcher(commands(self._endpoints, bus, listen, seed), hear=self.hear_line)
 
     @property
     def now_s(self) -> float:
@@ -74,7 +74,7 @@ class LiveWalk(Watched):
             self._launcher.__enter__()
             self._link = stack.enter_context(ZenohLink(self._endpoints))
             for topic in (topics.ACTUATOR_STATE, topics.TRUTH, topics.HEALTH):
-                self._link.subscribe(topic, self._hear)
+                self._link.subscribe(topic, self.hear)
             self._link.wanted(topics.MODE)  # announced now, the order to let go is not the first word
             self._stack = stack.pop_all()
         return self
@@ -116,7 +116,7 @@ class LiveWalk(Watched):
             goals=heard.goals,
             switches=heard.switches,
             outside=heard.outside,
-            pulls=self._pulls(),
+            pulls=self.pulls(),
             ordered_s=ordered,
             returned_s=returned if self._case.lets_go else nan,
         )
@@ -124,7 +124,7 @@ class LiveWalk(Watched):
     def look(self, until_s: float = inf) -> None:
         """Let one look's time pass, or less; start again what has ended."""
         for ended in self._launcher.wait(min(_LOOK_S, max(until_s - self.now_s, 0.0))):
-            self._ended[ended.name] = self.now_s
+            self.note_end(ended.name, self.now_s)
             self._said.append(str(ended))
 
     def _break_and_watch(self, begin: float, rng: np.random.Generator) -> tuple[float, float, float]:
@@ -163,7 +163,7 @@ class LiveWalk(Watched):
                 self._acts += [
                     (begin + at, lambda: self._launcher.kill(service)) for at in np.arange(_AGAIN_S, for_s, _AGAIN_S)
                 ]
-                return lambda: self._returned(service, begin)
+                return lambda: self.returned(service, begin)
             case Away(service, kill=False, for_s=for_s):
                 self._launcher.freeze(service)
                 self._acts.append((begin + for_s, lambda: self._launcher.thaw(service)))
@@ -177,7 +177,11 @@ class LiveWalk(Watched):
                 return lambda: begin
         raise ValueError(f"a fault that can be live expected, found {deed}; run it in lockstep")
 
-    def _returned(self, name: str, since_s: float) -> float:
+    def note_end(self, name: str, at_s: float) -> None:
+        """A process was seen to have ended at a time [s]."""
+        self._ended[name] = at_s
+
+    def returned(self, name: str, since_s: float) -> float:
         """When [s] a killed process's successor gave its first sign of life, NaN for not yet."""
         ended, sign = self._ended.get(name, -inf), self._signs.get(name, -inf)
         return sign if since_s < ended < sign else nan
@@ -188,7 +192,7 @@ class LiveWalk(Watched):
         order = ModeCommand(now_ns, "off", now_ns, "bench")
         self._link.send(topics.MODE, codec.encode(order, codec.Timing(now_ns, now_ns)))
 
-    def _pulls(self) -> NDArray[np.bool_]:
+    def pulls(self) -> NDArray[np.bool_]:
         """Servos (18,) whose torque is on, by what they were told on the wire; at first it was."""
         on = dict.fromkeys(self.profile.servo_ids.ravel().tolist(), True)
         for switch in self.recorder.switches:
@@ -196,7 +200,8 @@ class LiveWalk(Watched):
                 on |= {servo: bool(value) for servo, value in switch.values.items()}
         return np.array(list(on.values()))
 
-    def _hear(self, topic: AnyTopic, frame: bytes) -> None:
+    def hear(self, topic: AnyTopic, frame: bytes) -> None:
+        """Take in a frame of the wire; from the link's threads."""
         if topic is topics.ACTUATOR_STATE:
             self.hear_state(frame)
             self._sign("router", self.now_s)
@@ -207,9 +212,9 @@ class LiveWalk(Watched):
             if health.service != "actuator":  # of that the tap knows
                 self._sign(health.service, health.stamp_ns * 1e-9)
 
-    def _hear_line(self, name: str, line: str) -> None:
+    def hear_line(self, name: str, line: str) -> None:
         """Take in what a process says, the tap's words for the recorder; from the launcher's threads."""
-        if name != "tap":
+        if name != "tap" or not line.startswith(("open ", "sent ")):  # a tap that ends says why, too
             self._said.append(line)
             return
         match tap.understood(line):
@@ -226,18 +231,29 @@ class LiveWalk(Watched):
             self._signs[name] = at_s
 
 
-def _commands(endpoints: Endpoints, router: str, bus: int, listen: int, seed: int) -> list[Command]:
-    """All processes: the services, their router, the tap between actuator and servos, and the operator."""
+def _port(listen: int) -> str:
+    return f"socket://127.0.0.1:{listen}"
+
+
+def commands(endpoints: Endpoints, bus: int, listen: int, seed: int) -> list[Command]:
+    """All processes: the services, their router, the tap between actuator and servos, and the operator.
+
+    Args:
+        endpoints: Where they meet; the router listens at the first of them.
+        bus: TCP port of the simulated servo bus.
+        listen: TCP port of the tap.
+        seed: Of the simulator.
+    """
     chosen = process_table.choices(load_scenario(_GROUND), _GROUND, seed, bus)
-    tapped = (process_table.assignment("port", f"socket://127.0.0.1:{listen}"),)
+    tapped = (process_table.assignment("port", _port(listen)),)
     rows = process_table.rows("all", simulated=True)
     rows = tuple(replace(row, urgent=True) if row.side == "simulation" else row for row in rows)  # the world waits for nobody
     services = process_table.commands(rows, chosen, endpoints, {"actuator": tapped, "stop": tapped})
-    meeting = ("--robot", chosen.robot, "--connect", router, "--namespace", endpoints.namespace)
+    meeting = ("--robot", chosen.robot, "--connect", endpoints.connect[0], "--namespace", endpoints.namespace)
     operator = Command("operator", ("-m", "deploy.faults.console", *meeting), ENVIRONMENT)
     needs = {"actuator": ("tap",)}
     return [
-        process_table.router_command(router),
+        process_table.router_command(endpoints.connect[0]),
         tap.command(listen, bus),
         *(
             replace(

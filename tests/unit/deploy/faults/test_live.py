@@ -1,0 +1,112 @@
+"""A live walk without its processes: who is started and how they meet, and when one that was killed counts as back."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy import process_table
+from deploy.faults import hog, live
+from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES, Away, Hogs, Off
+from deploy.faults.live import LiveWalk
+from deploy.process_table import Command
+from services.actuator.latch import Latch
+from shared import codec, topics
+from shared import dynamixel as dxl
+from shared.messages import Health, Message, Mode
+from shared.transport import Endpoints
+from tests.support.states import actuator_state
+from tests.support.timelines import PROFILE
+
+IDS = PROFILE.servo_ids.ravel().tolist()
+OFF = dxl.sync_write(dxl.TORQUE_ENABLE.address, 1, [(i, b"\0") for i in IDS])
+NOTHING = np.zeros(0)
+
+
+def words(command: Command, option: str) -> list[str]:
+    """What follows each occurrence of an option."""
+    return [value for word, value in zip(command.arguments, command.arguments[1:], strict=False) if word == option]
+
+
+def health(service: str, at_s: float) -> Health:
+    return Health(round(at_s * 1e9), service, "", 1, 0, 0, "", (), NOTHING, NOTHING)
+
+
+@pytest.fixture
+def walk() -> LiveWalk:
+    return LiveWalk(BY_NAME["live-planner-killed"], 1)
+
+
+def hear(walk: LiveWalk, message: Message) -> None:
+    walk.hear(topics.OF_TYPE[type(message)], codec.encode(message))
+
+
+def test_everybody_meets_at_the_router_and_the_actuator_s_bytes_pass_the_tap() -> None:
+    made = {one.name: one for one in live.commands(Endpoints(("tcp/127.0.0.1:1",), namespace="n"), 21000, 22000, 5)}
+    assert made["router"].after == ()
+    assert all("router" in one.after for name, one in made.items() if name not in ("router", "tap"))
+    services = [one for name, one in made.items() if name not in ("router", "tap")]
+    assert all(words(one, "--connect") == ["tcp/127.0.0.1:1"] and words(one, "--namespace") == ["n"] for one in services)
+    assert made["simulator"].ready_port == 21000
+    assert words(made["tap"], "--servos") == ["21000"]
+    assert words(made["tap"], "--listen") == ["22000"]
+    for name in ("actuator", "stop"):
+        assert words(made[name], "--set")[-1] == process_table.assignment("port", "socket://127.0.0.1:22000")
+    assert {"tap", "simulator"} <= set(made["actuator"].after)
+    assert made["simulator"].restarts == 0
+    assert all(one.restarts > 100 for name, one in made.items() if name in ("planner", "actuator", "operator", "stop"))
+
+
+def test_who_was_killed_is_back_with_the_first_sign_of_life_after_its_end(walk: LiveWalk) -> None:
+    hear(walk, health("planner", 10.0))
+    assert np.isnan(walk.returned("planner", 9.0)), "nobody has seen it end"
+    walk.note_end("planner", 11.0)
+    assert np.isnan(walk.returned("planner", 9.0)), "that was the old one"
+    hear(walk, health("planner", 11.5))
+    hear(walk, health("planner", 12.5))
+    assert walk.returned("planner", 9.0) == 11.5
+    assert np.isnan(walk.returned("planner", 12.0)), "not of a later fault"
+    walk.note_end("planner", 13.0)
+    assert np.isnan(walk.returned("planner", 12.0))
+
+
+def test_the_actuator_is_back_when_it_opens_the_port(walk: LiveWalk) -> None:
+    walk.note_end("actuator", 5.0)
+    hear(walk, health("actuator", 5.2))
+    assert np.isnan(walk.returned("actuator", 4.0))
+    walk.hear_line("tap", "open 5400000000")
+    assert walk.returned("actuator", 4.0) == 5.4
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=5))
+def test_the_servos_pull_unless_the_last_they_were_told_is_not_to(switched: list[bool]) -> None:
+    walk = LiveWalk(BY_NAME["live-off"], 1)
+    assert walk.pulls().all()
+    for at, on in enumerate(switched):
+        data = OFF if not on else dxl.sync_write(dxl.TORQUE_ENABLE.address, 1, [(i, b"\1") for i in IDS])
+        walk.hear_line("tap", f"sent {at} {data.hex()}")
+    assert walk.pulls().all() == switched[-1]
+    assert walk.pulls().any() == switched[-1]
+
+
+def test_an_actuator_that_is_silent_does_not_walk(walk: LiveWalk) -> None:
+    def says_walking(ago_s: float) -> bool:
+        stamp = time.monotonic_ns() - round(ago_s * 1e9)
+        hear(walk, actuator_state(PROFILE, stamp_ns=stamp, mode=Mode.WALK, reason="walking"))
+        return walk.walks
+
+    assert not says_walking(5.0)
+    assert says_walking(0.0)
+
+
+def test_live_cases_break_processes_and_lockstep_has_no_hogs() -> None:
+    assert {type(deed) for case in LIVE_CASES for deed in case.deeds} == {Away, Hogs, Off}
+    assert not any(isinstance(deed, Hogs) for case in CASES for deed in case.deeds)
+    assert BY_NAME["live-hogs"].for_s == 5.0
+    assert len(hog.commands()) >= 1
+
+
+def test_no_latch_is_left_closed_by_a_walk_that_was_never_begun(walk: LiveWalk) -> None:
+    assert not Latch.of_port(walk.port).closed
