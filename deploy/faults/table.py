@@ -116,6 +116,8 @@ def _laws(case: Case) -> Iterable[tuple[str, Callable[[Outcome], bool]]]:
         yield "named", lambda one: one.named
     if limits.torque_stays:
         yield "torque stays as it is", lambda one: not one.switched
+    if isfinite(limits.again_s) or limits.walks_on:
+        yield "walks on afterwards", lambda one: not one.stuck
     if limits.walks_on:
         yield "walks on", lambda one: one.stops == 0
     if limits.seated:

@@ -50,3 +50,4 @@ class Timeline:
     empty_s: float = np.nan  # when the battery was
     plans: int = 0  # that were fuzzed
     voltage: float = np.nan  # [V] in the end
+    stuck: str = ""  # why it did not walk on for long afterwards, in words, or nothing

@@ -14,7 +14,7 @@ import numpy as np
 from deploy.faults.cases import Away, Case, Clock, Deed, Meddling, Off, OnBus
 from deploy.faults.planner import Meddler
 from deploy.faults.timeline import Timeline
-from deploy.faults.watched import LEAST_WATCH_S, PHASES_S, REPEAT_S, SCENARIO, STEADY_S, Watched
+from deploy.faults.watched import LEAST_WATCH_S, PHASES_S, REPEAT_S, SCENARIO, STEADY_S, NoWalkError, Watched
 from deploy.lockstep_run import LockstepRun, assemble
 from services.actuator.latch import Latch
 from services.simulator.service import Simulator
@@ -199,7 +199,13 @@ def run_group(case: Case, numbers: tuple[int, ...]) -> list[tuple[int, int, Time
         with FaultWalk(case, seed) as walk:
             found.append((left[0], seed, walk.inject(left.popleft()), walk.profile))
             while left and walk.walks:
-                found.append((left[0], seed, walk.inject(left.popleft()), walk.profile))
+                try:
+                    line = walk.inject(left[0])
+                except NoWalkError as error:
+                    number, seed, last, profile = found.pop()
+                    found.append((number, seed, replace(last, stuck=str(error)), profile))
+                    break
+                found.append((left.popleft(), seed, line, walk.profile))
     return found
 
 

@@ -43,6 +43,7 @@ _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
 _LOOKS = 3  # questions to one servo in its turn, where its answers are broken or doubted
 _LOSS_WINDOW_NS = 200_000_000  # [ns]
 _NOISY_NS = 1_000_000_000  # [ns] after a question was lost in which its like may happen
+_LONGEST = 256  # [bytes] that a length may announce
 _SMOOTHING = 8  # transactions over which the typical time is smoothed
 _SEC = 1e9
 
@@ -301,11 +302,14 @@ class ServoBus:
         """Turn the torque of all servos on or off.
 
         Before turning it on, send the measured positions as goals: not every firmware holds where it is. Off is said to
-        whoever is on the bus, twice: the shortest packet is the likeliest to get through where bytes are lost.
+        whoever is on the bus, twice: the shortest packet is the likeliest to get through where bytes are lost. Behind a loss
+        zeros come first: a servo that has read a wrong length takes them for the rest of its packet, and listens again.
         """
         if enabled:
             self.sync_write(dxl.TORQUE_ENABLE, 1)
             return
+        if self._loss.within(self._clock(), _NOISY_NS):
+            self._line.send(bytes(_LONGEST))
         for _ in range(2):
             self._line.send(dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, dxl.TORQUE_ENABLE.encode(0)))
 

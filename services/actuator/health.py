@@ -21,7 +21,7 @@ _TIRES_S = 30.0  # [s] time constant of it
 _SLOWEST = 0.4  # share of the usual speed
 _LATCHES, _WITHIN_S = 3, 300.0  # overloads of one servo that are reset, and [s] in which they count
 _REST_S = 1.0  # [s] between an overload and its reset
-_LIMP = ServoError.OVERLOAD | ServoError.OVERHEATING
+SHUT_DOWN = ServoError.OVERLOAD | ServoError.OVERHEATING
 _MINOR = ServoError.INPUT_VOLTAGE  # told by the voltage itself
 
 
@@ -116,7 +116,7 @@ class Health:
         if vitals.loss > _LOSS:
             return f"more than {_LOSS:.0%} of the servos' answers are lost or broken; check cables, plugs and the bus voltage"
         behind = np.flatnonzero(vitals.behind)
-        return f"{_named(self._profile, behind)} catches up, slowly, with what it has missed" if len(behind) else ""
+        return f"{_named(self._profile, behind)} takes up its work again, slowly" if len(behind) else ""
 
     def _delay(self, dt: float) -> str:
         """Why the computer cannot lead the servos, in words."""
@@ -143,7 +143,7 @@ class Health:
 
     def _error(self, errors: NDArray[np.uint8]) -> str:
         """Which servo reports what is neither overload nor heat nor voltage, in words."""
-        for index in np.flatnonzero(errors & ~np.uint8(_LIMP | _MINOR)).tolist():
+        for index in np.flatnonzero(errors & ~np.uint8(SHUT_DOWN | _MINOR)).tolist():
             words = (ServoError(int(errors[index])) & ~_MINOR).name or ""
             return f"{_named(self._profile, [index])} reports {words.lower().replace('_', ' ')}"
         return ""
@@ -152,7 +152,7 @@ class Health:
         """Servos that have shut down: to be reset a few times, if it is for their load."""
         broken, sit, revive = "", "", list[int]()
         for index, latch in enumerate(self._latches):
-            error = ServoError(int(errors[index])) & _LIMP
+            error = ServoError(int(errors[index])) & SHUT_DOWN
             if not error:
                 latch.since = None
                 continue

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from services.actuator.bus import BusGone, BusSetupError, Port, ServoReading
 from services.actuator.config import Settings
 from services.actuator.goal_limits import GENTLE
-from services.actuator.health import SILENT, Vitals
+from services.actuator.health import SHUT_DOWN, SILENT, Vitals
 from services.actuator.servos import Outlet, Servos, connect
 from shared import dynamixel as dxl
 from shared.dynamixel import ServoError
@@ -110,6 +110,12 @@ class Joints:
             loss=0.0 if self.gone else self._bus.loss,
             trouble=self.trouble,
         )
+
+    @property
+    def limp_legs(self) -> NDArray[np.bool_]:
+        """(6,) legs of which a servo does not pull, or has shut down."""
+        limp = ~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)
+        return np.asarray(limp.reshape(6, 3).any(axis=1))
 
     # --------------------------------------------------------------------------------------------------- every cycle
 

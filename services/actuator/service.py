@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -191,13 +192,18 @@ class Actuator:
         return np.asarray(self._joints.q + (self._q_wanted - self._q_wanted_when_read))
 
     def _standing(self) -> NDArray[np.bool_]:
+        """(6,) legs that stand; where some are limp they stand on nothing, unless too few are left."""
         walker = self._walker
-        return np.asarray((~walker.swing | (walker.load_share > _STANDS)) & ~walker.searching)
+        standing = (~walker.swing | (walker.load_share > _STANDS)) & ~walker.searching
+        firm = standing & ~self._joints.limp_legs
+        return np.asarray(firm if firm.sum() >= 3 else standing)
 
     def _see_to_health(self, now_ns: int, elapsed: float) -> None:
         """Do what the servos, the battery and the running out of time ask for."""
         torque = self._guard.mode is not Mode.OFF
-        self._verdict = self._health.update(now_ns * 1e-9, elapsed, self._joints.vitals, torque)
+        vitals = self._joints.vitals
+        vitals = replace(vitals, behind=vitals.behind | self._limits.behind.ravel())
+        self._verdict = self._health.update(now_ns * 1e-9, elapsed, vitals, torque)
         self._perform(self._guard.watch(now_ns, self._legs(), self._verdict))
         for index in self._verdict.revive:
             self._joints.revive(index)
@@ -276,8 +282,8 @@ class Actuator:
         if self._posing is not None:
             targets = self._posing.update(dt)
         else:
-            # A leg whose servo is silent is taken to stand where the plan says.
-            stands = self._feeler.bears | self._feeler.silent(self._clock())
+            # A leg whose servo is silent, or limp, is taken to stand where the plan says: it can be asked for nothing.
+            stands = self._feeler.bears | self._feeler.silent(self._clock()) | self._joints.limp_legs
             feet, awaiting = self._odometry.feet, self._walker.awaiting
             heaves = self._plumb.heaves(T_odom_body, feet, awaiting, now_ns)
             feeler, firm = self._feeler, self._contact.firm

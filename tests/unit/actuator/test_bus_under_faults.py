@@ -213,3 +213,12 @@ def test_while_answers_break_goals_are_sent_twice() -> None:
     assert taken(clean, 100) == 1.0
     assert clean.bus._bus.counts.instructions[dxl.Instruction.SYNC_WRITE] == 101  # and torque
     assert taken(broken, 1000) > 0.97  # 9 % of these packets are broken, 3 % of the questions
+
+
+def test_torque_off_reaches_servos_that_have_read_a_wrong_length_and_wait_for_the_rest() -> None:
+    rig = Rig(of("packets", "silent", for_s=0.04, share=1.0))
+    rig.run(3)
+    rig.bus.receive(b"\xff\xff\x01\xff\x03", rig.now_ns)  # 253 bytes more, it says
+    rig.driver.set_torque(False)
+    rig.bus.advance(rig.now_ns + CYCLE_NS)
+    assert not rig.bank.tables[:, dxl.TORQUE_ENABLE.address].any()

@@ -85,3 +85,16 @@ def test_a_joint_that_takes_up_its_work_is_gentle_until_it_has_caught_up() -> No
     np.testing.assert_allclose(last, wanted)
     goal, _ = limits.safe(wanted + 0.04, last, DT)
     np.testing.assert_allclose(goal, wanted + 0.04)  # it has caught up: it is as fast as the others again
+
+
+def test_a_joint_is_behind_while_it_takes_up_its_work_further_than_five_degrees_from_it() -> None:
+    limits, last = GoalLimits(PROFILE), REST
+    wanted = REST.copy()
+    wanted[3, 1] += 0.2
+    wanted[2, 0] += 0.2
+    limits.ease(3, 1)
+    for _ in range(40):
+        last, _ = limits.safe(wanted, last, DT)
+        far = wanted[3, 1] - last[3, 1] > np.radians(5.0)
+        assert np.argwhere(limits.behind).tolist() == ([[3, 1]] if far else [])
+    assert not limits.behind.any()

@@ -145,7 +145,7 @@ def test_a_robot_that_nobody_has_led_for_a_while_stops(gap_s: float) -> None:
 
 @pytest.mark.parametrize("servo", [0, 4, 17])
 def test_a_servo_that_has_missed_goals_is_waited_for(servo: int) -> None:
-    assert Patient().cycle(one(servo, behind=True)).broken == f"{name(servo)} catches up, slowly, with what it has missed"
+    assert Patient().cycle(one(servo, behind=True)).broken == f"{name(servo)} takes up its work again, slowly"
 
 
 @pytest.mark.parametrize("servo", [0, 4, 17])

@@ -53,6 +53,7 @@ class Rig:
         self.ordered: ModeCommand | None = None
         self.leads = True  # the planner sends the running step again and again, and the operator the order
         self.running: StepPlan | None = None
+        self.stuck: dict[int, float] = {}  # [rad] joints (0 to 17) that stay where they are, whatever they are told
         self.state: ActuatorState | None = None
         self.start()
 
@@ -99,6 +100,7 @@ class Rig:
             self.now_ns = max(self.now_ns + PERIOD, self.port.now_ns())
             self.bus.advance(self.now_ns)
             q = self.goals if self.torque else PROFILE.joint_angles(self.bank._q.reshape(6, 3))
+            q.flat[list(self.stuck)] = list(self.stuck.values())
             low = body_forward(PROFILE, q)[:, 2]
             weight = 4.0 * (self.ground & (low < low[self.ground].min(initial=1.0) + 0.005))[:, None] * [0.0, 0.0, 1.0]
             torque = PROFILE.servo_signs * joint_torques(PROFILE, q, weight + self.push)
@@ -132,6 +134,10 @@ class Rig:
             stop=False,
         )
         return replace(plan, **changes)
+
+    def joint(self, row: int) -> float:
+        """[rad] where a joint (0 to 17) is."""
+        return float(PROFILE.joint_angles(self.bank._q.reshape(6, 3)).flat[row])
 
     def air(self, state: ActuatorState) -> NDArray[np.bool_]:
         """(6,) feet that are over the others."""
@@ -463,6 +469,31 @@ def test_an_overloaded_servo_is_reset_where_it_is_three_times_and_then_the_robot
     assert state.mode is Mode.OFF
     assert "4 times in 5 minutes" in state.reason
     assert not rig.torque
+
+
+def test_nobody_walks_on_before_a_servo_that_was_reset_is_where_the_others_are() -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    state = rig.cycle(14)
+    assert rig.air(state)[4]
+    row = IDS.index(16)
+    rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
+    shut_down(rig, row)
+    limp = rig.joint(row)
+    rig.stuck[row] = limp
+    state = rig.cycle(40)
+    assert state.mode is Mode.FAULT
+    assert abs(rig.goals.flat[row] - limp) > np.radians(8.0), "the others have come down"
+    while rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == bytes(2):
+        state = rig.cycle()
+    del rig.stuck[row]
+    seen = set()
+    while state.mode is Mode.FAULT:
+        seen.add(state.reason)
+        state = rig.cycle()
+    assert "the femur servo of the right middle leg (id 16) takes up its work again, slowly" in seen
+    assert state.mode is Mode.HOLD
+    assert not rig.air(state)[4]
 
 
 def test_a_fault_while_standing_up_is_not_forgotten() -> None:

@@ -65,6 +65,7 @@ def test_a_row_passes_when_every_injection_keeps_every_limit() -> None:
         replace(GOOD, switched=True),
         replace(GOOD, outside=1),
         replace(GOOD, named=False),
+        replace(GOOD, stuck="a walk within 20 s expected"),
     )
     for wrong in wrongs:
         row = tables.row(KILLED, [GOOD, wrong, GOOD])
