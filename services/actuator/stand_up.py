@@ -8,12 +8,14 @@ from shared.kinematics import body_inverse, within_limits
 from shared.robot import RobotProfile
 
 _STANDS = 0.03  # [m] from the resting stance, within which the robot stands in it, about
+_OFF_GROUND = 0.04  # [m] of the belly, from which it is carried
+_APART = 0.08  # [m] from its resting place, within which a foot of a robot that has stopped on its way stands
 _WIDER = np.arange(0.0, 0.1, 0.005)  # [m] by which feet may stand further out than in the resting stance
 _BELLY_CLEARANCE = 0.005  # [m] of the feet over the ground on which the belly lies
 
 
 class StandUp:
-    """From any folded stance to standing in a given time.
+    """From any folded stance to standing in a given time; who is on his feet stays on them.
 
     Feet that bear cannot be drawn in. Where the resting stance is so narrow that folded legs do not reach its places, the robot
     rises on wider ones, and the first steps of its walk bring the feet in.
@@ -28,8 +30,12 @@ class StandUp:
             duration_s: [s] for the whole.
         """
         rest = profile.rest_feet()
-        standing = np.abs(feet - rest).max() < _STANDS
-        self._way = (feet, rest) if standing else (feet, *_lying_and_risen(profile))
+        if np.abs(feet - rest).max() < _STANDS:
+            self._way: tuple[Array, ...] = (feet, rest)
+        elif _is_on_its_feet(profile, feet):
+            self._way = (feet, np.column_stack([feet[:, :2], rest[:, 2]]))
+        else:
+            self._way = (feet, *_lying_and_risen(profile))
         self._duration = duration_s
         self._elapsed = 0.0
 
@@ -82,6 +88,13 @@ class LieDown:
         s = self._elapsed / self._duration
         s = s * s * (3 - 2 * s)
         return Targets((1 - s) * self._feet + s * self._lying, np.full(6, 1.0 - s), np.eye(3))
+
+
+def _is_on_its_feet(profile: RobotProfile, feet: Array) -> bool:
+    """Whether the body is carried by feet (6, 3) [m] {body} that stand as on a walk: drawn in, they would let it drop."""
+    height = profile.foot.radius - float(np.median(feet[:, 2]))
+    apart = np.linalg.norm((feet - profile.rest_feet())[:, :2], axis=1)
+    return height > profile.body.size[2] / 2 + _OFF_GROUND and bool((apart < _APART).all())
 
 
 def _lying_and_risen(profile: RobotProfile) -> tuple[Array, Array]:
