@@ -21,6 +21,7 @@ _STILL_S = 0.2  # [s] for which a robot that is at rest has been so
 _STILL = 0.02  # [m/s] of the body, and of each foot
 _DOWN_BY = 0.010  # [m] over level ground: a foot of a body that leans may hang, and is down
 _HANGING = 0.003  # [m] a foot so far over level ground catches the body after a degree of tilt
+_SPRINGS_S = 0.2  # [s]
 _DEBOUNCE = 1  # samples of truth, 20 ms
 _TWICE_S = 0.002  # [s] within which goals are those of one cycle: they are sent twice while answers get lost
 _MISSED_S = 0.040  # [s] two periods: what takes a cycle longer has missed a beat
@@ -39,7 +40,7 @@ class Outcome:
     falls: int
     again_s: float  # until it walks again, from the fault's end on
     jump_deg: float  # largest change of a joint, or of its goal, in 20 ms, from the fault's end until it walks again
-    lunge_dps: float  # [deg/s] fastest joint from the reset of a shutdown until it walks again; 0 without a reset
+    lunge_dps: float  # [deg/s] fastest joint over 0.2 s, from the reset of a shutdown until it walks again; 0 without a reset
     switched: bool  # whether torque was, by anybody on the bus
     off_s: float  # until all servos that hear have heard that torque is off; see `off_time`
     goals_before_off: int  # sent after the order, or the bus' return, and before torque was
@@ -193,11 +194,14 @@ def _jump(line: Timeline, from_s: float, until_s: float, profile: RobotProfile) 
 
 
 def _fastest(truth: Truth, from_s: float, until_s: float) -> float:
-    """Speed [deg/s] of the fastest joint, over two samples."""
+    """Speed [deg/s] of the fastest joint over any fifth of a second: for less than that a loaded leg springs back."""
     rows = (truth.t >= from_s) & (truth.t <= until_s)
-    if rows.sum() < 3:
+    t, q = truth.t[rows], truth.q[rows]
+    if len(t) < 2:
         return 0.0
-    return float(np.degrees(np.abs(np.gradient(truth.q[rows], truth.t[rows], axis=0))).max())
+    apart = min(max(1, round(_SPRINGS_S / float(np.median(np.diff(t))))), len(t) - 1)
+    way = np.abs(q[apart:] - q[:-apart]) / (t[apart:] - t[:-apart])[:, None, None]
+    return float(np.degrees(way).max())
 
 
 def _cut_off(line: Timeline, seated_s: float) -> bool:

@@ -38,7 +38,7 @@ __all__ = [
 
 _PATIENCE = 3  # questions in a row that a servo may leave open before it is asked more rarely: a busy host loses answers
 _AT_ONCE = 3  # ... and after which it still comes first in the next call
-_MAX_BACKOFF = 32  # a silent servo is still asked every this many turns
+_MAX_BACKOFF = 8  # a silent servo is still asked every this many turns
 _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
 _LOOKS = 3  # questions to one servo in its turn, where its answers are broken or doubted
 _LOSS_WINDOW_NS = 200_000_000  # [ns]
@@ -323,7 +323,7 @@ class ServoBus:
     def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
         """Read the next servos of the rotation, as many as typically fit a time budget.
 
-        A servo that does not answer costs a timeout; after the third in a row it is asked every 2nd, 4th ... 32nd turn only.
+        A servo that does not answer costs a timeout; after the third in a row it is asked every 2nd, 4th, then 8th turn only.
         One whose answer is broken, or leaps from where the servo was and was sent, is asked again at once, and if that does not
         help first of all in the next call.
 

@@ -6,7 +6,7 @@ from shared.geometry import Array
 from shared.robot import LEGS, RobotProfile
 
 _FULL_SPEED_S = 0.04  # [s] in which a goal may come from rest to the servos' greatest speed; to stop takes no time
-GENTLE = np.radians(30.0)  # [rad/s] of a joint that takes up its work again
+GENTLE = np.radians(25.0)  # [rad/s] of a joint that takes up its work again
 _NEAR = np.radians(5.0)  # of what is wanted, within which it has taken it up
 
 
@@ -18,11 +18,11 @@ class GoalLimits:
         self._profile = profile
         self._rates: Array = np.zeros((6, 3))  # [rad/s] of the goals that were sent last
         self._gentle = np.zeros((6, 3), dtype=np.bool_)
-        self.behind = np.zeros((6, 3), dtype=np.bool_)  # joints that take up their work, and are not near it yet
+        self.behind = np.zeros((6, 3), dtype=np.bool_)  # joints that take up their work, and have not been near it yet
 
     def ease(self, leg: int, joint: int) -> None:
         """Let a joint take up its work gently: its goals are slow until they have caught up with what is wanted."""
-        self._gentle[leg, joint] = True
+        self._gentle[leg, joint] = self.behind[leg, joint] = True
 
     def safe(self, q_goal: Array, q_last: Array, dt: float) -> tuple[Array, str]:
         """Goals that may be sent, with what had to be withheld.
@@ -45,6 +45,6 @@ class GoalLimits:
         if dt > 0.0:
             self._rates = (q - q_last) / dt
         self._gentle &= np.abs(wanted - q) > 1e-9
-        self.behind = self._gentle & (np.abs(wanted - q) > _NEAR)
+        self.behind &= np.abs(wanted - q) > _NEAR
         names = [LEGS[leg] for leg in np.flatnonzero(lost)]
         return q, f"foot out of reach, held: {', '.join(names)}" if names else ""
