@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from math import ceil, isfinite, isinf, nan
 from typing import Any
 
@@ -199,6 +199,21 @@ def _cell(one: Figure, unit: float, form: str) -> str:
 def to_json(table: Sequence[Row]) -> str:
     """The table for scripts; what was never measured is null."""
     return json.dumps([_plain(asdict(one)) | {"passed": one.passed} for one in table], indent=1, ensure_ascii=False) + "\n"
+
+
+def from_json(text: str) -> list[Row]:
+    """The rows of a table as `to_json` writes it."""
+    return [_row(entry) for entry in json.loads(text)]
+
+
+def _row(entry: dict[str, Any]) -> Row:
+    figures = {f.name: Figure(**_numbers(entry[f.name])) for f in fields(Row) if isinstance(entry[f.name], dict)}
+    values = {f.name: entry[f.name] for f in fields(Row) if f.name not in figures}
+    return Row(**values | figures | {"missed": tuple(entry["missed"])})
+
+
+def _numbers(figure: dict[str, Any]) -> dict[str, Any]:
+    return {name: nan if value is None else value for name, value in figure.items()}
 
 
 def _plain(value: Any) -> Any:

@@ -27,6 +27,7 @@ _BLOCK = range(
 )  # what tells how a servo stands
 _TRIES = 3  # questions to one servo of a bus that is back
 _DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: nobody may hear what is sent; nobody knows how the robot stands
+_WATCHED_NS = 200_000_000  # [ns] of reading before the share of lost answers counts
 _PATIENT_S = 1.0  # [s] for which servos that stay silent are waited for once the others have answered again
 _CAUGHT_UP = np.radians(5.0)  # between a joint and its goal; under load it stays some degrees off, ...
 _STILL = np.radians(10.0)  # [rad/s] ... and it has arrived where it is slower, ...
@@ -65,6 +66,7 @@ class Joints:
         self._bus = self._open()
         self._set_up()
         self._tried_ns = clock()
+        self._since_ns = -1  # since when the bus has been read without a gap
         self.gone = ""  # why there is no bus, in words
         self._doubted = np.zeros(18, dtype=np.bool_)  # servos that have been silent since it was seen that they pull
         self._behind = np.zeros(
@@ -107,9 +109,14 @@ class Joints:
             limp=~self.torque,
             behind=self._behind & (self._back_ns > 0),
             strength=self.strength,
-            loss=0.0 if self.gone else self._bus.loss,
+            loss=self._bus.loss if self._watched else 0.0,
             trouble=self.trouble,
         )
+
+    @property
+    def _watched(self) -> bool:
+        """Whether the bus has been read for so long that the share of what is lost says something."""
+        return not self.gone and self._since_ns >= 0 and self._clock() - self._since_ns >= _WATCHED_NS
 
     @property
     def limp_legs(self) -> NDArray[np.bool_]:
@@ -124,6 +131,7 @@ class Joints:
         if self.gone:
             self._seek()
             return []
+        self._since_ns = self._since_ns if self._since_ns >= 0 else self._clock()
         if self._lets_go:  # nobody answers a broadcast, so it is said until torque is ordered on
             self._say_let_go()
         try:
@@ -269,7 +277,7 @@ class Joints:
         self._tell(lambda: self._bus.set_torque(False))
 
     def _lose(self, error: BusGone) -> None:
-        self.gone, self._tried_ns, self.out_of_touch = str(error), self._clock(), True
+        self.gone, self._tried_ns, self._since_ns, self.out_of_touch = str(error), self._clock(), -1, True
         self._bus.close()
 
     def _seek(self) -> None:

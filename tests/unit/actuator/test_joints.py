@@ -225,6 +225,17 @@ def test_nothing_is_known_before_the_first_readings_and_then_all_is() -> None:
     assert rig.joints.vitals.trouble == ""
 
 
+def test_what_is_lost_counts_once_the_bus_has_been_watched_for_a_while() -> None:
+    rig = Rig().start()
+    rig.suffer("packets", "silent", 0.5, share=0.5)
+    losses = []
+    for _ in range(15):
+        rig.cycle(write=True)
+        losses.append(rig.joints.vitals.loss)
+    assert losses[:9] == [0.0] * 9
+    assert min(losses[12:]) > 0.3
+
+
 def test_servos_may_take_a_while_to_answer_at_the_start_and_no_longer() -> None:
     rig = Rig()
     rig.suffer("bus", "silent", 1.0)

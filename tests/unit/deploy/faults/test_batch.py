@@ -97,7 +97,11 @@ def test_the_table_says_pass_and_fail_and_is_json_too() -> None:
     assert "| planner-killed | 1 | 220 / 220 / 220 | 600 / 600 / 600 |" in text
     assert "FAIL: walks on: missed by 1 of 1" in text
     assert "1 of 2 faults keep all limits" in text
-    assert [row["passed"] for row in json.loads(tables.to_json(made))] == [True, False]
+    written = tables.to_json(made)
+    assert [row["passed"] for row in json.loads(written)] == [True, False]
+    again = tables.from_json(written)
+    assert tables.markdown(again) == text
+    assert tables.to_json(again) == written
 
 
 def test_names_are_given_once_and_every_limit_of_the_issue_is_somewhere() -> None:
