@@ -21,6 +21,7 @@ _STILL_S = 0.2  # [s] for which a robot that is at rest has been so
 _STILL = 0.02  # [m/s] of the body, and of each foot
 _DOWN_BY = 0.010  # [m] over level ground: a foot of a body that leans may hang, and is down
 _HANGING = 0.003  # [m] a foot so far over level ground catches the body after a degree of tilt
+_CYCLE_S = 0.02  # [s] of the actuator
 _SPRINGS_S = 0.2  # [s]
 _DEBOUNCE = 1  # samples of truth, 20 ms
 _TWICE_S = 0.002  # [s] within which goals are those of one cycle: they are sent twice while answers get lost
@@ -182,14 +183,19 @@ def _speeds(points: Array, t: Array) -> Array:
 
 
 def _jump(line: Timeline, from_s: float, until_s: float, profile: RobotProfile) -> float:
-    """Largest change [deg] of a joint in one sample, or of its goal from one to the next, but of a broken servo."""
+    """Largest change [deg] of a joint in one sample, or of its goal from one to the next, but of a broken servo.
+
+    A goal that goes with a moving speed is as far as the servo gets at that speed until the next.
+    """
     rows = (line.truth.t >= from_s) & (line.truth.t <= until_s)
     joints = np.degrees(np.abs(np.diff(line.truth.q[rows], axis=0))).max(initial=0.0)
     recent = [goals for goals in line.goals if goals.t_s <= until_s]
     first = max(sum(goals.t_s < from_s for goals in recent) - 1, 0)  # the last before is where the servos are told to be
     ticks = np.array([goals.ticks for goals in recent[first:]]).reshape(-1, 18)
+    speeds = np.array([goals.speeds for goals in recent[first:]]).reshape(-1, 18)
+    most = np.where(speeds > 0, speeds * dxl.SPEED_RAD_S * _CYCLE_S, np.inf)
     whole = profile.servo_ids.ravel() != line.servo
-    goals = np.degrees(dxl.TICK_RAD * np.abs(np.diff(ticks, axis=0)))[:, whole].max(initial=0.0)
+    goals = np.degrees(np.minimum(dxl.TICK_RAD * np.abs(np.diff(ticks, axis=0)), most[1:]))[:, whole].max(initial=0.0)
     return float(max(joints, goals))
 
 

@@ -27,6 +27,7 @@ class Goals(NamedTuple):
 
     t_s: float
     ticks: NDArray[np.int64]  # (18,) in the order of the profile
+    speeds: NDArray[np.int64]  # (18,) moving speeds of the same packet, 0 for as fast as can be
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +69,8 @@ class Recorder:
                 self._note(side, now_ns * 1e-9, *writes)
 
     def _note(self, side: str, t_s: float, address: int, rows: dict[int, bytes]) -> None:
-        for register in (dxl.GOAL_POSITION, dxl.TORQUE_ENABLE, dxl.TORQUE_LIMIT):
+        speeds: dict[int, int] = {}
+        for register in (dxl.MOVING_SPEED, dxl.GOAL_POSITION, dxl.TORQUE_ENABLE, dxl.TORQUE_LIMIT):
             start = register.address - address
             ids = self._ids if dxl.BROADCAST_ID in rows else rows
             values = {
@@ -78,16 +80,18 @@ class Recorder:
             }
             if not values:
                 continue
-            if register is not dxl.GOAL_POSITION:
+            if register is dxl.MOVING_SPEED:
+                speeds = values
+            elif register is not dxl.GOAL_POSITION:
                 self.switches.append(Switch(t_s, side == "heard", register, values))
             elif side == "sent":
-                self._judge(t_s, values)
+                self._judge(t_s, values, speeds)
 
-    def _judge(self, t_s: float, values: dict[int, int]) -> None:
+    def _judge(self, t_s: float, values: dict[int, int], speeds: dict[int, int]) -> None:
         """Keep goals, and those of them that lie outside of a joint's limits."""
         before = self.goals[-1].ticks if self.goals else np.full(18, -1)
         ticks = np.array([values.get(i, old) for i, old in zip(self._ids, before, strict=True)])
-        self.goals.append(Goals(t_s, ticks))
+        self.goals.append(Goals(t_s, ticks, np.array([speeds.get(i, 0) for i in self._ids])))
         for index in np.flatnonzero((ticks >= 0) & ((ticks < self._low) | (ticks > self._high))).tolist():
             self.outside.append(Outside(t_s, self._ids[index], int(ticks[index])))
 

@@ -83,6 +83,15 @@ class Bridge:
         self._torque_ns = 0
         self._goals_since_ns, self._goals_ns = 0, -1  # since when goals are sent without a gap, and when the newest were
 
+    @property
+    def between(self) -> Callable[[], None]:
+        """Done before each question to a servo outside the loop."""
+        return self._registers.between
+
+    @between.setter
+    def between(self, do: Callable[[], None]) -> None:
+        self._registers.between = do
+
     def __len__(self) -> int:
         """Number of servos."""
         return len(self.servo_ids)

@@ -135,6 +135,7 @@ class ServoBus:
         self.servo_ids = tuple(servo_ids)
         self.names = {i: (names or {}).get(i, "") for i in servo_ids}
         self.errors: NDArray[np.uint8] = np.zeros(n, dtype=np.uint8)  # (n,) error bits of the last status packets
+        self.between: Callable[[], None] = _nothing  # done before each question outside the loop
         self._port = port
         self._clock = clock
         self._model, self._lock = model, lock
@@ -421,6 +422,7 @@ class ServoBus:
 
     def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
         """Send a request and return the answer, with `size` parameters; None, and counted, when there is no good one."""
+        self.between()
         answer = self._line.exchange(request, servo_id, size, self._clock() + self._line.reply_timeout_ns)
         if answer is None:
             return None
@@ -433,3 +435,7 @@ class ServoBus:
         refused = bool(answer.code & REFUSAL) and not answer.parameters
         self._line.lost[Lost.REFUSED] += refused
         return refused
+
+
+def _nothing() -> None:
+    pass

@@ -24,6 +24,10 @@ class GoalLimits:
         """Let a joint take up its work gently: its goals are slow until they have caught up with what is wanted."""
         self._gentle[leg, joint] = self.behind[leg, joint] = True
 
+    def forget(self) -> None:
+        """No joint takes up anything: torque is off."""
+        self._gentle[:] = self.behind[:] = False
+
     def safe(self, q_goal: Array, q_last: Array, dt: float) -> tuple[Array, str]:
         """Goals that may be sent, with what had to be withheld.
 

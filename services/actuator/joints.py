@@ -43,7 +43,7 @@ class Joints:
         settings: Settings,
         opener: Callable[[], Port] | None,
         clock: Callable[[], int],
-        lets_go: bool = False,
+        latched: Callable[[], bool] = lambda: False,
     ):
         """Open the bus, and read where the joints are; nothing is moved.
 
@@ -52,7 +52,7 @@ class Joints:
             settings: Of the actuator.
             opener: Opens the port, in place of the one that the settings name; an OSError where there is none.
             clock: [ns] monotonic, what the port's timing goes by.
-            lets_go: Torque is to be off, before anything else.
+            latched: Whether torque is to be off, before anything else; asked all through the start.
 
         Raises:
             BusSetupError: Servos are missing or wrong, all named.
@@ -62,7 +62,8 @@ class Joints:
         self._profile, self._settings, self._clock = profile, settings, clock
         self._opener = opener or Outlet(settings).open
         self._budget_ns = round(settings.read_budget_ms * 1e6)
-        self._lets_go = lets_go  # whether torque is to be off by an order
+        self._latched = latched
+        self._lets_go = latched()  # whether torque is to be off by an order
         self._bus = self._open()
         self._set_up()
         self._tried_ns = clock()
@@ -78,6 +79,7 @@ class Joints:
         self.torque = np.zeros(18, dtype=np.bool_)  # that pull
         self.strength = np.ones(18)  # share of its torque that each was left with
         self._take_in([self._ask(i) for i in self._bus.servo_ids])
+        self._bus.between = _nothing
         self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
         self.voltage = np.full(18, np.nan)  # [V]
         self.temperature = np.full(18, np.nan)  # [deg C]
@@ -199,7 +201,15 @@ class Joints:
     # ------------------------------------------------------------------------------------------------- the bus itself
 
     def _open(self) -> Servos:
-        return connect(self._profile, self._settings, self._opener(), self._clock)
+        bus = connect(self._profile, self._settings, self._opener(), self._clock)
+        bus.between = self._obey
+        return bus
+
+    def _obey(self) -> None:
+        """An order to let go that comes while there are questions to be asked does not wait for their end."""
+        if not self._lets_go and self._latched():
+            self._lets_go = True
+            self._bus.set_torque(False)
 
     def _set_up(self) -> None:
         """Set the bus up; servos that are silent at first get some time."""
@@ -295,6 +305,7 @@ class Joints:
             self.gone = f"the servo port is gone: {error}"
             return
         self._take_in(found)
+        self._bus.between = _nothing
         self.gone = ""
         self._behind[:] = False
 
@@ -338,3 +349,7 @@ def _ticks(servo: Array) -> NDArray[np.int64]:
     """Goal registers (18,) of servo angles (18,) [rad]."""
     ticks = np.rint(dxl.TICK_CENTRE + servo / dxl.TICK_RAD)
     return np.minimum(np.maximum(ticks, 0.0), dxl.TICK_MAX).astype(np.int64)
+
+
+def _nothing() -> None:
+    pass

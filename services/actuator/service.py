@@ -71,7 +71,7 @@ class Actuator:
         self._settings = settings
         self._clock = clock
         self._latch = latch or (None if opener else Latch.of_port(settings.port))
-        self._joints = Joints(profile, settings, opener, clock, lets_go=self._latched())
+        self._joints = Joints(profile, settings, opener, clock, self._latched)
         if self._latched():
             self._joints.let_go()
         torque = bool(self._joints.torque.any())  # one that does not pull then is a fault, and named
@@ -251,6 +251,7 @@ class Actuator:
                     if self._latch is not None:
                         self._latch.close()
                     self._joints.let_go()
+                    self._limits.forget()
                     self._posing = None
                 case Act.GRIP:
                     if self._latch is not None:

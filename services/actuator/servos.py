@@ -21,6 +21,7 @@ class Servos(Protocol):
 
     servo_ids: tuple[int, ...]
     errors: NDArray[np.uint8]  # (n,) error bits of the last status packets
+    between: Callable[[], None]  # done before each question outside the loop
 
     @property
     def lost(self) -> Counter[str]:

@@ -98,3 +98,13 @@ def test_a_joint_is_behind_while_it_takes_up_its_work_further_than_five_degrees_
         far = wanted[3, 1] - last[3, 1] > np.radians(5.0)
         assert np.argwhere(limits.behind).tolist() == ([[3, 1]] if far else [])
     assert not limits.behind.any()
+
+
+def test_nobody_takes_up_work_where_torque_is_off() -> None:
+    limits = GoalLimits(PROFILE)
+    limits.ease(3, 1)
+    assert limits.behind.any()
+    limits.forget()
+    assert not limits.behind.any()
+    goal, _ = limits.safe(REST + 0.1, REST, DT)
+    assert (goal - REST)[3, 1] > GENTLE * DT

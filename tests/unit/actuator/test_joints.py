@@ -247,6 +247,23 @@ def test_servos_may_take_a_while_to_answer_at_the_start_and_no_longer() -> None:
         dead.start()
 
 
+def test_an_order_to_let_go_that_comes_while_servos_are_asked_does_not_wait_for_the_last_of_them() -> None:
+    rig = Rig()
+    asked = list[int]()
+
+    def latched() -> bool:
+        asked.append(len(rig.bus.said))
+        return len(asked) > 40
+
+    Joints(PROFILE, Settings(), rig.plug_in, rig.clock, latched)
+    ordered = asked[40]
+    words = [(packet.servo_id, packet.code, packet.parameters) for packet in rig.bus.said[ordered : ordered + 2]]
+    assert words == [(dxl.BROADCAST_ID, Instruction.WRITE, bytes((dxl.TORQUE_ENABLE.address, 0)))] * 2
+    assert len(rig.bus.said) > ordered + 20, "there were more to be asked"
+    rig.bus.advance(rig.clock() + PERIOD)
+    assert rig.registers(dxl.TORQUE_ENABLE) == [0] * 18
+
+
 def test_a_servo_that_falls_silent_while_it_is_taken_over_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig()
 

@@ -24,8 +24,8 @@ def torque(after_s: float, on: bool, heard: bool = True, ids: list[int] = IDS) -
     return Switch(BEGIN_S + after_s, heard, dxl.TORQUE_ENABLE, dict.fromkeys(ids, int(on)))
 
 
-def goal(after_s: float, ticks: int = 512) -> Goals:
-    return Goals(BEGIN_S + after_s, np.full(18, ticks))
+def goal(after_s: float, ticks: int = 512, speed: int = 0) -> Goals:
+    return Goals(BEGIN_S + after_s, np.full(18, ticks), np.full(18, speed))
 
 
 def test_a_stop_is_decided_when_it_is_said_and_over_when_the_robot_walks_after_the_end() -> None:
@@ -100,6 +100,12 @@ def test_a_jump_is_the_largest_change_of_a_goal_after_the_end(ticks: int) -> Non
     said = (word(0.2, Mode.HOLD), word(3.0, Mode.WALK, "walking"))
     found = score(timeline(*said, goals=goals), KILLED, PROFILE)
     assert found.jump_deg == pytest.approx(np.degrees(dxl.TICK_RAD) * ticks)
+
+
+def test_a_goal_that_is_to_be_approached_slowly_is_no_jump() -> None:
+    goals = (goal(0.5), goal(2.01, 600, dxl.moving_speed_from(np.radians(25.0))))
+    said = (word(0.2, Mode.HOLD), word(3.0, Mode.WALK, "walking"))
+    assert score(timeline(*said, goals=goals), KILLED, PROFILE).jump_deg == pytest.approx(0.5, rel=0.02)
 
 
 def test_a_lunge_is_the_fastest_joint_after_a_reset_and_none_without() -> None:

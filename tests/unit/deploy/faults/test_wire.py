@@ -12,8 +12,8 @@ IDS = PROFILE.servo_ids.ravel().tolist()
 CENTRE = np.rint(dxl.TICK_CENTRE + PROFILE.servo_angles(PROFILE.joint_limits.mean(axis=-1)).ravel() / dxl.TICK_RAD).astype(int)
 
 
-def goals(ticks: np.ndarray) -> bytes:
-    rows = [(i, dxl.GOAL_POSITION.encode(int(t)) + b"\0\0") for i, t in zip(IDS, ticks, strict=True)]
+def goals(ticks: np.ndarray, speed: int = 0) -> bytes:
+    rows = [(i, dxl.GOAL_POSITION.encode(int(t)) + dxl.MOVING_SPEED.encode(speed)) for i, t in zip(IDS, ticks, strict=True)]
     return dxl.sync_write(dxl.GOAL_POSITION.address, 4, rows)
 
 
@@ -29,6 +29,8 @@ def test_a_goal_is_outside_exactly_where_no_joint_angle_of_the_limits_rounds_to_
     assert [out.servo for out in recorder.outside] == ([] if low <= ticks <= high else [IDS[index]])
     assert (recorder.goals[0].ticks == wanted).all()
     assert recorder.goals[0].t_s == 1.0
+    recorder.sent(goals(CENTRE, 45), 2_000_000_000)
+    assert [set(sent.speeds.tolist()) for sent in recorder.goals] == [{0}, {45}]
 
 
 def test_switches_are_noted_on_both_sides_and_broken_packets_on_none() -> None:
