@@ -253,7 +253,7 @@ def commands(endpoints: Endpoints, bus: int, listen: int, seed: int) -> list[Com
     operator = Command("operator", ("-m", "deploy.faults.console", *meeting), ENVIRONMENT)
     needs = {"actuator": ("tap",)}
     return [
-        process_table.router_command(endpoints.connect[0]),
+        replace(process_table.router_command(endpoints.connect[0]), restarts=_RESTARTS),
         tap.command(listen, bus),
         *(
             replace(
