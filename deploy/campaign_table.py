@@ -165,14 +165,25 @@ def _footnotes(campaign: Campaign) -> list[str]:
     reached = f"Together {_rate(together)} reached the goal. " if sighted else ""
     return [
         f"{reached}Median (worst) of the runs; missteps of all steps.",
+        *(words for t in walked for words in _of_ways(t)),
         *(f"Made {words}." for words in sorted({t.made.words for t in walked})),
         *(f"Left out: {words}." for words in campaign.left_out),
     ]
 
 
+def _of_ways(t: Trials) -> Iterable[str]:
+    """What came of grounds of which some have a way and some have none."""
+    p = t.passages
+    if p is not None and p.passable + p.impassable:
+        crossed, entered = wilson(p.crossed, p.passable), wilson(p.entered_in_vain, p.impassable)
+        undecided = f"; of {p.undecided} the search cannot tell" if p.undecided else ""
+        yield f"`{t.scenario}`: crossed {_rate(crossed)} that have a way, entered {_rate(entered)} that have none{undecided}."
+
+
 def _outcome(t: Trials) -> str:
     """How often it ended well, and how, where that is not by reaching the goal."""
-    return _rate(t.success) + (", rightly refused" if t.refusals else "")
+    either = t.passages is not None and t.passages.impassable > 0
+    return _rate(t.success) + (", or rightly refused" if either else ", rightly refused" if t.refusals else "")
 
 
 def _of_passages(t: Trials, cell: Callable[[Passages], str]) -> str:
