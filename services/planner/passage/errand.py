@@ -314,10 +314,17 @@ class Errand:
             if back:
                 self._walks = f"backing off in section {self._section}"
                 return self._set_out(back, state, f"backing off by {len(back)} steps to find another way: {found.reason}")
-            return Refused(found.reason + (", and no look is left that would show more" if found.unseen else ""))
+            return self._look_anew(found, standing.body[:2, 3])
         self._trail.begin(root, found.steps)
         self._walks = f"section {self._section}"
         return self._set_out(found.steps, state, f"walking section {self._section} of the passage: {len(found.steps)} steps")
+
+    def _look_anew(self, found: NoWay, xy: Array) -> "Outcome":
+        """Where there was no way plan once more on a map that more scans have made better, so often and no more."""
+        if self._plannings_at(xy) < _RETRIES:
+            self._because = f" again: {found.reason}"
+            return self._enter("survey", Wait(f"looking at the passage{self._because}"))
+        return Refused(found.reason + (", and no look is left that would show more" if found.unseen else ""))
 
     def _set_out(self, steps: tuple[PassageStep, ...], state: ActuatorState, words: str) -> "Outcome":
         """Walk steps from here, saying so in words."""
@@ -326,11 +333,15 @@ class Errand:
 
     def _once_more_here(self, xy: Array) -> str:
         """Note that a section begins at a place (2,) [m] {world}; why it is no use to try again there, in words, or nothing."""
-        if sum(float(np.linalg.norm(xy - place)) < _SAME_PLACE for place in self._tried) >= _RETRIES:
+        if self._plannings_at(xy) >= _RETRIES:
             words = f"after {_RETRIES} plannings at one place the robot does not get on"
             return f"{words}: {self._stopped}" if self._stopped else words
         self._tried.append(xy.copy())
         return ""
+
+    def _plannings_at(self, xy: Array) -> int:
+        """How often a section was planned at a place (2,) [m] {world}."""
+        return sum(float(np.linalg.norm(xy - place)) < _SAME_PLACE for place in self._tried)
 
     def _in_strip(self, standing: Standing) -> Stance:
         T = inverse(self._T_world_strip)
