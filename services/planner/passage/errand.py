@@ -41,7 +41,7 @@ _POSE_S = 2.0  # [s] for raising the body and lowering it
 _PER_TICK = 4_000  # expansions for each message of the actuator, 25 a second: a core does as many meanwhile, 100 000 a second
 _OFF_PLACE, _OFF_HEIGHT = 0.03, 0.025  # [m] of a standing foot from where the plan has it, from which it is planned anew
 ATTEMPTS = 8  # attempts at planning a section, each with other samples
-_RETRIES = 3  # plannings at one place of the body, within
+PLANNINGS = 3  # plannings at one place of the body, within
 _SAME_PLACE = 0.03  # [m], before it says that there is no way
 _YIELDED = 0.055  # [m] around a foot that found nothing, where ground is taken to carry none
 
@@ -321,7 +321,7 @@ class Errand:
 
     def _look_anew(self, found: NoWay, xy: Array) -> "Outcome":
         """Where there was no way plan once more on a map that more scans have made better, so often and no more."""
-        if self._plannings_at(xy) < _RETRIES:
+        if self._plannings_at(xy) < PLANNINGS:
             self._because = f" again: {found.reason}"
             return self._enter("survey", Wait(f"looking at the passage{self._because}"))
         return Refused(found.reason + (", and no look is left that would show more" if found.unseen else ""))
@@ -333,8 +333,8 @@ class Errand:
 
     def _once_more_here(self, xy: Array) -> str:
         """Note that a section begins at a place (2,) [m] {world}; why it is no use to try again there, in words, or nothing."""
-        if self._plannings_at(xy) >= _RETRIES:
-            words = f"after {_RETRIES} plannings at one place the robot does not get on"
+        if self._plannings_at(xy) >= PLANNINGS:
+            words = f"after {PLANNINGS} plannings at one place the robot does not get on"
             return f"{words}: {self._stopped}" if self._stopped else words
         self._tried.append(xy.copy())
         return ""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from services.planner.config import Settings
-from services.planner.passage.errand import ATTEMPTS, STRIP, Errand, Move, Outcome, Over, Refused, Standing, Wait
+from services.planner.passage.errand import ATTEMPTS, PLANNINGS, STRIP, Errand, Move, Outcome, Over, Refused, Standing, Wait
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
 from shared.geometry import Array, apply, from_xyz_rpy, inverse
@@ -188,9 +188,17 @@ def test_a_way_is_told_with_nothing_that_stops_it() -> None:
 
 
 def test_no_way_is_refused_in_the_planners_words_once_other_samples_found_none_either() -> None:
-    robot = Robot(Planned(*[no_way("all")] * (ATTEMPTS - 1), no_way("left front leg: out of reach")))
+    robot = Robot(Planned(*[no_way("all")] * (PLANNINGS * ATTEMPTS - 1), no_way("left front leg: out of reach")))
     assert robot.until_end() == Refused("left front leg: out of reach")
-    assert len({seed for *_, seed in robot.sections.begun}) == ATTEMPTS
+    assert len({seed for *_, seed in robot.sections.begun}) == PLANNINGS * ATTEMPTS
+
+
+def test_where_no_way_was_found_it_plans_once_more_on_a_newer_map() -> None:
+    robot = Robot(Planned(*[no_way("all")] * ATTEMPTS, section(0.0, 1.85)))
+    assert robot.until_end() == Over("behind the gap")
+    assert "looking at the passage again: all" in robot.heard
+    maps = [field for field, *_ in robot.sections.begun]
+    assert maps[ATTEMPTS] is not maps[ATTEMPTS - 1]
 
 
 def test_a_step_that_was_not_taken_is_due_again() -> None:
@@ -271,7 +279,7 @@ def test_a_refused_look_is_done_without() -> None:
 
 def test_unknown_ground_is_told_from_bare() -> None:
     """Where nothing was seen beyond the near side the goal is not behind what may be there."""
-    robot = Robot(Planned(*[no_way()] * ATTEMPTS))
+    robot = Robot(Planned(*[no_way()] * PLANNINGS * ATTEMPTS))
     look = robot.look
 
     def short() -> PassageMap:
@@ -316,7 +324,7 @@ def test_a_map_that_is_none_of_the_strip_is_not_planned_on(changes: dict[str, ob
 
 
 def test_a_look_from_far_away_is_not_taken() -> None:
-    robot = Robot(Planned(*[no_way()] * ATTEMPTS), looks=5)
+    robot = Robot(Planned(*[no_way()] * PLANNINGS * ATTEMPTS), looks=5)
     look = robot.look
     robot.look = lambda: replace(look(), T_world_look=from_xyz_rpy((0.0, 0.0, 0.9), np.zeros(3)))  # type: ignore[method-assign]
     robot.until_end()
@@ -353,13 +361,13 @@ def test_from_where_nothing_leads_on_it_backs_off_and_finds_another_way() -> Non
 
 
 def test_what_it_has_backed_off_from_in_vain_is_no_way() -> None:
-    end = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * (2 * ATTEMPTS))).until_end()
+    end = Robot(Planned(section(0.0, 0.6), *[no_way("stuck")] * ((1 + PLANNINGS) * ATTEMPTS))).until_end()
     assert end == Refused("stuck")
 
 
 def test_where_no_look_shows_the_unseen_ground_that_is_said() -> None:
     blind = replace(no_way("cells ahead are unknown"), unseen=True)
-    end = Robot(Planned(*[blind] * (2 * ATTEMPTS))).until_end()
+    end = Robot(Planned(*[blind] * (PLANNINGS * ATTEMPTS))).until_end()
     assert isinstance(end, Refused)
     assert end.reason.endswith("cells ahead are unknown, and no look is left that would show more")
 
