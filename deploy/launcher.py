@@ -16,6 +16,7 @@ from types import TracebackType
 from typing import Self
 
 from deploy.process_table import Command
+from deploy.pulses import LOOK_S, Pulses, unwatched
 from shared.transport import Endpoints, Router, TransportError
 
 GRACE_S = 1.0  # between SIGTERM and SIGKILL
@@ -90,11 +91,13 @@ class _Child:
     reader: threading.Thread
     restarts_left: int
     reported: bool = False
+    hung: str = ""  # in words, where it was ended for that
 
 
 class Launcher:
     """Children of this process, from entering to leaving; a context manager.
 
+    One that has begun to give signs of life (`shared.watchdog`) and is silent for longer than its command allows is killed.
     Start, poll and stop belong to one thread that outlives the children: Linux ends a child with the thread that made it.
     """
 
@@ -110,9 +113,12 @@ class Launcher:
         self._children: dict[str, _Child] = {}
         self._waiting: list[Command] = []  # for what must be ready before them
         self._stirred = threading.Event()  # a child may have ended
+        self._pulses: Pulses | None = None  # of those that are watched
 
     def __enter__(self) -> Self:
         self._waiting = list(self._commands)
+        if any(command.watchdog_s for command in self._commands):
+            self._pulses = Pulses(time.monotonic())
         try:
             self._start_waiting()
         except OSError:
@@ -134,9 +140,10 @@ class Launcher:
     def poll(self) -> list[Ended]:
         """Children that ended since the last look; those with restarts left run again.
 
-        Starts what waited for another to be ready.
+        Starts what waited for another to be ready, and kills what hangs.
         """
         self._start_waiting()
+        self._end_hung()
         return [self._bury(child) for child in list(self._children.values()) if not child.reported and _over(child)]
 
     def wait(self, timeout_s: float) -> list[Ended]:
@@ -148,7 +155,8 @@ class Launcher:
             remaining = until - time.monotonic()
             if ended or remaining <= 0:
                 return ended
-            self._stirred.wait(min(remaining, _READY_LOOK_S) if self._waiting else remaining)
+            look = _READY_LOOK_S if self._waiting else LOOK_S if self._pulses else remaining
+            self._stirred.wait(min(remaining, look))
 
     def kill(self, name: str) -> None:
         """End a child as a crash would, for a fault test; the restart policy applies."""
@@ -189,6 +197,9 @@ class Launcher:
                 child.process.wait(_REAP_S)
             child.reader.join(_REAP_S)
         self._children.clear()
+        if self._pulses:
+            self._pulses.close()
+            self._pulses = None
         return killed
 
     def _ask(self, children: list[_Child], awaited: list[_Child], until: float, insisted: Callable[[], bool]) -> None:
@@ -209,10 +220,21 @@ class Launcher:
                 if not command.ready_port:
                     ready.add(command.name)
 
+    def _end_hung(self) -> None:
+        if not self._pulses:
+            return
+        self._pulses.look(time.monotonic())
+        for child in self._children.values():
+            silent_s = self._pulses.silent_s(child.process.pid)
+            if child.command.watchdog_s and silent_s >= child.command.watchdog_s and not _over(child):
+                child.hung = f"hung: no sign of life for {silent_s:.1f} s"
+                _signal(child, signal.SIGKILL)
+
     def _start(self, command: Command, restarts_left: int) -> _Child:
+        watched = self._pulses.environment(command.watchdog_s) if self._pulses and command.watchdog_s else {}
         process = subprocess.Popen(
             [sys.executable, *command.arguments, "--parent", str(os.getpid())],
-            env={**os.environ, **command.environment},
+            env={**unwatched(os.environ), **command.environment, **watched},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -221,6 +243,8 @@ class Launcher:
             errors="replace",
             process_group=0,  # the terminal's Ctrl-C reaches the launcher alone
         )
+        if self._pulses:
+            self._pulses.watch(process.pid)
         tail: deque[str] = deque(maxlen=_TAIL)
 
         def read() -> None:
@@ -242,8 +266,10 @@ class Launcher:
         child.reader.join(_REAP_S)
         status = child.process.returncode
         again = child.restarts_left > 0 and status != 2  # 2: it was started wrongly, and would be again
-        ended = Ended(child.command.name, how_it_ended(status), last_words(list(child.tail)), again)
+        ended = Ended(child.command.name, child.hung or how_it_ended(status), last_words(list(child.tail)), again)
         child.reported = True
+        if self._pulses:
+            self._pulses.forget(child.process.pid)
         if again:
             self._children[child.command.name] = self._start(child.command, child.restarts_left - 1)
         return ended

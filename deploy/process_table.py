@@ -56,6 +56,9 @@ class Process:
     urgent: bool = False  # goes before all others, where the user may: what has a beat to keep
     after: tuple[str, ...] = ()  # processes that must be ready before it starts
     ready_port: Callable[[Choices], int] = field(default=lambda _: 0, compare=False)  # listens there once ready, 0: at once
+    # How long [s] its loop may be silent, once it has begun, before it counts as hung. A step in which something is compiled
+    # for the first time takes long and is no hang.
+    watchdog_s: float = 120.0
 
 
 def _simulator(choices: Choices) -> dict[str, Value]:
@@ -97,9 +100,9 @@ def _actuator(choices: Choices) -> dict[str, Value]:
 # A dead simulator takes its world with it, so that run has failed; every other process finds its way back from the wire.
 TABLE: tuple[Process, ...] = (
     Process("simulator", "services.simulator", "simulation", 0, _simulator, ready_port=lambda choices: choices.bus_port),
-    Process("actuator", "services.actuator", "robot", 3, _actuator, urgent=True, after=("simulator",)),
-    Process("stop", "services.actuator.stop", "robot", 3, _servo_port),
-    Process("camera", "services.perception.cameras", "device", 3, _camera),
+    Process("actuator", "services.actuator", "robot", 3, _actuator, urgent=True, after=("simulator",), watchdog_s=1.5),
+    Process("stop", "services.actuator.stop", "robot", 3, _servo_port, watchdog_s=1.5),
+    Process("camera", "services.perception.cameras", "device", 3, _camera, watchdog_s=10.0),
     Process("perception", "services.perception", "robot", 3, _perception, nice=2),
     Process("mapper", "services.mapper", "either", 3, _mapper, nice=5),
     Process("planner", "services.planner", "either", 3, _planner, nice=2),
@@ -116,6 +119,7 @@ class Command:
     restarts: int = 0
     after: tuple[str, ...] = ()  # processes that must be ready before this one starts
     ready_port: int = 0  # TCP port of 127.0.0.1 that it listens on once it is ready; 0: ready at once
+    watchdog_s: float = 0.0  # [s] without a sign of life after which it is ended as hung; 0: it gives none
 
 
 def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT) -> Choices:
@@ -174,6 +178,7 @@ def commands(
             restarts=p.restarts,
             after=tuple(name for name in p.after if name in started),
             ready_port=p.ready_port(chosen),
+            watchdog_s=p.watchdog_s,
         )
         for p in processes
     )

@@ -23,6 +23,7 @@ from shared.host import end_with, go_first, keep_memory
 from shared.robot import RobotProfile, load_profile
 from shared.service import Service, run_live
 from shared.transport import Endpoints, TransportError, ZenohLink
+from shared.watchdog import Watchdog
 
 S = TypeVar("S")
 
@@ -61,6 +62,7 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
             profile = load_profile(arguments.robot)
             settings = load_settings(schema, arguments.config, arguments.set)
             endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace)
+            watchdog = stack.enter_context(Watchdog(os.environ))
             link = stack.enter_context(ZenohLink(endpoints))
             service = make(profile, settings)
             if isinstance(service, contextlib.AbstractContextManager):
@@ -71,7 +73,7 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
         except OSError as error:  # a device or port that is not there; unlike the above it may come back
             logging.error("%s", error)
             return 1
-        run_live(service, link, stop)  # a ValueError in here is a bug, and ends in a traceback
+        run_live(service, link, stop, watchdog.beat)  # a ValueError in here is a bug, and ends in a traceback
     return 0
 
 

@@ -318,8 +318,13 @@ class Link(Protocol):
         ...
 
 
-def run_live(service: Service, link: Link, stop: threading.Event) -> None:
-    """Run one service in this process at real time until `stop` is set; stamps are this machine's monotonic clock."""
+def run_live(
+    service: Service, link: Link, stop: threading.Event, alive: Callable[[int], object] = lambda _now_ns: None
+) -> None:
+    """Run one service in this process at real time until `stop` is set; stamps are this machine's monotonic clock.
+
+    `alive` is told the time [ns] at least every 0.2 s, as long as no step hangs and no beat is rarer.
+    """
     clock = time.monotonic_ns
     arrived = threading.Event()
     worker = Worker(service, lambda topic, frame, _: link.send(topic, frame), clock, link.wanted)
@@ -334,6 +339,7 @@ def run_live(service: Service, link: Link, stop: threading.Event) -> None:
         link.subscribe(topic, receive)
     beats = Beats(pace, clock) if isinstance(pace, Every) else None
     while not stop.is_set():
+        alive(clock())
         if beats is not None:
             service.stages.add("cycle", beats.next(stop.wait) * 1e-6)
             worker.tick()

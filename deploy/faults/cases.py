@@ -12,7 +12,7 @@ from shared.bus_fault import BusFault
 
 @dataclass(frozen=True, slots=True)
 class Away:
-    """A process is away: killed, a new one comes back; or stopped, the same one goes on."""
+    """A process is away: killed, a new one comes back; or stopped, the same one goes on, but where it is found to hang."""
 
     service: Literal["planner", "actuator", "perception", "mapper", "operator", "router"]
     kill: bool
@@ -230,9 +230,9 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
     ("actuator-killed", "the actuator is killed", (Away("actuator", True, 0.0),), Limits(decided_s=1.5, jump_deg=2.0)),
     (
         "actuator-stopped",
-        "the actuator is stopped for 3.5 s",
+        "the actuator is stopped for good; the launcher finds that it hangs",
         (Away("actuator", False, _STOPPED_S),),
-        Limits(decided_s=_STOPPED_S + 0.1, named="kept the actuator waiting", jump_deg=2.0, margin_m=0.010, again_s=4.0),
+        Limits(decided_s=_STOPPED_S, jump_deg=2.0),
     ),
     ("hogs", "a busy process for each core, 5 s long", (Hogs(5.0),), Limits(cycle_s=0.025)),
     ("off", "torque is ordered off", (Off(),), _LETS_GO),
@@ -244,7 +244,7 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
     ),
     (
         "off-actuator-stopped",
-        "torque is ordered off; the actuator is stopped for 2 s",
+        "torque is ordered off; the actuator is stopped, and found to hang",
         (Away("actuator", False, _OUT_S), Off()),
         _LETS_GO,
     ),

@@ -167,7 +167,8 @@ class LiveWalk(Watched):
             case Away(service, kill=False, for_s=for_s):
                 self._launcher.freeze(service)
                 self._acts.append((begin + for_s, lambda: self._launcher.thaw(service)))
-                return lambda: begin + for_s
+                # Over before that where the launcher found that it hangs, and another has taken its place.
+                return lambda: float(np.fmin(begin + for_s, self.returned(service, begin)))
             case Hogs(for_s):
                 hogs = Launcher(hog.commands()).__enter__()
                 self._acts.append((begin + for_s, hogs.stop))

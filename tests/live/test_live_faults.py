@@ -22,3 +22,15 @@ def test_an_actuator_that_is_killed_in_mid_walk_is_back_and_holds_without_a_jump
     assert row["again_s"]["n"] == 1, "it walks on"
     (line,) = (out / "faults.jsonl").read_text(encoding="utf-8").splitlines()
     assert json.loads(line)["outcome"]["goals_before_off"] == 0
+
+
+def test_an_actuator_that_is_stopped_in_mid_walk_is_found_to_hang_and_its_successor_holds(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with Command("faults", "live-actuator-stopped", "--phases", "1", "--out", str(out), cwd=tmp_path) as command:
+        assert command.status() == 0, command.text()
+        command.gone()
+    (row,) = json.loads((out / "faults.json").read_text(encoding="utf-8"))
+    assert (row["fault"], row["n"], row["passed"]) == ("live-actuator-stopped", 1, True)
+    assert (row["falls"], row["switched"], row["outside"], row["stopped"]) == (0, 0, 0, 1)
+    assert 1.0 < row["decided_s"]["worst"] <= 3.5
+    assert row["again_s"]["n"] == 1, "it walks on"

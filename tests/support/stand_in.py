@@ -67,6 +67,18 @@ def family() -> int:
     return ready_and_wait()
 
 
+def beating() -> int:
+    """Gives a sign of life ten times a second, as a service's loop does, until it ends when asked."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    name = os.environ["NOTIFY_SOCKET"].replace("@", "\0", 1)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as watcher:
+        watcher.sendto(b"WATCHDOG=1", name)
+        say(f"ready {os.getpid()}")
+        while True:
+            signal.sigtimedwait([], 0.1)
+            watcher.sendto(b"WATCHDOG=1", name)
+
+
 def ready_and_wait() -> int:
     say(f"ready {os.getpid()}")
     while True:
@@ -85,6 +97,7 @@ BEHAVIOURS = {
     "refuse": refuse,
     "listen": listen,
     "family": family,
+    "beating": beating,
 }
 
 if __name__ == "__main__":

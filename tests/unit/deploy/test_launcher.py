@@ -1,5 +1,6 @@
 import os
 import queue
+import re
 import select
 import signal
 import subprocess
@@ -38,8 +39,10 @@ class Ear:
                 return line.removeprefix(start).strip()
 
 
-def command(name: str, *words: str, restarts: int = 0, after: tuple[str, ...] = (), ready_port: int = 0) -> Command:
-    return Command(name, (STAND_IN, *words), {"SEXTANT_TEST": "1"}, restarts, after, ready_port)
+def command(
+    name: str, *words: str, restarts: int = 0, after: tuple[str, ...] = (), ready_port: int = 0, watchdog_s: float = 0.0
+) -> Command:
+    return Command(name, (STAND_IN, *words), {"SEXTANT_TEST": "1"}, restarts, after, ready_port, watchdog_s)
 
 
 def gone(pid_fd: int, timeout_s: float = PATIENCE_S) -> bool:
@@ -152,6 +155,28 @@ def test_a_frozen_child_ends_with_the_others(ear: Ear, watched: list[int]) -> No
         assert launcher.poll() == [], "frozen is not dead"
         assert launcher.stop() == [], "it was thawed to hear that it shall end"
         assert gone(watched[0], 0)
+
+
+def test_a_child_that_hangs_is_killed_and_started_again_and_one_that_never_beat_is_left_alone(ear: Ear) -> None:
+    commands = [
+        command("a", "beating", restarts=1, watchdog_s=1.0),
+        command("silent", "obedient", restarts=1, watchdog_s=0.01),
+        command("lively", "beating", restarts=1, watchdog_s=1.0),
+    ]
+    with Launcher(commands, ear) as launcher:
+        first = int(ear.wait_for("a", "ready"))
+        ear.wait_for("lively", "ready")
+        launcher.freeze("a")
+        (ended,) = launcher.wait(PATIENCE_S)
+        assert (ended.name, ended.restarted) == ("a", True)
+        assert re.fullmatch(r"hung: no sign of life for \d\.\d s", ended.how)
+        assert str(ended).startswith("a ended (hung: no sign of life for")
+        assert int(ear.wait_for("a", "ready")) == launcher.pid("a") != first
+        assert launcher.poll() == []
+        launcher.freeze("a")
+        (ended,) = launcher.wait(PATIENCE_S)
+        assert (ended.how[:5], ended.restarted) == ("hung:", False), "the usual restarts, no more"
+        assert launcher.poll() == [], "the others are none the worse"
 
 
 def test_what_a_child_has_started_goes_with_it(ear: Ear, watched: list[int]) -> None:

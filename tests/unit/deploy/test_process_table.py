@@ -71,6 +71,13 @@ def test_names_are_unique_and_what_is_waited_for_is_in_the_table() -> None:
     assert all(set(p.after) <= set(names) for p in process_table.TABLE)
 
 
+def test_who_holds_the_robot_may_hang_the_least_and_nobody_for_ever() -> None:
+    patience = {c.name: c.watchdog_s for c in commands(process_table.TABLE, Choices(), ENDPOINTS)}
+    assert all(0.0 < limit < float("inf") for limit in patience.values())
+    assert max(patience["actuator"], patience["stop"]) <= 1.5, "detected, killed, started, and holding within 3.5 s"
+    assert min(limit for name, limit in patience.items() if name not in ("actuator", "stop")) >= 10.0
+
+
 def test_a_scenario_reaches_the_processes() -> None:
     scenario = Scenario(
         "wild",

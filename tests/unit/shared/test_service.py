@@ -557,6 +557,26 @@ def test_live_a_beat_comes_at_its_rate_and_stops(wire: Wire) -> None:
     assert stamps[10] - stamps[0] > 30 * MS  # ten periods of 5 ms; a busy machine is late, never early by much
 
 
+@pytest.mark.parametrize("pace", [Every.hz(100), MODE])
+def test_live_the_thread_that_steps_says_that_it_lives_also_where_nothing_has_it_step(
+    wire: Wire, pace: AnyTopic | Every
+) -> None:
+    told: list[int] = []
+    threads: set[threading.Thread] = set()
+    stop = threading.Event()
+
+    def alive(now_ns: int) -> None:
+        told.append(now_ns)
+        threads.add(threading.current_thread())
+        if len(told) == 3:
+            stop.set()
+
+    run_live(Scripted("planner", pace), wire, stop, alive)
+    assert threads == {threading.current_thread()}, "so that a step that hangs is noticed"
+    assert len(told) == 3
+    assert told == sorted(told)
+
+
 def beaten(stalls: list[int], period: int) -> list[int]:
     """When beats come [ns], with work of some length before each, on a clock that nothing else moves."""
     now, came = 0, [0]

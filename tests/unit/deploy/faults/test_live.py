@@ -80,6 +80,18 @@ def test_the_actuator_is_back_when_it_opens_the_port(walk: LiveWalk) -> None:
     assert walk.returned("actuator", 4.0) == 5.4
 
 
+def test_a_process_that_was_stopped_is_away_until_it_goes_on_or_another_has_taken_its_place(
+    walk: LiveWalk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(walk._launcher, "freeze", lambda _name: None)
+    over = walk._begin(Away("actuator", kill=False, for_s=3.5), 10.0, np.random.default_rng(0))
+    assert over() == 13.5
+    walk.note_end("actuator", 11.6)
+    assert over() == 13.5
+    walk.hear_line("tap", "open 12100000000")
+    assert over() == pytest.approx(12.1)
+
+
 @given(st.lists(st.booleans(), min_size=1, max_size=5))
 def test_the_servos_pull_unless_the_last_they_were_told_is_not_to(switched: list[bool]) -> None:
     walk = LiveWalk(BY_NAME["live-off"], 1)
