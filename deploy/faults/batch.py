@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from deploy import kept, provenance
-from deploy.faults import live, walk
 from deploy.faults.cases import BY_NAME, Case
+from deploy.faults.live import LiveWalk
 from deploy.faults.score import Outcome, score
-from deploy.faults.watched import SCENARIO
+from deploy.faults.walk import FaultWalk
+from deploy.faults.watched import SCENARIO, in_walks
 from deploy.trials import fingerprint, refuse_another_program
 from deploy.workers import share_out
 
@@ -86,10 +87,10 @@ def run_faults(
 def inject(name: str, numbers: tuple[int, ...]) -> list[Injection]:
     """Inject a fault at several phases and score what happened."""
     case = BY_NAME[name]
-    run_group = live.run_group if case.live else walk.run_group
+    begin = LiveWalk if case.live else FaultWalk
     return [
         Injection(name, number, seed, line.begin_s, line.phase, line.servo, score(line, case, profile))
-        for number, seed, line, profile in run_group(case, numbers)
+        for number, seed, line, profile in in_walks(case, numbers, begin)
     ]
 
 

@@ -23,7 +23,6 @@ from services.actuator.latch import Latch
 from shared import codec, topics
 from shared import dynamixel as dxl
 from shared.messages import Mode, ModeCommand
-from shared.robot import RobotProfile
 from shared.scenario import load_scenario
 from shared.service import AnyTopic
 from shared.transport import Endpoints, ZenohLink
@@ -265,20 +264,3 @@ def commands(endpoints: Endpoints, bus: int, listen: int, seed: int) -> list[Com
             for one in (*services, operator)
         ),
     ]
-
-
-def run_group(case: Case, numbers: tuple[int, ...]) -> list[tuple[int, int, Timeline, RobotProfile]]:
-    """Inject a fault several times, in one walk as long as the robot walks on.
-
-    Returns:
-        For each number: it, the seed of its walk, what happened, and the robot.
-    """
-    found: list[tuple[int, int, Timeline, RobotProfile]] = []
-    left = deque(numbers)
-    while left:
-        seed = 1000 + left[0]
-        with LiveWalk(case, seed) as walk:
-            found.append((left[0], seed, walk.inject(left.popleft()), walk.profile))
-            while left and (walk.walks or case.lets_go):
-                found.append((left[0], seed, walk.inject(left.popleft()), walk.profile))
-    return found

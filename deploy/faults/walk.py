@@ -2,7 +2,6 @@
 
 import os
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from math import nan
@@ -14,14 +13,13 @@ import numpy as np
 from deploy.faults.cases import Away, Case, Clock, Deed, Meddling, Off, OnBus
 from deploy.faults.planner import Meddler
 from deploy.faults.timeline import Timeline
-from deploy.faults.watched import LEAST_WATCH_S, PHASES_S, REPEAT_S, SCENARIO, STEADY_S, NoWalkError, Watched
+from deploy.faults.watched import LEAST_WATCH_S, PHASES_S, REPEAT_S, SCENARIO, STEADY_S, Watched
 from deploy.lockstep_run import LockstepRun, assemble
 from services.actuator.latch import Latch
 from services.simulator.service import Simulator
 from shared import dynamixel as dxl
 from shared import topics
 from shared.messages import Mode, ModeCommand
-from shared.robot import RobotProfile
 from shared.service import AnyTopic, Outage
 
 _LOOK_NS = 20_000_000
@@ -184,29 +182,6 @@ class FaultWalk(Watched):
 
 
 _BUSES_AWAY = ("silent", "stuck", "garbage", "gone")
-
-
-def run_group(case: Case, numbers: tuple[int, ...]) -> list[tuple[int, int, Timeline, RobotProfile]]:
-    """Inject a fault several times, in one walk as long as the robot walks on.
-
-    Returns:
-        For each number: it, the seed of its walk, what happened, and the robot.
-    """
-    found: list[tuple[int, int, Timeline, RobotProfile]] = []
-    left = deque(numbers)
-    while left:
-        seed = 1000 + left[0]
-        with FaultWalk(case, seed) as walk:
-            found.append((left[0], seed, walk.inject(left.popleft()), walk.profile))
-            while left and walk.walks:
-                try:
-                    line = walk.inject(left[0])
-                except NoWalkError as error:
-                    number, seed, last, profile = found.pop()
-                    found.append((number, seed, replace(last, stuck=str(error)), profile))
-                    break
-                found.append((left.popleft(), seed, line, walk.profile))
-    return found
 
 
 def _stepped(clock: Callable[[], float], by_s: float) -> Callable[[], float]:

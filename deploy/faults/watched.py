@@ -1,16 +1,19 @@
 """A walk over level ground that is listened to while somebody breaks something, in lockstep or live."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
 from deploy.faults.cases import Case
-from deploy.faults.timeline import Truth, Word
+from deploy.faults.timeline import Timeline, Truth, Word
 from deploy.faults.wire import Goals, Outside, Recorder, Switch
 from shared import codec, topics
 from shared.messages import ActuatorState, GroundTruth, Mode
-from shared.robot import load_profile
+from shared.robot import RobotProfile, load_profile
 from shared.scenario import Goal, Plane, Scenario
 
 SCENARIO = Scenario("faults", (Plane(),), Goal(12.0), time_limit_s=600.0)
@@ -69,6 +72,22 @@ class Watched(ABC):
     def look(self, until_s: float = float("inf")) -> None:
         """Let one look's time pass, or less."""
 
+    @abstractmethod
+    def inject(self, number: int) -> Timeline:
+        """Walk until a phase that its number gives, break something, and watch until the robot walks again.
+
+        Raises:
+            NoWalkError: It does not walk by itself.
+        """
+
+    @abstractmethod
+    def __enter__(self) -> Self:
+        """Begin the walk."""
+
+    @abstractmethod
+    def __exit__(self, *_: object) -> None:
+        """Leave nothing behind."""
+
     @property
     def walks(self) -> bool:
         """Whether the robot walks on its plans, nothing being wrong."""
@@ -116,6 +135,40 @@ class Watched(ABC):
     def hear_truth(self, frame: bytes) -> None:
         """Take in how the robot truly was."""
         self._truth.append(codec.decode(frame, topics.TRUTH.type)[0])
+
+
+def in_walks(
+    case: Case, numbers: tuple[int, ...], begin: Callable[[Case, int], Watched]
+) -> list[tuple[int, int, Timeline, RobotProfile]]:
+    """Inject a fault several times, in one walk as long as the robot walks on.
+
+    Args:
+        case: The fault.
+        numbers: Each gives a phase.
+        begin: Makes a walk of a seed.
+
+    Returns:
+        For each number: it, the seed of its walk, what happened, and the robot.
+
+    Raises:
+        NoWalkError: The robot does not walk before anything was broken.
+    """
+    found: list[tuple[int, int, Timeline, RobotProfile]] = []
+    left = deque(numbers)
+    while left:
+        seed = 1000 + left[0]
+        with begin(case, seed) as walk:
+            found.append((left[0], seed, walk.inject(left[0]), walk.profile))
+            left.popleft()
+            while left and (walk.walks or case.lets_go):
+                try:
+                    line = walk.inject(left[0])
+                except NoWalkError as error:
+                    number, _, last, profile = found.pop()
+                    found.append((number, seed, replace(last, stuck=str(error)), profile))
+                    break
+                found.append((left.popleft(), seed, line, walk.profile))
+    return found
 
 
 def _as_arrays(truth: list[GroundTruth]) -> Truth:

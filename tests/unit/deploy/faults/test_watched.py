@@ -1,0 +1,63 @@
+"""Injections one after the other in one walk, and another walk where the robot does not go on."""
+
+from typing import Self
+
+import pytest
+
+from deploy.faults.cases import BY_NAME, Case
+from deploy.faults.timeline import Timeline
+from deploy.faults.watched import NoWalkError, Watched, in_walks
+from tests.support.timelines import timeline
+
+
+class Walk(Watched):
+    """One that goes on for so many injections as is said, stands then, or cannot be had to walk."""
+
+    start_s = 1.0
+    lasts: list[int]  # of the walks to come
+    stuck: bool
+    seeds: list[int]
+
+    def __init__(self, case: Case, seed: int):
+        super().__init__(case)
+        self.seeds.append(seed)
+        self._left = self.lasts.pop(0)
+
+    @property
+    def now_s(self) -> float:
+        return 0.0
+
+    @property
+    def walks(self) -> bool:
+        return self._left > 0 or self.stuck
+
+    def look(self, until_s: float = float("inf")) -> None:
+        raise AssertionError("nobody looks")
+
+    def inject(self, number: int) -> Timeline:
+        if self._left == 0:
+            raise NoWalkError("it stands")
+        self._left -= 1
+        return timeline()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+@pytest.mark.parametrize("stuck", [True, False])
+def test_every_number_is_injected_once_in_as_few_walks_as_go_on(stuck: bool) -> None:
+    Walk.lasts, Walk.stuck, Walk.seeds = [2, 1, 3], stuck, []
+    found = in_walks(BY_NAME["planner-killed"], (4, 5, 6, 7, 8), Walk)
+    assert [number for number, *_ in found] == [4, 5, 6, 7, 8]
+    assert [seed for _, seed, *_ in found] == [1004, 1004, 1006, 1007, 1007]
+    assert Walk.seeds == [1004, 1006, 1007]
+    assert [line.stuck for _, _, line, _ in found] == ["", "it stands" * stuck, "it stands" * stuck, "", ""]
+
+
+def test_a_robot_that_does_not_walk_at_all_is_an_error() -> None:
+    Walk.lasts, Walk.stuck, Walk.seeds = [0], True, []
+    with pytest.raises(NoWalkError, match="it stands"):
+        in_walks(BY_NAME["planner-killed"], (0,), Walk)
