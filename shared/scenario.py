@@ -477,7 +477,8 @@ class Fault:
     service: Literal["perception", "mapper", "planner", "actuator", "camera"]
     # A camera is absent (unplugged), or sends the same picture, nothing in range, or noise; it is the simulator's.
     kind: Literal["kill", "hang", "absent", "frozen", "blind", "noise"] = "kill"
-    for_s: float = 2.0  # [s] until it is back; a live run restarts a killed process by itself
+    # [s] until it is back. A live run starts a killed process again by itself, and one that hangs for longer than it may.
+    for_s: float = 2.0
 
     def __post_init__(self) -> None:
         _expect(self.at_s >= 0, "a time of at least 0 s", self.at_s)
