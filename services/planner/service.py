@@ -14,7 +14,7 @@ from services.planner.holes import Holes
 from services.planner.passage.errand import Move, Over, Refused, Standing
 from services.planner.passage.mode import PassageMode
 from services.planner.pilot import Heading, Pilot, objection
-from services.planner.refusals import Refusals
+from services.planner.refusals import Refusals, Way
 from services.planner.route import NoWay
 from services.planner.stride import Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, plane_of
@@ -176,7 +176,7 @@ class Planner:
         if state.phase < self._settings.plan_from:
             return None
         if command is not None:
-            return self._next_step(state, pose, command, terrain)
+            return self._first_that_goes((command,), state, pose, terrain)
         assert goal is not None
         return self._towards(goal, state, pose, terrain, inbox)
 
@@ -202,7 +202,7 @@ class Planner:
         if nonsense:
             return self._hold("blocked", nonsense)
         with self.stages("plan step"):
-            found, way = self._by_touch.choose(situations, terrain, self._refusals.ways)
+            found, way = self._by_touch.choose(situations, terrain, self._refusals.of(0))
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
             if self._refusals.count:
@@ -211,7 +211,7 @@ class Planner:
             return self._hold("blocked", f"by touch: {found.reason}", found.leg)
         self._state, self._blocked_leg = "stepping", -1
         self._reason = "by touch: feet find the ground"
-        return self._send(state, pose.T_world_odom, found, state.step + 1, way, stop=True)
+        return self._send(state, pose.T_world_odom, found, state.step + 1, (0, way), stop=True)
 
     def _towards(self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain, inbox: Inbox) -> "_Sent | None":
         """The next step on the way to a goal; where one on the way does not go, walking without turning, or turning alone."""
@@ -237,15 +237,28 @@ class Planner:
         return sent
 
     def _walk_by(self, found: Heading, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
-        """The next step by the first command that can be walked."""
-        sent = None
-        for command in found.commands:
-            sent = self._next_step(state, pose, command, terrain)
-            if sent is not None:
-                break
+        """The next step by the first command that can be walked, and what leads it, in words."""
+        sent = self._first_that_goes(found.commands, state, pose, terrain)
         if sent is not None:
             self._reason = f"{found.words}; {self._reason}"
         return sent
+
+    def _first_that_goes(
+        self, commands: tuple[VelocityCommand, ...], state: ActuatorState, pose: BodyPose, terrain: Terrain
+    ) -> "_Sent | None":
+        """The next step by the first command that the ground, and the actuator, allow; none where every way was refused."""
+        if commands and _differ(commands[0], self._asked):
+            self._refusals.forget()
+            self._asked = commands[0]
+        for number, command in enumerate(commands):
+            sent = self._next_step(state, pose, command, terrain, number)
+            if sent is not None:
+                return sent
+        if self._refusals.count:
+            self._refusals.give_up()
+            self._due_ns = state.stamp_ns + _TRY_AGAIN_NS
+            return self._hold("blocked", self._refusals.words())
+        return None
 
     def _across(
         self, goal: Goal, state: ActuatorState, pose: BodyPose, terrain: Terrain | None, inbox: Inbox, no_way: str = ""
@@ -265,7 +278,7 @@ class Planner:
             return None if state.phase < self._settings.plan_from else self._walk_by(led, state, pose, terrain)
         if isinstance(led, Move):
             self._state, self._reason, self._blocked_leg = "stepping", led.words, -1
-            return self._send(state, pose.T_world_odom, led.stride, led.number, 0, stop=led.stop)
+            return self._send(state, pose.T_world_odom, led.stride, led.number, (0, 0), stop=led.stop)
         if isinstance(led, Refused):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
             both = f"{no_way}; and no passage: {led.reason}" if no_way else f"no passage: {led.reason}"
@@ -281,24 +294,20 @@ class Planner:
         map_ = inbox.fresh(topics.TERRAIN, self._settings.map_age_s)
         return None if map_ is None else self._holes.marked(Terrain(map_, self._settings.footholds))
 
-    def _next_step(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain) -> "_Sent | None":
+    def _next_step(
+        self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain, number: int
+    ) -> "_Sent | None":
+        """The next step by one of the commands, by its number."""
         situations = self._situations(state, pose, command)
         if not situations:
             return self._hold("waiting", _NOT_MINE)
         nonsense = self._strides.objection(command)
         if nonsense:
             return self._hold("blocked", nonsense)
-        if _differ(command, self._asked):
-            self._refusals.forget()
-            self._asked = command
         with self.stages("plan step"):
-            found, way = self._strides.choose(situations, terrain, self._refusals.ways)
+            found, way = self._strides.choose(situations, terrain, self._refusals.of(number))
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
-            if self._refusals.count:
-                self._refusals.give_up()
-                self._due_ns = state.stamp_ns + _TRY_AGAIN_NS
-                return self._hold("blocked", self._refusals.words())
             return self._hold("blocked", found.reason + self._where_to_look(found, command), found.leg)
         if self._refusals.given_up:
             self._state, self._reason = "blocked", self._refusals.words()
@@ -309,7 +318,7 @@ class Planner:
             instead = f"; instead of legs that cannot: {found.instead}" if found.instead else ""
             moved = f"{found.moved} of {found.swing.sum()} footholds moved from their nominal place"
             self._reason = f"{moved}{shorter}{slower}{instead}"
-        return self._send(state, pose.T_world_odom, found, state.step + 1, way)
+        return self._send(state, pose.T_world_odom, found, state.step + 1, (number, way))
 
     def _where_to_look(self, found: Blocked, command: VelocityCommand) -> str:
         """What to do first where the ground that is walked to was never in view, in words; a goal's pilot does it by itself."""
@@ -374,7 +383,7 @@ class Planner:
         return self._send(state, T_world_odom, stride, plan.step, running.way, plan.stop)
 
     def _send(
-        self, state: ActuatorState, T_world_odom: Array, stride: Stride, number: int, way: int, stop: bool = False
+        self, state: ActuatorState, T_world_odom: Array, stride: Stride, number: int, way: Way, stop: bool = False
     ) -> "_Sent":
         """A plan of a step, as the next revision of it."""
         revision = 1 + max((s.plan.revision for s in self._sent if s.plan.step == number), default=0)
@@ -427,7 +436,7 @@ class _Sent:
 
     plan: StepPlan
     stride: Stride
-    way: int  # of taking the step, see `StridePlanner.choose`
+    way: Way  # of taking the step
 
 
 def _paced(command: VelocityCommand | None, pace: float) -> VelocityCommand | None:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from services.planner.config import Settings
+from services.planner.pilot import Heading
 from services.planner.service import Planner
-from services.planner.stride import SHARES
+from services.planner.stride import SHARES, Blocked
 from services.planner.terrain import Terrain, flat_terrain
 from shared import codec, topics
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
@@ -432,6 +433,27 @@ def test_where_the_ground_forbids_shorter_steps_the_other_legs_are_asked(make_te
     rig.terrain = make_terrain(score=only_there).map
     plans = refused(rig, 60)
     assert any((p.swing != first.swing).any() for p in plans)
+
+
+def test_on_the_way_to_a_goal_too_a_refused_step_is_not_asked_for_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first command is one that the ground forbids; by the second every way is tried, though both are asked each time."""
+    rig = Rig()
+    rig.command, rig.goal = None, towards((1.0, 0.0))
+    straight = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
+    turning = replace(straight, yaw_rate=0.3)
+    choose = rig.planner._strides.choose
+    blocked = Blocked("the ground forbids it")
+    monkeypatch.setattr(
+        rig.planner._strides, "choose", lambda at, *more: (blocked, 0) if at[0].command.yaw_rate else choose(at, *more)
+    )
+    monkeypatch.setattr(rig.planner._pilot, "lead", lambda *_: Heading((turning, straight), "to a goal"))
+    first, again, *others = refused(rig, 100)
+    np.testing.assert_array_equal(again.touchdown, first.touchdown)
+    assert len(others) > 3
+    assert any((plan.swing != first.swing).any() for plan in others)
+    status = rig.status()
+    assert status.state == "blocked"
+    assert "the actuator refuses every step" in status.reason
 
 
 @pytest.mark.parametrize(
