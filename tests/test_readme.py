@@ -10,6 +10,7 @@ import pytest
 
 from deploy import cli, kept, passage_table
 from deploy.campaign_table import WALKED, Campaign, markdown, of_runs
+from deploy.faults import table as fault_table
 
 ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
@@ -46,6 +47,9 @@ RUN_BY = {
     "bench passage": "tests/unit/deploy/test_bench.py::test_the_passage_command_leaves_its_table",
     "bench stages": "tests/unit/deploy/test_bench.py::test_the_stages_command_leaves_timings_and_a_picture",
     "compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
+    "faults": "tests/walk/test_faults_command.py::test_faults_are_injected_held_to_their_limits_and_not_done_again",
+    "faults --live": "tests/live/test_live_faults.py::"
+    "test_an_actuator_that_is_killed_in_mid_walk_is_back_and_holds_without_a_jump",
     "bench bus": "tests/unit/deploy/test_bench_bus.py::test_the_bus_command_leaves_its_table",
     "bench start": "tests/unit/deploy/test_bench_start.py::test_the_start_command_leaves_its_figures",
     "bench servos": "tests/unit/deploy/test_bench_servos.py::test_the_servos_command_leaves_its_figures",
@@ -69,7 +73,9 @@ def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
     pairs = (["trials", "all"], ["trials", "passages"], ["trials", "table"], ["demo", "gap"])
     group = words[:2] if words[0] in ("topics", "bench", "servos") or words[:2] in pairs else words[:1]
-    ways = [word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait", "--bridge")]
+    ways = [
+        word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait", "--bridge", "--live")
+    ]
     files = ["FILE"] if words[-1].endswith(".mcap") else []
     return " ".join(group + files + ways)
 
@@ -141,6 +147,14 @@ def test_the_tables_of_the_passages_are_those_that_a_command_prints() -> None:
     for printed in (markdown(of_runs(runs), "passages"), passage_table.markdown(runs)):
         for words in printed.splitlines():
             assert words in text
+
+
+@pytest.mark.parametrize("name", ["faults", "faults_live"])
+def test_the_tables_of_the_faults_are_those_that_the_command_prints(name: str) -> None:
+    text = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
+    printed = fault_table.markdown(fault_table.from_json((ROOT / "docs" / f"{name}.json").read_text(encoding="utf-8")))
+    for words in printed.splitlines():
+        assert words in text
 
 
 def test_the_table_of_missteps_has_the_headings_that_a_command_prints() -> None:

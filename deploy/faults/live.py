@@ -29,7 +29,6 @@ from shared.transport import Endpoints, ZenohLink
 
 _GROUND = "flat"  # the scenario that the simulator is given: level ground
 _LOOK_S = 0.02
-_STALE_S = 0.25  # [s] after which an actuator that says nothing does not walk
 _SETTLE_S = 0.5  # [s] after a fault's end before which nothing is over
 _AGAIN_S = 0.3  # [s] from one crash to the next
 _BACK_S = 15.0  # [s] in which a killed process must be back
@@ -81,11 +80,6 @@ class LiveWalk(Watched):
     def __exit__(self, *_: object) -> None:
         """End all processes."""
         self._stack.close()
-
-    @property
-    def walks(self) -> bool:
-        """Whether the robot walks on its plans, nothing being wrong, by a word that is no older than it may be."""
-        return super().walks and self.now_s - self.words[-1].t_s < _STALE_S
 
     def inject(self, number: int) -> Timeline:
         """Walk until a phase that its number gives, break something, and watch until the robot walks again.

@@ -41,7 +41,7 @@ class Outcome:
     falls: int
     again_s: float  # until it walks again, from the fault's end on
     jump_deg: float  # largest change of a joint, or of its goal, in 20 ms, from the fault's end until it walks again
-    lunge_dps: float  # [deg/s] fastest joint over 0.2 s, from the reset of a shutdown until it walks again; 0 without a reset
+    lunge_dps: float  # [deg/s] of a joint over 0.2 s, from the reset of its shutdown until the robot walks again; 0 without
     switched: bool  # whether torque was, by anybody on the bus
     off_s: float  # until all servos that hear have heard that torque is off; see `off_time`
     goals_before_off: int  # sent after the order, or the bus' return, and before torque was
@@ -77,7 +77,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         falls=int(_falls(line, profile)),
         again_s=again - line.end_s,
         jump_deg=_jump(line, *quiet, profile) if np.isfinite(decided) else 0.0,
-        lunge_dps=_fastest(line.truth, reset, again if np.isfinite(again) else inf),
+        lunge_dps=_fastest(line, reset, again if np.isfinite(again) else inf, profile),
         switched=any(s.heard and s.register is dxl.TORQUE_ENABLE and s.t_s > line.begin_s for s in line.switches),
         off_s=off_s,
         goals_before_off=before,
@@ -199,14 +199,14 @@ def _jump(line: Timeline, from_s: float, until_s: float, profile: RobotProfile) 
     return float(max(joints, goals))
 
 
-def _fastest(truth: Truth, from_s: float, until_s: float) -> float:
-    """Speed [deg/s] of the fastest joint over any fifth of a second: for less than that a loaded leg springs back."""
-    rows = (truth.t >= from_s) & (truth.t <= until_s)
-    t, q = truth.t[rows], truth.q[rows]
-    if len(t) < 2:
+def _fastest(line: Timeline, from_s: float, until_s: float, profile: RobotProfile) -> float:
+    """Speed [deg/s] of the joint that is reset over any fifth of a second: for less than that a loaded leg springs back."""
+    rows = (line.truth.t >= from_s) & (line.truth.t <= until_s)
+    t, q = line.truth.t[rows], line.truth.q[rows][:, profile.servo_ids == line.servo]
+    if len(t) < 2 or not q.size:
         return 0.0
     apart = min(max(1, round(_SPRINGS_S / float(np.median(np.diff(t))))), len(t) - 1)
-    way = np.abs(q[apart:] - q[:-apart]) / (t[apart:] - t[:-apart])[:, None, None]
+    way = np.abs(q[apart:] - q[:-apart]) / (t[apart:] - t[:-apart])[:, None]
     return float(np.degrees(way).max())
 
 

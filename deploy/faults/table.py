@@ -140,7 +140,7 @@ _AT_MOST = (  # name, rounding allowed, words, unit, factor
     ("rest_s", 1e-6, "at rest within", "ms", 1e3),
     ("again_s", 1e-6, "walks again within", "s", 1.0),
     ("jump_deg", 1e-6, "joints jump by at most", "deg", 1.0),
-    ("lunge_dps", 1e-6, "joints after a reset at most", "deg/s", 1.0),
+    ("lunge_dps", 1e-6, "the joint after its reset at most", "deg/s", 1.0),
     ("off_s", 1e-6, "torque off within", "ms", 1e3),
     ("cycle_s", 1e-6, "cycle p99 at most", "ms", 1e3),
 )

@@ -108,14 +108,16 @@ def test_a_goal_that_is_to_be_approached_slowly_is_no_jump() -> None:
     assert score(timeline(*said, goals=goals), KILLED, PROFILE).jump_deg == pytest.approx(0.5, rel=0.02)
 
 
-def test_a_lunge_is_the_fastest_joint_after_a_reset_and_none_without() -> None:
+def test_a_lunge_is_of_the_joint_that_was_reset_and_none_without() -> None:
     truth = standing()
     after = truth.t > BEGIN_S + 1.0
     truth.q[after, 3, 1] = np.radians(20.0) * (truth.t[after] - BEGIN_S - 1.0)
     reset = Switch(BEGIN_S + 0.9, True, dxl.TORQUE_LIMIT, {16: 1023})
     said = (word(0.1, Mode.FAULT), word(3.9, Mode.WALK, "walking"))
     case = BY_NAME["overload"]
-    assert score(timeline(*said, truth=truth, switches=(reset,)), case, PROFILE).lunge_dps == pytest.approx(20.0, rel=1e-3)
+    of_it = score(timeline(*said, truth=truth, switches=(reset,), servo=int(PROFILE.servo_ids[3, 1])), case, PROFILE)
+    assert of_it.lunge_dps == pytest.approx(20.0, rel=1e-3)
+    assert score(timeline(*said, truth=truth, switches=(reset,), servo=1), case, PROFILE).lunge_dps == 0.0
     assert score(timeline(*said, truth=truth), case, PROFILE).lunge_dps == 0.0
 
 

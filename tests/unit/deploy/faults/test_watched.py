@@ -1,5 +1,6 @@
 """Injections one after the other in one walk, and another walk where the robot does not go on."""
 
+from dataclasses import replace
 from typing import Self
 
 import pytest
@@ -7,6 +8,9 @@ import pytest
 from deploy.faults.cases import BY_NAME, Case
 from deploy.faults.timeline import Timeline
 from deploy.faults.watched import NoWalkError, Watched, in_walks
+from shared import codec
+from shared.messages import Mode
+from tests.support.states import actuator_state
 from tests.support.timelines import timeline
 
 
@@ -61,3 +65,25 @@ def test_a_robot_that_does_not_walk_at_all_is_an_error() -> None:
     Walk.lasts, Walk.stuck, Walk.seeds = [0], True, []
     with pytest.raises(NoWalkError, match="it stands"):
         in_walks(BY_NAME["planner-killed"], (0,), Walk)
+
+
+def test_a_robot_whose_actuator_says_nothing_does_not_walk() -> None:
+    now = [1.0]
+
+    class Silent(Walk):
+        @property
+        def now_s(self) -> float:
+            return now[0]
+
+        @property
+        def walks(self) -> bool:
+            return Watched.walks.fget(self)  # type: ignore[attr-defined,no-any-return]
+
+    Walk.lasts, Walk.stuck, Walk.seeds = [0], False, []
+    walk = Silent(BY_NAME["planner-killed"], 0)
+    assert not walk.walks
+    walking = replace(actuator_state(walk.profile), mode=Mode.WALK, reason="walking", stamp_ns=1_000_000_000)
+    walk.hear_state(codec.encode(walking))
+    assert walk.walks
+    now[0] = 1.3
+    assert not walk.walks

@@ -1,0 +1,30 @@
+"""`sextant faults` as its user runs it: walks that are broken in earnest, a table, and nothing done twice."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from deploy.cli import main
+from deploy.commands.common import SUCCESS
+
+FAULTS = ("planner-hung", "servo-silent", "overload", "sag", "off-bytes-garbage")
+
+
+def test_faults_are_injected_held_to_their_limits_and_not_done_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["faults", *FAULTS, "--phases", "1", "--out", str(tmp_path)]) == SUCCESS, (tmp_path / "faults.md").read_text()
+    table = json.loads((tmp_path / "faults.json").read_text())
+    assert [(row["fault"], row["n"], row["passed"], row["falls"]) for row in table] == [(name, 1, True, 0) for name in FAULTS]
+    hung, silent, overload, sag, off = table
+    assert 0.1 < hung["decided_s"]["worst"] < hung["rest_s"]["worst"] < 0.7
+    assert silent["decided_s"]["worst"] < 0.25
+    assert 0.0 < overload["lunge_dps"]["worst"] <= 30.0
+    assert (sag["stopped"], off["switched"]) == (0, 1)
+    assert off["off_s"]["worst"] <= 0.06
+    lines = (tmp_path / "faults.jsonl").read_bytes()
+    capsys.readouterr()
+    assert main(["faults", *FAULTS, "--phases", "1", "--out", str(tmp_path)]) == SUCCESS
+    assert "5 of 5 injections are done already" in capsys.readouterr().out
+    assert (tmp_path / "faults.jsonl").read_bytes() == lines
