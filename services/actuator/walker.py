@@ -51,6 +51,7 @@ _SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is me
 _WAIT_S, _LONGER_S = 0.07, 0.12  # [s] for which it waits for them, and for those that by their last reading may stand
 _BACK_S = 1.4  # [s] in which a step is taken back
 _SOON_S = 0.30  # [s] in which feet in the air are on the ground, once the robot has to stand
+_NEARLY_BACK = 0.015  # [m] over where it stood, below which a foot that goes back may meet ground: to turn round feels like it
 _LOW = 0.010  # [m] clearance of feet that go back to where they have just come from
 
 
@@ -119,6 +120,7 @@ class Walker:
         self._way_back: StepPlan | None = None  # of the last step, {world} being {cmd}
         self._waited = 0.0  # [s] before lift-off, for legs that have yet to prove that they stand
         self._hurry = 1.0  # times as fast as planned
+        self._returning = False  # whether feet go back to where they have just come from
         self._taking_back = False  # whether the last swing was none of a plan: there is no way back from it
         self._findings: list[Finding] = []
         self.trouble = ""  # what happened to the last step, in words; empty when it went as planned
@@ -283,6 +285,7 @@ class Walker:
         again = replace(back, step=self.step, clearance=np.full(6, _LOW), duration=duration)
         self._begin(replace(again, T_world_odom=inverse(self._T_odom_cmd)))
         self._elapsed = self._settings.unload_s  # they carry nothing
+        self._returning = True
         self.trouble = "the step is taken back"
 
     def _begin(self, plan: StepPlan) -> None:
@@ -290,7 +293,7 @@ class Walker:
         self.plan_ns = plan.stamp_ns
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
         self._start_ref, self._start_velocity = self._ref.copy(), self._velocity.copy()
-        self._flight, self._waited, self._hurry = None, 0.0, 1.0
+        self._flight, self._waited, self._hurry, self._returning = None, 0.0, 1.0, False
         self._stopped &= ~plan.swing
 
     def _advance(self, dt: float, plan: StepPlan, felt: Felt | None) -> None:
@@ -328,7 +331,10 @@ class Walker:
             self._flight = _ARCS[self._settings.arc](self._feet[legs], targets[legs], plan.clearance[legs])
         since, until = self._progress(plan, before), self._progress(plan, self._elapsed)
         if felt is not None and since >= _STOP_FROM:
-            self._stop(legs & ~self._stopped & (felt.touches | felt.heaves), targets, felt.feet)
+            met = legs & ~self._stopped & (felt.touches | felt.heaves)
+            if self._returning:
+                met &= self._feet[:, 2] - targets[:, 2] < _NEARLY_BACK
+            self._stop(met, targets, felt.feet)
             self._proven &= ~felt.heaves  # the body may have tilted for another reason
         load_s = self._settings.load_s
         self._share[legs & ~self._stopped] = max(0.0, (self._elapsed - end) / load_s)

@@ -170,6 +170,22 @@ def test_set_down_stands_soon_on_places_that_were_found_good(at: float, duration
     assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.4
 
 
+@pytest.mark.parametrize("at", [0.22, 0.3])
+def test_feet_that_turn_round_in_mid_air_take_that_for_no_ground(at: float) -> None:
+    walker = new_walker()
+    stood = walker.feet_odom
+    walker.accept(plan_to(1, body_at(0.04), duration=1.0))
+    cycle(walker)
+    while walker.phase < at:
+        cycle(walker)
+    assert (walker.feet_odom[TRIPOD, 2] - stood[TRIPOD, 2] > 0.016).any()
+    walker.set_down()
+    while not walker.resting:
+        high = walker.feet_odom[:, 2] - stood[:, 2] > 0.016
+        walker.update(DT, walker.body_ref, Felt(TRIPOD & high, ALL, walker.feet_odom))
+    np.testing.assert_allclose(walker.feet_odom[TRIPOD], stood[TRIPOD], atol=1e-3)
+
+
 def test_set_down_leaves_alone_what_is_no_plan() -> None:
     walker = new_walker()
     walker.set_down()
