@@ -60,7 +60,7 @@ DEMOS = {
         "summary.png shows the crossing: where feet could stand, what was planned at each stop, and how it was walked.",
     ),
 }
-_TALKING = "Five processes talk over Zenoh; the simulator is only a camera and a servo bus to them."
+_TALKING = "Six processes talk over Zenoh; the simulator is only a camera and a servo bus to them."
 _LINE = 119  # characters
 
 

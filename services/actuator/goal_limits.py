@@ -25,7 +25,7 @@ class GoalLimits:
         self._gentle[leg, joint] = self.behind[leg, joint] = True
 
     def forget(self) -> None:
-        """No joint takes up anything: torque is off."""
+        """No joint takes up anything: torque is off, or all joints stay where they are."""
         self._gentle[:] = self.behind[:] = False
 
     def safe(self, q_goal: Array, q_last: Array, dt: float) -> tuple[Array, str]:

@@ -13,7 +13,7 @@ SILENT = 4  # questions in a row that a servo has left open, from which it count
 _QUIET_S = 0.1  # [s] without any reading from which it is the bus, and no servo, that is silent
 _LOSS = 0.30  # share of the questions of late without a usable answer, from which nobody knows how the robot stands
 _LATE, _LATE_CYCLES = 2.0, 5  # periods that a cycle may take, and how many in a row may take longer
-_GAP_S = 0.2  # [s] between two cycles in which nobody has led the robot
+GAP_S = 0.2  # [s] between two cycles in which nobody has led the robot
 _WARM, _HOT = 12.0, 5.0  # [K] below the servos' own limit: from here on slower; from here on to the ground
 _LOW_S, _SETTLED_S = 1.0, 0.3  # [s] for which the voltage must be low, and its time constant
 _TIRED, _SPENT = 0.36, 0.50  # rms share of the stall torque of late: from here on slower; slowest
@@ -120,7 +120,7 @@ class Health:
 
     def _delay(self, dt: float) -> str:
         """Why the computer cannot lead the servos, in words."""
-        if dt > _GAP_S:
+        if dt > GAP_S:
             return f"the computer has kept the actuator waiting for {dt:.1f} s"
         if self._late >= _LATE_CYCLES:
             return f"the computer is too slow: {self._late} cycles in a row took more than {_LATE * self._period * 1e3:.0f} ms"

@@ -16,15 +16,13 @@ from shared.dynamixel import ServoError
 from shared.geometry import Array
 from shared.robot import RobotProfile
 
-_PATIENCE_NS = (
-    3_000_000_000  # [ns] that servos may take to answer at the start: a simulation that begins is late, a hub wakes up
-)
+# [ns] that servos may take to answer at the start: a simulation that begins is late, a hub wakes up.
+_PATIENCE_NS = 3_000_000_000
 _ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
 _AGAIN_NS = 200_000_000  # [ns] between two attempts at finding a bus that is gone
+# What tells how a servo stands, and the block of its table that holds it.
 _STANDS = (dxl.MAX_TORQUE, dxl.TORQUE_ENABLE, dxl.GOAL_POSITION, dxl.TORQUE_LIMIT, dxl.PRESENT_POSITION)
-_BLOCK = range(
-    dxl.MAX_TORQUE.address, dxl.PRESENT_POSITION.address + dxl.PRESENT_POSITION.size
-)  # what tells how a servo stands
+_BLOCK = range(dxl.MAX_TORQUE.address, dxl.PRESENT_POSITION.address + dxl.PRESENT_POSITION.size)
 _TRIES = 3  # questions to one servo of a bus that is back
 _DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: nobody may hear what is sent; nobody knows how the robot stands
 _WATCHED_NS = 200_000_000  # [ns] of reading before the share of lost answers counts
@@ -70,9 +68,7 @@ class Joints:
         self._since_ns = -1  # since when the bus has been read without a gap
         self.gone = ""  # why there is no bus, in words
         self._doubted = np.zeros(18, dtype=np.bool_)  # servos that have been silent since it was seen that they pull
-        self._behind = np.zeros(
-            18, dtype=np.bool_
-        )  # servos that have missed goals: they go on slowly until they have caught up
+        self._behind = np.zeros(18, dtype=np.bool_)  # servos that missed goals: they go slowly until they have caught up
         self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those were heard again, 0 before
         self.out_of_touch = False  # whether all of them have, and are not heard and caught up yet
         self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; as they stand in the servos

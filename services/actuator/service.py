@@ -15,7 +15,7 @@ from services.actuator.contact import ContactEstimate
 from services.actuator.feeler import FEMUR, Feeler, Felt
 from services.actuator.goal_limits import GoalLimits
 from services.actuator.guard import Act, Guard, Legs
-from services.actuator.health import Health, Verdict
+from services.actuator.health import GAP_S, Health, Verdict
 from services.actuator.joints import Joints
 from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward, sag_feed_forward
@@ -33,7 +33,6 @@ from shared.service import AnyTopic, Every, Inbox, Stages
 _STANDS = 0.5  # share of its load from which a leg counts as standing
 _SLIPS = 0.01  # [m] against the others from which a standing foot is said to slip; rolling and looseness are some millimetres
 _LIFTED = 0.01  # [m] over the standing feet from which a foot without load is in the air
-_ALONE_S = 0.2  # [s] between two cycles from which the legs count as led by nobody meanwhile
 _BALANCED = (Mode.HOLD, Mode.WALK)  # modes in which legs follow an inertial sensor
 
 
@@ -96,8 +95,10 @@ class Actuator:
         self._posing: StandUp | LieDown | None = None  # what moves the legs in place of the walk
         self._still = False  # whether the legs stay as they are told
         self._away = False  # whether in the last cycle nobody knew how the servos fare
+        self._lowering = False  # whether feet that were found in the air come down: all joints go gently, whatever feet meet
         self._T_world_odom: Array = np.eye(4)
-        if self._take_over(torque, self._joints.read_loads()):
+        self._take_over(torque, self._joints.read_loads())
+        if self._lowering:
             self._guard.reason = "torque was on at the start; lowering the feet that are in the air"
 
     def __enter__(self) -> Self:
@@ -212,7 +213,7 @@ class Actuator:
     def _see_to_gaps(self, elapsed: float) -> None:
         """Begin anew, gently, where nobody has led the legs for a while: the bus was away, or this process."""
         away, self._away = self._away, self._joints.out_of_touch
-        if elapsed > _ALONE_S and self._guard.mode is not Mode.OFF:
+        if elapsed > GAP_S and self._guard.mode is not Mode.OFF:
             self._joints.lose_touch()
         elif away and not self._away and not self._still and self._posing is None:
             self._take_over(self._guard.mode is not Mode.OFF, self._joints.load)
@@ -257,6 +258,7 @@ class Actuator:
                     if self._latch is not None:
                         self._latch.open()
                     self._joints.grip()
+                    self._limits.forget()
                     self._still, self._posing = True, None
                     self._q_wanted = self._joints.goals.copy()
                     self._q_wanted_when_read = self._q_wanted.copy()
@@ -272,6 +274,7 @@ class Actuator:
                 case Act.SET_DOWN:
                     self._walker.set_down()
                 case Act.FREEZE:
+                    self._limits.forget()
                     self._posing, self._still = None, True
 
     # ------------------------------------------------------------------------------------------------------------ moves
@@ -283,6 +286,9 @@ class Actuator:
         if self._posing is not None:
             targets = self._posing.update(dt)
         else:
+            self._lowering &= not self._walker.resting
+            if self._lowering:
+                self._ease()
             # A leg whose servo is silent, or limp, is taken to stand where the plan says: it can be asked for nothing.
             stands = self._feeler.bears | self._feeler.silent(self._clock()) | self._joints.limp_legs
             feet, awaiting = self._odometry.feet, self._walker.awaiting
@@ -327,18 +333,15 @@ class Actuator:
 
     def _send(self, goals: Array) -> None:
         """Send goals, unless torque is to be off or they are too old: this process may have been stopped in mid-cycle."""
-        if not self._latched() and self._clock() - self._last_ns < _ALONE_S * 1e9:
+        if not self._latched() and self._clock() - self._last_ns < GAP_S * 1e9:
             self._joints.write(goals)
 
-    def _take_over(self, torque: bool, load: Array) -> bool:
+    def _take_over(self, torque: bool, load: Array) -> None:
         """Begin where the robot stands; feet in the air, since somebody ended in mid-step, come down gently.
 
         Args:
             torque: Whether torque is on.
             load: (6, 3) [N m] of the motors.
-
-        Returns:
-            Whether there are such feet.
         """
         q = self._joints.q
         if torque:
@@ -347,10 +350,9 @@ class Actuator:
         standing = carrying if torque and carrying.sum() >= 3 else np.ones(6, dtype=np.bool_)
         self._stand_on(q, standing=standing)
         lifted = (self._odometry.anchors[:, 2] - self._profile.foot.radius > _LIFTED) & ~standing
-        if torque and lifted.any():
+        self._lowering = torque and bool(lifted.any())
+        if self._lowering:
             self._walker.lower(lifted, self._profile.foot.radius)
-            return True
-        return False
 
     def _stand_on(self, q: Array, feet: Array | None = None, standing: NDArray[np.bool_] | None = None) -> None:
         """Begin odometry and walk anew: the ground is level at z = 0 under the standing feet, the body over their middle."""

@@ -496,6 +496,26 @@ def test_nobody_walks_on_before_a_servo_that_was_reset_is_where_the_others_are()
     assert abs(rig.joint(row) - limp) > np.radians(3.0), "it is on its way down, and nearly there"
 
 
+def test_a_robot_that_is_made_ready_while_a_servo_catches_up_may_stand() -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    rig.cycle(14)
+    row = IDS.index(16)
+    rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
+    shut_down(rig, row)
+    rig.stuck[row] = rig.joint(row)
+    while rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == bytes(2):
+        rig.cycle()
+    del rig.stuck[row]
+    state = rig.cycle(4)
+    assert "takes up its work again" in state.reason
+    rig.command("ready")
+    state = rig.cycle(20)
+    assert state.mode is Mode.READY
+    rig.command("stand")
+    assert rig.cycle(2).mode is Mode.STAND
+
+
 def test_a_fault_while_standing_up_is_not_forgotten() -> None:
     rig = Rig(CRAWL, torque=False)
     rig.cycle(2)
