@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf, nan
 from typing import Self
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,7 @@ from numpy.typing import NDArray
 from deploy import process_table
 from deploy.faults import hog, tap
 from deploy.faults.cases import Away, Case, Deed, Hogs, Off
-from deploy.faults.timeline import Timeline
-from deploy.faults.watched import LEAST_WATCH_S, PHASES_S, STEADY_S, NoWalkError, Watched
+from deploy.faults.watched import LEAST_WATCH_S, Seen, Watched
 from deploy.launcher import Launcher, free_port
 from deploy.process_table import ENVIRONMENT, Command
 from services.actuator.latch import Latch
@@ -81,38 +79,15 @@ class LiveWalk(Watched):
         """End all processes."""
         self._stack.close()
 
-    def inject(self, number: int) -> Timeline:
-        """Walk until a phase that its number gives, break something, and watch until the robot walks again.
-
-        Raises:
-            NoWalkError: It does not walk by itself.
-        """
-        rng = np.random.default_rng([crc32(self._case.name.encode()), number])
+    def walk_for(self, length_s: float) -> None:
+        """Have it stand up again where it has let go; then as all."""
         if self.state is not None and self.state.mode is Mode.OFF:
             self._launcher.kill("operator")  # a new one has the robot stand up
-        try:
-            self.walk_for(STEADY_S + PHASES_S * rng.random())
-        except NoWalkError as error:
-            raise NoWalkError(f"{error}; the processes' last words: {' / '.join(list(self._said)[-5:])}") from None
-        mark, begin = self.mark(), self.now_s
-        assert self.state is not None
-        phase = self.state.phase
-        end, ordered, returned = self._break_and_watch(begin, rng)
-        heard = self.since(mark)
-        return Timeline(
-            begin_s=begin,
-            end_s=end,
-            servo=-1,
-            phase=phase,
-            words=heard.words,
-            truth=heard.truth,
-            goals=heard.goals,
-            switches=heard.switches,
-            outside=heard.outside,
-            pulls=self.pulls(),
-            ordered_s=ordered,
-            returned_s=returned if self._case.lets_go else nan,
-        )
+        super().walk_for(length_s)
+
+    def last_words(self) -> str:
+        """Those of the processes."""
+        return f"; the processes' last words: {' / '.join(list(self._said)[-5:])}"
 
     def look(self, until_s: float = inf) -> None:
         """Let one look's time pass, or less; start again what has ended."""
@@ -120,8 +95,8 @@ class LiveWalk(Watched):
             self.note_end(ended.name, self.now_s)
             self._said.append(str(ended))
 
-    def _break_and_watch(self, begin: float, rng: np.random.Generator) -> tuple[float, float, float]:
-        """Do what the case says, and watch; when [s] the fault ended, torque was ordered off and the actuator was back."""
+    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
+        """Do what the case says, and watch."""
         self._ordered, ends = nan, [self._begin(deed, begin, rng) for deed in self._case.deeds]
         try:
             while True:
@@ -146,7 +121,8 @@ class LiveWalk(Watched):
             self._acts.clear()
         end = max(over() for over in ends)
         away = any(isinstance(deed, Away) and deed.service == "actuator" for deed in self._case.deeds)
-        return (self.now_s if np.isnan(end) else end), self._ordered, (end if away else begin)
+        returned = (end if away else begin) if self._case.lets_go else nan
+        return Seen(self.now_s if np.isnan(end) else end, self.pulls(), ordered_s=self._ordered, returned_s=returned)
 
     def _begin(self, deed: Deed, begin: float, rng: np.random.Generator) -> Callable[[], float]:
         """Begin to break something; tells when [s] that ends, NaN for not yet."""

@@ -12,8 +12,7 @@ import numpy as np
 
 from deploy.faults.cases import Away, Case, Clock, Deed, Meddling, Off, OnBus
 from deploy.faults.planner import Meddler
-from deploy.faults.timeline import Timeline
-from deploy.faults.watched import LEAST_WATCH_S, PHASES_S, REPEAT_S, SCENARIO, STEADY_S, Watched
+from deploy.faults.watched import LEAST_WATCH_S, REPEAT_S, SCENARIO, Seen, Watched
 from deploy.lockstep_run import LockstepRun, assemble
 from services.actuator.latch import Latch
 from services.simulator.service import Simulator
@@ -70,51 +69,20 @@ class FaultWalk(Watched):
         """Leave no latch behind."""
         self._latch.open()
 
-    def inject(self, number: int) -> Timeline:
-        """Walk until a phase that its number gives, break something, and watch until the robot walks again.
-
-        Raises:
-            NoWalkError: It does not walk by itself.
-        """
-        rng = np.random.default_rng([crc32(self._case.name.encode()), number])
-        self.walk_for(STEADY_S + PHASES_S * rng.random())
-        if not self._case.warm_c:
-            self._servo = int(rng.choice(self.profile.servo_ids.ravel()))
-        begin, mark = self.now_s, self.mark()
-        assert self.state is not None
-        phase, fuzzed = self.state.phase, self._meddler.fuzzed
-        ordered, empty = self._break_and_watch(begin, rng)
-        end, heard = begin + self._case.for_s, self.since(mark)
-        return Timeline(
-            begin_s=begin,
-            end_s=end,
-            servo=self._servo if self._concerns_one else -1,
-            phase=phase,
-            words=heard.words,
-            truth=heard.truth,
-            goals=heard.goals,
-            switches=heard.switches,
-            outside=heard.outside,
-            pulls=self._simulator.servos.tables[:, dxl.TORQUE_ENABLE.address] > 0,
-            ordered_s=ordered,
-            returned_s=begin + self._away_for() if self._case.lets_go else nan,
-            empty_s=empty,
-            plans=self._meddler.fuzzed - fuzzed,
-            voltage=float(self._simulator.servos.voltage),
-        )
-
     @property
     def _concerns_one(self) -> bool:
         return any(isinstance(deed, OnBus) and deed.any_servo for deed in self._case.deeds)
 
-    def _break_and_watch(self, begin: float, rng: np.random.Generator) -> tuple[float, float]:
-        """Do what the case says, and watch; when torque was ordered off and when the battery was empty [s], NaN for never."""
-        case, ordered, empty, wall = self._case, nan, nan, time.time
+    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
+        """Do what the case says, and watch."""
+        case, ordered, empty, wall, fuzzed = self._case, nan, nan, time.time, self._meddler.fuzzed
+        if not case.warm_c:
+            self._servo = int(rng.choice(self.profile.servo_ids.ravel()))
         due = [self._do(deed, begin) for deed in case.deeds if not isinstance(deed, Off)]
         order_s = next((begin + rng.uniform(d.from_s, d.until_s) for d in case.deeds if isinstance(d, Off)), nan)
         end = begin + case.for_s
         last, least = max(end + case.watch_s, begin + LEAST_WATCH_S), max(end, begin + LEAST_WATCH_S)
-        stopped, again_due = False, order_s
+        again_due = order_s
         try:
             while self.now_s < last:
                 self.look(min([t for t in (again_due, *due) if t > self.now_s], default=last))
@@ -126,7 +94,6 @@ class FaultWalk(Watched):
                     self._meddler.how, time.time = "", wall
                 if np.isnan(empty) and self._simulator.servos.charge <= 0.0:
                     empty = now
-                stopped |= not self.walks
                 let_go = self.state is not None and self.state.mode is Mode.OFF
                 if case.limits.seated and let_go:
                     break
@@ -134,7 +101,16 @@ class FaultWalk(Watched):
                     break
         finally:
             self._meddler.how, time.time = "", wall
-        return ordered, empty
+        return Seen(
+            end_s=end,
+            servo=self._servo if self._concerns_one else -1,
+            pulls=self._simulator.servos.tables[:, dxl.TORQUE_ENABLE.address] > 0,
+            ordered_s=ordered,
+            returned_s=begin + self._away_for() if case.lets_go else nan,
+            empty_s=empty,
+            plans=self._meddler.fuzzed - fuzzed,
+            voltage=float(self._simulator.servos.voltage),
+        )
 
     def _do(self, deed: Deed, begin: float) -> float:
         """Begin to break something; when it ends [s]."""

@@ -5,8 +5,10 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Self
+from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deploy.faults.cases import Case
 from deploy.faults.timeline import Timeline, Truth, Word
@@ -50,6 +52,20 @@ class Heard:
     outside: tuple[Outside, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What whoever broke something knows of it in the end, as a timeline has it."""
+
+    end_s: float
+    pulls: NDArray[np.bool_]
+    servo: int = -1
+    ordered_s: float = np.nan
+    returned_s: float = np.nan
+    empty_s: float = np.nan
+    plans: int = 0
+    voltage: float = np.nan
+
+
 class Watched(ABC):
     """What was heard of a walk, and the waiting for it to go on."""
 
@@ -74,12 +90,43 @@ class Watched(ABC):
         """Let one look's time pass, or less."""
 
     @abstractmethod
+    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
+        """Do what the case says at a time [s], and watch until the robot walks again, or for as long as the case says."""
+
+    def last_words(self) -> str:
+        """What was said last by those that are not listened to, for who asks why the robot does not walk."""
+        return ""
+
     def inject(self, number: int) -> Timeline:
         """Walk until a phase that its number gives, break something, and watch until the robot walks again.
 
         Raises:
             NoWalkError: It does not walk by itself.
         """
+        rng = np.random.default_rng([crc32(self._case.name.encode()), number])
+        self.walk_for(STEADY_S + PHASES_S * rng.random())
+        mark, begin = self.mark(), self.now_s
+        assert self.state is not None
+        phase = self.state.phase
+        seen = self.break_and_watch(begin, rng)
+        heard = self.since(mark)
+        return Timeline(
+            begin_s=begin,
+            phase=phase,
+            words=heard.words,
+            truth=heard.truth,
+            goals=heard.goals,
+            switches=heard.switches,
+            outside=heard.outside,
+            end_s=seen.end_s,
+            servo=seen.servo,
+            pulls=seen.pulls,
+            ordered_s=seen.ordered_s,
+            returned_s=seen.returned_s,
+            empty_s=seen.empty_s,
+            plans=seen.plans,
+            voltage=seen.voltage,
+        )
 
     @abstractmethod
     def __enter__(self) -> Self:
@@ -105,9 +152,8 @@ class Watched(ABC):
         while self.now_s < since + length_s or not self.walks:
             if self.now_s > patience:
                 said = f"{self.state.mode}: {self.state.reason}" if self.state else "nothing"
-                raise NoWalkError(
-                    f"a walk within {self.start_s:.0f} s expected before {self._case.name}, the actuator says {said}"
-                )
+                words = f"a walk within {self.start_s:.0f} s expected before {self._case.name}, the actuator says {said}"
+                raise NoWalkError(words + self.last_words())
             self.look()
             if not self.walks:
                 since = self.now_s

@@ -3,11 +3,12 @@
 from dataclasses import replace
 from typing import Self
 
+import numpy as np
 import pytest
 
 from deploy.faults.cases import BY_NAME, Case
 from deploy.faults.timeline import Timeline
-from deploy.faults.watched import NoWalkError, Watched, in_walks
+from deploy.faults.watched import NoWalkError, Seen, Watched, in_walks
 from shared import codec
 from shared.messages import Mode
 from tests.support.states import actuator_state
@@ -34,6 +35,9 @@ class Walk(Watched):
     @property
     def walks(self) -> bool:
         return self._left > 0 or self.stuck
+
+    def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
+        raise AssertionError("nothing is broken")
 
     def look(self, until_s: float = float("inf")) -> None:
         raise AssertionError("nobody looks")
