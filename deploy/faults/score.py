@@ -164,12 +164,12 @@ def _broken_leg(line: Timeline, profile: RobotProfile) -> Flags:
 
 
 def _at_rest(truth: Truth, decided_s: float, broken: Flags, profile: RobotProfile) -> float:
-    """When all feet but those of broken legs (6,) were down, and nothing moved any more, for a while."""
+    """When all feet but those of broken legs (6,), which may sink, were down, and nothing else moved any more, for a while."""
     if not np.isfinite(decided_s) or len(truth.t) < 3:
         return nan
     down = truth.contact | broken | (truth.feet[..., 2] - profile.foot.radius < _DOWN_BY)
     still = down.all(axis=1) & (_speeds(truth.body[:, None, :3, 3], truth.t).max(axis=1) < _STILL)
-    still &= _speeds(truth.feet, truth.t).max(axis=1) < _STILL
+    still &= _speeds(truth.feet[:, ~broken], truth.t).max(axis=1, initial=0.0) < _STILL
     samples = max(1, round(_STILL_S / float(np.median(np.diff(truth.t)))))
     for i in np.flatnonzero(still & (truth.t >= decided_s)).tolist():
         if i + samples <= len(still) and still[i : i + samples].all():

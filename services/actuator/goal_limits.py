@@ -21,8 +21,9 @@ class GoalLimits:
         self.behind = np.zeros((6, 3), dtype=np.bool_)  # joints that take up their work, and have not been near it yet
 
     def ease(self, leg: int, joint: int) -> None:
-        """Let a joint take up its work gently: its goals are slow until they have caught up with what is wanted."""
-        self._gentle[leg, joint] = self.behind[leg, joint] = True
+        """Let a joint, and its leg with it, take up work gently: goals are slow until they have caught up with what is wanted."""
+        self._gentle[leg] = True
+        self.behind[leg, joint] = True
 
     def forget(self) -> None:
         """No joint takes up anything: torque is off, or all joints stay where they are."""

@@ -51,6 +51,7 @@ _SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is me
 _WAIT_S, _LONGER_S = 0.07, 0.12  # [s] for which it waits for them, and for those that by their last reading may stand
 _BACK_S = 1.4  # [s] in which a step is taken back
 _SOON_S = 0.30  # [s] in which feet in the air are on the ground, once the robot has to stand
+_FASTER = 2.0  # times as fast as planned that they may go on to where they are going for that
 _NEARLY_BACK = 0.015  # [m] over where it stood, below which a foot that goes back may meet ground: to turn round feels like it
 _LOW = 0.010  # [m] clearance of feet that go back to where they have just come from
 
@@ -110,6 +111,7 @@ class Walker:
         self._next: StepPlan | None = None
         self._elapsed = 0.0
         self._start_ref, self._start_velocity = self._ref, self._velocity
+        self._start_elapsed = 0.0  # [s] of the plan, when the body's way through it began
         self._flight: Swing | SixthOrderArc | None = None
         self._stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swung legs that met ground before their targets
         self._met = self._feet.copy()  # (6, 3) [m] {cmd} where
@@ -264,7 +266,7 @@ class Walker:
         return self._plan is not None and self._plan.stamp_ns >= 0
 
     def set_down(self) -> None:
-        """Stand as soon as can be: feet in the air go on to where they are going, or back, whichever is nearer.
+        """Stand as soon as can be: feet in the air go on to where they are going, or back, whichever is sooner.
 
         Both are places that were found good to stand on. Nothing is lifted any more, and a body over six feet stops.
         """
@@ -278,21 +280,28 @@ class Walker:
             return
         since, left = self._elapsed - self._settings.unload_s, plan.duration - self._elapsed
         back = self._way_back
-        if back is None or left <= since + self._settings.unload_s + self._settings.load_s:
-            self._hurry = max(self._hurry, left / _SOON_S)
+        on_s, back_s = min(left, max(_SOON_S, left / _FASTER)), min(since, _SOON_S) + self._settings.load_s
+        if back is None or on_s <= back_s:
+            self._come_to_rest(plan, max(self._hurry, left / on_s))
             return
-        duration = self._settings.unload_s + self._settings.load_s + min(since, _SOON_S)
+        duration = self._settings.unload_s + back_s
         again = replace(back, step=self.step, clearance=np.full(6, _LOW), duration=duration)
         self._begin(replace(again, T_world_odom=inverse(self._T_odom_cmd)))
-        self._elapsed = self._settings.unload_s  # they carry nothing
+        self._elapsed = self._start_elapsed = self._settings.unload_s  # they carry nothing
         self._returning = True
         self.trouble = "the step is taken back"
+
+    def _come_to_rest(self, plan: StepPlan, hurry: float) -> None:
+        """End the running step so many times as fast as planned; the body comes to rest with it, from the speed that it has."""
+        self._plan = replace(plan, stop=True)
+        self._start_ref, self._start_velocity = self._ref.copy(), self._velocity * (self._hurry / hurry)
+        self._start_elapsed, self._hurry = self._elapsed, hurry
 
     def _begin(self, plan: StepPlan) -> None:
         self._plan, self._next = plan, None
         self.plan_ns = plan.stamp_ns
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
-        self._start_ref, self._start_velocity = self._ref.copy(), self._velocity.copy()
+        self._start_ref, self._start_velocity, self._start_elapsed = self._ref.copy(), self._velocity.copy(), 0.0
         self._flight, self._waited, self._hurry, self._returning = None, 0.0, 1.0, False
         self._stopped &= ~plan.swing
 
@@ -303,9 +312,10 @@ class Walker:
         T_cmd_world = inverse(plan.T_world_odom @ self._T_odom_cmd)
         goal = _coordinates(T_cmd_world @ plan.body_goal)
         goal[3:] = self._start_ref[3:] + _wrapped(goal[3:] - self._start_ref[3:])
-        end_velocity = np.zeros(6) if plan.stop else (goal - self._start_ref) / plan.duration
+        whole = plan.duration - self._start_elapsed
+        end_velocity = np.zeros(6) if plan.stop else (goal - self._start_ref) / whole
         way = (self._start_ref, self._start_velocity, goal, end_velocity)
-        self._ref, self._velocity = _hermite(*way, plan.duration, self._elapsed)
+        self._ref, self._velocity = _hermite(*way, whole, self._elapsed - self._start_elapsed)
         if self._flight is None and self._elapsed > self._settings.unload_s:
             unproven = ~plan.swing & ~self._proven
             if felt is not None and unproven.any():

@@ -302,6 +302,8 @@ class Errand:
         if found is None:
             return Wait(f"planning section {self._section} of the passage")
         self._begun_ns = -1
+        if isinstance(found, NoWay) and found.closer is not None and self._seed == ATTEMPTS:
+            found = found.closer  # once other samples have found nothing either: it may be a dead end
         self._report = self._tell(state.stamp_ns, found)
         self._stopped = found.reason if isinstance(found, NoWay) else ""
         if isinstance(found, NoWay):

@@ -66,6 +66,7 @@ class NoWay:
     fails: dict[str, int]  # how often each test failed
     steps: tuple[PassageStep, ...] = ()  # to the furthest, for whoever wants to see it: nobody walks them
     leg: int = NOBODY  # that fails the test which stops it there, NOBODY for the whole robot
+    closer: Crossing | None = None  # on towards the unknown ground, to where more of it may be seen
 
 
 class Roadmap:
@@ -212,15 +213,18 @@ class Roadmap:
             return self._section(end, False, seen)
         return self._section(end, False, f"so far in {self._settings.cycles} cycles of the gait")
 
-    def _nothing_found(self) -> Crossing | NoWay:
+    def _nothing_found(self) -> NoWay:
         """What is left when the budget is used up, or everything was tried."""
         best = self._best
         assert best is not None
         assert self._field is not None
         why = in_words(best.fails, best.stance.body, best.stance.feet, self._legs.stroke.sum(axis=1), self._field)
-        if why.unseen and best.retreat and not self._ventures(best.retreat):
-            return Crossing(best.retreat, False, why.words, self.generated, self.expanded, best.retreat_stance)
-        return self._no_way(why.words, why.unseen, best, why.leg)
+        no_way = self._no_way(why.words, why.unseen, best, why.leg)
+        if not why.unseen or not best.retreat or self._ventures(best.retreat):
+            return no_way
+        return replace(
+            no_way, closer=Crossing(best.retreat, False, why.words, self.generated, self.expanded, best.retreat_stance)
+        )
 
     def _ventures(self, steps: tuple[PassageStep, ...]) -> bool:
         """Whether steps bring a robot that stands on the near side to where ground carries a foot only here and there.

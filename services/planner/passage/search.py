@@ -117,6 +117,7 @@ class Ground(NamedTuple):
     top: NDArray[np.float32]  # (nx, ny) [m] highest within a cell around, -inf where nothing is known
     evaluation: NDArray[np.int8]  # (nx, ny) Masri's F
     meant: NDArray[np.int32]  # (nx, ny) cell that a sampled cell stands for, -1 where it is not known yet
+    nearest: NDArray[np.int32]  # (nx, ny) cell that is seen and nearest to each, itself where it is seen
     resolution: float
     x0: float
     y0: float
@@ -390,6 +391,29 @@ def candidates(F: NDArray[np.int8], strong: int, wide: int, weakest: int, candid
             a, b = _resolved(F, i, j, strong, wide)
             if F[a, b] <= weakest:
                 candidate[a, b] = True
+
+
+@compiled
+def nearest_seen(F: NDArray[np.int8], nearest: NDArray[np.int32]) -> None:
+    """The cell that is seen and nearest to each, along rows and columns, into (nx, ny), -1 where none is.
+
+    A sample on the floor of a gap stands for the edge beside it, from which it descends to a foothold; whether that floor is
+    seen makes no difference so.
+    """
+    nx, ny = F.shape
+    queue, n = np.empty(nx * ny, np.int32), 0
+    for code in range(nx * ny):
+        seen = F[code // ny, code % ny] != _NEVER_SEEN
+        nearest[code // ny, code % ny] = code if seen else -1
+        if seen:
+            queue[n], n = code, n + 1
+    k = 0
+    while k < n:
+        i, j, k = queue[k] // ny, queue[k] % ny, k + 1
+        for c, d in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
+            if 0 <= c < nx and 0 <= d < ny and nearest[c, d] < 0:
+                nearest[c, d] = nearest[i, j]
+                queue[n], n = c * ny + d, n + 1
 
 
 # Legs in space --------------------------------------------------------------------------------------------------------------
@@ -1064,9 +1088,12 @@ def _footholds(
         phi = rules.foot_angle * _bell(tree.random)
         i = math.floor((tip_x + distance * math.cos(phi) - ground.x0) / ground.resolution + 0.5)
         j = math.floor((tip_y + distance * math.sin(phi) - ground.y0) / ground.resolution + 0.5)
-        if not (0 <= i < nx and 0 <= j < ny) or F[i, j] == _NEVER_SEEN:
+        if not (0 <= i < nx and 0 <= j < ny):
             _fail(tree, far, UNKNOWN, leg)
             continue
+        unseen = F[i, j] == _NEVER_SEEN
+        if unseen and ground.nearest[i, j] >= 0:
+            i, j = ground.nearest[i, j] // ny, ground.nearest[i, j] % ny
         code = ground.meant[i, j]
         if code < 0:
             a, b = _resolved(F, i, j, rules.strong, rules.wide)
@@ -1076,20 +1103,24 @@ def _footholds(
         for k in range(n):
             known = known or tried[k] == code
         if known:
+            if unseen:
+                _fail(tree, far, UNKNOWN, leg)
             continue
         tried[n] = code
         i, j = code // ny, code % ny
         if F[i, j] > rules.weakest or not ground.elevation[i, j] > -np.inf:
-            _fail(tree, far, FOOTHOLD, leg)
+            _fail(tree, far, UNKNOWN if unseen else FOOTHOLD, leg)
             continue
         x, y, z = _foot(tree, ground, rules, code, leg)
         if x < rearmost or code == tree.foot[node, leg]:
+            if unseen:
+                _fail(tree, far, UNKNOWN, leg)
             continue
         after[:] = feet
         after[leg, 0], after[leg, 1], after[leg, 2] = x, y, z
         test = _landing(legs.table, rules, feet, leg, body, after[leg])
         if test != OK:
-            _fail(tree, far, test, leg)
+            _fail(tree, far, UNKNOWN if unseen else test, leg)
             continue
         place = _place_price(rules, legs, ground, leg, code, x, y, body[0])
         if not _add(tree, ground, legs, rules, node, leg, body, code, after, price + place, margin):

@@ -4,7 +4,7 @@ import numpy as np
 
 from services.planner.leg_clearance import LEVEL, SWING_TIME, swing_shape
 from services.planner.passage.field import Field
-from services.planner.passage.search import COUNTS, CROWDS, ROOT_FOOT, TESTS, Ground, Legs, Rules, Tree
+from services.planner.passage.search import COUNTS, CROWDS, ROOT_FOOT, TESTS, Ground, Legs, Rules, Tree, nearest_seen
 from services.planner.passage.settings import PassageSettings
 from shared.geometry import Array
 from shared.kinematics import body_inverse, within_limits
@@ -101,11 +101,15 @@ def ground_of(field: Field, settings: PassageSettings) -> Ground:
     Layers are copied: views of a message, or what was made of them, are arrays of other types, for each of which the search
     would be compiled anew when it comes, with the robot in mid-gap.
     """
+    evaluation = field.evaluation.copy()
+    meant, nearest = np.full((2, *evaluation.shape), -1, dtype=np.int32)
+    nearest_seen(evaluation, nearest)
     return Ground(
         field.elevation.copy(),
         field.top,
-        field.evaluation.copy(),
-        np.full(field.evaluation.shape, -1, dtype=np.int32),
+        evaluation,
+        meant,
+        nearest,
         field.resolution,
         *field.corner,
     )

@@ -157,6 +157,19 @@ def test_what_planning_came_to_is_told_once() -> None:
     assert (report.state, report.section, report.generated, report.expanded) == ("no way", 1, 5, 5)
 
 
+def test_it_goes_closer_to_what_is_unknown_once_nothing_else_is_left() -> None:
+    closer = replace(section(0.0, 0.2), complete=False)
+    none = replace(no_way("cells ahead are unknown"), unseen=True, closer=closer)
+    robot = Robot(Planned(*[none] * (ATTEMPTS + 1), section(0.2, 1.85)))
+    robot.until(lambda: bool(robot.moves))
+    assert len(robot.sections.begun) == ATTEMPTS, "not before other samples have found nothing either"
+    assert robot.until_end() == Over("behind the gap")
+    assert [m.stride.body_goal[0, 3] for m in robot.moves][5] == pytest.approx(0.2)
+    found = Robot(Planned(none, section(0.0, 1.85)))
+    found.until_end()
+    assert len(found.moves) == 6, "a way across is better"
+
+
 @pytest.mark.parametrize("leg", [2, 6])
 def test_a_refusal_is_told_with_the_way_to_the_furthest_and_what_fails_there(leg: int) -> None:
     steps = section(0.0, 0.2).steps

@@ -1,15 +1,19 @@
 """The roadmap planner on level ground and over pillars: what it plans can be walked, and it says why it cannot."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from deploy.bench.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
 from deploy.passage_checker import violations
 from services.planner.passage import search
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance
+from services.planner.passage.search import nearest_seen
 from services.planner.passage.sections import bare
 from services.planner.passage.settings import PassageSettings
 from shared.geometry import from_xyz_rpy
@@ -134,6 +138,36 @@ def test_nobody_ventures_onto_pillars_that_lead_into_the_unknown(roadmap: Roadma
         assert "cells ahead are unknown" in found.reason
 
 
+def test_a_gap_whose_floor_nobody_has_seen_is_crossed_like_any_other(roadmap: Roadmap) -> None:
+    """A sample on the floor stands for the pillar beside it, seen or not."""
+    plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
+    floor = plain.evaluation > 1
+    unseen = replace(plain, evaluation=np.where(floor, np.int8(UNKNOWN), plain.evaluation))
+    expanded = []
+    for field in (plain, unseen):
+        found = [grown(roadmap, field, stance_at(PROFILE, START, HEIGHT), NEAR + GAP + BEYOND, seed) for seed in range(1, 6)]
+        assert all(isinstance(way, Crossing) and way.complete for way in found)
+        expanded.append(sum(way.expanded for way in found))
+    assert expanded[1] < 3 * expanded[0], "nor does it take much longer"
+
+
+@given(st.integers(1, 60), st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_the_cell_that_is_seen_and_nearest(seen: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    evaluation = np.full((9, 13), UNKNOWN, dtype=np.int8)
+    evaluation.ravel()[rng.choice(evaluation.size, seen, replace=False)] = -1
+    nearest = np.full(evaluation.shape, -1, dtype=np.int32)
+    nearest_seen(evaluation, nearest)
+    places = np.argwhere(evaluation != UNKNOWN)
+    for i, j in np.ndindex(*evaluation.shape):
+        c, d = divmod(int(nearest[i, j]), evaluation.shape[1])
+        assert evaluation[c, d] != UNKNOWN
+        assert abs(c - i) + abs(d - j) == np.abs(places - (i, j)).sum(axis=1).min()
+    nearest_seen(np.full((3, 3), UNKNOWN, dtype=np.int8), nearest[:3, :3])
+    assert (nearest[:3, :3] == -1).all()
+
+
 def test_who_stands_with_a_foot_at_the_very_verge_has_not_ventured_yet(roadmap: Roadmap) -> None:
     """A foot on the last bare rows of the near side is no foot among the pillars."""
     plain = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.0, 0.17), GAP), HEIGHT)
@@ -145,9 +179,10 @@ def test_who_stands_with_a_foot_at_the_very_verge_has_not_ventured_yet(roadmap: 
     verge = (near + int(np.argmax(bare(field)[near:])) + 1) * field.resolution
     level = stance_at(PROFILE, START, HEIGHT)
     ahead = np.array([verge - level.feet[:, 0].max(), 0.0, 0.0])
-    found = grown(roadmap, field, Stance(level.body + ahead, level.feet + ahead), NEAR + GAP + BEYOND)
-    assert isinstance(found, NoWay)
-    assert found.unseen
+    stance = Stance(level.body + ahead, level.feet + ahead)
+    ways = [grown(roadmap, field, stance, NEAR + GAP + BEYOND, seed) for seed in range(1, 7)]
+    assert all(isinstance(way, NoWay) and way.closer is None for way in ways)
+    assert any(isinstance(way, NoWay) and way.unseen for way in ways), "or it would not go closer in any case"
 
 
 def test_a_stance_a_little_off_is_repaired_by_a_shift_of_the_body(roadmap: Roadmap) -> None:
