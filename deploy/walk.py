@@ -37,6 +37,7 @@ class Walk:
         self.feet = apply(course.T_start_sim, np.array([m.feet for m in truth]).reshape(-1, 6, 3))  # (n, 6, 3) [m] centres
         self.torque = np.abs(np.array([m.torque for m in truth]))  # (n, 6, 3) [N m]
         self.contact: Flags = debounced(np.array([m.contact for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
+        self.bears: Flags = debounced(np.array([m.bears for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
         self._align()
 
     @cached_property
@@ -55,14 +56,15 @@ class Walk:
 
     @cached_property
     def carrying(self) -> Flags:
-        """Feet (n, 6) that carry, or would as soon as the body leaned on them.
+        """Legs (n, 6) that carry, or would as soon as the body leaned on them.
 
-        In contact or no more than a little over their ground; and in stance by plan, about to leave or just landed.
+        They bear load or their feet are no more than a little over their ground, and are in stance by plan, about to leave or
+        just landed.
         """
         phase = np.array([s.phase for s in self._heard.states])[self._state_of]
         grounded = (phase < _GROUNDED) | (phase > 1.0 - _GROUNDED)
         hangs_low = self.feet[..., 2] - self._profile.foot.radius - self.ground < _HANGING
-        return np.asarray((self.contact | hangs_low) & (~self.swing | grounded[:, None]))
+        return np.asarray((self.bears | hangs_low) & (~self.swing | grounded[:, None]))
 
     def _align(self) -> None:
         """For each sample of truth the actuator's word that held then."""

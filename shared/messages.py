@@ -421,7 +421,8 @@ class GroundTruth(Message):
     q: PerJoint  # [rad]
     torque: PerJoint  # [N m] of the motors
     feet: PerJoint  # (6, 3) [m] {world} foot centres
-    contact: LegFlags
+    contact: LegFlags  # feet that bear load
+    bears: LegFlags  # legs that do, by the foot or by a shank that leans on an edge
     shutdown: Annotated[NDArray[np.bool_], Dims(6, 3)]  # servos that have latched an error
     voltage: float  # [V]
     temperature: float  # [deg C] hottest servo

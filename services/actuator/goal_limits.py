@@ -21,7 +21,7 @@ class GoalLimits:
         self.behind = np.zeros((6, 3), dtype=np.bool_)  # joints that take up their work, and have not been near it yet
 
     def ease(self, leg: int, joint: int) -> None:
-        """Let a joint, and its leg with it, take up work gently: goals are slow until they have caught up with what is wanted."""
+        """Let a joint, its leg with it, take up work gently: goals are slow until they have caught up with what is wanted."""
         self._gentle[leg] = True
         self.behind[leg, joint] = True
 

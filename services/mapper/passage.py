@@ -15,6 +15,8 @@ from shared.geometry import Array
 
 _ONE_SURFACE = 0.02  # [m] below the highest point of a column within which points are of its surface
 _CARRYING = 0.3  # share of a column's pixels below which its upper surface is an edge of the column beside it
+_FEW, _MANY = 0.4, 30.0  # share of the pixels on both sides of a column, at least so many, below which it is a crack
+_BESIDE = (1, 2, 3)  # columns that make a side
 _STEEP = 0.5  # [1] upward part of a normal below which a plane says nothing about the height beside its point
 
 
@@ -70,7 +72,9 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
     2. The highest point of each column stands for it: the robot walks on top of things. What hangs above it by less than
        30 % of the column's pixels is noise, or the edge of the column beside it. The normal is the mean over the points of
        that surface; the thesis takes all of the column, but those on the floor below do not bear the foot.
-    3. A cell lies in the column that its centre falls into, and takes its height there by the plane of that column's
+    3. Few pixels between many on both sides are astray over a crack, into which a camera that looks along the ground hardly
+       sees: what is there is unknown.
+    4. A cell lies in the column that its centre falls into, and takes its height there by the plane of that column's
        point. A column without a point leaves its cell unknown.
 
     Args:
@@ -90,6 +94,8 @@ def passage_grid(cloud: CloudSnapshot, strip: Strip, resolution: float, radius: 
     top, normals, roughness = _tops(cloud.column, cloud.weight, surface.points, surface.normals, surface.roughness)
     point_of = np.full(cloud.shape, -1, dtype=np.int64)
     point_of.ravel()[cloud.column[top]] = np.arange(len(top))
+    pixels = np.bincount(cloud.column, weights=cloud.weight, minlength=point_of.size)
+    point_of[_cracks(np.asarray(pixels, dtype=np.float64).reshape(cloud.shape))] = -1
     i, j = np.moveaxis(np.floor((centres - cloud.origin) / resolution + 0.5).astype(np.int64), -1, 0)
     inside = (i >= 0) & (i < cloud.shape[0]) & (j >= 0) & (j < cloud.shape[1])
     found = (
@@ -153,6 +159,21 @@ def _slope(heights: Array, axis: int, resolution: float) -> Array:
     before, after = np.delete(padded, -1, axis), np.delete(padded, 0, axis)
     known = np.isfinite(before).astype(np.int64) + np.isfinite(after)
     return np.asarray((np.nan_to_num(before) + np.nan_to_num(after)) / np.maximum(known, 1))
+
+
+def _cracks(pixels: Array) -> NDArray[np.bool_]:
+    """Columns (nx, ny) with few of the pixels (nx, ny) that those on both of their sides have, along an axis or diagonal."""
+    nx, ny = pixels.shape
+    far = max(_BESIDE)
+    padded, few = np.pad(pixels, far), np.zeros(pixels.shape, dtype=np.bool_)
+    for di, dj in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        sides = [
+            np.median([padded[far + k * di :, far + k * dj :][:nx, :ny] for k in (sign * n for n in _BESIDE)], axis=0)
+            for sign in (-1, 1)
+        ]
+        both = np.minimum(*sides)
+        few |= (pixels < _FEW * both) & (both >= _MANY)
+    return few
 
 
 def _tops(

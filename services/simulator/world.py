@@ -6,6 +6,7 @@ speed. Its setpoint, stiffness and torque limit are inputs of every step, since 
 
 import logging
 from dataclasses import dataclass
+from itertools import product
 from math import isfinite
 from typing import Any
 
@@ -96,7 +97,7 @@ class World:
         self._body_position, self._body_axes = d.xpos[body], d.xmat[body]
         self._geom_position = d.geom_xpos
         self._steps = 0
-        self._imu = slice(6, 12) if imu else None
+        self._imu = slice(12, 18) if imu else None
         self._pressed = d.sensordata[len(d.sensordata) - len(terrain.weak) :]  # [N] on what is weak
         self._gives = np.zeros(len(terrain.weak), dtype=bool)
         self._sunk = np.zeros(len(terrain.weak))
@@ -243,6 +244,11 @@ class World:
         return np.asarray(self._sensors[:6] > 0.0)
 
     @property
+    def leg_contact(self) -> NDArray[np.bool_]:
+        """(6,) likewise each leg, by its foot or by a shank that leans on an edge."""
+        return np.asarray(self._sensors[6:12] > 0.0)
+
+    @property
     def imu(self) -> tuple[Array, Array]:
         """True angular rate (3,) [rad/s] and specific force (3,) [m/s^2] of the body's origin, {body}.
 
@@ -251,7 +257,7 @@ class World:
         """
         if self._imu is None:
             raise ValueError("a world built with imu=True expected, found one without")
-        return np.array(self._sensors[6:9]), np.array(self._sensors[9:12])
+        return np.array(self._sensors[12:15]), np.array(self._sensors[15:18])
 
 
 def _joint_angles(q: ArrayLike) -> Array:
@@ -381,12 +387,11 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
         foot = {"pos": [links[2], 0.0, 0.0], "type": sphere}
         parent.add_geom(name=f"foot {name}", size=[profile.foot.radius, 0, 0], mass=0.0, priority=1, **foot, **solid)
         parent.add_site(name=f"foot {name}", size=[profile.foot.radius + _TOUCH_RADIUS, 0, 0], group=5, **foot)
-        spec.add_sensor(
-            name=f"foot {name}",
-            type=mujoco.mjtSensor.mjSENS_TOUCH,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            objname=f"foot {name}",
-        )
+        whole = {"pos": [links[2] / 2, 0.0, 0.0], "size": [links[2] / 2 + profile.foot.radius + _TOUCH_RADIUS, 0, 0]}
+        parent.add_site(name=f"shank {name}", type=sphere, group=5, **whole)
+    for kind, name in product(("foot", "shank"), (leg.name for leg in profile.legs)):
+        touch, site = mujoco.mjtSensor.mjSENS_TOUCH, mujoco.mjtObj.mjOBJ_SITE
+        spec.add_sensor(name=f"{kind} {name}", type=touch, objtype=site, objname=f"{kind} {name}")
     if imu:
         body.add_site(name="imu", group=5)
         for kind in (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER):

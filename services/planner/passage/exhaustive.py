@@ -1,8 +1,9 @@
 """Whether there is any way across a strip, decided offline: what every way must have is searched to the end.
 
-**Footholds** are the middle of each narrow piece of ground and its first and last good place along the strip, as the roadmap
-takes narrow ground (`search._resolved`). Ground that is wide both ways carries a foot as anywhere: there a foot may be wherever
-its leg reaches from where the body is, and may always be set anew. The **body** goes by the roadmap's lattice and its cone.
+**Footholds** are all those that the roadmap may choose (`search.candidates`), in tiles: three of each narrow piece of ground,
+about its first and last good place along the strip and its middle. Ground that is wide both ways is one tile. In a tile a foot
+may be wherever its leg reaches from where the body is, and may always be set anew. The **body** goes by the roadmap's lattice
+and its cone.
 
 **Tests** kept are those of reach, of places, of distance between feet and of support: the body's centre lies inside the line
 through two feet by so much only if both are that far out in the direction across that line, so each foothold has a set of
@@ -102,7 +103,7 @@ def has_way(
 
 
 def _cut(field: Field, settings: PassageSettings) -> NDArray[np.int16]:
-    """The tile (nx, ny) of each cell that a foot may be set on, -1 elsewhere: all of wide ground, three of a narrow piece."""
+    """The tile (nx, ny) of each cell that a foot may be set on, -1 elsewhere: one of wide ground, three of a narrow piece."""
     carries = np.zeros(field.evaluation.shape, dtype=np.bool_)
     search.candidates(field.evaluation, settings.strong, settings.wide, settings.weakest, carries)
     part = np.full(carries.shape, -1, dtype=np.int16)
@@ -119,11 +120,10 @@ def _cut(field: Field, settings: PassageSettings) -> NDArray[np.int16]:
         for piece in np.unique(which, axis=0):
             inside = cells[(which == piece).all(axis=1)]
             low, high = inside.min(axis=0), inside.max(axis=0)
-            for x in (low[0], (low[0] + high[0]) // 2, high[0]):
-                off = np.abs(inside - (x, (low[1] + high[1]) // 2)).sum(axis=1)
-                i, j = inside[np.argmin(off)]
-                if tile[i, j] < 0:
-                    tile[i, j], tiles = tiles, tiles + 1
+            rows = np.unique([low[0], (low[0] + high[0]) // 2, high[0]])
+            found, nearest = np.unique(np.abs(inside[:, :1] - rows).argmin(axis=1), return_inverse=True)
+            tile[tuple(inside.T)] = tiles + nearest  # none is left out
+            tiles += len(found)
     return tile
 
 

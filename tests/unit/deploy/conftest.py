@@ -149,7 +149,7 @@ class Story:
         torque[:, 1] = -0.6
         world = feet @ self.T_sim_start[:3, :3].T
         what = (self.scenario.name, self.seed, self.profile.name)
-        return GroundTruth(ms * _MS, T, np.zeros((6, 3)), torque, world, contact, shutdown, 11.1, 30.0, *what)
+        return GroundTruth(ms * _MS, T, np.zeros((6, 3)), torque, world, contact, contact, shutdown, 11.1, 30.0, *what)
 
     def state(self, ms: int) -> ActuatorState:
         t = ms * 1e-3

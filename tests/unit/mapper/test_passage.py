@@ -77,6 +77,22 @@ def test_what_few_pixels_show_above_a_surface_does_not_stand_for_it() -> None:
         np.testing.assert_allclose(grid.elevation[on], height, atol=1e-6)
 
 
+@pytest.mark.parametrize("heading", [0.0, np.pi / 4, -np.pi / 2])
+def test_a_crack_between_two_blocks_is_unknown_though_some_pixels_are_astray_over_it(heading: float) -> None:
+    where = Strip((0.3, -0.2), heading, 0.8, 0.5)
+    top = ground(where)
+    along = where.local(top[:, :2])[:, 0]
+    in_crack, beyond = np.abs(along - 0.4) < 0.01, along > 0.6
+    cloud = VoxelCloud(where, see_through=10.0)
+    cloud.insert(top[~in_crack & ~beyond], np.full(np.count_nonzero(~in_crack & ~beyond), 100.0))
+    cloud.insert(top[in_crack | beyond], np.full(np.count_nonzero(in_crack | beyond), 20.0))
+    grid = passage_grid(cloud.snapshot(), where, 0.01)
+    x = local_centres(where, 0.01)[..., 0]
+    inside = np.abs(x - 0.4) < 0.006
+    assert grid.unseen[inside].mean() > 0.85
+    assert not grid.unseen[np.abs(x - 0.4) > 0.03].any(), "neither an edge nor thinner ground is a crack"
+
+
 def test_what_was_not_seen_is_unknown() -> None:
     where = strip(0.7)
     points = ground(where)

@@ -89,6 +89,7 @@ def test_standing_is_still_level_and_carried_by_six_feet() -> None:
     np.testing.assert_allclose(world.T_world_body[:2, 3], [0.4, -0.2], atol=1e-4)
     np.testing.assert_allclose(world.p_world_foot, feet, atol=1e-3)
     assert np.all(world.foot_contact)
+    assert np.all(world.leg_contact)
     assert world.foot_force.sum() == pytest.approx(9.81 * PROFILE.body.total_mass, rel=1e-3)
     np.testing.assert_allclose(world.body_twist, 0.0, atol=1e-3)
     assert world.T_world_body[2, 3] > PROFILE.stance.body_height - 0.005  # servos sag a little
@@ -294,6 +295,21 @@ def test_it_stands_without_creeping_on_any_ground(terrain: Terrain) -> None:
     assert np.all(settled[:, 2] - ground > PROFILE.foot.radius - 1e-3)
     # Normal forces lean where the ground does, so they add up to a little more or less than the weight.
     assert carried.sum() == pytest.approx(9.81 * PROFILE.body.total_mass, rel=0.1)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_leg_whose_shank_leans_on_an_edge_bears_load_though_its_foot_does_not(leg: int) -> None:
+    q, T = standing_angles(PROFILE), from_xyz_rpy((0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
+    q[leg, 2] += np.radians(50.0)  # the shank slants outwards
+    knee, foot = apply(T, leg_points(PROFILE, q)[leg, 2:])
+    middle = 0.5 * (knee + foot)
+    half = np.array([0.005, 0.005, (middle[2] - 0.005) / 2])  # the top is a little within the shank
+    block = Boxes(np.array([[*middle[:2], half[2]]]), half[None], np.eye(3)[None])
+    world = World(PROFILE, Terrain(block))
+    world.place(q, T)
+    world.step(q, RIGID, STRONG)
+    np.testing.assert_array_equal(world.leg_contact, np.arange(6) == leg)
+    assert not world.foot_contact.any()
 
 
 def under_the_feet(bears: float) -> Terrain:
