@@ -124,6 +124,34 @@ def _parser() -> argparse.ArgumentParser:
         made.set_defaults(command=command, name=name)
         return made
 
+    _add_walks(add)
+    _add_trials(add)
+    _add_robots(add)
+    one = add("replay", replay, "run perception and mapper on a recorded depth sequence, or the mapper on a recorded run")
+    one.add_argument("source", help="folder with depth.txt, camera.toml (and groundtruth.txt), or a recording.mcap")
+    one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
+    one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
+
+    _add_benches(add, commands.add_parser("bench", help="what the stages are worth"))
+    group = commands.add_parser("topics", help="what travels on the wire").add_subparsers(required=True, metavar="WHAT")
+    one = add("list", list_topics, "print the topic table", group)
+    one.add_argument("--json", action="store_true", help="as JSON")
+
+    _add_servos(add, commands.add_parser("servos", help="from a box of servos to a robot: find, name, calibrate, test them"))
+
+    one = add("doctor", doctor, "check that this machine has what the services need")
+    one.add_argument("--port", help="also check this servo port, e.g. /dev/ttyUSB0")
+    one.add_argument("--camera", default="", metavar="DEVICE", help="also check this camera: openni2, realsense, or a folder")
+    one.add_argument("--robot", default="phantomx_mk2", help="whose servos and camera are looked for (default %(default)s)")
+    one.add_argument("--json", action="store_true", help="as JSON")
+
+    one = add("compose", compose, "print a compose.yaml that starts the services in containers of their own")
+    one.add_argument("--scenario", default="steps", help="name of the scenario (default %(default)s)")
+    one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
+    return parser
+
+
+def _add_walks(add: Any) -> None:
     one = add("demo", demo, "watch the robot walk a field of low steps, or cross a gap, over Zenoh")
     one.add_argument("course", nargs="?", choices=tuple(DEMOS), default="steps", help="what it walks (default %(default)s)")
     _add_seed_and_out(one)
@@ -142,6 +170,8 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # a launcher's id, as every process of the table has it
     _add_seed_and_out(one)
 
+
+def _add_trials(add: Any) -> None:
     one = add("trials", trials, "run a scenario in lockstep with many seeds: success rate with its 95 %% interval")
     one.add_argument("scenario", help="name of a scenario, path of a TOML file, all that are walked, or passages: all gaps")
     _add_robot_and_gait(one)
@@ -173,6 +203,8 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--out", metavar="DIR", help="folder to write to; what it has already is not done again")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
 
+
+def _add_robots(add: Any) -> None:
     one = add("up", up, "start the processes of a role and keep them until Ctrl-C")
     one.add_argument(
         "role",
@@ -199,12 +231,9 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--holder", default="operator", help="who orders: one at a time may move the legs (default %(default)s)")
     one.add_argument("--take", action="store_true", help="take over from whoever may move them now")
 
-    one = add("replay", replay, "run perception and mapper on a recorded depth sequence, or the mapper on a recorded run")
-    one.add_argument("source", help="folder with depth.txt, camera.toml (and groundtruth.txt), or a recording.mcap")
-    one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
-    one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
 
-    group = commands.add_parser("bench", help="what the stages are worth").add_subparsers(required=True, metavar="WHAT")
+def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
+    group = parser.add_subparsers(required=True, metavar="WHAT")
     one = add("accuracy", bench_accuracy, "ride over rebuilt scenes: errors of pose and map through the real services", group)
     one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
     _add_bench(one)
@@ -232,23 +261,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--rounds", type=_positive, default=20, metavar="N", help="starts (default %(default)s)")
     _add_out_and_json(one)
-
-    group = commands.add_parser("topics", help="what travels on the wire").add_subparsers(required=True, metavar="WHAT")
-    one = add("list", list_topics, "print the topic table", group)
-    one.add_argument("--json", action="store_true", help="as JSON")
-
-    _add_servos(add, commands.add_parser("servos", help="from a box of servos to a robot: find, name, calibrate, test them"))
-
-    one = add("doctor", doctor, "check that this machine has what the services need")
-    one.add_argument("--port", help="also check this servo port, e.g. /dev/ttyUSB0")
-    one.add_argument("--camera", default="", metavar="DEVICE", help="also check this camera: openni2, realsense, or a folder")
-    one.add_argument("--robot", default="phantomx_mk2", help="whose servos and camera are looked for (default %(default)s)")
-    one.add_argument("--json", action="store_true", help="as JSON")
-
-    one = add("compose", compose, "print a compose.yaml that starts the services in containers of their own")
-    one.add_argument("--scenario", default="steps", help="name of the scenario (default %(default)s)")
-    one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
-    return parser
 
 
 def _add_servos(add: Any, parser: argparse.ArgumentParser) -> None:
