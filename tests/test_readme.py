@@ -14,7 +14,7 @@ from deploy.faults import table as fault_table
 
 ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
-PASSAGES = ROOT / "docs" / "passages.jsonl"
+PASSAGES, DRAWN = ROOT / "docs" / "passages.jsonl", ROOT / "docs" / "passages_commit.jsonl"
 
 # What a `make` target comes to.
 MAKE = {
@@ -144,7 +144,8 @@ def test_the_table_of_walks_by_touch_is_the_one_that_a_command_prints() -> None:
 
 def test_the_tables_of_the_passages_are_those_that_a_command_prints() -> None:
     text, runs = (ROOT / "docs" / "results.md").read_text(encoding="utf-8"), kept.read(PASSAGES)
-    for printed in (markdown(of_runs(runs), "passages"), passage_table.markdown(runs)):
+    drawn = markdown(of_runs(kept.read(DRAWN)), "passages")
+    for printed in (markdown(of_runs(runs), "passages"), passage_table.markdown(runs), drawn):
         for words in printed.splitlines():
             assert words in text
 
