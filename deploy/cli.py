@@ -125,7 +125,7 @@ def _parser() -> argparse.ArgumentParser:
         return made
 
     _add_walks(add)
-    _add_trials(add)
+    _add_campaigns(add)
     _add_robots(add)
     one = add("replay", replay, "run perception and mapper on a recorded depth sequence, or the mapper on a recorded run")
     one.add_argument("source", help="folder with depth.txt, camera.toml (and groundtruth.txt), or a recording.mcap")
@@ -171,7 +171,7 @@ def _add_walks(add: Any) -> None:
     _add_seed_and_out(one)
 
 
-def _add_trials(add: Any) -> None:
+def _add_campaigns(add: Any) -> None:
     one = add("trials", trials, "run a scenario in lockstep with many seeds: success rate with its 95 %% interval")
     one.add_argument("scenario", help="name of a scenario, path of a TOML file, all that are walked, or passages: all gaps")
     _add_robot_and_gait(one)

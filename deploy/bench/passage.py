@@ -148,7 +148,7 @@ def _race_expansions(
     race: Race, roadmap: Roadmap, profile: RobotProfile, settings: PassageSettings, field: Field, seed: int
 ) -> None:
     """Race the tests of expansions of stances that the newest search came through."""
-    legs, rules, strip = legs_of(profile, settings), rules_of(profile, settings), ground_of(field, settings)
+    legs, rules, strip = legs_of(profile, settings), rules_of(profile, settings), ground_of(field)
     peer = NumpyTests(legs, rules, strip)
     work = _expansions(roadmap, profile, settings, np.random.default_rng(seed))
     verdict, lifts = np.zeros(work[-1].shape[:3], dtype=np.int64), np.zeros(work[-1].shape[:3])

@@ -22,6 +22,7 @@ _DOUBT = 0.4  # of what speeds the leg up, for an armature is known no better, a
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo, after which nobody knows what its leg feels
 _NEAREST_ARM = 0.06  # [m] of a foot beside its femur's axis: nearer ones have too little leverage to tell a push from noise
 _NONE = np.zeros(6, dtype=np.bool_)
+_ALL = np.ones(6, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,7 @@ class Felt:
     pushes: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) legs that push the ground, if they hardly move
     heaves: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that seem to lift the body
     leans: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that bear if the next reading is like the last
+    known: NDArray[np.bool_] = field(default_factory=lambda: _ALL)  # (6,) feet of which it is known where they are
 
 
 class Feeler:

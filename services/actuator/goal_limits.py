@@ -21,7 +21,10 @@ class GoalLimits:
         self.behind = np.zeros((6, 3), dtype=np.bool_)  # joints that take up their work, and have not been near it yet
 
     def ease(self, leg: int, joint: int) -> None:
-        """Let a joint, its leg with it, take up work gently: goals are slow until they have caught up with what is wanted."""
+        """Let a joint take up its work gently: its goals are slow until they have caught up with what is wanted.
+
+        So are those of its whole leg until it has nearly: they change with it from hanging to standing.
+        """
         self._gentle[leg] = True
         self.behind[leg, joint] = True
 
@@ -49,7 +52,7 @@ class GoalLimits:
         q = np.minimum(np.maximum(wanted, q_last - top * dt), q_last + top * dt)
         if dt > 0.0:
             self._rates = (q - q_last) / dt
-        self._gentle &= np.abs(wanted - q) > 1e-9
         self.behind &= np.abs(wanted - q) > _NEAR
+        self._gentle &= (np.abs(wanted - q) > 1e-9) | self.behind.any(axis=1, keepdims=True)
         names = [LEGS[leg] for leg in np.flatnonzero(lost)]
         return q, f"foot out of reach, held: {', '.join(names)}" if names else ""

@@ -122,6 +122,11 @@ class Joints:
         limp = ~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)
         return np.asarray(limp.reshape(6, 3).any(axis=1))
 
+    @property
+    def unsure_legs(self) -> NDArray[np.bool_]:
+        """(6,) legs that are limp, or of which a servo has been silent and is not yet where it was sent again."""
+        return np.asarray(self.limp_legs | self._behind.reshape(6, 3).any(axis=1))
+
     # --------------------------------------------------------------------------------------------------- every cycle
 
     def read(self, urgent: Sequence[int]) -> list[ServoReading]:

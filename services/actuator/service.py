@@ -193,10 +193,10 @@ class Actuator:
         return np.asarray(self._joints.q + (self._q_wanted - self._q_wanted_when_read))
 
     def _standing(self) -> NDArray[np.bool_]:
-        """(6,) legs that stand; where some are limp they stand on nothing, unless too few are left."""
+        """(6,) legs that stand; those that are limp, or not where they were sent, stand on nothing, unless too few are left."""
         walker = self._walker
         standing = (~walker.swing | (walker.load_share > _STANDS)) & ~walker.searching
-        firm = standing & ~self._joints.limp_legs
+        firm = standing & ~self._joints.unsure_legs
         return np.asarray(firm if firm.sum() >= 3 else standing)
 
     def _see_to_health(self, now_ns: int, elapsed: float) -> None:
@@ -293,8 +293,8 @@ class Actuator:
             stands = self._feeler.bears | self._feeler.silent(self._clock()) | self._joints.limp_legs
             feet, awaiting = self._odometry.feet, self._walker.awaiting
             heaves = self._plumb.heaves(T_odom_body, feet, awaiting, now_ns)
-            feeler, firm = self._feeler, self._contact.firm
-            felt = Felt(feeler.touches, stands, apply(T_odom_body, feet), firm, heaves, feeler.leans)
+            feeler, firm, known = self._feeler, self._contact.firm, ~self._joints.unsure_legs
+            felt = Felt(feeler.touches, stands, apply(T_odom_body, feet), firm, heaves, feeler.leans, known)
             targets = self._walker.update(dt, T_odom_body, felt)
         self._reach_for(targets, dt)
         if self._posing is not None and self._posing.done:

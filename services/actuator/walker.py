@@ -48,6 +48,7 @@ _REACH, _REACH_SPEED = 0.04, 0.04  # [m] by which a foot looks for ground below 
 _PUSHED_DOWN = 0.005  # [m] of it after which a foot that stood all the while pushes so that all joints of its leg tell
 _FEEL_FROM_S = 0.03  # [s] before its legs are lifted from which a step wants to know that the others stand
 _SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is measured at rest
+_SURVEYED = 0.010  # [m] by which that may differ from where the foot was felt to meet ground
 _WAIT_S, _LONGER_S = 0.07, 0.12  # [s] for which it waits for them, and for those that by their last reading may stand
 _BACK_S = 1.4  # [s] in which a step is taken back
 _SOON_S = 0.30  # [s] in which feet in the air are on the ground, once the robot has to stand
@@ -118,6 +119,7 @@ class Walker:
         self._proven: NDArray[np.bool_] = np.ones(6, dtype=bool)  # legs that have borne something since they came down
         self._short = np.zeros(6)  # [m] over their targets at which legs were stopped: by ground, or by what felt like it
         self._landed: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # legs that have swung last
+        self._surveyed = np.zeros(6)  # [m] by which they were found to stand higher than felt
         self._search: _Search | None = None
         self._way_back: StepPlan | None = None  # of the last step, {world} being {cmd}
         self._waited = 0.0  # [s] before lift-off, for legs that have yet to prove that they stand
@@ -385,11 +387,14 @@ class Walker:
         """At rest, see how high the feet truly stand that have just met ground: they were measured while they moved.
 
         Those that have stood before say where the body is. With all six in the fit each look sees about half of the error.
+        A foot whose height goes on changing stands on nothing firm, or is not where it is told to be: it is not followed far.
         """
-        fresh = self._stopped & self._landed & ~self.searching
-        gap = min(dt / _SURVEY_S, 1.0) * (felt.feet[:, 2] - self._ground)[fresh]
-        self._ground[fresh] += gap
-        self._met[fresh, 2] += gap
+        fresh = self._stopped & self._landed & ~self.searching & felt.known
+        gap = min(dt / _SURVEY_S, 1.0) * (felt.feet[:, 2] - self._ground)
+        gap = np.where(fresh, np.clip(self._surveyed + gap, -_SURVEYED, _SURVEYED) - self._surveyed, 0.0)
+        self._surveyed += gap
+        self._ground += gap
+        self._met[:, 2] += gap
 
     def _call_off(self, legs: NDArray[np.bool_]) -> None:
         """Lift nothing: legs (6,) that were to carry stand on nothing. They look for ground while the others hold the body."""
@@ -447,6 +452,7 @@ class Walker:
         """Let feet stay where they are: (6, 3) [m] {cmd} and {odom}."""
         self._met[legs] = met[legs]
         self._ground[legs] = feet[legs, 2]
+        self._surveyed[legs] = 0.0
         self._stopped |= legs
         self._findings += [Finding(leg, feet[leg].copy(), True) for leg in np.flatnonzero(legs).tolist()]
 

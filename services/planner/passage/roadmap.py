@@ -119,7 +119,7 @@ class Roadmap:
             raise ValueError(f"a body (3,) and finite feet (6, 3) expected, found {stance.body.shape} and {stance.feet.shape}")
         self._field = field
         self._outcome: Crossing | NoWay | None = None
-        self._ground = ground_of(field, self._settings)
+        self._ground = ground_of(field)
         self._goal_x, self._seen_to = goal_x, self._end_of_the_known(field, stance)
         self._root = self._repaired(stance)
         self._tree.random[0] = np.uint64((seed * 2654435761 + 88172645463325252) % (2**64 - 1) + 1)

@@ -1091,7 +1091,7 @@ def _footholds(
         if not (0 <= i < nx and 0 <= j < ny):
             _fail(tree, far, UNKNOWN, leg)
             continue
-        unseen = F[i, j] == _NEVER_SEEN
+        unseen = F[i, j] == _NEVER_SEEN  # what fails from here on may do so for want of sight
         if unseen and ground.nearest[i, j] >= 0:
             i, j = ground.nearest[i, j] // ny, ground.nearest[i, j] % ny
         code = ground.meant[i, j]

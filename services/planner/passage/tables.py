@@ -95,7 +95,7 @@ def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
     )
 
 
-def ground_of(field: Field, settings: PassageSettings) -> Ground:
+def ground_of(field: Field) -> Ground:
     """What the search sees of a strip.
 
     Layers are copied: views of a message, or what was made of them, are arrays of other types, for each of which the search

@@ -100,6 +100,18 @@ def test_a_joint_is_behind_while_it_takes_up_its_work_further_than_five_degrees_
     assert not limits.behind.any()
 
 
+def test_the_joints_beside_one_that_is_behind_stay_gentle_even_where_they_have_nothing_to_catch_up() -> None:
+    limits, wanted, last = GoalLimits(PROFILE), REST.copy(), REST
+    wanted[3, 1] += 0.3
+    limits.ease(3, 1)
+    while limits.behind.any():
+        last, _ = limits.safe(wanted, last, DT)
+        wanted[3, 2] = last[3, 2] + (0.1 if limits.behind.any() else 0.0)  # what hung begins to stand
+        goal, _ = limits.safe(wanted, last, DT)
+        assert abs(goal[3, 2] - last[3, 2]) <= GENTLE * DT + 1e-12
+        last = goal
+
+
 def test_nobody_takes_up_work_where_torque_is_off() -> None:
     limits = GoalLimits(PROFILE)
     limits.ease(3, 1)

@@ -448,6 +448,24 @@ def test_the_foot_that_stopped_is_where_the_stance_at_the_end_says() -> None:
     np.testing.assert_allclose(walker.feet_odom[2], expected, atol=1e-3)
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_at_rest_the_height_of_a_new_foothold_is_measured_and_a_foot_that_goes_on_sinking_is_not_followed_far(
+    known: bool,
+) -> None:
+    walker, plan, leg = new_walker(), plan_to(1, body_at(0.06)), 2
+    stepping(walker, {leg: float(plan.touchdown[leg, 2]) + 0.02}, plan)
+    stands, other = walker.feet_odom[leg, 2], walker.feet_odom[1, 2]
+    sure = ALL & ((np.arange(6) != leg) | known)
+    for sinks, follows in ((0.004, 0.004), (0.2, 0.010)):
+        for _ in range(100):
+            feet = walker.feet_odom
+            feet[leg, 2] = stands - sinks
+            walker.update(DT, walker.body_ref, Felt(NOTHING, ALL, feet, known=sure))
+        assert walker.feet_odom[leg, 2] == pytest.approx(stands - follows * known, abs=5e-4)
+        assert walker.ground[leg] == pytest.approx(stands - follows * known, abs=5e-4)
+    assert walker.feet_odom[1, 2] == pytest.approx(other, abs=1e-6)
+
+
 def test_what_is_felt_on_the_way_up_or_at_the_target_stops_nothing() -> None:
     plan = plan_to(1, body_at(0.06))
     walker = new_walker()

@@ -23,7 +23,7 @@ FIELDS = [
 def judged(seed: int, leg: int, robot: int, ground: int, spread: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Verdicts and clearances of both on a stance that is off by a spread [m]."""
     rng, profile = np.random.default_rng(seed), PROFILES[robot]
-    legs, rules, field = legs_of(profile, PASSAGE), rules_of(profile, PASSAGE), ground_of(FIELDS[ground], PASSAGE)
+    legs, rules, field = legs_of(profile, PASSAGE), rules_of(profile, PASSAGE), ground_of(FIELDS[ground])
     body = np.array([rng.uniform(0.5, NEAR + GAP), rng.uniform(-0.02, 0.02), profile.stance.body_height])
     feet = profile.rest_feet() + body + np.append(rng.uniform(-spread, spread, 2), 0.0)
     feet[:, :2] += rng.uniform(-spread, spread, (6, 2))

@@ -3,10 +3,21 @@
 import numpy as np
 import pytest
 
-from deploy.bench.passage_fields import BEYOND, GAP, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
+from deploy.bench.passage_fields import (
+    BEYOND,
+    GAP,
+    NEAR,
+    START,
+    Block,
+    field_of,
+    heights,
+    random_blocks,
+    stance_at,
+    thesis_blocks,
+)
 from services.planner.passage.exhaustive import has_way, passable
 from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Stance
+from services.planner.passage.roadmap import Crossing, Roadmap, Stance
 from services.planner.passage.settings import PassageSettings
 from shared.robot import load_profile
 
@@ -68,6 +79,21 @@ def test_the_order_of_pillars_and_their_mirror_image_do_not_matter(seed: int) ->
     assert across(blocks) == across(blocks[::-1])
     told = across(blocks), across(mirrored)
     assert None in told or told[0] == told[1]
+
+
+def test_what_the_roadmap_crosses_is_never_called_impassable() -> None:
+    roadmap, crossed = Roadmap(PROFILE, SETTINGS), 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        blocks = [Block(b.x, b.y, *rng.uniform(0.10, 0.12, 2)) for b in random_blocks(rng, GAP, 0.13, 0.85, 0.10)]
+        field = field_of(heights(blocks, GAP), HEIGHT)
+        roadmap.begin(field, STANCE, GOAL_X, 0)
+        while (found := roadmap.grow(SETTINGS.budget)) is None:
+            pass
+        if isinstance(found, Crossing) and found.complete:
+            crossed += 1
+            assert has_way(PROFILE, SETTINGS, field, STANCE, GOAL_X, 50_000) is not False
+    assert crossed >= 2
 
 
 def test_where_there_is_no_room_to_tell_nothing_is_told() -> None:
