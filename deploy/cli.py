@@ -15,6 +15,7 @@ from deploy.commands import servos
 from deploy.commands.benches import (
     bench_accuracy,
     bench_bus,
+    bench_page,
     bench_passage,
     bench_servos,
     bench_speed,
@@ -212,6 +213,7 @@ def _add_robots(add: Any) -> None:
         help="onboard: actuator, stop, camera, perception; offboard: the rest",
     )
     one.add_argument("--scenario", help="simulate it in place of the hardware")
+    one.add_argument("--no-page", action="store_true", help="start no console: nobody leads from a browser")
     words = "profile by name, or path of a TOML file (default: the scenario's, or phantomx_mk2)"
     one.add_argument("--robot", default="", help=words)
     one.add_argument(
@@ -256,6 +258,9 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     one.add_argument("--rounds", type=_positive, default=300, metavar="N", help="of each job (default %(default)s)")
     _add_out_and_json(one)
 
+    one = add("page", bench_page, "time how soon the operator's page stops the robot, by a real browser, and its cost", group)
+    one.add_argument("--rounds", type=_positive, default=30, metavar="N", help="of each (default %(default)s)")
+    _add_out_and_json(one)
     one = add(
         "start", bench_start, "time how soon the actuator holds a robot that stands, from the start of its process", group
     )

@@ -39,6 +39,8 @@ class Choices:
     registration: str = "projective"
     pose_error: str = "none"  # of the scenario's; in simulation alone
     map: MapOptions = field(default_factory=MapOptions)
+    lift: float = 0.04  # [m] of swinging feet, where an operator leads
+    console_port: int = 8080  # TCP port of the operators' page
     camera: str = ""  # device in place of the one of the robot's profile: "openni2", "realsense", or a recorded folder
 
 
@@ -48,8 +50,8 @@ class Process:
 
     name: str
     module: str  # run as python -m
-    # Where it may run: "simulation" stands in for the hardware, a "device" is on the robot alone.
-    side: Literal["robot", "device", "either", "simulation"]
+    # Where it may run: "simulation" stands in for the hardware, a "device" is on the robot alone, a "page" where it is wanted.
+    side: Literal["robot", "device", "either", "simulation", "page"]
     restarts: int  # times that a run starts it again after it died
     settings: Callable[[Choices], dict[str, Value]] = field(compare=False)
     nice: int = 0  # how far it gives way where cores are short: the servos' side never does
@@ -87,6 +89,10 @@ def _planner(choices: Choices) -> dict[str, Value]:
     return {"blind": choices.blind, "footholds": choices.footholds}
 
 
+def _console(choices: Choices) -> dict[str, Value]:
+    return {"port": choices.console_port, "lift": choices.lift}
+
+
 def _servo_port(choices: Choices) -> dict[str, Value]:
     return {"port": f"socket://127.0.0.1:{choices.bus_port}"} if choices.scenario else {}
 
@@ -106,6 +112,7 @@ TABLE: tuple[Process, ...] = (
     Process("perception", "services.perception", "robot", 3, _perception, nice=2),
     Process("mapper", "services.mapper", "either", 3, _mapper, nice=5),
     Process("planner", "services.planner", "either", 3, _planner, nice=2),
+    Process("console", "services.console", "page", 3, _console, nice=3),
 )
 
 
@@ -136,6 +143,7 @@ def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT
         registration=scenario.variation.registration,
         pose_error=scenario.pose_error,
         map=scenario.map,
+        lift=scenario.walk.lift,
     )
 
 
@@ -145,11 +153,13 @@ def new_robot(chosen: Choices) -> None:
         Latch.of_port(str(_servo_port(chosen)["port"])).open()
 
 
-def rows(role: Role, simulated: bool) -> tuple[Process, ...]:
-    """The processes of a role: onboard what must be on the robot, offboard the rest, all both."""
+def rows(role: Role, simulated: bool, page: bool = False) -> tuple[Process, ...]:
+    """The processes of a role: onboard what must be on the robot, offboard the rest, all both; with a page for operators."""
     sides = {"all": ["robot", "device", "either"], "onboard": ["robot", "device"], "offboard": ["either"], "sim": []}[role]
     if role == "sim" or (simulated and role != "offboard"):
         sides = ["simulation", *(side for side in sides if side != "device")]
+    if page and role in ("all", "offboard"):
+        sides = [*sides, "page"]
     return tuple(p for p in TABLE if p.side in sides)
 
 

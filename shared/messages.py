@@ -28,6 +28,7 @@ MAX_LENGTH = 4_000_000  # elements along an array
 MAX_WAYPOINTS = 32  # of a goal
 MAX_PATH = 64  # corners of a planned way
 MAX_SECTION = 512  # steps of a planned section of a passage
+MAX_PREVIEW = 1 << 17  # bytes of a picture for people
 MAX_TREE = 8000  # edges of the tree it was found in, as far as they are sent
 
 
@@ -124,6 +125,14 @@ class ColorImage(Message):
     """One colour frame, pixel for pixel over the depth frame of the same stamp; camera -> perception."""
 
     rgb: Annotated[NDArray[np.uint8], Dims("h", "w", 3)]
+
+
+@dataclass(frozen=True, slots=True)
+class Preview(Message):
+    """What the camera sees, small and for people's eyes, as JPEG; perception -> console. The colour is empty without one."""
+
+    depth_jpeg: Annotated[NDArray[np.uint8], Dims("depth", lengths=(0, MAX_PREVIEW))]  # near red, far blue, black unknown
+    color_jpeg: Annotated[NDArray[np.uint8], Dims("color", lengths=(0, MAX_PREVIEW))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -388,7 +397,7 @@ class ModeCommand(Message):
     mode: Literal["off", "stop", "ready", "stand", "walk", "sit"]
     sequence: int  # counts up: an order counts once, however often it is repeated
     holder: str = "operator"  # who orders: one at a time may move the legs, everybody may stop them
-    take: bool = False  # True: take over from whoever may move them now
+    take: bool = False  # True: take over from whoever may move them now; with `stop` without moving anything
 
 
 @dataclass(frozen=True, slots=True)

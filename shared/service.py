@@ -28,9 +28,10 @@ _SAMPLES = 4096  # timings kept per stage
 
 @dataclass(frozen=True, slots=True)
 class Every:
-    """Paces a service by its own clock."""
+    """Paces a service by its own clock; where `early` is set, the next beat comes at once, and the others a period after it."""
 
     period_ns: int
+    early: threading.Event | None = None
 
     @classmethod
     def hz(cls, rate_hz: float) -> "Every":
@@ -51,6 +52,7 @@ class Beats:
         self._due_ns = max(self._due_ns + self._period_ns, self._clock() - self._period_ns)
         wait(max(0, self._due_ns - self._clock()) * 1e-9)
         before, self._at_ns = self._at_ns, self._clock()
+        self._due_ns = min(self._due_ns, self._at_ns)  # it has come early
         return self._at_ns - before
 
 
@@ -341,12 +343,25 @@ def run_live(
     while not stop.is_set():
         alive(clock())
         if beats is not None:
-            service.stages.add("cycle", beats.next(stop.wait) * 1e-6)
+            service.stages.add("cycle", beats.next(_waiting(pace, stop)) * 1e-6)
             worker.tick()
         elif arrived.wait(0.2):
             arrived.clear()
             worker.arrived()
         worker.report_health(clock())  # also while nothing comes in, or nothing that decodes
+
+
+def _waiting(pace: AnyTopic | Every, stop: threading.Event) -> Callable[[float], object]:
+    """What waits [s] for the next beat."""
+    early = pace.early if isinstance(pace, Every) else None
+    if early is None:
+        return stop.wait
+
+    def wait(length_s: float) -> None:
+        early.wait(length_s)
+        early.clear()
+
+    return wait
 
 
 class _DecodedOnce:

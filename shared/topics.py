@@ -51,6 +51,7 @@ _KIB = 1024
 DEPTH = Topic("camera/depth", m.DepthImage, 30.0, Delivery.LATEST, Lane.BULK, 4096 * _KIB, 0.010)
 COLOR = Topic("camera/color", m.ColorImage, 5.0, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.015)
 CAMERA_STATE = Topic("camera/state", m.CameraState, 4.0, Delivery.LATEST, Lane.CONTROL, 16 * _KIB, 0.003)
+PREVIEW = Topic("camera/preview", m.Preview, 5.0, Delivery.LATEST, Lane.BULK, 300 * _KIB, 0.010)
 IMU = Topic("imu", m.Imu, 100.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CONTROL, 4 * _KIB, 0.013)
 ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.015)
@@ -73,6 +74,7 @@ TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
     DEPTH,
     COLOR,
     CAMERA_STATE,
+    PREVIEW,
     IMU,
     ODOMETRY,
     ACTUATOR_STATE,

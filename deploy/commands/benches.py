@@ -52,6 +52,20 @@ def bench_passage(arguments: argparse.Namespace) -> int:
     return _tell_bench(words, text, out / "passage.json", arguments.json)
 
 
+def bench_page(arguments: argparse.Namespace) -> int:
+    """`sextant bench page`: what the operator's page costs, and how soon it stops the robot."""
+    from deploy.bench import page
+
+    out = out_folder(arguments, "bench-page")
+    try:
+        found = page.measure(arguments.rounds, open_progress(arguments.json).say)
+    except ImportError:
+        raise InputError("Playwright is missing: pip install 'sextant[bench]'") from None
+    except FileNotFoundError as error:
+        raise InputError(str(error)) from None
+    return _tell_bench(page.in_words(found), page.to_json(found), out / "page.json", arguments.json)
+
+
 def bench_servos(arguments: argparse.Namespace) -> int:
     """`sextant bench servos`: how long the servo bus takes through our packets and through dynamixel-sdk."""
     from deploy.bench import servo_bus

@@ -23,7 +23,7 @@ def up(arguments: argparse.Namespace) -> int:
     from deploy.launcher import Launcher
     from shared.transport import Endpoints, Router
 
-    rows = process_table.rows(arguments.role, simulated=arguments.scenario is not None)
+    rows = process_table.rows(arguments.role, simulated=arguments.scenario is not None, page=not arguments.no_page)
     chosen = _choices(arguments)
     device = _camera(arguments.camera, chosen.robot, rows)
     if device == "none":
@@ -31,6 +31,8 @@ def up(arguments: argparse.Namespace) -> int:
     chosen, extra = replace(chosen, camera=arguments.camera and device), _extra(arguments.set, rows)
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
         _see_servo_port(extra.get("actuator", ()))
+    if any(row.name == "console" for row in rows):
+        chosen = replace(chosen, console_port=_page_port(chosen.console_port, extra.get("console", ())))
     process_table.new_robot(chosen)
     with contextlib.ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
@@ -46,6 +48,8 @@ def up(arguments: argparse.Namespace) -> int:
             )
         launcher = stack.enter_context(Launcher(process_table.commands(rows, chosen, endpoints, extra), hear=_pass_on))
         say(f"starting {', '.join(row.name for row in rows)}; Ctrl-C ends them")
+        if any(row.name == "console" for row in rows):
+            say(f"the operator's page: http://127.0.0.1:{chosen.console_port}/")
         while not interrupts.asked():
             for ended in launcher.wait(0.2):
                 complain(str(ended))
@@ -109,6 +113,21 @@ def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, t
     if port and "stop" in names:  # it watches over the same servos
         extra["stop"] = (*port, *extra.get("stop", ()))
     return extra
+
+
+def _page_port(usual: int, settings: Sequence[str]) -> int:
+    """Where the operator's page is served: as it is asked for, else where it usually is, else on any port that is free."""
+    from deploy.launcher import free_port, port_taken
+    from services.console.config import Settings
+    from shared.process import load_settings
+
+    if any(re.match(r"port\s*=", setting) for setting in settings):
+        return load_settings(Settings, None, settings).port
+    if not port_taken(usual):
+        return usual
+    port = free_port()
+    say(f"port {usual} is taken, so the operator's page is on {port}; --set console.port=PORT takes another")
+    return port
 
 
 def _see_servo_port(settings: Sequence[str]) -> None:

@@ -205,7 +205,7 @@ def _port(listen: int) -> str:
     return f"socket://127.0.0.1:{listen}"
 
 
-def commands(endpoints: Endpoints, bus: int, listen: int, seed: int) -> list[Command]:
+def commands(endpoints: Endpoints, bus: int, listen: int, seed: int, scenario: str = _GROUND) -> list[Command]:
     """All processes: the services, their router, the tap between actuator and servos, and the operator.
 
     Args:
@@ -213,8 +213,9 @@ def commands(endpoints: Endpoints, bus: int, listen: int, seed: int) -> list[Com
         bus: TCP port of the simulated servo bus.
         listen: TCP port of the tap.
         seed: Of the simulator.
+        scenario: That it is given.
     """
-    chosen = process_table.choices(load_scenario(_GROUND), _GROUND, seed, bus)
+    chosen = process_table.choices(load_scenario(scenario), scenario, seed, bus)
     tapped = (process_table.assignment("port", _port(listen)),)
     rows = process_table.rows("all", simulated=True)
     rows = tuple(replace(row, urgent=True) if row.side == "simulation" else row for row in rows)  # the world waits for nobody

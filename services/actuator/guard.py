@@ -76,6 +76,7 @@ class Guard:
         self._may_walk = False
         self._accepted_ns = 0  # when the newest plan was
         self._late = False  # whether this walk has gone on for too long without one
+        self._halted = False  # whether this walk was ordered to stop
         self._seat = ""  # why the robot is to lie down as soon as it can, in words, or nothing
         self._lets_go = False  # whether it then lets go, and lies down whatever is broken
         self.tipped = ""  # that the body leaned too far to go on, in words, until it is ordered to walk or stand
@@ -98,7 +99,10 @@ class Guard:
     # ---------------------------------------------------------------------------------------------------------- orders
 
     def hear(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
-        """Obey an order, or say in `objection` why not; one that is repeated only keeps the lease."""
+        """Obey an order, or say in `objection` why not; one that is repeated only keeps the lease.
+
+        A stop is obeyed whoever orders it; one that takes over gives the lease to who has ordered it, and nothing moves.
+        """
         newest = self._sequences.get(order.holder)
         if newest is not None and order.sequence <= newest:
             if order.sequence < newest:
@@ -109,13 +113,13 @@ class Guard:
         stranger = newest is None and len(self._sequences) >= _HOLDERS
         if not stranger:
             self._sequences[order.holder] = order.sequence
-        if order.mode not in _STOPS:
-            self.objection = self._claim(order, now_ns, stranger)
-            if self.objection:
-                return ()
-        elif order.holder == self._holder:
+        stops = order.mode in _STOPS
+        refused = self._claim(order, now_ns, stranger) if order.take or not stops else ""
+        self.objection = "" if stops else refused
+        if self.objection:
+            return ()
+        if order.holder == self._holder:
             self._heard_ns = now_ns
-        self.objection = ""
         return self._obey(order.mode)
 
     def _claim(self, order: ModeCommand, now_ns: int, stranger: bool) -> str:
@@ -155,6 +159,7 @@ class Guard:
         if not self._verdict.sit:
             self._seat, self._lets_go = "", False
         if self.mode is Mode.WALK:
+            self._halted = True
             return (Act.SET_DOWN,)
         if self.mode in (Mode.STAND, Mode.SIT):
             self._enter(Mode.READY, "stopped on its way; order `stand` or `sit`")
@@ -203,7 +208,7 @@ class Guard:
         return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
 
     def _enter(self, mode: Mode, reason: str) -> None:
-        self.mode, self.reason, self._late = mode, reason, False
+        self.mode, self.reason, self._late, self._halted = mode, reason, False, False
 
     # ----------------------------------------------------------------------------------------------------------- plans
 
@@ -312,12 +317,13 @@ class Guard:
         if self.mode is not Mode.WALK:
             return ()
         late = f"no new plan came for {DEADLINE_NS * 1e-9:.2f} s" if self._late else ""
-        why = self.tipped or "; ".join(words for words in (late, legs.trouble) if words)
+        ended = "ordered to stop" if self._halted else late
+        why = self.tipped or "; ".join(words for words in (ended, legs.trouble) if words)
         if legs.resting:
             self._enter(Mode.HOLD, why or "the last accepted step is finished and no new plan came")
             return ()
         self.reason = why or "walking"
-        if legs.planned and not self._late and now_ns - self._accepted_ns > DEADLINE_NS:
+        if legs.planned and not (self._late or self._halted) and now_ns - self._accepted_ns > DEADLINE_NS:
             self._late = True
             return (Act.SET_DOWN,)
         return ()

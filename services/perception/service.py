@@ -12,15 +12,17 @@ from services.perception.cameras.watch import EMPTY, is_noise, measured_share
 from services.perception.coloring import Coloring
 from services.perception.config import Settings
 from services.perception.motion import Motion, OdometryHistory
+from services.perception.preview import preview
 from services.perception.reduction import reduce_scan
 from services.perception.registration import AXES, Registered, Registration, refused
 from services.perception.sights import free_sights
 from shared import topics
 from shared.geometry import Array, inverse, rotation_from_rpy, rpy_from_rotation, to_millimetres, transform, yaw_of
-from shared.messages import BodyPose, ColorImage, DepthImage, Message, Scan
+from shared.messages import BodyPose, ColorImage, DepthImage, Message, Preview, Scan
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
 
+_PREVIEW_NS = 180_000_000  # [ns] at least between two pictures for people
 _SAMPLED = 8  # every how many rows and columns are looked at to tell a frozen picture
 _EMPTY_EVERY = 3  # scans after which pixels without a return count as lines of sight: they are less to be relied upon
 _BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothing is in range
@@ -36,7 +38,7 @@ class Perception:
     name = "perception"
     paced_by: AnyTopic = topics.DEPTH
     reads: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE)
-    writes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN)
+    writes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN, topics.PREVIEW)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Begin without a pose."""
@@ -60,6 +62,7 @@ class Perception:
         self._tilt: Array = np.zeros(2)  # [rad] roll and pitch of {odom} in {world}, steadied
         self._stamp_ns = -1
         self._frames = 0
+        self._preview_ns = 0  # [ns] when the next one is due
         self._looks = 0  # scans whose lines of sight have been told
         self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest frame
         self._every = settings.frames_per_scan(profile.camera.sensor.rate_hz)
@@ -80,6 +83,9 @@ class Perception:
             self._keep_for_color(image)
         if not used:
             return
+        if image.stamp_ns >= self._preview_ns and inbox.wanted(topics.PREVIEW):
+            self._preview_ns = image.stamp_ns + _PREVIEW_NS
+            yield self._preview(image, inbox)
         if 0 <= self._newest_ns - image.stamp_ns < _OUT_OF_ORDER_NS:  # further back it is another clock
             self._words = "the camera's frames do not come in the order of their stamps; passing over those that are late"
             return
@@ -120,6 +126,11 @@ class Perception:
             self._coloring.keep(image.stamp_ns, image.depth, np.array(found.T_world_camera))
             scan = self._colored(scan, inbox.latest(topics.COLOR), self._coloring)
         yield scan
+
+    def _preview(self, image: DepthImage, inbox: Inbox) -> Preview:
+        with self.stages("preview"):
+            picture = inbox.latest(topics.COLOR) if self._coloring is not None else None
+            return preview(image.stamp_ns, image.depth, self._camera.sensor, None if picture is None else picture.rgb)
 
     def _keep_for_color(self, image: DepthImage) -> None:
         """Remember a frame that is not registered, by where the legs say that it was taken: its colour may be on its way."""

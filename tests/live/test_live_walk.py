@@ -2,8 +2,10 @@
 
 import json
 import os
+import re
 import signal
 import time
+import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 
@@ -162,6 +164,15 @@ def test_two_runs_do_not_meet_and_neither_leaves_an_orphan(tmp_path: Path) -> No
         assert all(f"simulating {name}," in words for words in said), "it heard its own simulator alone"
 
 
+def serves(url: str) -> bool:
+    """Whether a page is to be had."""
+    try:
+        with urllib.request.urlopen(url, timeout=5.0) as answer:
+            return b"Sextant" in answer.read()
+    except OSError:
+        return False
+
+
 def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> None:
     skip_where_taken(BUS_PORT)
     course, out = str(write_course(tmp_path, "shared", 0.3)), tmp_path / "out"
@@ -169,6 +180,9 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with Command("up", "all", "--scenario", course, "--listen", endpoint, *meet, cwd=tmp_path) as up:
         up.wait_for(lambda: up.service("actuator"), "the services")
+        up.wait_for(lambda: re.search(r"the operator's page: (\S+)", up.text()), "where the page is")
+        address = re.search(r"the operator's page: (\S+)", up.text())
+        up.wait_for(lambda: address is not None and serves(address[1]), "the page")
         with Command("run", course, "--connect", endpoint, *meet, "--out", str(out), cwd=tmp_path) as run:
             assert run.status() == 0
             assert len(run.family()) == 0

@@ -28,7 +28,7 @@ class Everything(RuleBasedStateMachine):
         self.stamps = [-1]  # of accepted plans
         self.considered: list[StepPlan] = []
         self.accepted = -1  # [ns]
-        self.late = self.seats = False
+        self.late = self.halted = self.seats = False
         self.before: tuple[Mode, bool] = (Mode.OFF, False)
 
     @property
@@ -54,7 +54,7 @@ class Everything(RuleBasedStateMachine):
 
     def obeyed(self, order: ModeCommand, was: Mode, acts: tuple[Act, ...]) -> None:
         guard, mode = self.robot.guard, order.mode
-        if mode not in ("off", "stop"):
+        if mode not in ("off", "stop") or order.take:
             self.ordered_to_walk &= self.holder == order.holder
             self.holder = order.holder
         if self.holder == order.holder:
@@ -77,6 +77,7 @@ class Everything(RuleBasedStateMachine):
             self.seats = mode == "sit" and was is not Mode.OFF
         if was is Mode.WALK and mode != "walk" and mode != "off":
             assert acts == (Act.SET_DOWN,)
+            self.halted |= mode != "sit"
 
     @precondition(lambda self: self.orders)
     @rule(data=st.data())
@@ -130,7 +131,7 @@ class Everything(RuleBasedStateMachine):
         assert (robot.mode, robot.guard.refused) == (Mode.WALK, "")
         self.stamps.append(plan.stamp_ns)
         self.considered.append(plan)
-        self.accepted = robot.now
+        self.accepted, self.halted = robot.now, False
 
     # ---------------------------------------------------------------------------------------------------- what happens
 
@@ -152,7 +153,7 @@ class Everything(RuleBasedStateMachine):
         assert was is not Mode.OFF or (acts == () and robot.mode is Mode.OFF)
         assert Act.LET_GO not in acts or (was is Mode.SIT and ends), "nothing lets go of a robot that is up, but an order"
         overdue = robot.legs.planned and robot.now - self.accepted > DEADLINE_NS
-        if walked and overdue and not self.late:
+        if walked and overdue and not self.late and not self.halted:
             assert Act.SET_DOWN in acts
             self.late = True
         if walked and robot.verdict.broken:
@@ -160,8 +161,10 @@ class Everything(RuleBasedStateMachine):
             assert robot.mode is Mode.FAULT
         if robot.verdict.sit:
             self.ordered_to_walk = False
+        if robot.mode is Mode.HOLD and walked and self.halted and not robot.guard.tipped:
+            assert robot.guard.reason.startswith("ordered to stop")
         if robot.mode is not Mode.WALK:
-            self.late = False
+            self.late = self.halted = False
             self.seats &= robot.mode is Mode.FAULT
         if robot.verdict.broken:
             assert robot.mode in (Mode.OFF, Mode.READY, Mode.FAULT, Mode.SIT)

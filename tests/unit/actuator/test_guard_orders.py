@@ -373,3 +373,24 @@ def test_off_forgets_that_it_tipped() -> None:
     robot.guard.tip("it leans")
     robot.order("off")
     assert robot.guard.tipped == ""
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_stop_that_takes_over_leads_and_moves_nothing(mode: Mode) -> None:
+    robot = in_mode(mode)
+    robot.order("stop", "b")
+    before = robot.guard.lease(robot.now)
+    assert before != "b", "a stop alone leads nobody"
+    acts = robot.order("stop", "b", take=True)
+    assert set(acts) <= {Act.SET_DOWN, Act.FREEZE}
+    assert robot.guard.lease(robot.now) == "b"
+    assert robot.guard.objection == ""
+    robot.order("walk", "a")
+    assert "b holds the lease" in robot.guard.objection
+
+
+def test_a_walk_that_is_ordered_to_stop_says_so_when_it_stands() -> None:
+    robot = in_mode(Mode.WALK)
+    robot.order("stop", "b")
+    rested(robot)
+    assert (robot.mode, robot.guard.reason) == (Mode.HOLD, "ordered to stop")

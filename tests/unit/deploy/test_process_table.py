@@ -53,6 +53,13 @@ def test_the_roles_share_the_services_out() -> None:
     assert rows("all", simulated=True)[0].name == "simulator"
 
 
+def test_a_page_is_served_where_operators_are_and_only_where_it_is_wanted() -> None:
+    for role, there in (("all", True), ("offboard", True), ("onboard", False), ("sim", False)):
+        for simulated in (True, False):
+            assert ("console" in {p.name for p in rows(role, simulated, page=True)}) is there  # type: ignore[arg-type]
+            assert "console" not in {p.name for p in rows(role, simulated)}  # type: ignore[arg-type]
+
+
 def test_the_camera_is_read_on_the_robot_and_not_where_the_simulator_stands_in() -> None:
     for role, simulated, there in (
         ("all", False, True),

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,9 +12,9 @@ from services.perception.service import Perception
 from shared import codec, topics
 from shared.camera import Intrinsics
 from shared.geometry import Array, from_xyz_rpy, inverse, yaw_of
-from shared.messages import BodyPose, DepthImage, Message, Odometry, Scan
+from shared.messages import BodyPose, DepthImage, Message, Odometry, Preview, Scan
 from shared.robot import RobotProfile, load_profile
-from shared.service import Inbox
+from shared.service import AnyTopic, Inbox
 
 MS = 1_000_000
 FRAME = 33 * MS
@@ -45,7 +46,10 @@ class Rig:
         self.world, self.boxes, self.profile = world, world.scenes[scene], profile
         # Most tests begin at once; that it waits for the robot to stand still has its own.
         self.perception = Perception(profile, replace(settings or EVERY_FRAME, settle_s=settle_s))
-        self.inbox = Inbox([self.perception.paced_by, *self.perception.reads], self.perception.stages)
+        self.inbox = Inbox(
+            [self.perception.paced_by, *self.perception.reads], self.perception.stages, lambda topic: topic in self.wanted
+        )
+        self.wanted: set[AnyTopic] = set()
         self.now_ns = 1_000 * MS
         self.T_odom_start: Array = np.eye(4)  # {odom} in {world of the test}
         self.travelled = 0.0
@@ -315,3 +319,24 @@ def test_a_frozen_picture_is_named_once_the_legs_have_moved(world, moving: bool)
 def test_settings_that_make_no_sense_are_refused(name: str, bad: float) -> None:
     with pytest.raises(ValueError, match=f"{name} from .* expected, found {bad:g}"):
         Settings(**{name: bad})
+
+
+def test_a_picture_for_people_comes_five_times_a_second_and_only_where_it_is_wanted(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    made = [m for _ in range(30) for m in rig.frame(body_at(0.0)) if isinstance(m, Preview)]
+    assert made == []
+    rig.wanted = {topics.PREVIEW}
+    stamps = [m.stamp_ns for _ in range(30) for m in rig.frame(body_at(0.0)) if isinstance(m, Preview)]
+    assert 5 <= len(stamps) <= 6
+    assert min(np.diff(stamps)) >= 180 * MS
+    (picture,) = [m for _ in range(6) for m in rig.frame(body_at(0.0)) if isinstance(m, Preview)][:1]
+    shown = cv2.imdecode(picture.depth_jpeg, cv2.IMREAD_COLOR)
+    assert shown is not None
+    assert shown.shape == (240, 320, 3)
+    assert picture.color_jpeg.size == 0
+    depth = rig.picture(body_at(0.0))
+    depth = depth[:: depth.shape[0] // 240, :: depth.shape[1] // 320]
+    assert shown[depth == 0].mean() < 40.0, "what is not known is dark"
+    near, far = depth[depth > 0].min(), depth.max()
+    blue, red = shown[..., 0].astype(int), shown[..., 2].astype(int)
+    assert (red - blue)[(depth > 0) & (depth < near + (far - near) / 6)].mean() > 60.0, "near is red"

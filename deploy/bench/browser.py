@@ -1,0 +1,119 @@
+"""A headless Chromium that leads the robot by its page, as an operator would with a mouse."""
+
+import contextlib
+import os
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+_ARGUMENTS = (
+    "--no-sandbox",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-quic",
+    "--disable-sync",
+    "--no-first-run",
+    "--enable-unsafe-swiftshader",  # WebGL without a graphics card
+)
+DESKTOP, PHONE = (1440, 900), (390, 844)
+
+
+def find() -> str:
+    """Path of the browser, or nothing."""
+    return next((path for name in BROWSERS if (path := shutil.which(name))), "")
+
+
+@contextlib.contextmanager
+def browser() -> Iterator[Any]:
+    """A browser of Playwright's; many pages may be opened in it.
+
+    Raises:
+        FileNotFoundError: None is found.
+        ImportError: Playwright is missing.
+    """
+    path = find()
+    if not path:
+        raise FileNotFoundError(f"no browser found: install Chromium ({', '.join(BROWSERS)} are looked for)")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        made = playwright.chromium.launch(executable_path=path, args=list(_ARGUMENTS))
+        try:
+            yield made
+        finally:
+            made.close()
+
+
+class Hand:
+    """A mouse on one page."""
+
+    def __init__(self, page: Any):
+        """Of Playwright's page."""
+        self.page = page
+
+    def press_at(self, selector: str, x: float = 0.5, y: float = 0.5) -> None:
+        """Move to a place on an element, shares of its size, and press."""
+        self.move_to(selector, x, y)
+        self.page.mouse.down()
+
+    def move_to(self, selector: str, x: float = 0.5, y: float = 0.5) -> None:
+        """Move to a place on an element."""
+        box = self.page.locator(selector).bounding_box()
+        self.page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
+
+    def release(self) -> None:
+        """Let go."""
+        self.page.mouse.up()
+
+    def click(self, selector: str) -> None:
+        """Press and let go."""
+        self.press_at(selector)
+        self.release()
+
+    def hold_forward(self) -> None:
+        """Hold the pad for a walk straight on."""
+        self.press_at("#pad")
+        self.move_to("#pad", 0.5, 0.05)
+
+    def says(self, selector: str) -> str:
+        """The words of an element."""
+        return str(self.page.inner_text(selector))
+
+
+def _descendants(parent: int) -> set[int]:
+    children: dict[int, list[int]] = {}
+    names: dict[int, str] = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError):
+                stat = (entry / "stat").read_text(encoding="utf-8")
+                name, fields = stat[stat.index("(") + 1 : stat.rindex(")")], stat[stat.rindex(")") + 2 :].split()
+                children.setdefault(int(fields[1]), []).append(int(entry.name))
+                names[int(entry.name)] = name
+    found: set[int] = set()
+    front = [parent]
+    while front:
+        for child in children.get(front.pop(), []):
+            front.append(child)
+            if "chrom" in names[child]:
+                found.add(child)
+    return found
+
+
+@contextlib.contextmanager
+def frozen() -> Iterator[None]:
+    """Stop all browsers that this process has started, and let them go on."""
+    stopped = _descendants(os.getpid())
+    if not stopped:
+        raise ProcessLookupError("no browser of this process runs")
+    try:
+        for pid in stopped:
+            os.kill(pid, signal.SIGSTOP)
+        yield
+    finally:
+        for pid in stopped:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)

@@ -1,0 +1,228 @@
+"""What the operator's page costs and how soon it stops the robot: a real browser leads a simulated one, live.
+
+Times are from the browser's input to what comes over the servos' wire: from the release of the pad, or from when all of the
+browser is stopped (SIGSTOP) while it holds the pad, to the last goals that move the body on over the legs that stand, and to
+when the feet in the air are down, too; from the press of the button to torque off.
+"""
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deploy.bench.browser import DESKTOP, Hand, browser, frozen
+from deploy.bench.page_robot import PageRobot
+from deploy.bench.timing import machine
+from services.console.desk import DEAD_MAN_NS
+from shared.messages import Mode
+
+RELEASE_S, OFF_S, CORE, RATE, FRAMES = (
+    0.350,
+    0.150,
+    0.03,
+    3e6,
+    20.0,
+)  # what the page is to keep; bytes a second, frames likewise
+FROZEN_S = RELEASE_S + DEAD_MAN_NS * 1e-9
+_WALK_S, _MORE_S = 1.0, 1.5  # [s] of walking before the pad is let go, and up to so much more
+_SETTLE_S = 1.5
+_WATCH_S = 15.0  # [s] over which cost is measured
+_BENCH_S = 5.0  # [s] of drawing
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """How long something took, of several times."""
+
+    what: str
+    limit_s: float  # NaN for none
+    seconds: tuple[float, ...]
+
+    @property
+    def kept(self) -> bool:
+        """Whether none took longer than it may."""
+        return not max(self.seconds) > self.limit_s
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What a page takes while the robot walks."""
+
+    core: float  # share of one that the server takes
+    core_alone: float  # share that it takes while no page is open
+    bytes_per_s: float  # to the page
+    drawn_per_s: float  # frames that the page drew, the robot simulated beside it
+    frames_per_s: float  # that it draws at most, with nothing beside it
+    renderer: str  # who draws
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """All of it."""
+
+    delays: tuple[Delay, ...]
+    cost: Cost
+
+
+def measure(rounds: int, say: Callable[[str], object]) -> Measured:
+    """Lead a robot over the field of `steps`, let go, freeze, turn off.
+
+    Args:
+        rounds: Of each.
+        say: Is told how far it is.
+
+    Raises:
+        FileNotFoundError: No browser is found.
+        ImportError: Playwright is missing.
+        TimeoutError: The robot does not do what it is told.
+    """
+    rng = np.random.default_rng(0)
+    with PageRobot("flat") as robot, browser() as chromium:
+        hand = Hand(chromium.new_page(viewport={"width": DESKTOP[0], "height": DESKTOP[1]}))
+        hand.page.goto(robot.url)
+        robot.stand(lambda: hand.click('[data-order="stand"]'))
+        released = [_release(robot, hand, rng) for _ in range(rounds)]
+        say(f"page: {rounds} times let go")
+        stopped = [_freeze(robot, hand, rng) for _ in range(rounds)]
+        say(f"page: {rounds} times frozen")
+        off = [_off(robot, hand, rng) for _ in range(rounds)]
+        say(f"page: {rounds} times off")
+    cost = _cost(say)
+    delays = (
+        Delay("pad let go: the body rests", RELEASE_S, tuple(body for body, _ in released)),
+        Delay("pad let go: all feet are down and still", math.nan, tuple(feet for _, feet in released)),
+        Delay("browser frozen: the body rests", FROZEN_S, tuple(body for body, _ in stopped)),
+        Delay("browser frozen: all feet are down and still", math.nan, tuple(feet for _, feet in stopped)),
+        Delay("torque off", OFF_S, tuple(off)),
+    )
+    return Measured(delays, cost)
+
+
+def _walk(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> None:
+    """Hold the pad until it walks, and for some time more."""
+    hand.hold_forward()
+    robot.until(lambda: robot.is_in(Mode.WALK), 15.0, "a walk by the pad")
+    robot.pass_time(_WALK_S + _MORE_S * rng.random())
+
+
+def _release(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> tuple[float, float]:
+    _walk(robot, hand, rng)
+    swing, since = robot.swinging(), time.monotonic()
+    hand.release()
+    robot.pass_time(_SETTLE_S)
+    return robot.stands_after(since, swing), robot.still_after(since)
+
+
+def _freeze(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> tuple[float, float]:
+    _walk(robot, hand, rng)
+    since = time.monotonic()
+    with frozen():
+        robot.pass_time(DEAD_MAN_NS * 1e-9)
+        swing = robot.swinging()
+        robot.pass_time(_SETTLE_S)
+        took = robot.stands_after(since, swing), robot.still_after(since)
+    robot.pass_time(_SETTLE_S)
+    if robot.is_in(Mode.WALK):
+        raise TimeoutError("the robot walked again as soon as the browser was let go on")
+    hand.release()
+    return took
+
+
+def _off(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> float:
+    _walk(robot, hand, rng)
+    hand.release()
+    hand.move_to("#off")
+    since = time.monotonic()
+    hand.page.mouse.down()
+    robot.until(lambda: np.isfinite(robot.torque_off_after(since)), what="torque off on the wire")
+    hand.page.mouse.up()
+    robot.until(lambda: robot.is_in(Mode.OFF), what="the mode off")
+    robot.pass_time(0.5)
+    robot.stand(lambda: hand.click('[data-order="stand"]'))
+    return robot.torque_off_after(since)
+
+
+def _cost(say: Callable[[str], object]) -> Cost:
+    """Over `steps`, where there is something to see."""
+    with PageRobot("steps") as robot, browser() as chromium:
+        robot.until(lambda: robot.pose is not None, what="a pose")
+        alone = _share(robot, lambda: robot.pass_time(_WATCH_S))
+        page = chromium.new_page(viewport={"width": DESKTOP[0], "height": DESKTOP[1]})
+        received = [0]
+        page.on("websocket", lambda socket: socket.on("framereceived", lambda data: _count(received, data)))
+        hand = Hand(page)
+        page.goto(robot.url)
+        robot.stand(lambda: hand.click('[data-order="stand"]'))
+        hand.click("#look")
+        hand.hold_forward()
+        robot.until(lambda: robot.is_in(Mode.WALK), 15.0, "a walk by the pad")
+        before, begun, drawn = received[0], time.monotonic(), page.evaluate("window.sextant.view.frames")
+        share = _share(robot, lambda: page.wait_for_timeout(1000 * _WATCH_S))
+        length = time.monotonic() - begun
+        rate, drawn = (received[0] - before) / length, (page.evaluate("window.sextant.view.frames") - drawn) / length
+        hand.release()
+        robot.pass_time(_SETTLE_S)
+        with robot.stopped():
+            frames = page.evaluate(f"window.sextant.view.benchmark({_BENCH_S})")
+        renderer = page.evaluate("window.sextant.view.renderedBy")
+        say("page: cost measured")
+    return Cost(share, alone, rate, drawn, frames, renderer)
+
+
+def _count(received: list[int], data: str | bytes) -> None:
+    received[0] += len(data)
+
+
+def _share(robot: PageRobot, passes: Callable[[], object]) -> float:
+    """Share of a core that the console takes meanwhile."""
+    pid, begun = robot.pid("console"), time.monotonic()
+    before = _spent(pid)
+    passes()
+    return (_spent(pid) - before) / (time.monotonic() - begun)
+
+
+def _spent(pid: int) -> float:
+    """Processor time [s] of a process, user and system."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def in_words(found: Measured) -> str:
+    """For people."""
+    lines = [
+        "| from the page to the servos' wire | n | p50, ms | p99, ms | worst, ms | may take, ms |",
+        "|---|---|---|---|---|---|",
+    ]
+    for delay in found.delays:
+        p50, p99, worst = (f"{1e3 * v:.0f}" for v in _percentiles(delay.seconds))
+        limit = "" if math.isnan(delay.limit_s) else f"{1e3 * delay.limit_s:.0f}"
+        lines.append(f"| {delay.what} | {len(delay.seconds)} | {p50} | {p99} | {worst} | {limit} |")
+    cost = found.cost
+    lines += [
+        "",
+        f"The server takes {cost.core:.1%} of a core while the robot walks ({CORE:.0%} are wanted) and {cost.core_alone:.1%} "
+        f"while no page is open; a page is sent {cost.bytes_per_s / 1e6:.1f} MB/s ({RATE / 1e6:.0f} at most), drew "
+        f"{cost.drawn_per_s:.0f} frames a second beside the simulated robot, and draws {cost.frames_per_s:.0f} at most "
+        f"({FRAMES:.0f} are wanted), by {cost.renderer}.",
+    ]
+    return "\n".join(lines)
+
+
+def to_json(found: Measured) -> str:
+    """For scripts."""
+    delays = [{**asdict(d), "limit_s": None if math.isnan(d.limit_s) else d.limit_s, "kept": d.kept} for d in found.delays]
+    made: dict[str, Any] = {"machine": machine(), "delays": delays, "cost": asdict(found.cost)}
+    return json.dumps(made, indent=1)
+
+
+def _percentiles(values: Sequence[float]) -> tuple[float, float, float]:
+    """p50, p99 by nearest rank, and the worst."""
+    ordered = sorted(values)
+    rank = max(0, int(np.ceil(0.99 * len(ordered))) - 1)
+    return ordered[len(ordered) // 2], ordered[rank], ordered[-1]

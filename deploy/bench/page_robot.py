@@ -1,0 +1,187 @@
+"""A simulated robot, live, whose servo bus is tapped and whose page is served: what a browser walks."""
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy import process_table
+from deploy.faults import live, tap
+from deploy.faults.wire import Recorder
+from deploy.launcher import Launcher, free_port
+from services.actuator.latch import Latch
+from shared import codec, topics
+from shared import dynamixel as dxl
+from shared.kinematics import body_forward
+from shared.messages import ActuatorState, BodyPose, Health, Mode
+from shared.robot import load_profile
+from shared.service import AnyTopic
+from shared.transport import Endpoints, ZenohLink
+
+_STILL_TICKS = 1  # by which goals may go on changing in a cycle of a robot that stands
+_STILL_S = 0.25
+_STILL_M_S = 0.015  # of a body that is taken to stand, over the next cycles: a tick more or less is a millimetre of one foot
+_WINDOW = 5  # cycles
+
+
+class PageRobot:
+    """Processes of a robot with a page; a context manager."""
+
+    def __init__(self, scenario: str = "flat", seed: int = 1):
+        """Prepare.
+
+        Args:
+            scenario: That is simulated.
+            seed: Of it.
+        """
+        self.profile = load_profile("phantomx_mk2")
+        self.recorder = Recorder(self.profile)
+        self.state: ActuatorState | None = None
+        self.pose: BodyPose | None = None
+        self._up: set[str] = set()  # services that were heard
+        self.said: deque[str] = deque(maxlen=200)
+        self.page_port = free_port()
+        self._endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="page")
+        bus, listen = free_port(), free_port()
+        self._latch = Latch.of_port(f"socket://127.0.0.1:{listen}")
+        made = live.commands(self._endpoints, bus, listen, seed, scenario)
+        page = next(row for row in process_table.TABLE if row.name == "console")
+        chosen = process_table.Choices(console_port=self.page_port, lift=0.025)
+        console = replace(process_table.commands([page], chosen, self._endpoints)[0], after=("router",), restarts=1000)
+        self._launcher = Launcher([*(one for one in made if one.name != "operator"), console], hear=self._hear_line)
+
+    @property
+    def url(self) -> str:
+        """Of the page."""
+        return f"http://127.0.0.1:{self.page_port}/"
+
+    def __enter__(self) -> Self:
+        self._latch.open()
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._latch.open)
+            stack.callback(self._launcher.stop)
+            self._launcher.__enter__()
+            self._link = stack.enter_context(ZenohLink(self._endpoints))
+            for topic in (topics.ACTUATOR_STATE, topics.BODY_POSE, topics.HEALTH):
+                self._link.subscribe(topic, self._hear)
+            self.until(lambda: "console" in self._up, what="the console")
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def until(self, holds: Callable[[], object], within_s: float = 60.0, what: str = "") -> None:
+        """Wait until something holds, processes being looked after meanwhile.
+
+        Raises:
+            TimeoutError: It does not.
+        """
+        limit = time.monotonic() + within_s
+        while not holds():
+            if time.monotonic() > limit:
+                state = "" if self.state is None else f"{self.state.mode}: {self.state.reason}"
+                said = " / ".join(list(self.said)[-6:])
+                raise TimeoutError(f"not within {within_s:g} s: {what or 'what was waited for'}; the robot: {state}; {said}")
+            for ended in self._launcher.wait(0.02):
+                self.said.append(str(ended))
+
+    def pass_time(self, length_s: float) -> None:
+        """Let time pass."""
+        end = time.monotonic() + length_s
+        self.until(lambda: time.monotonic() >= end, length_s + 5.0)
+
+    def is_in(self, *modes: Mode) -> bool:
+        """Whether the actuator says so."""
+        return self.state is not None and self.state.mode in modes
+
+    def swinging(self) -> NDArray[np.bool_]:
+        """(6,) legs in the air, by the actuator's newest word."""
+        return np.zeros(6, dtype=np.bool_) if self.state is None else self.state.swing
+
+    def moves(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Times [s] of the goals on the wire, and by how many ticks the one that changes most has changed in each."""
+        goals = list(self.recorder.goals)
+        ticks = np.array([g.ticks for g in goals]).reshape(-1, 18)
+        return np.array([g.t_s for g in goals])[1:], np.abs(np.diff(ticks, axis=0)).max(axis=1, initial=0)
+
+    def still_after(self, since_s: float) -> float:
+        """How long [s] after a time the goals on the wire went on changing; infinite where they still do."""
+        t, change = self.moves()
+        return _last(t[change > _STILL_TICKS], t, since_s)
+
+    def stands_after(self, since_s: float, swing: NDArray[np.bool_]) -> float:
+        """How long [s] after a time the goals on the wire went on moving the body over the legs that stood (6,) then."""
+        goals = list(self.recorder.goals)
+        t = np.array([g.t_s for g in goals])
+        servo = dxl.TICK_RAD * (np.array([g.ticks for g in goals]).reshape(-1, 6, 3) - dxl.TICK_CENTRE)
+        feet = body_forward(self.profile, np.array([self.profile.joint_angles(q) for q in servo]))[:, ~swing]
+        body = feet.mean(axis=1)[:, :2]
+        way = np.linalg.norm(body[_WINDOW:] - body[:-_WINDOW], axis=-1)
+        return _last(t[:-_WINDOW][way > _STILL_M_S * (t[_WINDOW:] - t[:-_WINDOW])], t, since_s)
+
+    def torque_off_after(self, since_s: float) -> float:
+        """How long [s] after a time torque off was on the wire; NaN where it was not."""
+        for switch in list(self.recorder.switches):
+            off = switch.register is dxl.TORQUE_ENABLE and not any(switch.values.values())
+            if off and switch.t_s >= since_s:
+                return switch.t_s - since_s
+        return np.nan
+
+    def stand(self, order: Callable[[], object]) -> None:
+        """Have the robot rise by an order, once it knows where it is."""
+        self.until(lambda: self.is_in(Mode.HOLD, Mode.OFF, Mode.READY), what="the actuator's first word")
+        self.until(lambda: self.pose is not None, what="a pose")
+        order()
+        self.until(lambda: self.is_in(Mode.STAND), what="rising")
+        self.until(lambda: self.is_in(Mode.HOLD), what="standing")
+
+    @contextlib.contextmanager
+    def stopped(self) -> Iterator[None]:
+        """All processes but the page's stand still meanwhile."""
+        names = [name for name in self._launcher.names() if name not in ("router", "console")]
+        for name in names:
+            self._launcher.freeze(name)
+        try:
+            yield
+        finally:
+            for name in names:
+                self._launcher.thaw(name)
+
+    def kill(self, name: str) -> None:
+        """Kill a process; it is started again."""
+        self._launcher.kill(name)
+
+    def pid(self, name: str) -> int:
+        """Process id."""
+        return self._launcher.pid(name)
+
+    def _hear(self, topic: AnyTopic, frame: bytes) -> None:
+        message = codec.decode(frame, topic.type)[0]
+        if isinstance(message, ActuatorState):
+            self.state = message
+        elif isinstance(message, BodyPose):
+            self.pose = message
+        elif isinstance(message, Health):
+            self._up.add(message.service)
+
+    def _hear_line(self, name: str, line: str) -> None:
+        if name != "tap" or not line.startswith(("open ", "sent ")):
+            self.said.append(f"{name}: {line}")
+            return
+        word = tap.understood(line)
+        if isinstance(word, tap.Sent):
+            self.recorder.sent(word.data, word.at_ns)
+            self.recorder.heard(word.data, word.at_ns)
+
+
+def _last(moving: NDArray[np.float64], t: NDArray[np.float64], since_s: float) -> float:
+    """How long [s] after a time there was the last of some times [s]; infinite where that is just now."""
+    after = moving[moving > since_s]
+    last = float(after[-1]) if len(after) else since_s
+    return last - since_s if len(t) and t[-1] - last > _STILL_S else np.inf

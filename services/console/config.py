@@ -1,0 +1,35 @@
+"""Settings of the console."""
+
+from dataclasses import dataclass
+
+from shared import config
+
+_LOOPBACK = ("127.0.0.1", "::1", "localhost")
+_TOKEN = 16  # characters of a token at least
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Where the page is served, and what a press of the pad asks for."""
+
+    host: str = "127.0.0.1"  # to listen on; anything else is open to the network, and wants a token
+    port: int = 8080
+    token: str = ""  # that a browser must give, as http://host:port/#token; none is needed on this machine
+    body_height: float = 0.0  # [m] over the floor to begin with; 0: that of the profile
+    lift: float = 0.04  # [m] clearance of swinging feet to begin with
+
+    checks = (
+        *config.each("host", lambda host: host.strip() != "", "an address to listen on, e.g. 127.0.0.1"),
+        *config.each("port", lambda port: 0 <= port <= 65535, "a TCP port from 0 (any free one) to 65535"),
+        *config.each("token", lambda token: token == "" or len(token) >= _TOKEN, f"at least {_TOKEN} characters, or none"),
+        *config.each("lift", lambda lift: 0.0 < lift <= 0.2, "more than 0 and at most 0.2 m"),
+        *config.each("body_height", lambda height: 0.0 <= height <= 0.5, "0 to 0.5 m"),
+        config.together(
+            "host token",
+            lambda host, token: host in _LOOPBACK or token != "",
+            "a token beside an address that others reach, or 127.0.0.1, which ssh -L 8080:127.0.0.1:8080 ROBOT opens,",
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        config.verify(self)

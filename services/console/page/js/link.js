@@ -1,0 +1,49 @@
+// The socket to the console. Texts and frames come in; what is asked for goes out; it connects anew by itself.
+
+const PROTOCOL = "sextant.1";
+const AGAIN_MS = 1000;
+
+export class Link {
+  /** @param {{text: (message: object) => void, frame: (header: object, body: DataView) => void, up: () => void, down: (why: string) => void}} hear */
+  constructor(hear) {
+    this.hear = hear;
+    this.socket = null;
+    this.connect();
+  }
+
+  connect() {
+    const token = location.hash.slice(1);
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    const socket = new WebSocket(`${scheme}://${location.host}/socket`, token ? [PROTOCOL, `token.${token}`] : [PROTOCOL]);
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => this.hear.up();
+    socket.onmessage = (event) => this.take(event.data);
+    socket.onclose = (event) => {
+      this.socket = null;
+      this.hear.down(event.reason || "the console does not answer");
+      setTimeout(() => this.connect(), AGAIN_MS);
+    };
+    this.socket = socket;
+  }
+
+  get open() {
+    return this.socket !== null && this.socket.readyState === WebSocket.OPEN;
+  }
+
+  /** Ask for something; false where nobody hears. */
+  ask(type, fields = {}) {
+    if (!this.open) return false;
+    this.socket.send(JSON.stringify({ type, ...fields }));
+    return true;
+  }
+
+  take(data) {
+    if (typeof data === "string") {
+      this.hear.text(JSON.parse(data));
+      return;
+    }
+    const length = new DataView(data).getUint32(0, true);
+    const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+    this.hear.frame(header, data, 4 + length);
+  }
+}

@@ -1,0 +1,186 @@
+// What stands beside the view: mode, leader, planner, servos, services, log. Text is set as text, never as markup.
+
+import { LEGENDS, SHOWN, TABLES } from "./colors.js";
+
+const $ = (id) => document.getElementById(id);
+const MOST_LINES = 200;
+const SERVOS_MS = 200; // between two looks at the servos: to lay all these bars out takes longer than to draw the robot
+
+function set(id, words, kind = "") {
+  const element = $(id);
+  if (element.textContent !== words) element.textContent = words;
+  if (element.className !== kind) element.className = kind;
+}
+
+export class Panels {
+  constructor() {
+    this.seat = 0;
+    this.robot = null;
+    this.cells = [];
+    this.servosAt = 0;
+  }
+
+  hello(message) {
+    this.seat = message.seat;
+    this.robot = message.robot;
+    set("robot", `Sextant: ${message.robot.name}`);
+    document.title = `${message.robot.name} - Sextant`;
+    const body = $("loads");
+    body.replaceChildren();
+    this.cells = message.robot.legs.map((leg, i) => {
+      const row = body.insertRow();
+      const name = row.insertCell();
+      const foot = document.createElement("span");
+      foot.className = "foot";
+      name.append(foot, leg.name);
+      const bars = message.robot.servo_ids[i].map((id) => {
+        const cell = row.insertCell();
+        const bar = document.createElement("span");
+        const fill = document.createElement("i");
+        const text = document.createElement("b");
+        bar.className = "bar";
+        bar.title = `servo ${id}`;
+        bar.append(fill, text);
+        cell.append(bar);
+        return { fill, text };
+      });
+      return { foot, bars };
+    });
+  }
+
+  down(why) {
+    set("mode-word", "no link", "lost");
+    set("mode-reason", why);
+    set("leader-words", "");
+  }
+
+  state(state) {
+    const { legs } = state;
+    set("mode-word", legs ? legs.mode : "lost", legs ? legs.mode : "lost");
+    set("mode-reason", legs ? legs.reason : "no word from the actuator");
+    const leading = state.seats.find((seat) => seat.leads);
+    const mine = Boolean(leading) && leading.seat === this.seat;
+    const lease = legs ? legs.lease : "";
+    set("leader-words", mine ? "you lead" : lease ? `${leading ? leading.name : lease} leads` : "nobody leads");
+    $("leader").className = mine ? "me" : "";
+    $("take-over").hidden = mine || !lease || this.seat === 0;
+    $("give-up").disabled = !state.goal;
+    const planner = state.planner;
+    set("planner-words", planner ? `${planner.state}: ${planner.reason}` : "no word from the planner", planner && planner.state === "blocked" ? "bad" : "");
+    const pose = state.pose;
+    const at = pose ? `x ${pose.T[3].toFixed(2)} m, y ${pose.T[7].toFixed(2)} m, ${((pose.yaw * 180) / Math.PI).toFixed(0)} deg` : "no pose";
+    const overlap = pose && pose.overlap !== null ? `, overlap ${(100 * pose.overlap).toFixed(0)} %` : "";
+    set("pose-words", `${at}${overlap}${pose && pose.reason ? `: ${pose.reason}` : ""}`, pose && !pose.ok ? "warn" : "");
+    set("camera-words", state.camera ? (state.camera.ok ? state.camera.device : state.camera.reason) : "", state.camera && !state.camera.ok ? "bad" : "");
+    const now = performance.now();
+    if (legs && this.robot && now - this.servosAt > SERVOS_MS) {
+      this.servosAt = now;
+      this.servos(legs);
+    }
+  }
+
+  servos(legs) {
+    const { stall_torque: stall, temperature_limit: hot, warn_voltage: low } = this.robot;
+    const volts = legs.voltage === null ? "voltage unknown" : `${legs.voltage.toFixed(1)} V`;
+    const warm = legs.temperature === null ? "temperature unknown" : `hottest ${legs.temperature.toFixed(0)} °C`;
+    const tired = legs.pace < 1 ? `, walks at ${(100 * legs.pace).toFixed(0)} %` : "";
+    const bad = (legs.voltage !== null && legs.voltage < low) || (legs.temperature !== null && legs.temperature > hot - 12);
+    set("power", `${volts}, ${warm}${tired}`, bad ? "warn" : "");
+    this.cells.forEach(({ foot, bars }, i) => {
+      foot.className = `foot ${legs.contact[i] ? "carries" : ""} ${legs.swing[i] ? "swings" : ""}`;
+      bars.forEach(({ fill, text }, j) => {
+        const share = Math.abs(legs.load[3 * i + j]) / stall;
+        fill.style.width = `${Math.min(100, 100 * share).toFixed(0)}%`;
+        fill.className = share > 0.8 ? "bad" : share > 0.45 ? "warn" : "";
+        text.textContent = legs.load[3 * i + j].toFixed(2);
+      });
+    });
+    const list = $("warnings");
+    if (list.dataset.said !== legs.warnings.join("\n")) {
+      list.dataset.said = legs.warnings.join("\n");
+      list.replaceChildren(...legs.warnings.map((words) => item(words)));
+    }
+  }
+
+  health(message) {
+    $("service-list").replaceChildren(...message.services.map((service) => {
+      const line = document.createElement("li");
+      const name = document.createElement("b");
+      name.textContent = `${service.name} `;
+      const words = document.createElement("span");
+      const silent = service.silent_s > 3;
+      words.textContent = silent ? `silent for ${service.silent_s.toFixed(0)} s` : service.doing;
+      line.className = silent ? "silent" : "";
+      line.title = Object.entries(service.stages).map(([stage, p99]) => `${stage}: p99 ${p99} ms`).join("\n");
+      line.append(name, words);
+      return line;
+    }));
+  }
+
+  log(message) {
+    const list = $("entries");
+    for (const entry of message.entries) {
+      const line = document.createElement("li");
+      const time = document.createElement("time");
+      time.textContent = new Date(Date.now() - 1000 * entry.ago_s).toTimeString().slice(0, 8);
+      const who = document.createElement("b");
+      who.textContent = entry.who;
+      const words = document.createElement("span");
+      words.textContent = entry.words;
+      line.className = entry.bad ? "bad" : "";
+      line.append(time, who, words);
+      list.prepend(line);
+    }
+    while (list.children.length > MOST_LINES) list.lastChild.remove();
+  }
+
+  map(header) {
+    const [low, high] = LEGENDS[header.layer];
+    set("legend-low", low);
+    set("legend-high", high);
+    document.querySelector("input[name=layer][value=color]").disabled = !header.layers.includes("color");
+    const bar = $("legend-bar");
+    bar.hidden = header.layer === "color";
+    if (bar.hidden || bar.dataset.layer === header.layer) return;
+    bar.dataset.layer = header.layer;
+    const context = bar.getContext("2d");
+    const image = context.createImageData(256, 1);
+    for (let i = 0; i < 256; i++) {
+      const k = Math.round((i / 255) * SHOWN[header.layer]);
+      image.data.set(TABLES[header.layer].subarray(4 * k, 4 * k + 4), 4 * i);
+    }
+    context.putImageData(image, 0, 0);
+  }
+
+  picture(header, data, offset) {
+    const depth = data.slice(offset, offset + header.depth);
+    const color = data.slice(offset + header.depth, offset + header.depth + header.color);
+    for (const [id, bytes] of [["depth", depth], ["color", color]]) {
+      const image = $(id);
+      if (bytes.byteLength === 0) {
+        image.hidden = true;
+        continue;
+      }
+      if (image.src) URL.revokeObjectURL(image.src);
+      image.src = URL.createObjectURL(new Blob([bytes], { type: "image/jpeg" }));
+      image.hidden = false;
+    }
+  }
+
+  hidePictures() {
+    $("depth").hidden = $("color").hidden = true;
+  }
+
+  notice(words) {
+    set("notice", words);
+    $("notice").hidden = false;
+    clearTimeout(this.fading);
+    this.fading = setTimeout(() => ($("notice").hidden = true), 5000);
+  }
+}
+
+function item(words) {
+  const line = document.createElement("li");
+  line.textContent = words;
+  return line;
+}

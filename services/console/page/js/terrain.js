@@ -1,0 +1,196 @@
+// The height map: a grid of what is known, its heights the card's, its colours a texture, so that a new map is three uploads and nothing else.
+
+import * as THREE from "../vendor/three/three.module.js";
+import { TABLES } from "./colors.js";
+
+const NO_HEIGHT = -32768;
+const BLOCK = 16; // [cells] edge of the largest square
+
+const VERTEX = `
+in float mm;
+uniform vec2 origin;
+uniform float resolution, z0;
+uniform int ny;
+out vec3 vPlace;
+out vec2 vCell;
+void main() {
+  vCell = vec2(gl_VertexID / ny, gl_VertexID % ny);
+  vPlace = vec3(origin + resolution * vCell, z0 + mm * 0.001);
+  gl_Position = projectionMatrix * viewMatrix * vec4(vPlace, 1.0);
+}`;
+
+const FRAGMENT = `
+precision highp float;
+in vec3 vPlace;
+in vec2 vCell;
+uniform sampler2D values, table;
+uniform bool colored;
+out vec4 color;
+void main() {
+  vec3 normal = normalize(cross(dFdx(vPlace), dFdy(vPlace)));
+  if (normal.z < 0.0) normal = -normal;
+  float light = 0.45 + 0.55 * max(0.0, dot(normal, normalize(vec3(-0.4, 0.5, 0.9))));
+  ivec2 at = ivec2(floor(vCell.yx + 0.5));
+  vec4 value = texelFetch(values, at, 0);
+  vec3 base = colored ? value.rgb : texelFetch(table, ivec2(int(value.r * 255.0 + 0.5), 0), 0).rgb;
+  vec2 line = abs(fract(vPlace.xy * 10.0 + 0.5) - 0.5) / max(fwidth(vPlace.xy * 10.0), 1e-4);
+  float grid = (1.0 - min(min(line.x, line.y), 1.0)) * (1.0 - smoothstep(0.2, 0.6, max(fwidth(vPlace.x), fwidth(vPlace.y)) * 10.0));
+  color = vec4(mix(base * light, vec3(0.0), 0.12 * grid), 1.0); // the tables are sRGB already
+}`;
+
+export class Terrain {
+  /** @param {number} flat [mm] off a square that covers many cells, up to which one does */
+  constructor(flat = 1) {
+    this.flat = flat;
+    this.material = new THREE.ShaderMaterial({
+      glslVersion: THREE.GLSL3,
+      vertexShader: VERTEX,
+      fragmentShader: FRAGMENT,
+      side: THREE.DoubleSide,
+      uniforms: {
+        values: { value: null }, table: { value: null }, colored: { value: false },
+        origin: { value: new THREE.Vector2() }, resolution: { value: 0.01 }, z0: { value: 0 }, ny: { value: 0 },
+      },
+    });
+    this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), this.material);
+    this.mesh.frustumCulled = false;
+    this.mesh.visible = false;
+    this.tables = {};
+    this.heights = null;
+    this.header = null;
+  }
+
+  /** Take over a map frame. */
+  show(header, data, offset) {
+    const { nx, ny } = header;
+    const cells = nx * ny;
+    const bytes = new Uint8Array(data, offset + 2 * cells);
+    const colored = header.layer === "color";
+    this.fit(nx, ny, colored);
+    this.heights.set(new Int16Array(data, offset, cells)); // where the card's copy is made of, too
+    const { geometry } = this.mesh;
+    geometry.attributes.mm.needsUpdate = true;
+    geometry.index.needsUpdate = true;
+    geometry.setDrawRange(0, this.weave(nx, ny, geometry.index.array));
+    const uniforms = this.material.uniforms;
+    const values = uniforms.values.value;
+    if (colored) {
+      const out = values.image.data;
+      for (let i = 0; i < cells; i++) {
+        out[4 * i] = bytes[3 * i]; out[4 * i + 1] = bytes[3 * i + 1]; out[4 * i + 2] = bytes[3 * i + 2]; out[4 * i + 3] = 255;
+      }
+    } else {
+      values.image.data.set(bytes.subarray(0, cells));
+      uniforms.table.value = this.tableOf(header.layer);
+    }
+    values.needsUpdate = true;
+    uniforms.colored.value = colored;
+    uniforms.origin.value.set(header.origin[0], header.origin[1]);
+    uniforms.resolution.value = header.resolution;
+    uniforms.z0.value = header.z0;
+    uniforms.ny.value = ny;
+    this.header = header;
+    this.mesh.visible = true;
+  }
+
+  /**
+   * Join the cells that are known to triangles, one square for many where the ground is flat: a renderer without a graphics
+   * card has a microsecond or more to pay for each. How many entries of the index that takes.
+   */
+  weave(nx, ny, index) {
+    const { heights, flat } = this;
+    let k = 0;
+    const isFlat = (i, j, size) => {
+      const row = i * ny + j;
+      const [a, b, c, d] = [heights[row], heights[row + size * ny], heights[row + size], heights[row + size * ny + size]];
+      if (a === NO_HEIGHT || b === NO_HEIGHT || c === NO_HEIGHT || d === NO_HEIGHT) return false;
+      const [along, across, twist] = [(b - a) / size, (c - a) / size, (d - b - c + a) / (size * size)];
+      for (let u = 0; u <= size; u++) {
+        for (let v = 0; v <= size; v++) {
+          const height = heights[row + u * ny + v];
+          if (height === NO_HEIGHT || Math.abs(height - (a + along * u + across * v + twist * u * v)) > flat) return false;
+        }
+      }
+      return true;
+    };
+    const square = (i, j, size) => {
+      const a = i * ny + j;
+      const [b, c] = [a + size * ny, a + size];
+      const d = b + size;
+      if (heights[b] === NO_HEIGHT || heights[c] === NO_HEIGHT) return;
+      if (heights[a] !== NO_HEIGHT) { index[k] = a; index[k + 1] = b; index[k + 2] = c; k += 3; }
+      if (heights[d] !== NO_HEIGHT) { index[k] = c; index[k + 1] = b; index[k + 2] = d; k += 3; }
+    };
+    const cover = (i, j, size) => {
+      if (i + 1 >= nx || j + 1 >= ny) return;
+      if (size === 1) {
+        square(i, j, 1);
+      } else if (i + size < nx && j + size < ny && isFlat(i, j, size)) {
+        square(i, j, size);
+      } else {
+        const half = size / 2;
+        cover(i, j, half); cover(i + half, j, half); cover(i, j + half, half); cover(i + half, j + half, half);
+      }
+    };
+    for (let i = 0; i < nx; i += BLOCK) for (let j = 0; j < ny; j += BLOCK) cover(i, j, BLOCK);
+    return k;
+  }
+
+  /** Make a texture and a grid of the map's size, where it is another one. */
+  fit(nx, ny, colored) {
+    const uniforms = this.material.uniforms;
+    const known = this.header;
+    const same = known && known.nx === nx && known.ny === ny;
+    if (!same) {
+      this.mesh.geometry.dispose();
+      const geometry = new THREE.BufferGeometry();
+      this.heights = new Int16Array(nx * ny);
+      const mm = new THREE.BufferAttribute(this.heights, 1);
+      const index = new THREE.BufferAttribute(new Uint32Array(6 * nx * ny), 1);
+      for (const attribute of [mm, index]) attribute.setUsage(THREE.DynamicDrawUsage);
+      geometry.setAttribute("mm", mm);
+      geometry.setIndex(index);
+      this.mesh.geometry = geometry;
+    }
+    if (same && uniforms.colored.value === colored && uniforms.values.value) return;
+    uniforms.values.value?.dispose();
+    const format = colored ? THREE.RGBAFormat : THREE.RedFormat;
+    const values = new THREE.DataTexture(new Uint8Array(nx * ny * (colored ? 4 : 1)), ny, nx, format, THREE.UnsignedByteType);
+    values.minFilter = values.magFilter = THREE.NearestFilter;
+    values.unpackAlignment = 1;
+    uniforms.values.value = values;
+  }
+
+  tableOf(layer) {
+    if (!this.tables[layer]) {
+      const table = new THREE.DataTexture(TABLES[layer].slice(), 256, 1, THREE.RGBAFormat, THREE.UnsignedByteType);
+      table.minFilter = table.magFilter = THREE.NearestFilter;
+      table.needsUpdate = true;
+      this.tables[layer] = table;
+    }
+    return this.tables[layer];
+  }
+
+  /** Height [m] of the ground at a place, or null where nothing is known. */
+  heightAt(x, y) {
+    if (!this.header) return null;
+    const { origin, resolution, nx, ny, z0 } = this.header;
+    const i = Math.round((x - origin[0]) / resolution);
+    const j = Math.round((y - origin[1]) / resolution);
+    if (i < 0 || j < 0 || i >= nx || j >= ny) return null;
+    const mm = this.heights[i * ny + j];
+    return mm === NO_HEIGHT ? null : z0 + mm * 0.001;
+  }
+
+  /** Where a ray first meets the ground, or null. */
+  meet(ray) {
+    const step = 0.01;
+    const point = new THREE.Vector3();
+    for (let t = 0; t < 12; t += step) {
+      ray.at(t, point);
+      const height = this.heightAt(point.x, point.y);
+      if (height !== null && point.z <= height && point.z > height - 0.3) return point.setZ(height);
+    }
+    return null;
+  }
+}

@@ -1,0 +1,190 @@
+"""The console: what the services say, shown to the pages that are open; what operators ask for, passed on."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Self
+
+from services.console import frames, view
+from services.console.config import Settings
+from services.console.desk import Desk
+from services.console.diary import KEPT, Diary
+from services.console.requests import Layer, Request, Watch
+from services.console.server import Event, PageServer
+from shared import topics
+from shared.messages import ActuatorState, Health, Message, PlannerStatus, TerrainMap, Tick
+from shared.robot import RobotProfile
+from shared.service import AnyTopic, Every, Inbox, Stages
+
+_BEAT_HZ = 15.0  # and at once, when something is asked for
+_VIEW_NS = 66_000_000  # [ns] between two views
+_MAP_NS = 180_000_000  # [ns] likewise of two maps
+_IDLE_NS = 250_000_000  # [ns] likewise of two looks for the log, where no page is open
+_HEALTH_NS = 1_000_000_000  # [ns] likewise of how the services fare
+_STATE_S = 0.5  # without a word from the actuator, after which nothing is known of it
+
+
+class Console:
+    """One process between the robot and its operators' browsers."""
+
+    name = "console"
+    reads: tuple[AnyTopic, ...] = (
+        topics.ACTUATOR_STATE,
+        topics.BODY_POSE,
+        topics.STEP_PLAN,
+        topics.PLANNER_STATUS,
+        topics.PASSAGE_PLAN,
+        topics.CAMERA_STATE,
+        topics.TERRAIN,
+        topics.PREVIEW,
+        topics.HEALTH,
+    )
+    writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.GOAL, topics.MODE)
+
+    def __init__(self, profile: RobotProfile, settings: Settings, clock: Callable[[], int] = time.monotonic_ns):
+        """Listen for pages.
+
+        Args:
+            profile: The robot.
+            settings: Of this service.
+            clock: [ns] that stamps what comes from pages, the same as that of the ticks.
+
+        Raises:
+            OSError: The address cannot be listened on.
+        """
+        self.stages = Stages()
+        early = threading.Event()
+        self.paced_by = Every(round(1e9 / _BEAT_HZ), early)
+        self._profile, self._settings = profile, settings
+        self.server = PageServer(settings, clock, early.set)
+        self._desk = Desk(profile.stance.max_speed)
+        self._diary = Diary()
+        self._watched: dict[int, Watch] = {}  # by page
+        self._view_due_ns = self._told_ns = 0  # when pages are told of the robot next, and were last told of the services
+        self._legs: ActuatorState | None = None
+        self._status: PlannerStatus | None = None
+        self._health: dict[str, tuple[Health, int]] = {}
+        self._told = ""  # the last state
+        self._logged = 0  # entries of the diary that were sent
+        self._map_due_ns = 0
+        self._map: TerrainMap | None = None  # the newest that was sent
+        self._pictured_ns = -1
+        self._words = ""
+
+    def __enter__(self) -> Self:
+        self.server.__enter__()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.server.__exit__(kind, error, trace)
+
+    def doing(self) -> str:
+        """Where the page is, and who looks at it."""
+        return f"serving {self.server.url.partition('#')[0]} to {len(self._watched)} pages"
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """Pass on what was asked for; every few beats show what is new."""
+        now = tick.stamp_ns
+        for event in self.server.drain():
+            self._take(event)
+        due = now >= self._view_due_ns
+        if due:
+            self._legs = inbox.fresh(topics.ACTUATOR_STATE, _STATE_S)
+            self._status = inbox.fresh(topics.PLANNER_STATUS, _STATE_S)
+        yield from self._desk.beat(now, self._legs, self._status)
+        for words in self._desk.drain_words():
+            self._diary.note(now, "console", words)
+        for word in inbox.drain(topics.HEALTH):
+            self._health[word.service] = (word, now)
+        if due:
+            period_ns = _VIEW_NS if self._watched else _IDLE_NS
+            self._view_due_ns = max(self._view_due_ns, now - period_ns) + period_ns
+            self._see(now, inbox)
+        if now - self._told_ns >= _HEALTH_NS:
+            self._told_ns = now
+            self._diary.services(now, self._health)
+            if self._watched:
+                self.server.post("health", view.text(view.health(self._health, now)))
+
+    # ---------------------------------------------------------------------------------------------------------- from pages
+
+    def _take(self, event: Event) -> None:
+        page, what, now = event.page, event.what, event.at_ns
+        match what:
+            case "arrived":
+                seat = self._desk.arrive(page, now)
+                self._watched[page] = Watch("score", False)
+                self.server.post("hello", view.text(view.hello(self._profile, self._settings, seat)), page)
+                self._say_all(page, now)
+            case "left":
+                self._desk.leave(page, now)
+                self._watched.pop(page, None)
+            case Watch():
+                self._watch(page, what)
+            case _:
+                self._ask(page, what, now)
+
+    def _watch(self, page: int, watch: Watch) -> None:
+        before, self._watched[page] = self._watched[page], watch
+        if before.layer != watch.layer and self._map is not None:
+            self.server.show("map", frames.map_frame(self._map, watch.layer, None), page)
+
+    def _ask(self, page: int, request: Request, now: int) -> None:
+        refused = self._desk.ask(page, request, now)
+        if refused:
+            self.server.post("refused", view.text(view.answer(refused)), page)
+
+    def _say_all(self, page: int, now: int) -> None:
+        """What has come about so far, and the newest map, for a page that is new."""
+        self.server.post("log", view.text(view.log(self._diary.entries, now)), page)
+        self.server.post("health", view.text(view.health(self._health, now)), page)
+        self._told = ""
+        if self._map is not None:
+            self.server.show("map", frames.map_frame(self._map, "score", None), page)
+
+    # ------------------------------------------------------------------------------------------------------------ to pages
+
+    def _see(self, now: int, inbox: Inbox) -> None:
+        legs, status = self._legs, self._status
+        camera = inbox.latest(topics.CAMERA_STATE)
+        self._diary.legs(now, legs)
+        self._diary.planner(now, status)
+        self._diary.camera(now, camera)
+        passages = inbox.drain(topics.PASSAGE_PLAN)
+        for plan in passages:
+            self._diary.passage(now, plan)
+        if not self._watched:
+            return
+        for plan in passages:
+            self.server.post("passage", view.text(view.passage(plan)))
+        with self.stages("state"):
+            pose = inbox.fresh(topics.BODY_POSE, _STATE_S)
+            told = view.text(view.state(self._desk, legs, pose, inbox.latest(topics.STEP_PLAN), status, camera))
+        if told != self._told:
+            self._told = told
+            self.server.post("state", told)
+        new = min(self._diary.count - self._logged, KEPT)
+        if new > 0:
+            self._logged = self._diary.count
+            self.server.post("log", view.text(view.log(list(self._diary.entries)[-new:], now)))
+        self._show(now, inbox)
+
+    def _show(self, now: int, inbox: Inbox) -> None:
+        """The newest map and picture, to those that want them."""
+        terrain = inbox.latest(topics.TERRAIN) if now >= self._map_due_ns else None
+        if terrain is not None and terrain is not self._map:
+            self._map, self._map_due_ns = terrain, now + _MAP_NS
+            with self.stages("map"):
+                made: dict[Layer, bytes] = {}
+                for page, watch in self._watched.items():
+                    if watch.layer not in made:
+                        made[watch.layer] = frames.map_frame(terrain, watch.layer, None)
+                    self.server.show("map", made[watch.layer], page)
+        picture = inbox.latest(topics.PREVIEW)
+        if picture is not None and picture.stamp_ns != self._pictured_ns:
+            self._pictured_ns = picture.stamp_ns
+            frame = frames.picture_frame(picture)
+            for page, watch in self._watched.items():
+                if watch.picture:
+                    self.server.show("picture", frame, page)

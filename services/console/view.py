@@ -1,0 +1,179 @@
+"""What a page is told of the robot, many times a second: as little as it needs to draw it, as JSON. Pure."""
+
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from services.console.config import Settings
+from services.console.desk import SEATS, Desk
+from services.console.diary import Entry
+from shared.geometry import Array, yaw_of
+from shared.messages import ActuatorState, BodyPose, CameraState, Health, PassagePlan, PlannerStatus, StepPlan
+from shared.robot import JOINTS, LEGS, RobotProfile
+
+PROTOCOL = 1
+
+
+def hello(profile: RobotProfile, settings: Settings, seat: int) -> dict[str, Any]:
+    """What a page is told first: who it is, and what the robot looks like."""
+    stance = profile.stance
+    return {
+        "type": "hello",
+        "protocol": PROTOCOL,
+        "seat": seat,
+        "seats": SEATS,
+        "robot": {
+            "name": profile.name,
+            "legs": [
+                {"name": leg.name, "mount": leg.mount_xyz, "yaw": float(np.radians(leg.neutral_yaw_deg))}
+                for leg in profile.legs
+            ],
+            "links": [profile.links.coxa, profile.links.femur, profile.links.tibia],
+            "foot_radius": profile.foot.radius,
+            "body": profile.body.size,
+            "camera": _rounded(profile.camera.T_body_camera.ravel()),
+            "servo_ids": profile.servo_ids.tolist(),
+            "joints": JOINTS,
+            "stall_torque": profile.servo.stall_torque,
+            "temperature_limit": profile.servo.temperature_limit,
+            "warn_voltage": profile.battery.warn_voltage,
+        },
+        "walk": {
+            "height": settings.body_height or stance.body_height,
+            "heights": stance.body_height_range,
+            "lift": settings.lift,
+            "lifts": [0.01, stance.max_lift],
+            "speed": stance.max_speed,
+        },
+    }
+
+
+def state(
+    desk: Desk,
+    legs: ActuatorState | None,
+    pose: BodyPose | None,
+    plan: StepPlan | None,
+    status: PlannerStatus | None,
+    camera: CameraState | None,
+) -> dict[str, Any]:
+    """How the robot is now; what is not known is null."""
+    return {
+        "type": "state",
+        "seats": [{"seat": s.seat, "name": s.name, "leads": s.leads} for s in desk.seats],
+        "pad": desk.at_the_pad,
+        "goal": None if desk.goal is None else desk.goal.waypoints,
+        "legs": None if legs is None else _legs(legs),
+        "pose": _pose(legs, pose),
+        "plan": None if plan is None or legs is None or plan.step < legs.step else _plan(plan),
+        "planner": None if status is None else _status(status),
+        "camera": None if camera is None else {"ok": camera.ok, "device": camera.device, "reason": camera.reason},
+    }
+
+
+def _legs(legs: ActuatorState) -> dict[str, Any]:
+    return {
+        "mode": legs.mode,
+        "reason": legs.reason,
+        "lease": legs.lease,
+        "refused": legs.refused,
+        "pace": round(legs.pace, 2),
+        "step": legs.step,
+        "q": _rounded(legs.q.ravel(), 3),
+        "load": _rounded(legs.load_nm.ravel(), 2),
+        "contact": legs.contact.astype(int).tolist(),
+        "swing": legs.swing.astype(int).tolist(),
+        "voltage": _known(legs.voltage),
+        "temperature": _known(legs.temperature),
+        "warnings": legs.warnings,
+    }
+
+
+def _pose(legs: ActuatorState | None, pose: BodyPose | None) -> dict[str, Any] | None:
+    """Where the body is: by the newest correction, moved on by the legs since."""
+    if legs is None:
+        return None
+    correction = legs.T_world_odom if pose is None else pose.T_world_odom
+    T = correction @ legs.T_odom_body
+    return {
+        "T": _rounded(T.ravel()),
+        "yaw": round(yaw_of(T), 3),
+        "ok": pose is not None and pose.ok,
+        "overlap": None if pose is None else round(pose.overlap, 2),
+        "reason": "no pose from perception" if pose is None else pose.reason,
+    }
+
+
+def _plan(plan: StepPlan) -> dict[str, Any]:
+    swing = np.flatnonzero(plan.swing)
+    return {"step": plan.step, "legs": swing.tolist(), "touchdown": _rounded(plan.touchdown[swing].ravel())}
+
+
+def _status(status: PlannerStatus) -> dict[str, Any]:
+    return {
+        "state": status.state,
+        "reason": status.reason,
+        "blocked_leg": LEGS[status.blocked_leg] if status.blocked_leg >= 0 else "",
+        "path": _rounded(status.path.ravel()),
+    }
+
+
+def passage(plan: PassagePlan) -> dict[str, Any]:
+    """A section of a passage as it was planned."""
+    feet = plan.leg < len(LEGS)
+    return {
+        "type": "passage",
+        "section": plan.section,
+        "state": plan.state,
+        "reason": plan.reason,
+        "legs": plan.leg[feet].tolist(),
+        "footholds": _rounded(plan.footholds[feet].ravel()),
+        "stopped": _rounded(plan.stopped.ravel()),
+    }
+
+
+def health(services: Mapping[str, tuple[Health, int]], now_ns: int) -> dict[str, Any]:
+    """How each service fares, and how long ago it last said so."""
+    return {
+        "type": "health",
+        "services": [
+            {
+                "name": name,
+                "doing": word.doing,
+                "silent_s": round((now_ns - at_ns) * 1e-9, 1),
+                "refused": word.refused,
+                "dropped": word.dropped,
+                "stages": {stage: round(float(p99), 1) for stage, p99 in zip(word.stages, word.stage_p99_ms, strict=True)},
+            }
+            for name, (word, at_ns) in sorted(services.items())
+        ],
+    }
+
+
+def log(entries: Iterable[Entry], now_ns: int) -> dict[str, Any]:
+    """What has come about; times as seconds before now, for pages have clocks of their own."""
+    return {
+        "type": "log",
+        "entries": [
+            {"ago_s": round((now_ns - e.at_ns) * 1e-9, 2), "who": e.who, "words": e.words, "bad": e.bad} for e in entries
+        ],
+    }
+
+
+def answer(words: str) -> dict[str, Any]:
+    """Why a request was refused."""
+    return {"type": "refused", "words": words}
+
+
+def text(message: dict[str, Any]) -> str:
+    """As it crosses the socket."""
+    return json.dumps(message, separators=(",", ":"), allow_nan=False)
+
+
+def _rounded(values: Array, digits: int = 4) -> list[float]:
+    return [round(float(v), digits) for v in values]
+
+
+def _known(value: float) -> float | None:
+    return round(float(value), 1) if np.isfinite(value) else None

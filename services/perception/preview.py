@@ -1,0 +1,42 @@
+"""Small pictures of what the camera sees, for people to look at. Pure."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.camera import DepthSensor
+from shared.messages import Preview
+
+_WIDTH = 320  # [px]
+_QUALITY = 80  # of the JPEG
+
+
+def preview(stamp_ns: int, depth: NDArray[np.uint16], sensor: DepthSensor, rgb: NDArray[np.uint8] | None) -> Preview:
+    """What a depth frame, and a colour frame where there is one, look like; near is red, far is blue, unknown is black.
+
+    Args:
+        stamp_ns: Of the depth frame.
+        depth: (h, w) raw units of the sensor.
+        sensor: Its scale and range.
+        rgb: (h, w, 3), or none.
+    """
+    small = depth[:: max(1, depth.shape[1] // _WIDTH), :: max(1, depth.shape[1] // _WIDTH)]
+    near, far = sensor.min_range, sensor.max_range
+    away = np.clip((small / np.float32(sensor.depth_scale) - near) / (far - near), 0.0, 1.0)
+    colored = np.asarray(cv2.applyColorMap((255.0 * (1.0 - away)).astype(np.uint8), cv2.COLORMAP_TURBO), dtype=np.uint8)
+    colored[small == 0] = 0
+    shown = _NOTHING if rgb is None else _jpeg(_shrunk(rgb)[..., ::-1])
+    return Preview(stamp_ns, _jpeg(colored), shown)
+
+
+_NOTHING = np.zeros(0, dtype=np.uint8)
+
+
+def _shrunk(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    height = round(rgb.shape[0] * _WIDTH / rgb.shape[1])
+    return np.asarray(cv2.resize(rgb, (_WIDTH, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _jpeg(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return np.asarray(data, dtype=np.uint8).ravel()

@@ -1,0 +1,263 @@
+"""The operator's page in a real browser, before a simulated robot that walks live.
+
+What must come within a time has time to spare here, for machines are shared; `sextant bench page` measures it.
+"""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.bench import browser as browsers
+from deploy.bench.browser import DESKTOP, PHONE, Hand
+from deploy.bench.page_robot import PageRobot
+from shared.messages import Mode
+
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.skipif(not browsers.find(), reason=f"no browser found of {', '.join(browsers.BROWSERS)}: install Chromium"),
+]
+SOON_S = 2.0  # for what takes some tenths of a second where nobody else is busy
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[PageRobot]:
+    with PageRobot("steps") as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browsers.browser() as made:
+        yield made
+
+
+@pytest.fixture
+def hand(robot: PageRobot, chromium: Any) -> Iterator[Hand]:
+    """A page before a robot that stands, and is led by nobody else."""
+    with open_page(robot, chromium) as made:
+        if not robot.is_in(Mode.HOLD) or robot.state is None or robot.state.reason == "torque was on at the start":
+            robot.stand(lambda: made.click('[data-order="stand"]'))
+        yield made
+
+
+class open_page:  # noqa: N801 - it reads as what it does
+    """A page, closed at the end; what it has asked the network for is noted."""
+
+    def __init__(self, robot: PageRobot, chromium: Any, size: tuple[int, int] = DESKTOP):
+        self._robot, self._chromium, self._size = robot, chromium, size
+
+    def __enter__(self) -> Hand:
+        self._context = self._chromium.new_context(viewport={"width": self._size[0], "height": self._size[1]})
+        page = self._context.new_page()
+        self.errors: list[str] = []
+        self.asked: list[str] = []
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("console", self._note)
+        page.on("request", lambda request: self.asked.append(request.url))
+        page.goto(self._robot.url)
+        page.wait_for_function("() => document.getElementById('leader-words').textContent !== ''")
+        return Hand(page)
+
+    def _note(self, line: Any) -> None:
+        if line.type == "error" and "WebSocket connection" not in line.text:  # a test has cut it off
+            self.errors.append(line.text)
+
+    def __exit__(self, *_: object) -> None:
+        self._context.close()
+        assert self.errors == []
+        assert {url for url in self.asked if not url.startswith(("blob:", self._robot.url))} == set(), "nobody else is asked"
+
+
+def walk(robot: PageRobot, hand: Hand) -> None:
+    hand.hold_forward()
+    robot.until(lambda: robot.is_in(Mode.WALK), 20.0, "a walk by the pad")
+    robot.pass_time(1.0)
+
+
+def stands(robot: PageRobot) -> None:
+    robot.until(lambda: robot.is_in(Mode.HOLD), 10.0, "standing")
+
+
+def x_of(robot: PageRobot) -> float:
+    assert robot.pose is not None
+    return float(robot.pose.T_world_body[0, 3])
+
+
+def test_the_pad_walks_the_robot_while_it_is_held(robot: PageRobot, hand: Hand) -> None:
+    begun = x_of(robot)
+    walk(robot, hand)
+    assert hand.says("#leader-words") == "you lead"
+    robot.pass_time(1.0)
+    assert x_of(robot) > begun + 0.05
+    since, swing = time.monotonic(), robot.swinging()
+    hand.release()
+    stands(robot)
+    robot.pass_time(1.0)
+    assert robot.stands_after(since, swing) < SOON_S
+    assert robot.state is not None
+    assert robot.state.reason.startswith(("ordered to stop", "the last accepted step is finished"))
+
+
+@pytest.mark.parametrize("how", ["keys", "blur", "hidden", "frozen", "cut off"])
+def test_whatever_ends_a_press_stops_the_robot_and_it_takes_a_new_press_to_walk(
+    robot: PageRobot, chromium: Any, hand: Hand, how: str
+) -> None:
+    page = hand.page
+    if how == "keys":
+        page.keyboard.down("KeyW")
+        robot.until(lambda: robot.is_in(Mode.WALK), 20.0, "a walk by keys")
+        page.keyboard.up("KeyW")
+        stands(robot)
+        return
+    walk(robot, hand)
+    match how:
+        case "blur":
+            page.evaluate("window.dispatchEvent(new Event('blur'))")
+            stands(robot)
+        case "hidden":
+            page.evaluate("Object.defineProperty(document, 'hidden', {value: true, configurable: true})")
+            page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+            stands(robot)
+            page.evaluate("delete document.hidden")
+        case "frozen":
+            with browsers.frozen():
+                stands(robot)
+        case "cut off":
+            page.context.set_offline(True)
+            page.evaluate("window.sextant.link.socket.close()")
+            stands(robot)
+            page.context.set_offline(False)
+            page.wait_for_function("() => window.sextant.link.open")
+    robot.pass_time(1.5)
+    assert robot.is_in(Mode.HOLD), "what was held goes on being held, and moves nothing"
+    hand.release()
+    walk(robot, hand)
+    hand.release()
+    stands(robot)
+
+
+def test_torque_off_reaches_the_bus_while_it_walks(robot: PageRobot, hand: Hand) -> None:
+    walk(robot, hand)
+    hand.release()
+    hand.move_to("#off")
+    since = time.monotonic()
+    hand.page.mouse.down()
+    robot.until(lambda: np.isfinite(robot.torque_off_after(since)), SOON_S, "torque off on the wire")
+    hand.page.mouse.up()
+    robot.until(lambda: robot.is_in(Mode.OFF), SOON_S, "the mode off")
+    robot.pass_time(0.5)
+    hand.hold_forward()
+    hand.page.wait_for_selector("#notice:not([hidden])")
+    assert "the robot cannot walk, its mode is off" in hand.says("#notice")
+    hand.release()
+    assert robot.is_in(Mode.OFF), "it is latched"
+    robot.stand(lambda: hand.click('[data-order="stand"]'))
+
+
+def test_a_second_browser_may_stop_but_not_move_until_it_takes_over(robot: PageRobot, chromium: Any, hand: Hand) -> None:
+    walk(robot, hand)
+    with open_page(robot, chromium) as second:
+        assert second.says("#leader-words") == "page 1 leads"
+        second.hold_forward()
+        second.page.wait_for_selector("#notice:not([hidden])")
+        assert "page 1 leads the robot; take over first" in second.says("#notice")
+        second.release()
+        assert robot.is_in(Mode.WALK)
+        second.click("#stop")
+        stands(robot)
+        robot.pass_time(1.0)
+        assert robot.is_in(Mode.HOLD), "the first one still holds its pad, and has to press it anew"
+        second.click("#take-over")
+        second.page.wait_for_function("() => document.getElementById('leader-words').textContent === 'you lead'")
+        hand.release()
+        hand.hold_forward()
+        hand.page.wait_for_selector("#notice:not([hidden])")
+        hand.release()
+        assert robot.is_in(Mode.HOLD)
+        walk(robot, second)
+        second.release()
+        stands(robot)
+    hand.page.wait_for_function("() => document.getElementById('leader-words').textContent === 'nobody leads'")
+
+
+def test_a_click_on_the_map_is_a_goal_and_the_robot_goes_there(robot: PageRobot, hand: Hand) -> None:
+    page, goal = hand.page, x_of(robot) + 0.35
+    page.wait_for_function("() => window.sextant.view.terrain.header !== null")
+    hand.click("#above")
+    page.wait_for_timeout(500)
+    hand.click("#goal")
+    height = page.evaluate(f"window.sextant.view.terrain.heightAt({goal}, 0)")
+    assert height is not None, "the ground there is known"
+    page.mouse.click(*page.evaluate(f"window.sextant.view.pixel({goal}, 0, {height})"))
+    robot.until(lambda: robot.is_in(Mode.WALK), 20.0, "a walk to the goal")
+    assert page.evaluate("window.sextant.view.robot.goal.visible")
+    robot.until(lambda: abs(x_of(robot) - goal) < 0.1, 40.0, "the goal")
+    stands(robot)
+    page.wait_for_function("() => document.getElementById('give-up').disabled")
+    assert any("arrived" in line for line in page.locator("#entries li").all_inner_texts())
+
+
+def test_the_layers_the_pictures_and_the_panels_show_what_there_is(robot: PageRobot, hand: Hand) -> None:
+    page = hand.page
+    for layer in ("evaluation", "variance", "score"):
+        page.check(f'input[value="{layer}"]')
+        page.wait_for_function(f"() => window.sextant.view.terrain.header?.layer === '{layer}'")
+    assert page.is_disabled('input[value="color"]'), "this robot's camera sees no colour"
+    hand.click("#look")
+    page.wait_for_selector("#depth:not([hidden])")
+    assert page.evaluate("document.getElementById('depth').naturalWidth") == 320
+    services = page.locator("#service-list li b").all_inner_texts()
+    assert {"actuator", "console", "mapper", "perception", "planner", "simulator", "stop"} <= {
+        name.strip() for name in services
+    }
+    assert page.locator("#loads tr").count() == 6
+    assert "V, hottest" in hand.says("#power")
+
+
+def test_a_console_that_dies_stops_the_robot_and_the_page_comes_back(robot: PageRobot, chromium: Any) -> None:
+    context = chromium.new_context()
+    page = context.new_page()
+    page.goto(robot.url)
+    page.wait_for_function("() => document.getElementById('leader-words').textContent !== ''")
+    hand = Hand(page)
+    robot.until(lambda: robot.state is not None and robot.state.lease == "", 10.0, "that nobody leads")
+    walk(robot, hand)
+    robot.kill("console")
+    stands(robot)
+    page.wait_for_function("() => window.sextant.link.open", timeout=60_000)
+    robot.pass_time(1.0)
+    assert robot.is_in(Mode.HOLD), "the pad that is still held moves nothing"
+    context.close()
+
+
+def test_it_looks_right_on_a_desk_and_on_a_phone(
+    robot: PageRobot, chromium: Any, hand: Hand, tmp_path: Path, pytestconfig: pytest.Config
+) -> None:
+    """The pictures of the docs: `pytest tests/live/test_page.py -k looks --pictures docs`."""
+    folder = Path(pytestconfig.getoption("--pictures") or tmp_path)
+    hand.click("#look")
+    walk(robot, hand)
+    hand.page.wait_for_selector("#depth:not([hidden])")
+    hand.page.screenshot(path=folder / "page.png")
+    hand.release()
+    stands(robot)
+    with open_page(robot, chromium, PHONE) as phone:
+        phone.page.wait_for_function("() => window.sextant.view.terrain.header !== null")
+        phone.page.wait_for_timeout(500)
+        phone.page.screenshot(path=folder / "page_phone.png")
+        wide = phone.page.evaluate("document.documentElement.scrollWidth")
+        assert wide <= PHONE[0], "nothing is cut off at the side"
+        for selector in ("#off", "#mode", "#pad", "#stop"):
+            box = phone.page.locator(selector).bounding_box()
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= PHONE[0]
+            assert min(box["width"], box["height"]) >= 20
+        off = phone.page.locator("#off").bounding_box()
+        assert off["y"] + off["height"] < 120, "in sight at once"
+    for name, size in (("page.png", DESKTOP), ("page_phone.png", PHONE)):
+        image = (folder / name).read_bytes()
+        assert (int.from_bytes(image[16:20], "big"), int.from_bytes(image[20:24], "big")) == size

@@ -1,0 +1,246 @@
+"""The console as a whole: messages of the services in, what a page is told out; requests in, messages out."""
+
+import contextlib
+import json
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.sync.client import ClientConnection, connect
+
+from services.console.config import Settings
+from services.console.server import PROTOCOL
+from services.console.service import Console
+from shared import codec, topics
+from shared.messages import (
+    BodyPose,
+    CameraState,
+    Health,
+    Message,
+    Mode,
+    ModeCommand,
+    PassagePlan,
+    PlannerStatus,
+    Preview,
+    StepPlan,
+    Tick,
+    VelocityCommand,
+)
+from shared.robot import load_profile
+from shared.service import Inbox
+from tests.support.states import actuator_state
+from tests.unit.console.test_frames import read, read_map, terrain
+
+PROFILE = load_profile("phantomx_mk2")
+PATIENCE_S = 20.0
+MS = 1_000_000
+
+
+class Rig:
+    """A console, its inbox, and time that the test lets pass."""
+
+    def __init__(self) -> None:
+        self.now = 10_000 * MS
+        self.pages = contextlib.ExitStack()
+        self.console = Console(PROFILE, Settings(port=0), lambda: self.now)
+        self.inbox = Inbox(self.console.reads, self.console.stages)
+
+    def hear(self, *messages: Message) -> None:
+        for message in messages:
+            topic = topics.OF_TYPE[type(message)]
+            self.inbox.receive(topic, codec.encode(message), self.now)
+
+    def legs(self, **changes: Any) -> None:
+        self.hear(actuator_state(PROFILE, stamp_ns=self.now, **changes))
+
+    def beat(self, after_ms: float = 50.0) -> list[Message]:
+        self.now += round(after_ms * MS)
+        self.inbox.now_ns = self.now
+        return list(self.console.step(Tick(self.now), self.inbox))
+
+    def page(self) -> "Browser":
+        words: Any = [PROTOCOL]
+        url = f"ws://127.0.0.1:{self.console.server.port}/socket"
+        return Browser(self, self.pages.enter_context(connect(url, subprotocols=words, compression=None)))
+
+
+class Browser:
+    """A page that is a script of a test."""
+
+    def __init__(self, rig: Rig, socket: ClientConnection):
+        self._rig, self._socket = rig, socket
+        self.told: dict[str, Any] = {}
+        self.log: list[str] = []
+        self.frames: dict[str, bytes] = {}
+
+    def ask(self, type_: str, **fields: Any) -> None:
+        self._socket.send(json.dumps({"type": type_, **fields}))
+
+    def until(self, kind: str, holds: Any = lambda _: True) -> Any:
+        """Beat and listen until something of a kind is told that holds."""
+        limit = time.monotonic() + PATIENCE_S
+        while time.monotonic() < limit:
+            self._rig.beat()
+            self.listen()
+            found = self.frames.get(kind) or self.told.get(kind)
+            if found is not None and holds(found):
+                return found
+        raise AssertionError(f"{kind}: {self.told.get(kind)}; log {self.log}")
+
+    def listen(self) -> None:
+        while True:
+            try:
+                data = self._socket.recv(timeout=0.01)
+            except TimeoutError:
+                return
+            if isinstance(data, bytes):
+                kind = read(data)[0]["type"]
+                self.frames[kind] = data
+                self.ask("seen", what=kind)
+                continue
+            message = json.loads(data)
+            self.told[message["type"]] = message
+            if message["type"] == "log":
+                self.log += [f"{e['who']}: {e['words']}" for e in message["entries"]]
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    made = Rig()
+    with made.console, made.pages:
+        yield made
+
+
+def plan(step: int) -> StepPlan:
+    swing = np.arange(6) % 2 == 0
+    touchdown = PROFILE.rest_feet()
+    return StepPlan(1, 0, step, 0, np.eye(4), swing, touchdown, np.full(6, 0.04), np.eye(4), 0.6, False)
+
+
+def test_a_page_is_told_of_the_robot_and_then_of_its_state(rig: Rig) -> None:
+    page = rig.page()
+    rig.legs(mode=Mode.WALK, reason="walking", lease="bench", step=4, warnings=("the battery is low",))
+    T = np.eye(4)
+    T[:3, 3] = (1.0, 0.5, 0.1)
+    rig.hear(
+        BodyPose(1, T, T, np.zeros((6, 6)), 0.93, True, "", np.zeros((0, 6))),
+        plan(4),
+        PlannerStatus(1, "stepping", "0 of 3 moved", 4, 0, -1, np.array([[1.0, 0.5], [2.0, 0.0]])),
+        CameraState(1, "a camera", True, ""),
+    )
+    hello = page.until("hello")
+    assert (hello["seat"], hello["robot"]["name"], len(hello["robot"]["legs"])) == (1, PROFILE.name, 6)
+    state = page.until("state", lambda told: told["legs"] and told["planner"] and told["camera"])
+    assert (state["legs"]["mode"], state["legs"]["lease"], state["legs"]["warnings"]) == (
+        "walk",
+        "bench",
+        ["the battery is low"],
+    )
+    np.testing.assert_allclose(np.reshape(state["pose"]["T"], (4, 4)), T)
+    assert state["plan"]["legs"] == [0, 2, 4]
+    np.testing.assert_allclose(np.reshape(state["plan"]["touchdown"], (-1, 3)), PROFILE.rest_feet()[::2], atol=1e-4)
+    assert state["planner"]["path"] == [1.0, 0.5, 2.0, 0.0]
+    assert state["seats"] == [{"seat": 1, "name": "page 1", "leads": False}]
+    assert "actuator: walk: walking" in page.log
+    assert "actuator: the battery is low" in page.log
+
+
+def test_a_state_that_is_old_is_told_as_unknown(rig: Rig) -> None:
+    page = rig.page()
+    rig.legs()
+    page.until("state", lambda told: told["legs"])
+    rig.now += 2000 * MS
+    state = page.until("state", lambda told: told["legs"] is None)
+    assert (state["pose"], state["plan"]) == (None, None)
+
+
+def test_the_map_comes_in_the_layer_that_a_page_asks_for(rig: Rig) -> None:
+    page = rig.page()
+    map_ = terrain(3)
+    rig.hear(map_)
+    assert read_map(page.until("map"))[0]["layer"] == "score"
+    page.ask("watch", layer="variance", picture=False)
+    header, heights, _ = read_map(page.until("map", lambda frame: read(frame)[0]["layer"] == "variance"))
+    assert heights.shape == map_.elevation.shape
+    assert header["stamp_ns"] == map_.stamp_ns
+
+
+def test_pictures_go_to_those_that_want_them(rig: Rig) -> None:
+    page, other = rig.page(), rig.page()
+    page.ask("watch", layer="score", picture=True)
+    page.until("state", lambda _: len(rig.console.doing()) > 0)
+    limit = time.monotonic() + PATIENCE_S
+    stamp = 0
+    while "picture" not in page.frames and time.monotonic() < limit:
+        stamp += 1
+        rig.hear(Preview(stamp, np.arange(5, dtype=np.uint8), np.zeros(0, np.uint8)))
+        rig.beat()
+        page.listen()
+    assert read(page.frames["picture"])[1] == bytes(range(5))
+    other.listen()
+    assert "picture" not in other.frames
+
+
+def test_what_is_pressed_goes_out_and_what_is_refused_is_told(rig: Rig) -> None:
+    page, other = rig.page(), rig.page()
+    rig.legs(lease="console 1")
+    page.until("state", lambda told: len(told["seats"]) == 2)
+    drive = {
+        "press": 1,
+        "forward": 0.1,
+        "left": 0.0,
+        "turn": 0.0,
+        "height": 0.1,
+        "lift": 0.04,
+        "gait": "tripod",
+        "by_touch": False,
+    }
+    sent: list[Message] = []
+    limit = time.monotonic() + PATIENCE_S
+    while not any(isinstance(m, VelocityCommand) for m in sent):
+        assert time.monotonic() < limit
+        rig.legs(lease="console 1")
+        page.ask("drive", **drive)
+        threading.Event().wait(0.005)
+        sent += rig.beat(45.0)
+    assert next(m.mode for m in sent if isinstance(m, ModeCommand)) == "walk"
+    rig.legs(lease="console 1")
+    other.ask("drive", **drive)
+    assert "take over first" in other.until("refused")["words"] or "holds the pad" in other.told["refused"]["words"]
+    other.ask("order", order="off")
+    limit = time.monotonic() + PATIENCE_S
+    while not any(isinstance(m, ModeCommand) and m.mode == "off" for m in sent):
+        assert time.monotonic() < limit
+        sent += rig.beat()
+    page.close()
+    other.close()
+
+
+def test_who_is_there_is_told_and_who_goes_is_no_more(rig: Rig) -> None:
+    page, other = rig.page(), rig.page()
+    page.until("state", lambda told: len(told["seats"]) == 2)
+    other.close()
+    page.until("state", lambda told: len(told["seats"]) == 1)
+    assert rig.console.doing().endswith("to 1 pages")
+
+
+def test_services_and_passages_are_told_of(rig: Rig) -> None:
+    page = rig.page()
+    rig.hear(Health(1, "mapper", "mapping", 1, 2, 3, "", ("map",), np.array([1.0]), np.array([2.5])))
+    steps, points = np.array([2, 6], dtype=np.uint8), np.ones((2, 3))
+    words, edges = "no foothold for the left front leg", np.zeros((0, 2, 3), np.float32)
+    numbers = (0.0, 1.0, 0.4, 10, 9, 1.0)
+    rig.hear(PassagePlan(1, 1, "no way", words, np.zeros(2), *numbers, steps, points, points, edges, points[:1]))
+    told = page.until("health", lambda told: told["services"])
+    assert told["services"][0] | {"silent_s": 0} == {
+        "name": "mapper", "doing": "mapping", "silent_s": 0, "refused": 2, "dropped": 3, "stages": {"map": 2.5},
+    }  # fmt: skip
+    passage = page.until("passage")
+    assert (passage["state"], passage["legs"], passage["footholds"]) == ("no way", [2], [1.0, 1.0, 1.0])
+    assert any("no foothold for the left front leg" in line for line in page.log)
