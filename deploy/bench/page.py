@@ -32,6 +32,7 @@ RELEASE_S, OFF_S, CORE, RATE, FRAMES = (
 FROZEN_S = RELEASE_S + DEAD_MAN_NS * 1e-9
 _WALK_S, _MORE_S = 1.0, 1.5  # [s] of walking before the pad is let go, and up to so much more
 _SETTLE_S = 1.5
+_ATTEMPTS = 3  # to press the pad
 _WATCH_S = 15.0  # [s] over which cost is measured
 _BENCH_S = 5.0  # [s] of drawing
 
@@ -106,8 +107,16 @@ def measure(rounds: int, say: Callable[[str], object]) -> Measured:
 
 def _walk(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> None:
     """Hold the pad until it walks, and for some time more."""
-    hand.hold_forward()
-    robot.until(lambda: robot.is_in(Mode.WALK), 15.0, "a walk by the pad")
+    for attempt in range(1, _ATTEMPTS + 1):
+        hand.hold_forward()
+        try:
+            robot.until(lambda: robot.is_in(Mode.WALK), 5.0, "a walk by the pad")
+        except TimeoutError:
+            hand.release()  # the page stood still, on a machine that is busy: it has to be pressed anew
+            if attempt == _ATTEMPTS:
+                raise
+        else:
+            break
     robot.pass_time(_WALK_S + _MORE_S * rng.random())
 
 

@@ -33,6 +33,7 @@ class _Page:
     name: str
     heard_ns: int
     lapsed: int = -1  # newest press of its pad that is over
+    told: int = -1  # newest of those that this has been said of
     order: ModeCommand | None = None  # its newest
     said_ns: int = 0  # when that was last said
 
@@ -155,8 +156,9 @@ class Desk:
         if press is not None and press.page == page and now_ns - press.heard_ns > DEAD_MAN_NS:
             self._let_go(page, now_ns, f"nothing was heard of {sender.name} while the pad was held")
             press = None
-        if drive.press <= sender.lapsed:
-            return ""  # it comes too late
+        if drive.press <= sender.lapsed:  # it comes too late
+            told, sender.told = sender.told, max(sender.told, drive.press)
+            return "the robot was stopped; let go of the pad and press it anew" if drive.press > told else ""
         if press is not None and press.page == page and press.drive.press == drive.press:
             press.drive, press.heard_ns = drive, now_ns
             return ""
@@ -164,7 +166,7 @@ class Desk:
         if press is not None and press.page != page:
             refused = refused or f"{self._pages[press.page].name} holds the pad"
         if refused:
-            sender.lapsed = drive.press  # it has to be pressed anew
+            sender.lapsed = sender.told = drive.press  # it has to be pressed anew
             return refused
         self._end_errand(now_ns, f"{sender.name} takes the pad")
         self._press = _Press(page, drive, now_ns)

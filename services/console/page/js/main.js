@@ -45,6 +45,7 @@ const link = new Link({
         panels.log(message);
         break;
       case "refused":
+        pad.cut(); // whatever is held moves nothing any more
         panels.notice(message.words);
         break;
     }
@@ -65,6 +66,7 @@ const pad = new Pad(
   (fields) => link.ask("drive", fields),
   () => link.ask("release"),
   () => ({ speed: Number($("speed").value), fastest, ...walk(), by_touch: $("by-touch").checked }),
+  (words) => panels.notice(words),
 );
 
 function walk() {

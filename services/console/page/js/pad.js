@@ -14,11 +14,13 @@ export class Pad {
    * @param {(fields: object) => boolean} drive says a press once more
    * @param {() => void} release says that it is over
    * @param {() => {speed: number}} walk how fast
+   * @param {(words: string) => void} sayCut tells why a press was cut off
    */
-  constructor(drive, release, walk) {
+  constructor(drive, release, walk, sayCut) {
     this.drive = drive;
     this.release = release;
     this.walk = walk;
+    this.sayCut = sayCut;
     this.press = 0; // number of the newest press
     this.held = false;
     this.stale = false; // what is held was cut off: all of it must be let go before anything counts
@@ -55,7 +57,10 @@ export class Pad {
     const frozen = now - this.seen > FROZEN_MS;
     this.seen = now;
     this.readGamepad();
-    if (frozen && this.held) this.cut();
+    if (frozen && this.held) {
+      this.cut();
+      this.sayCut("this page stood still for a moment, and the robot was stopped; let go of the pad and press it anew");
+    }
     const wish = this.wish();
     if (wish === null) {
       this.stale = false;
@@ -87,12 +92,11 @@ export class Pad {
   /** What is held is over, and counts no more until it has been let go. */
   cut() {
     this.end();
-    this.stale = true;
     this.stick = [0, 0];
     this.pointer = undefined;
     this.turns.clear();
     this.keys.clear();
-    this.stale = this.gamepad.some(Boolean);
+    this.stale = this.gamepad.some(Boolean); // a pointer or a key is forgotten, a stick has to come back to its middle
     this.draw(null);
   }
 
