@@ -205,13 +205,14 @@ def _spent(pid: int) -> float:
 def in_words(found: Measured) -> str:
     """For people."""
     lines = [
-        "| from the page to the servos' wire | n | p50, ms | p99, ms | worst, ms | may take, ms |",
+        "| from the page to the servos' wire | p50, ms | p99, ms | worst, ms | wanted, ms | kept |",
         "|---|---|---|---|---|---|",
     ]
     for delay in found.delays:
         p50, p99, worst = (f"{1e3 * v:.0f}" for v in _percentiles(delay.seconds))
-        limit = "" if math.isnan(delay.limit_s) else f"{1e3 * delay.limit_s:.0f}"
-        lines.append(f"| {delay.what} | {len(delay.seconds)} | {p50} | {p99} | {worst} | {limit} |")
+        limit, n = ("" if math.isnan(delay.limit_s) else f"{1e3 * delay.limit_s:.0f}"), len(delay.seconds)
+        kept = f"{sum(s <= delay.limit_s for s in delay.seconds)} of {n}" if limit else f"{n} times"
+        lines.append(f"| {delay.what} | {p50} | {p99} | {worst} | {limit} | {kept} |")
     cost = found.cost
     lines += [
         "",

@@ -292,3 +292,16 @@ def test_the_passage_command_leaves_its_table(tmp_path: Path, capsys: pytest.Cap
     expansions = {row["method"]: row for row in table["timings"] if row["stage"] == "expansion"}
     assert expansions["NumPy"]["ratio"]["median"] > 10.0
     assert is_picture(tmp_path / "passage.png")
+
+
+def test_what_the_page_costs_is_told_with_how_often_each_limit_was_kept() -> None:
+    from deploy.bench import page
+
+    cost = page.Cost(0.021, 0.01, 1.2e6, 14.0, 61.0, "a renderer")
+    delays = (page.Delay("pad let go", 0.35, (0.1, 0.2, 0.4)), page.Delay("feet down", math.nan, (0.3, math.inf, 0.2)))
+    words = page.in_words(page.Measured(delays, cost))
+    assert "| pad let go | 200 | 400 | 400 | 350 | 2 of 3 |" in words
+    assert "| feet down | 300 | inf | inf |  | 3 times |" in words
+    assert "2.1% of a core" in words
+    told = json.loads(page.to_json(page.Measured(delays, cost)))
+    assert [d["kept"] for d in told["delays"]] == [False, True]
