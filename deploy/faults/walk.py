@@ -2,9 +2,9 @@
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import nan
+from math import inf, nan
 from typing import Self
 from zlib import crc32
 
@@ -22,6 +22,7 @@ from shared.messages import Mode, ModeCommand
 from shared.service import AnyTopic, Outage
 
 _LOOK_NS = 20_000_000
+SOON_S = 0.06  # [s] in which an order to let go is to be on the bus: a gap that begins in it may swallow it
 
 
 class FaultWalk(Watched):
@@ -106,7 +107,7 @@ class FaultWalk(Watched):
             servo=self._servo if self._concerns_one else -1,
             pulls=self._simulator.servos.tables[:, dxl.TORQUE_ENABLE.address] > 0,
             ordered_s=ordered,
-            returned_s=begin + self._away_for() if case.lets_go else nan,
+            returned_s=begin + max(self._away_for(), self._gap_until(ordered - begin, begin)) if case.lets_go else nan,
             empty_s=empty,
             plans=self._meddler.fuzzed - fuzzed,
             voltage=float(self._simulator.servos.voltage),
@@ -141,6 +142,13 @@ class FaultWalk(Watched):
                 away = max(away, deed.for_s)
         return away
 
+    def _gap_until(self, ordered_s: float, begin: float) -> float:
+        """When [s] after the beginning the gap ends that an order to let go has met, if it was not heard before; else 0."""
+        from_s, until_s = gap_after(self._case.deeds, ordered_s)
+        offs = [s.t_s - begin for s in self.recorder.switches if s.heard and s.register is dxl.TORQUE_ENABLE]
+        met = from_s - ordered_s < SOON_S and not any(ordered_s <= t < from_s for t in offs)
+        return until_s if met else 0.0
+
     def _order_off(self) -> None:
         self._sequence = self._sequence or self._run.now_ns()
         self._run.say(ModeCommand(self._run.now_ns(), "off", self._sequence, "bench"))
@@ -158,6 +166,16 @@ class FaultWalk(Watched):
 
 
 _BUSES_AWAY = ("silent", "stuck", "garbage", "gone")
+
+
+def gap_after(deeds: Sequence[Deed], since_s: float) -> tuple[float, float]:
+    """From and until when [s] a bus that is away now and then is so next, or is at that time; never where it is not."""
+    for deed in deeds:
+        if isinstance(deed, OnBus) and deed.fault.target in ("bus", "bytes") and deed.fault.kind == "intermittent":
+            on, whole = deed.fault.on_ms * 1e-3, (deed.fault.on_ms + deed.fault.off_ms) * 1e-3
+            begun = since_s - since_s % whole
+            return begun + on, begun + whole
+    return inf, inf
 
 
 def _stepped(clock: Callable[[], float], by_s: float) -> Callable[[], float]:
