@@ -16,16 +16,17 @@ def preview(stamp_ns: int, depth: NDArray[np.uint16], sensor: DepthSensor, rgb: 
 
     Args:
         stamp_ns: Of the depth frame.
-        depth: (h, w) raw units of the sensor.
+        depth: (h, w) raw units of the sensor, some of it.
         sensor: Its scale and range.
         rgb: (h, w, 3), or none.
     """
-    small = depth[:: max(1, depth.shape[1] // _WIDTH), :: max(1, depth.shape[1] // _WIDTH)]
+    every = max(1, max(depth.shape) // _WIDTH)
+    small = depth[::every, ::every]
     near, far = sensor.min_range, sensor.max_range
     away = np.clip((small / np.float32(sensor.depth_scale) - near) / (far - near), 0.0, 1.0)
     colored = np.asarray(cv2.applyColorMap((255.0 * (1.0 - away)).astype(np.uint8), cv2.COLORMAP_TURBO), dtype=np.uint8)
     colored[small == 0] = 0
-    shown = _NOTHING if rgb is None else _jpeg(_shrunk(rgb)[..., ::-1])
+    shown = _NOTHING if rgb is None or not rgb.size else _jpeg(_shrunk(rgb)[..., ::-1])
     return Preview(stamp_ns, _jpeg(colored), shown)
 
 
@@ -33,7 +34,7 @@ _NOTHING = np.zeros(0, dtype=np.uint8)
 
 
 def _shrunk(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    height = round(rgb.shape[0] * _WIDTH / rgb.shape[1])
+    height = max(1, min(round(rgb.shape[0] * _WIDTH / rgb.shape[1]), _WIDTH))
     return np.asarray(cv2.resize(rgb, (_WIDTH, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 

@@ -83,7 +83,7 @@ class Perception:
             self._keep_for_color(image)
         if not used:
             return
-        if image.stamp_ns >= self._preview_ns and inbox.wanted(topics.PREVIEW):
+        if image.stamp_ns >= self._preview_ns and inbox.wanted(topics.PREVIEW) and image.depth.size:
             self._preview_ns = image.stamp_ns + _PREVIEW_NS
             yield self._preview(image, inbox)
         if 0 <= self._newest_ns - image.stamp_ns < _OUT_OF_ORDER_NS:  # further back it is another clock

@@ -1,0 +1,30 @@
+"""Small pictures for people: of any size and any depth, and never more than the wire takes."""
+
+import cv2
+import numpy as np
+import pytest
+
+from services.perception.preview import preview
+from shared.camera import DepthSensor
+from shared.messages import MAX_PREVIEW
+
+SENSOR = DepthSensor()
+
+
+@pytest.mark.parametrize("size", [(480, 640), (1, 1), (1, 640), (640, 1), (720, 1280), (3, 5)])
+@pytest.mark.parametrize("colored", [True, False])
+def test_a_frame_of_any_size_is_a_picture(size: tuple[int, int], colored: bool) -> None:
+    rng = np.random.default_rng(0)
+    depth = rng.integers(0, 65536, size, dtype=np.uint16)
+    rgb = rng.integers(0, 256, (*size, 3), dtype=np.uint8) if colored else None
+    made = preview(7, depth, SENSOR, rgb)
+    assert made.stamp_ns == 7
+    assert 0 < made.depth_jpeg.size <= MAX_PREVIEW, "noise is the worst there is"
+    assert cv2.imdecode(made.depth_jpeg, cv2.IMREAD_COLOR) is not None
+    assert (made.color_jpeg.size > 0) is colored
+    assert made.color_jpeg.size <= MAX_PREVIEW
+
+
+def test_colour_that_is_empty_is_none() -> None:
+    made = preview(0, np.ones((4, 4), dtype=np.uint16), SENSOR, np.zeros((0, 0, 3), dtype=np.uint8))
+    assert made.color_jpeg.size == 0
