@@ -24,9 +24,10 @@ from deploy.commands.benches import (
     replay,
 )
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
-from deploy.commands.facts import compose, doctor, list_topics
+from deploy.commands.facts import compose, doctor
 from deploy.commands.faults import faults
 from deploy.commands.order import order
+from deploy.commands.topics import echo, hz, list_topics
 from deploy.commands.trials import table, trials
 from deploy.commands.up import up
 from deploy.commands.walks import DEMOS, demo, run
@@ -107,6 +108,16 @@ def _positive(text: str) -> int:
     return int(text)
 
 
+def _seconds(text: str) -> float:
+    try:
+        found = float(text)
+    except ValueError:
+        found = 0.0
+    if not 0.0 < found <= 86400.0:
+        raise argparse.ArgumentTypeError(f"seconds of more than 0 and at most a day expected, found {text!r}")
+    return found
+
+
 def _frames(text: str) -> int:
     if not text.isdecimal() or int(text) < 3:
         raise argparse.ArgumentTypeError(f"a whole number of at least 3 expected, found {text!r}: a ride has a way to go")
@@ -134,10 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
 
     _add_benches(add, commands.add_parser("bench", help="what the stages are worth"))
-    group = commands.add_parser("topics", help="what travels on the wire").add_subparsers(required=True, metavar="WHAT")
-    one = add("list", list_topics, "print the topic table", group)
-    one.add_argument("--json", action="store_true", help="as JSON")
-
+    _add_topics(add, commands.add_parser("topics", help="what travels on the wire"))
     _add_servos(add, commands.add_parser("servos", help="from a box of servos to a robot: find, name, calibrate, test them"))
 
     one = add("doctor", doctor, "check that this machine has what the services need")
@@ -266,6 +274,28 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     )
     one.add_argument("--rounds", type=_positive, default=20, metavar="N", help="starts (default %(default)s)")
     _add_out_and_json(one)
+
+
+def _add_topics(add: Any, parser: argparse.ArgumentParser) -> None:
+    group = parser.add_subparsers(required=True, metavar="WHAT")
+    one = add("list", list_topics, "print the topic table", group)
+    one.add_argument("--json", action="store_true", help="as JSON")
+
+    def heard(name: str, command: Any, words: str) -> argparse.ArgumentParser:
+        one: argparse.ArgumentParser = add(name, command, words, group)
+        one.set_defaults(name=f"topics {name}")
+        one.add_argument("keys", nargs="*", metavar="KEY", help="only these (default: all but pictures)")
+        one.add_argument("--connect", action="append", default=None, help="router of the robot (default: tcp/127.0.0.1:7447)")
+        one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
+        return one
+
+    one = heard("echo", echo, "print messages as they come, large arrays by their shape and what lies in them")
+    one.add_argument("--count", type=_positive, default=0, metavar="N", help="end after as many (default: at Ctrl-C)")
+    one.add_argument("--within", type=_seconds, default=5.0, metavar="S", help="for the first to come (default 5 s)")
+    one.add_argument("--json", action="store_true", help="one object per line")
+    one = heard("hz", hz, "measure how often and how much each topic says, beside the topic table")
+    one.add_argument("--seconds", type=_seconds, default=5.0, metavar="S", help="to listen for (default 5 s)")
+    one.add_argument("--json", action="store_true", help="as JSON")
 
 
 def _add_servos(add: Any, parser: argparse.ArgumentParser) -> None:

@@ -52,6 +52,15 @@ class Timing:
     sent_ns: int
 
 
+@dataclass(frozen=True, slots=True)
+class Label:
+    """What a frame says of itself, whichever version made it."""
+
+    schema_id: str
+    stamp_ns: int  # [ns] of its message; -1 where there is none
+    timing: Timing
+
+
 def schema_id(kind: type[Message]) -> str:
     """Name and hash of a message's declaration."""
     return _layout(kind).schema_id
@@ -94,13 +103,7 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
     """
     if len(frame) > max_bytes:
         raise DecodeError(f"{kind.__name__}: frame of at most {max_bytes} bytes expected, found {len(frame)}")
-    if len(frame) < _PREFIX.size:
-        raise DecodeError(f"{kind.__name__}: frame of {len(frame)} bytes is shorter than its prefix")
-    (length,) = _PREFIX.unpack_from(frame)
-    if length > min(_MAX_HEADER, len(frame) - _PREFIX.size):
-        raise DecodeError(f"{kind.__name__}: header of {length} bytes does not fit the frame of {len(frame)}")
-    start = _PREFIX.size + length
-    found, began_ns, sent_ns, values = _unpack_header(frame[_PREFIX.size : start], kind)
+    start, found, began_ns, sent_ns, values = _header(frame, kind.__name__)
     layout = _layout(kind)
     if found != layout.schema_id:
         raise DecodeError(f"schema {layout.schema_id} expected, found {found}: sender and receiver are different versions")
@@ -112,6 +115,17 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
         return kind(*decoded), Timing(began_ns, sent_ns)
     except ValueError as error:
         raise DecodeError(str(error)) from None
+
+
+def label(frame: bytes) -> Label:
+    """What a frame says of itself, without a look at its arrays.
+
+    Raises:
+        DecodeError: It has no header.
+    """
+    _, found, began_ns, sent_ns, values = _header(frame, "a frame")
+    stamp_ns = values[0] if values and type(values[0]) is int else -1
+    return Label(found, stamp_ns, Timing(began_ns, sent_ns))
 
 
 _FieldDecoder: TypeAlias = Callable[[bytes, int, Any], Any]  # frame, where its arrays begin, what the header has
@@ -186,15 +200,22 @@ def unpack_values(data: bytes, max_bytes: int = 0) -> Any:
         raise DecodeError(f"not msgpack: {type(error).__name__}") from None
 
 
-def _unpack_header(header: bytes, kind: type[Message]) -> tuple[str, int, int, list[Any]]:
+def _header(frame: bytes, name: str) -> tuple[int, str, int, int, list[Any]]:
+    """Where a frame's header ends, and what is in it: schema, two times, fields."""
+    if len(frame) < _PREFIX.size:
+        raise DecodeError(f"{name}: frame of {len(frame)} bytes is shorter than its prefix")
+    (length,) = _PREFIX.unpack_from(frame)
+    if length > min(_MAX_HEADER, len(frame) - _PREFIX.size):
+        raise DecodeError(f"{name}: header of {length} bytes does not fit the frame of {len(frame)}")
+    end = _PREFIX.size + length
     try:
-        unpacked = unpack_values(header)
+        unpacked = unpack_values(frame[_PREFIX.size : end])
     except DecodeError as error:
-        raise DecodeError(f"{kind.__name__}: header is {error}") from None
+        raise DecodeError(f"{name}: header is {error}") from None
     if type(unpacked) is not list or [*map(type, unpacked)] != _HEADER:  # matching a pattern costs as much as unpacking
-        raise DecodeError(f"{kind.__name__}: header of schema, two times and fields expected")
+        raise DecodeError(f"{name}: header of schema, two times and fields expected")
     found, began_ns, sent_ns, values = unpacked
-    return found, began_ns, sent_ns, values
+    return end, found, began_ns, sent_ns, values
 
 
 def _value_decoder(where: str, base: Any) -> _FieldDecoder:

@@ -42,6 +42,8 @@ RUN_BY = {
     "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "order": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
+    "topics echo": "tests/unit/deploy/test_overheard.py::test_echo_prints_as_many_messages_as_are_asked_for",
+    "topics hz": "tests/unit/deploy/test_overheard.py::test_hz_measures_and_prints_totals",
     "bench accuracy": "tests/unit/deploy/test_bench.py::test_the_accuracy_command_leaves_its_tables",
     "bench speed": "tests/unit/deploy/test_bench.py::test_the_speed_command_leaves_its_timings",
     "bench passage": "tests/unit/deploy/test_bench.py::test_the_passage_command_leaves_its_table",

@@ -1,0 +1,121 @@
+"""`sextant topics`: what is on the wire, by the table and as it is heard."""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
+
+if TYPE_CHECKING:
+    from deploy.overheard import Heard
+    from shared.service import AnyTopic
+
+_ROUTER = "tcp/127.0.0.1:7447"
+_LOOK_S = 0.1
+
+
+def list_topics(arguments: argparse.Namespace) -> int:
+    """`sextant topics list`: the topic table."""
+    from shared.topics import TOPICS
+
+    if arguments.json:
+        rows = [{"key": t.key, "type": t.type.__name__, "rate_hz": t.rate_hz, "delivery": t.delivery.value} for t in TOPICS]
+        say(json.dumps(rows, indent=1))
+        return SUCCESS
+    say(f"{'key':<20} {'type':<16} {'rate':>8}  delivery  what")
+    for t in TOPICS:
+        doc = (t.type.__doc__ or "").split("\n")[0]
+        say(f"{t.key:<20} {t.type.__name__:<16} {t.rate_hz:>5.1f} Hz  {t.delivery.value:<8}  {doc}")
+    return SUCCESS
+
+
+def echo(arguments: argparse.Namespace) -> int:
+    """`sextant topics echo`: messages one at a time, until Ctrl-C or as many as are asked for."""
+    from deploy.interrupts import Interrupts
+    from deploy.overheard import Mailbox, listen
+    from shared.transport import Endpoints, ZenohLink
+
+    wanted, told = _wanted(arguments), 0
+    mailbox, met = Mailbox(), Endpoints(tuple(arguments.connect or [_ROUTER]), namespace=arguments.namespace)
+    with Interrupts() as interrupts, ZenohLink(met) as link:
+        listen(link, wanted, mailbox.take, time.monotonic_ns)
+        patience_ns = time.monotonic_ns() + round(arguments.within * 1e9)
+        while not interrupts.asked():
+            mailbox.news.wait(_LOOK_S)
+            for heard in mailbox.drain():
+                told += _tell(heard, arguments.json)
+                if told == arguments.count:
+                    return SUCCESS
+                if interrupts.asked():
+                    break
+                patience_ns = 0
+            if patience_ns and time.monotonic_ns() > patience_ns:
+                return _silent(wanted, arguments)
+    complain("stopped by the operator")
+    return INTERRUPTED
+
+
+def _tell(heard: "Heard", as_json: bool) -> int:
+    """Print one message, or why it cannot be; how many were printed."""
+    from deploy import shown
+    from shared.codec import DecodeError
+
+    try:
+        text = json.dumps(shown.for_scripts(heard), ensure_ascii=False) if as_json else shown.in_words(heard) + "\n"
+    except DecodeError as error:
+        complain(shown.refusal(heard.topic, error))
+        return 0
+    say(text)
+    return 1
+
+
+def hz(arguments: argparse.Namespace) -> int:
+    """`sextant topics hz`: how often and how much each topic says, for some seconds."""
+    from deploy import rates
+    from deploy.interrupts import Interrupts
+    from deploy.overheard import listen
+    from shared.transport import Endpoints, ZenohLink
+
+    wanted = _wanted(arguments)
+    counted, met = rates.Rates(wanted), Endpoints(tuple(arguments.connect or [_ROUTER]), namespace=arguments.namespace)
+    with Interrupts() as interrupts, ZenohLink(met) as link:
+        began_ns = time.monotonic_ns()
+        listen(link, wanted, counted.take, time.monotonic_ns)
+        duration_s = _wait(arguments.seconds, began_ns, interrupts.asked)
+        rows = counted.rows(duration_s)
+    if not any(row.frames for row in rows):
+        return _silent(wanted, argparse.Namespace(**{**vars(arguments), "within": duration_s}))
+    say(json.dumps(rates.for_scripts(rows, duration_s), indent=1) if arguments.json else rates.in_words(rows))
+    return INTERRUPTED if interrupts.asked() else SUCCESS
+
+
+def _wait(seconds: float, began_ns: int, asked: Callable[[], bool]) -> float:
+    """Let time pass, until somebody wants it to end; how long it was [s]."""
+    while (passed_s := (time.monotonic_ns() - began_ns) * 1e-9) < seconds and not asked():
+        time.sleep(min(_LOOK_S, seconds - passed_s))
+    return passed_s
+
+
+def _wanted(arguments: argparse.Namespace) -> "tuple[AnyTopic, ...]":
+    from deploy.overheard import ONLY_BY_NAME, topics_named
+
+    try:
+        wanted = topics_named(arguments.keys)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    if not arguments.keys:
+        complain(f"without {', '.join(t.key for t in ONLY_BY_NAME)}, which are heavy or made only for who asks: name them")
+    return wanted
+
+
+def _silent(wanted: "tuple[AnyTopic, ...]", arguments: argparse.Namespace) -> int:
+    where = ", ".join(arguments.connect or [_ROUTER])
+    what = wanted[0].key if len(wanted) == 1 else f"any of {len(wanted)} topics"
+    complain(
+        f"sextant {arguments.name}: nothing was heard of {what} within {arguments.within:.3g} s at {where}, namespace "
+        f"{arguments.namespace}; is the robot up (`sextant up`), and was it given another --namespace? `sextant topics hz` "
+        "shows which topics speak"
+    )
+    return FAILED

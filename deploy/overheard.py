@@ -1,0 +1,93 @@
+"""What is heard on the wire by somebody who only looks on: taken in at once, looked at when there is time."""
+
+import difflib
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from shared import topics
+from shared.codec import Label
+from shared.service import AnyTopic, Link
+from shared.topics import Delivery
+
+# A megabyte a frame, and a camera takes colour only for who asks: nobody is to be asked for them by the way.
+ONLY_BY_NAME: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.PREVIEW)
+_QUEUE = 256  # frames of an EVERY topic that may wait to be looked at
+_SAME_CLOCK_NS = 10_000_000_000  # [ns] a frame that was sent longer ago, or later than now, is by another machine's clock
+
+
+def topics_named(keys: Sequence[str]) -> tuple[AnyTopic, ...]:
+    """The topics of some keys; of none, all but those that are heavy.
+
+    Raises:
+        ValueError: A key that no topic has, with the nearest one.
+    """
+    known = {topic.key: topic for topic in topics.TOPICS}
+    for key in keys:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1, 0.4)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise ValueError(f"no topic {key!r}; {hint}`sextant topics list` names them all")
+    if keys:
+        return tuple(known[key] for key in dict.fromkeys(keys))
+    return tuple(topic for topic in topics.TOPICS if topic not in ONLY_BY_NAME)
+
+
+def listen(
+    link: Link, wanted: Iterable[AnyTopic], take: Callable[[AnyTopic, bytes, int], None], clock: Callable[[], int]
+) -> None:
+    """Have every frame of some topics handed over with the time [ns] at which it came, also those of state topics."""
+
+    def heard(topic: AnyTopic) -> Callable[[AnyTopic, bytes], None]:
+        return lambda _, frame: take(topic, frame, clock())
+
+    for topic in wanted:
+        link.subscribe(replace(topic, delivery=Delivery.EVERY), heard(topic))
+
+
+def age_ns(label: Label, at_ns: int) -> int | None:
+    """How old a frame's message was when it came [ns]; None where it is stamped by another machine's clock."""
+    sent_ns = label.timing.sent_ns or label.stamp_ns
+    return at_ns - label.stamp_ns if 0 <= at_ns - sent_ns <= _SAME_CLOCK_NS else None
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """One frame."""
+
+    topic: AnyTopic
+    frame: bytes
+    at_ns: int  # when it came
+    passed_over: int  # frames of its topic that came since the last look and were not kept
+
+
+class Mailbox:
+    """Frames that wait to be looked at: the newest of a state topic, all of an event topic as far as there is room."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[str, deque[tuple[AnyTopic, bytes, int]]] = {}
+        self._lost: dict[str, int] = {}
+        self._lock = threading.Lock()
+        self.news = threading.Event()  # set whenever something comes
+
+    def take(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        """Put a frame in; from any thread, never waiting for who looks."""
+        with self._lock:
+            queue = self._waiting.get(topic.key)
+            if queue is None:
+                queue = self._waiting[topic.key] = deque(maxlen=1 if topic.delivery is Delivery.LATEST else _QUEUE)
+            if len(queue) == queue.maxlen:
+                self._lost[topic.key] = self._lost.get(topic.key, 0) + 1
+            queue.append((topic, frame, at_ns))
+        self.news.set()
+
+    def drain(self) -> list[Heard]:
+        """What has come since the last look, in the order in which it came."""
+        self.news.clear()
+        with self._lock:
+            found = [entry for queue in self._waiting.values() for entry in queue]
+            lost, self._lost = self._lost, {}
+            self._waiting.clear()
+        found.sort(key=lambda entry: entry[2])
+        return [Heard(topic, frame, at_ns, lost.pop(topic.key, 0)) for topic, frame, at_ns in found]

@@ -1,0 +1,174 @@
+"""How often and how much each topic says, beside what the topic table expects; and what comes together per lane and side."""
+
+import threading
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from deploy.overheard import age_ns
+from deploy.process_table import TABLE
+from shared.codec import DecodeError, label, schema_id
+from shared.service import AnyTopic
+from shared.topics import Lane
+
+_SIDES = {"robot": "onboard", "device": "onboard", "either": "offboard", "page": "offboard", "simulation": "simulation"}
+# The first word of a key is the process that writes it, but for these.
+_WRITTEN_BY: Mapping[str, str] = MappingProxyType(
+    {"operator": "operators", "imu": "onboard", "passage": "offboard", "health": "all"}
+)
+_TOTAL = "{:<20} {:<8} {:>16} {:>11}"
+_LINE = _TOTAL + " {:>9} {:>9} {:>12} {:>18}"
+
+
+def side(topic: AnyTopic) -> str:
+    """Whose messages these are: onboard, offboard, operators, simulation, or all."""
+    word = topic.key.partition("/")[0]
+    known = {process.name: _SIDES[process.side] for process in TABLE}
+    return _WRITTEN_BY.get(word) or known[word]
+
+
+@dataclass(slots=True)
+class _Count:
+    frames: int = 0
+    bytes: int = 0
+    largest: int = 0  # [bytes]
+    last_ns: int = 0
+    gap_ns: int = 0  # the longest between two frames
+    ages_ns: list[int] = field(default_factory=list)
+    refused: int = 0
+    refusal: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One topic over the time that was listened for."""
+
+    key: str
+    side: str
+    lane: Lane
+    expected_hz: float
+    frames: int
+    rate_hz: float
+    bytes_per_s: float
+    mean_bytes: float
+    largest_bytes: int
+    gap_ms: float | None  # the longest between two frames; None of fewer than two
+    age_ms: tuple[float, float] | None  # median and largest; None by another machine's clock
+    refused: int
+    refusal: str  # the newest reason, in words
+
+
+class Rates:
+    """Counts frames as they come; from any thread."""
+
+    def __init__(self, wanted: Iterable[AnyTopic]):
+        self._counts = {topic: _Count() for topic in wanted}
+        self._lock = threading.Lock()
+
+    def take(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        """Count one frame that has come at a time [ns]."""
+        try:
+            found, problem = label(frame), ""
+        except DecodeError as error:
+            found, problem = None, str(error)
+        if found is not None and found.schema_id != schema_id(topic.type):
+            problem = f"schema {schema_id(topic.type)} expected, found {found.schema_id}: another version sends it"
+        elif len(frame) > topic.max_bytes:
+            problem = f"at most {topic.max_bytes} bytes expected, found {len(frame)}"
+        age = age_ns(found, at_ns) if found is not None else None
+        with self._lock:
+            count = self._counts[topic]
+            if count.frames:
+                count.gap_ns = max(count.gap_ns, at_ns - count.last_ns)
+            count.frames, count.last_ns = count.frames + 1, at_ns
+            count.bytes, count.largest = count.bytes + len(frame), max(count.largest, len(frame))
+            if age is not None:
+                count.ages_ns.append(age)
+            if problem:
+                count.refused, count.refusal = count.refused + 1, problem
+
+    def rows(self, duration_s: float) -> list[Row]:
+        """What has come in a time [s], in the order of the topic table."""
+        with self._lock:
+            return [_row(topic, count, duration_s) for topic, count in self._counts.items()]
+
+
+def _row(topic: AnyTopic, count: _Count, duration_s: float) -> Row:
+    ages = np.array(count.ages_ns) * 1e-6
+    return Row(
+        key=topic.key,
+        side=side(topic),
+        lane=topic.lane,
+        expected_hz=topic.rate_hz,
+        frames=count.frames,
+        rate_hz=count.frames / duration_s,
+        bytes_per_s=count.bytes / duration_s,
+        mean_bytes=count.bytes / count.frames if count.frames else 0.0,
+        largest_bytes=count.largest,
+        gap_ms=count.gap_ns * 1e-6 if count.frames > 1 else None,
+        age_ms=(float(np.median(ages)), float(ages.max())) if len(ages) else None,
+        refused=count.refused,
+        refusal=count.refusal,
+    )
+
+
+def totals(rows: Iterable[Row]) -> dict[tuple[str, Lane], tuple[float, float]]:
+    """(side, lane) -> messages and bytes a second; the side `sum` has all of a lane."""
+    found: dict[tuple[str, Lane], tuple[float, float]] = {}
+    for row in rows:
+        for who in (row.side, "sum"):
+            rate, volume = found.get((who, row.lane), (0.0, 0.0))
+            found[who, row.lane] = rate + row.rate_hz, volume + row.bytes_per_s
+    return found
+
+
+def in_words(rows: list[Row]) -> str:
+    """The table as lines, the topics that were silent at its end."""
+    lines = [_LINE.format("key", "lane", "rate, of", "per second", "mean", "largest", "longest gap", "age (largest)")]
+    for row in rows:
+        if row.frames:
+            beside = f"{row.rate_hz:.1f}, {row.expected_hz:g} Hz"
+            gap = f"{row.gap_ms:.0f} ms" if row.gap_ms is not None else "-"
+            age = f"{row.age_ms[0]:.1f} ({row.age_ms[1]:.1f}) ms" if row.age_ms is not None else "another clock"
+            sizes = (_size(row.bytes_per_s), _size(row.mean_bytes), _size(row.largest_bytes))
+            lines.append(_LINE.format(row.key, row.lane.value, beside, *sizes, gap, age))
+    lines += ["", _TOTAL.format("who says it", "lane", "messages", "per second")]
+    for (who, lane), (rate, volume) in sorted(totals(rows).items(), key=lambda item: (item[0][0] == "sum", item[0][0])):
+        if rate:
+            lines.append(_TOTAL.format(who, lane.value, f"{rate:.1f} Hz", _size(volume)))
+    silent = [row.key for row in rows if not row.frames]
+    lines += [f"\nsilent: {', '.join(silent)}"] if silent else []
+    lines += [f"{row.key}: {row.refused} of {row.frames} cannot be decoded: {row.refusal}" for row in rows if row.refused]
+    return "\n".join(lines)
+
+
+def for_scripts(rows: list[Row], duration_s: float) -> dict[str, Any]:
+    """The same as what JSON holds."""
+    names = ("key", "side", "expected_hz", "frames", "rate_hz", "bytes_per_s", "mean_bytes", "largest_bytes", "gap_ms")
+    return {
+        "duration_s": duration_s,
+        "topics": [
+            {
+                **{name: getattr(row, name) for name in names},
+                "lane": row.lane.value,
+                "age_ms": None if row.age_ms is None else {"p50": row.age_ms[0], "max": row.age_ms[1]},
+                "refused": row.refused,
+                "refusal": row.refusal,
+            }
+            for row in rows
+        ],
+        "totals": [
+            {"side": who, "lane": lane.value, "rate_hz": rate, "bytes_per_s": volume}
+            for (who, lane), (rate, volume) in totals(rows).items()
+        ],
+    }
+
+
+def _size(count: float) -> str:
+    """Bytes in words."""
+    if count < 1000:
+        return f"{count:.0f} B"
+    return f"{count / 1e3:.1f} kB" if count < 1e6 else f"{count / 1e6:.2f} MB"
