@@ -27,7 +27,7 @@ from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError,
 from deploy.commands.facts import compose, doctor
 from deploy.commands.faults import faults
 from deploy.commands.order import order
-from deploy.commands.topics import echo, hz, list_topics
+from deploy.commands.topics import docs, echo, hz, list_topics
 from deploy.commands.trials import table, trials
 from deploy.commands.up import up
 from deploy.commands.walks import DEMOS, demo, run
@@ -280,6 +280,8 @@ def _add_topics(add: Any, parser: argparse.ArgumentParser) -> None:
     group = parser.add_subparsers(required=True, metavar="WHAT")
     one = add("list", list_topics, "print the topic table", group)
     one.add_argument("--json", action="store_true", help="as JSON")
+
+    add("docs", docs, "print docs/keys.md: keys, messages and schemas on one page", group)
 
     def heard(name: str, command: Any, words: str) -> argparse.ArgumentParser:
         one: argparse.ArgumentParser = add(name, command, words, group)

@@ -318,8 +318,8 @@ class PassagePlan(Message):
     generated: int  # nodes of the tree, Masri's n_g
     expanded: int  # expansions of the budget that were spent, his n_e
     planning_ms: float  # [ms] that it took by the machine's clock: timing, so not the same twice
-    # that swings in each step, 6 where the body moves alone; [m] {world} its foot's centre at the end, or then the body
-    leg: Annotated[NDArray[np.uint8], Dims("step", most=6, lengths=(0, MAX_SECTION))]
+    leg: Annotated[NDArray[np.uint8], Dims("step", most=6, lengths=(0, MAX_SECTION))]  # that swings, 6: the body moves alone
+    # [m] {world} centre of that leg's foot at the end of the step, or then the body
     footholds: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]
     body: Annotated[NDArray[np.float64], Dims("step", 3, lengths=(0, MAX_SECTION))]  # [m] {world} body at its end
     edges: Annotated[

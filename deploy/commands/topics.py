@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -28,6 +29,18 @@ def list_topics(arguments: argparse.Namespace) -> int:
     for t in TOPICS:
         doc = (t.type.__doc__ or "").split("\n")[0]
         say(f"{t.key:<20} {t.type.__name__:<16} {t.rate_hz:>5.1f} Hz  {t.delivery.value:<8}  {doc}")
+    return SUCCESS
+
+
+def docs(arguments: argparse.Namespace) -> int:
+    """`sextant topics docs`: docs/keys.md."""
+    try:
+        from deploy.keys_page import page
+
+        text = page()
+    except ImportError as error:
+        raise InputError(f"{error}; who reads and writes is asked of all services: pip install 'sextant[all]'") from None
+    sys.stdout.write(text)
     return SUCCESS
 
 

@@ -37,7 +37,7 @@ class Perception:
 
     name = "perception"
     paced_by: AnyTopic = topics.DEPTH
-    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE)
+    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.COLOR)
     writes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN, topics.PREVIEW)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
@@ -52,8 +52,8 @@ class Perception:
         self._coloring = (
             Coloring(profile.camera.intrinsics, profile.camera.sensor.depth_scale) if profile.camera.color else None
         )
-        if self._coloring is not None:
-            self.reads = (*self.reads, topics.COLOR)  # nobody else asks a camera for pictures that are a megabyte each
+        if self._coloring is None:  # nobody else asks a camera for pictures that are a megabyte each
+            self.reads = tuple(topic for topic in self.reads if topic is not topics.COLOR)
         self._odometry = OdometryHistory()
         self._restarts = 0
         self._T_world_odom: Array = np.eye(4)

@@ -4,6 +4,8 @@ import json
 import os
 import re
 import signal
+import subprocess
+import sys
 import time
 import urllib.request
 from collections.abc import Callable
@@ -18,7 +20,8 @@ from deploy.recording import Recording
 from deploy.report import check
 from shared import topics
 from shared.messages import Health
-from tests.support.commands import Command, Ear, environment, eventually, write_course
+from shared.transport import Endpoints
+from tests.support.commands import PATIENCE_S, ROOT, Command, Ear, environment, eventually, write_course
 from tests.support.composed import commands_of
 
 pytestmark = pytest.mark.live
@@ -173,10 +176,23 @@ def serves(url: str) -> bool:
         return False
 
 
+def walk_by_the_client_of_the_docs(endpoint: str) -> None:
+    """The client that docs/keys.md shows, which knows nothing of Sextant, walks the robot."""
+    with Ear.at(Endpoints((endpoint,))) as ear:
+        eventually(lambda: ear.lease == "", "the end of the last order's lease")
+        client = [sys.executable, "-I", str(ROOT / "docs" / "walk_client.py"), endpoint]
+        told = subprocess.run(client, capture_output=True, text=True, check=True, timeout=PATIENCE_S).stdout.splitlines()
+    for words in ("stand: standing up", "hold: standing", "walk: walking"):
+        assert any(line.startswith(words) for line in told), told
+    assert told[-1].startswith("ready: ")
+    assert len(ear.steps) > 2
+    assert ear.places[-1][0] - ear.places[0][0] > 0.1, "it has gone forward"
+
+
 def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> None:
     skip_where_taken(BUS_PORT)
     course, out = str(write_course(tmp_path, "shared", 0.3)), tmp_path / "out"
-    meet = ("--namespace", f"test-{os.getpid()}")
+    meet = ("--namespace", "sextant")
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with Command("up", "all", "--scenario", course, "--listen", endpoint, *meet, cwd=tmp_path) as up:
         up.wait_for(lambda: up.service("actuator"), "the services")
@@ -196,6 +212,7 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
             with Command("order", order, "--take", "--holder", order, "--connect", endpoint, *meet, cwd=tmp_path) as given:
                 assert given.status() == status
                 assert words in given.text()
+        walk_by_the_client_of_the_docs(endpoint)
         up.interrupt()
         assert up.status() == 130
         up.gone()

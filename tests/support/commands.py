@@ -135,8 +135,10 @@ class Ear:
 
     def __init__(self) -> None:
         self.mode: Mode | None = None
+        self.lease: str | None = None
         self.reasons: set[str] = set()
         self.steps: list[int] = []  # numbers of the steps walked, as they come
+        self.places: list[tuple[float, float]] = []  # [m] {odom} of the body in those
 
     @classmethod
     @contextlib.contextmanager
@@ -152,8 +154,10 @@ class Ear:
         message = codec.decode(frame, topic.type)[0]
         match message:
             case ActuatorState():
-                self.mode = message.mode
+                self.mode, self.lease = message.mode, message.lease
                 self.reasons.add(message.reason)
+                if message.mode is Mode.WALK:
+                    self.places.append((message.T_odom_body[0, 3], message.T_odom_body[1, 3]))
                 if message.mode is Mode.WALK and self.steps[-1:] != [message.step]:
                     self.steps.append(message.step)
             case PlannerStatus():

@@ -1,0 +1,288 @@
+"""docs/keys.md: every key and message on one page, out of the topic table, the process table and the declarations themselves.
+
+What a field means is said once, in the comment behind its declaration; here the comments are read from the source.
+"""
+
+import ast
+import importlib
+import inspect
+import io
+import json
+import re
+import tokenize
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from deploy.operator import Operator
+from deploy.order import Order
+from deploy.process_table import ROUTER_ENDPOINT, TABLE
+from deploy.scorer import Scorer
+from shared import codec, messages, topics
+from shared.messages import Dims, Message, Mode, VelocityCommand
+from shared.service import AnyTopic
+from shared.transport import Endpoints
+
+CLIENT = Path(__file__).parents[1] / "docs" / "walk_client.py"
+_FRAMES = ("world", "odom", "body")
+_NAMES = {float: "float", int: "int", bool: "bool", str: "text"}
+_WORDS = re.compile(r"(?:\((?:[\d, ]+)\) )?(?:\[(?P<unit>[^\]]+)\] ?)?(?:\{(?P<frame>\w+)\} ?)?(?P<what>.*)", re.DOTALL)
+
+_BEGINNING = """# Keys and messages
+
+*This page is made by `sextant topics docs` from the topic table, the process table and the declarations of the messages
+(`shared/topics.py`, `deploy/process_table.py`, `shared/messages.py`); a test holds it to them.*
+
+Everything is on [Zenoh](https://zenoh.io), at the router that `sextant up` hosts on `{router}` (`--listen` names another
+address), with scouting off. A key of this page stands behind the namespace of the run: `actuator/state` is
+`{namespace}/actuator/state`, or the bare key in a session whose configuration has `namespace: "{namespace}"`.
+
+- Topics of delivery **latest** are states: a reader keeps the newest and may drop the others. Those of **every** are events and
+  increments: a reader takes all, in their order.
+- Nothing is sent with blocking congestion control: what a peer does not take in time is dropped. The lane **control** goes
+  first (priority `REAL_TIME`, express), **bulk** has priority `DATA`. Services keep a session for each.
+- A frame that is larger than its topic allows, or not as declared here, is refused by its reader, counted and named in
+  `health`; the last good one stays.
+- A stamp is the time [ns] at which the world was as described, by the robot's monotonic clock (`CLOCK_MONOTONIC`) and not the
+  time of day. Who reads judges freshness by the time of arrival: a message is stale three periods after it came.
+- Whoever orders takes the lease, by the `holder` of a `ModeCommand`: one at a time may move the legs, everybody may stop them.
+- Transforms `T_a_b` are 4 × 4 and take coordinates of frame b to frame a: {{world}} is fixed where the robot started, z up,
+  {{odom}} is what the legs alone believe, {{body}} moves along, x forward, y left, z up.
+- `sextant topics echo KEY` shows what is said, `sextant topics hz` how often and how much.
+"""
+_OF_FRAMES = """`schema` is the id that each message has below. The dtype of an array is in NumPy's notation: `<f8` is a
+little-endian float64, `|u1` a uint8, `|b1` a truth value of one byte. `began_ns` and `sent_ns` say when the sender began to
+make the message, and when it sent it; 0 where nobody wants to know.
+
+For example, a velocity command:
+"""
+_OF_CLIENT = """## A client
+
+[walk_client.py](walk_client.py) needs `eclipse-zenoh` and `msgpack` and nothing of Sextant. It takes the lease, walks the robot
+and prints what it says; `sextant up all --scenario flat` is something to try it on.
+"""
+
+
+def page() -> str:
+    """The page in Markdown.
+
+    Raises:
+        ImportError: A service needs something that is not installed.
+    """
+    written, read = _writers_and_readers()
+    said = comments(inspect.getsource(messages))
+    return "\n".join(
+        (
+            _BEGINNING.format(router=ROUTER_ENDPOINT, namespace=Endpoints((ROUTER_ENDPOINT,)).namespace),
+            *_table(written, read),
+            *_frame(),
+            *_client(),
+            *_modes(said),
+            "## The messages",
+            "",
+            *(line for topic in topics.TOPICS for line in _message(topic, said)),
+        )
+    )
+
+
+def _table(written: Mapping[str, list[str]], read: Mapping[str, list[str]]) -> Iterator[str]:
+    yield "## The keys"
+    yield ""
+    yield "| key | message | rate, Hz | delivery | lane | at most, KiB | written by | read by |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for topic in topics.TOPICS:
+        name = topic.type.__name__
+        cells = (
+            f"`{topic.key}`",
+            f"[{name}](#{topic.key.replace('/', '')}-{name.lower()})",
+            f"{topic.rate_hz:g}",
+            topic.delivery.value,
+            topic.lane.value,
+            f"{topic.max_bytes / 1024:g}",
+            ", ".join(written.get(topic.key, ["whoever has one"])),
+            ", ".join(read.get(topic.key, ["whoever wants to know"])),
+        )
+        yield f"| {' | '.join(cells)} |"
+    yield ""
+
+
+def _writers_and_readers() -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Topic key -> who writes it, and who reads it: processes of the table, then commands."""
+    written: dict[str, list[str]] = {}
+    read: dict[str, list[str]] = {}
+    own = [(process.name, _service(process.module)) for process in TABLE]
+    commands = (("`sextant run`", Operator), ("`sextant run`", Scorer), ("`sextant order`", Order))
+    for name, service in (*own, *commands):
+        pace = getattr(service, "paced_by", None)
+        reads = [*([pace] if isinstance(pace, topics.Topic) else []), *service.reads]
+        for table, found in ((written, service.writes), (read, reads)):
+            for topic in found:
+                names = table.setdefault(topic.key, [])
+                if name not in names:
+                    names.append(name)
+    written[topics.HEALTH.key] = ["every process"]
+    return written, read
+
+
+def _service(module: str) -> Any:
+    """The class that a process runs."""
+    service = importlib.import_module(f"{module}.service")
+    (found,) = (
+        kind
+        for _, kind in inspect.getmembers(service, inspect.isclass)
+        if kind.__module__ == service.__name__ and hasattr(kind, "reads") and hasattr(kind, "writes")
+    )
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------------ the frame
+
+
+def _frame() -> Iterator[str]:
+    _, _, words = (inspect.getdoc(codec) or "").partition("\n\n")
+    command = VelocityCommand(1_000_000_000, np.array([0.06, 0.0]), 0.0, 0.11, 0.04)
+    frame = codec.encode(command)
+    length = int.from_bytes(frame[:4], "little")
+    header = codec.unpack_values(frame[4 : 4 + length])
+    padding, arrays = frame[4 + length : -16], frame[-16:]
+    yield "## A frame"
+    yield ""
+    for paragraph in words.split("\n\n"):
+        yield from ("    " + line.strip() for line in paragraph.splitlines()) if paragraph.startswith("    ") else [paragraph]
+        yield ""
+    yield _OF_FRAMES
+    yield "```text"
+    yield f"{frame[:4].hex(' '):<58} uint32: {length} bytes of header"
+    rows = [frame[4 + k : 4 + min(k + 16, length)] for k in range(0, length, 16)]
+    yield f"{rows[0].hex(' '):<58} msgpack: {json.dumps(header)}"
+    yield from (row.hex(" ") for row in rows[1:])
+    yield f"{padding.hex(' '):<58} padding to 8 bytes"
+    yield f"{arrays.hex(' '):<58} <f8 [2]: {', '.join(map(str, command.velocity))}"
+    yield "```"
+    yield ""
+
+
+def _client() -> Iterator[str]:
+    yield _OF_CLIENT
+    yield "```python"
+    yield from CLIENT.read_text(encoding="utf-8").splitlines()
+    yield "```"
+    yield ""
+
+
+# --------------------------------------------------------------------------------------------------------- the messages
+
+
+def _modes(said: Mapping[tuple[str, str], str]) -> Iterator[str]:
+    yield "## Modes"
+    yield ""
+    yield f"{inspect.getdoc(Mode)}"
+    yield ""
+    yield "| mode | what |"
+    yield "|---|---|"
+    for mode in Mode:
+        yield f"| `{mode.value}` | {said['Mode', mode.name]} |"
+    yield ""
+
+
+def _message(topic: AnyTopic, said: Mapping[tuple[str, str], str]) -> Iterator[str]:
+    kind = topic.type
+    yield f"### {topic.key} {kind.__name__}"
+    yield ""
+    yield " ".join((inspect.getdoc(kind) or "").split())
+    yield ""
+    yield f"Schema `{codec.schema_id(kind)}`"
+    yield ""
+    yield "| field | type | shape | unit | frame | what |"
+    yield "|---|---|---|---|---|---|"
+    for name, base, detail in messages.schema(kind):
+        meaning = _meaning(name, said.get((_declared_in(kind, name), name), ""))
+        type_, shape, limits = _type(base, detail)
+        what = "; ".join(words for words in (meaning.what, limits) if words).replace("|", "\\|")
+        yield f"| `{name}` | {type_} | {shape} | {meaning.unit} | {meaning.frame} | {what} |"
+    yield ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Meaning:
+    unit: str
+    frame: str
+    what: str
+
+
+def _meaning(name: str, comment: str) -> _Meaning:
+    """What a field's comment says: `[unit] {frame} words`; a transform says it by its name, T_to_from."""
+    found = _WORDS.fullmatch(comment)
+    assert found is not None
+    unit, frame, what = found["unit"] or "", found["frame"] or "", found["what"].lstrip(", ").rstrip(".")
+    match name.split("_"):
+        case ["T", to, source] if to in _FRAMES and source in _FRAMES:
+            takes = f"takes {source} coordinates to {to}"
+            return _Meaning(unit or "m", frame or to, f"{takes}; {what}" if what else takes)
+    return _Meaning(unit, frame, what)
+
+
+def _type(base: Any, detail: Any) -> tuple[str, str, str]:
+    """Type, shape and limits of a field, in words."""
+    if base is np.ndarray:
+        dtype, dims = detail
+        return str(dtype), " × ".join(map(str, dims.shape)), _limits(dtype, dims)
+    if base is Literal:
+        return "text", "", f"one of {', '.join(f'`{one}`' for one in detail)}"
+    if base is tuple:
+        return "texts", f"≤ {messages.MAX_ITEMS}", ""
+    if issubclass(base, StrEnum):
+        return "text", "", "one of the [modes](#modes)" if base is Mode else f"one of {', '.join(f'`{one}`' for one in base)}"
+    return _NAMES[base], "", ""
+
+
+def _limits(dtype: np.dtype[Any], dims: Dims) -> str:
+    low, high = dims.lengths or (0, 0)
+    words = (
+        "may hold NaN" if dtype.kind == "f" and not dims.finite else "",
+        f"at most {dims.most}" if dims.most is not None else "",
+        f"{low} to {high} of them" if dims.lengths else "",
+        "may be left empty" if dims.optional else "",
+        "packed" if dims.packed else "",
+    )
+    return ", ".join(filter(None, words))
+
+
+def _declared_in(kind: type[Message], name: str) -> str:
+    """The class that declares a field."""
+    return next(base.__name__ for base in kind.__mro__ if name in inspect.get_annotations(base))
+
+
+def comments(source: str) -> dict[tuple[str, str], str]:
+    """(class, field) -> what the comments right above and behind its declaration say."""
+    lines = source.splitlines()
+    found = {
+        token.start[0]: (token.string.lstrip("# "), not lines[token.start[0] - 1][: token.start[1]].strip())
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type == tokenize.COMMENT
+    }
+    said: dict[tuple[str, str], str] = {}
+    for kind in ast.parse(source).body:
+        if isinstance(kind, ast.ClassDef):
+            for node in kind.body:
+                match node:
+                    case ast.AnnAssign(target=ast.Name(name)) | ast.Assign(targets=[ast.Name(name)]):
+                        said[kind.name, name] = _comment(node, found)
+    return said
+
+
+def _comment(node: ast.stmt, found: Mapping[int, tuple[str, bool]]) -> str:
+    above: list[str] = []
+    line = node.lineno - 1
+    while line in found and found[line][1]:
+        above.insert(0, found[line][0])
+        line -= 1
+    within = range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    behind = [found[line][0] for line in within if line in found]
+    if not above or not behind:
+        return " ".join(above or behind)
+    return f"{' '.join(behind)}; {above[0][:1].lower()}{' '.join(above)[1:]}"
