@@ -27,6 +27,7 @@ from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError,
 from deploy.commands.facts import compose, doctor
 from deploy.commands.faults import faults
 from deploy.commands.order import order
+from deploy.commands.ros2 import ros2
 from deploy.commands.topics import docs, echo, hz, list_topics
 from deploy.commands.trials import table, trials
 from deploy.commands.up import up
@@ -240,6 +241,20 @@ def _add_robots(add: Any) -> None:
     one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
     one.add_argument("--holder", default="operator", help="who orders: one at a time may move the legs (default %(default)s)")
     one.add_argument("--take", action="store_true", help="take over from whoever may move them now")
+
+    one = add("ros2", ros2, "make the robot a node of ROS 2 over rmw_zenoh, without ROS, see docs/ros2.md")
+    words = "of ROS (default: ROS_DOMAIN_ID, or 0)"
+    one.add_argument("--domain", type=_natural, default=os.environ.get("ROS_DOMAIN_ID") or "0", metavar="N", help=words)
+    words = "of the node and its topics, for several robots in one graph (default %(default)s)"
+    one.add_argument("--ros-namespace", default="/", metavar="/NAME", help=words)
+    words = "router of the ROS nodes, `ros2 run rmw_zenoh_cpp rmw_zenohd` (default: that of the robot)"
+    one.add_argument("--ros-connect", action="append", metavar="ENDPOINT", help=words)
+    one.add_argument("--connect", action="append", default=None, help="router of the robot (default: tcp/127.0.0.1:7447)")
+    one.add_argument("--namespace", default="sextant", help="prefix of every key of the robot (default %(default)s)")
+    one.add_argument("--robot", default="phantomx_mk2", help="profile by name, or path of a TOML file (default %(default)s)")
+    words = "in which Twists walk (default %(default)s)"
+    one.add_argument("--gait", default="tripod", choices=("tripod", "ripple", "wave"), help=words)
+    one.add_argument("--pictures", action="store_true", help="also pass the camera's small pictures on")
 
 
 def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:

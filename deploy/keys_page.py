@@ -21,6 +21,7 @@ import numpy as np
 from deploy.operator import Operator
 from deploy.order import Order
 from deploy.process_table import ROUTER_ENDPOINT, TABLE
+from deploy.ros2.bridge import Bridge
 from deploy.scorer import Scorer
 from shared import codec, messages, topics
 from shared.messages import Dims, Message, Mode, VelocityCommand
@@ -115,7 +116,7 @@ def _writers_and_readers() -> tuple[dict[str, list[str]], dict[str, list[str]]]:
     written: dict[str, list[str]] = {}
     read: dict[str, list[str]] = {}
     own = [(process.name, _service(process.module)) for process in TABLE]
-    commands = (("`sextant run`", Operator), ("`sextant run`", Scorer), ("`sextant order`", Order))
+    commands = (("`sextant run`", Operator), ("`sextant run`", Scorer), ("`sextant order`", Order), ("`sextant ros2`", Bridge))
     for name, service in (*own, *commands):
         pace = getattr(service, "paced_by", None)
         reads = [*([pace] if isinstance(pace, topics.Topic) else []), *service.reads]

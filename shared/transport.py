@@ -105,6 +105,72 @@ class Router:
         _close([self._session])
 
 
+class ForeignPublisher:
+    """Puts payloads on one key that is somebody else's."""
+
+    def __init__(self, publisher: Any):
+        self._publisher = publisher
+
+    def send(self, payload: bytes, attachment: bytes) -> None:
+        """Publish a payload with what goes with it; under congestion it is dropped, never waited for."""
+        self._publisher.put(payload, attachment=attachment)
+
+    def wanted(self) -> bool:
+        """Whether anybody is subscribed."""
+        return bool(self._publisher.matching_status.matching)
+
+
+class ForeignLink:
+    """A session among others than our services, by their keys and conventions; a context manager."""
+
+    def __init__(self, connect: tuple[str, ...]):
+        """Meet them at routers, e.g. tcp/127.0.0.1:7447."""
+        self._config = _config(mode="client", connect=connect, listen=(), scouting=False, namespace=None)
+
+    def __enter__(self) -> Self:
+        self._session = _open(self._config)
+        self._tokens: list[Any] = []
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        _close([self._session])
+
+    @property
+    def id(self) -> str:
+        """Of the session."""
+        return str(self._session.info.zid())
+
+    def announce(self, token: str) -> None:
+        """Declare a liveliness token, which lasts as long as the session."""
+        self._tokens.append(self._session.liveliness().declare_token(token))
+
+    def publisher(self, key: str) -> ForeignPublisher:
+        """Declare a publisher."""
+        drop = zenoh.CongestionControl.DROP
+        return ForeignPublisher(self._session.declare_publisher(key, congestion_control=drop))
+
+    def subscribe(self, key: str, receive: Callable[[bytes], None]) -> None:
+        """Hand every payload of a key to `receive` from a thread of this link."""
+        subscriber = self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(256))
+        _pump(subscriber, lambda sample: receive(sample.payload.to_bytes()), f"receive {key}")
+
+
+def _pump(subscriber: Any, take: Callable[[Any], None], name: str) -> threading.Thread:
+    """Hand every sample of a subscriber on at once, from a thread that ends with its session."""
+
+    def pump() -> None:
+        while True:
+            try:
+                sample = subscriber.recv()
+            except zenoh.ZError:
+                return  # the session has been closed
+            take(sample)
+
+    thread = threading.Thread(target=pump, name=name, daemon=True)
+    thread.start()
+    return thread
+
+
 class ZenohLink:
     """A process's connection to the others; a context manager."""
 
@@ -142,17 +208,9 @@ class ZenohLink:
         channel: Any = zenoh.handlers.RingChannel(1) if latest else zenoh.handlers.FifoChannel(256)
         subscriber = self._sessions[topic.lane].declare_subscriber(topic.key, channel)
 
-        def pump() -> None:
-            while True:
-                try:
-                    sample = subscriber.recv()
-                except zenoh.ZError:
-                    return  # the session has been closed
-                receive(topic, sample.payload.to_bytes())
-
-        thread = threading.Thread(target=pump, name=f"receive {topic.key}", daemon=True)
-        thread.start()
-        self._threads.append(thread)
+        self._threads.append(
+            _pump(subscriber, lambda sample: receive(topic, sample.payload.to_bytes()), f"receive {topic.key}")
+        )
 
     def _publisher(self, topic: Topic[Any]) -> zenoh.Publisher:
         publisher = self._publishers.get(topic.key)

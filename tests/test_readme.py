@@ -42,6 +42,7 @@ RUN_BY = {
     "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "order": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
+    "ros2": "tests/unit/deploy/ros2/test_bridge.py::test_the_command_says_what_it_offers_and_ends_at_ctrl_c",
     "topics docs": "tests/unit/deploy/test_keys_page.py::test_the_page_is_the_one_that_the_command_makes",
     "topics echo": "tests/unit/deploy/test_overheard.py::test_echo_prints_as_many_messages_as_are_asked_for",
     "topics hz": "tests/unit/deploy/test_overheard.py::test_hz_measures_and_prints_totals",

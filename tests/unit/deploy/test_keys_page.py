@@ -56,7 +56,10 @@ def test_the_words_are_those_of_the_declarations(key: str, row: str) -> None:
 
 def test_who_writes_and_reads_is_what_the_services_say() -> None:
     rows = {cells[1].strip(" `"): cells[7:9] for cells in (row.split("|") for row in PAGE.splitlines()) if len(cells) == 10}
-    assert [text.strip() for text in rows["operator/mode"]] == ["console, `sextant run`, `sextant order`", "actuator, stop"]
+    assert [text.strip() for text in rows["operator/mode"]] == [
+        "console, `sextant run`, `sextant order`, `sextant ros2`",
+        "actuator, stop",
+    ]
     assert "perception" in rows["camera/color"][1]
     assert rows["perception/scan"][0].strip() == "perception"
     assert rows.keys() >= {topic.key for topic in TOPICS}

@@ -1,0 +1,53 @@
+"""`sextant ros2`: the robot as a node of ROS 2, without ROS."""
+
+import argparse
+
+from deploy.commands.common import INTERRUPTED, InputError, complain, say
+
+_ROUTER = "tcp/127.0.0.1:7447"
+_LOOK_S = 0.1
+
+
+def ros2(arguments: argparse.Namespace) -> int:
+    """`sextant ros2`: speak as a node of ROS 2 over rmw_zenoh, until Ctrl-C."""
+    import threading
+    import time
+
+    try:
+        from deploy.ros2.bridge import PICTURES, PUBLISHED, SUBSCRIBED, Bridge
+    except ImportError as error:
+        raise InputError(f"{error}: pip install 'sextant[ros2]'") from None
+    from deploy.interrupts import Interrupts
+    from deploy.ros2.lead import Lead, Walk
+    from deploy.ros2.names import Node
+    from shared import codec, topics
+    from shared.robot import load_profile
+    from shared.service import run_live
+    from shared.transport import Endpoints, ForeignLink, ZenohLink
+
+    profile = load_profile(arguments.robot)
+    connect = tuple(arguments.connect or [_ROUTER])
+    lead = Lead(Walk(profile.stance.max_speed, profile.stance.body_height, gait=arguments.gait))
+    met = Endpoints(connect, namespace=arguments.namespace)
+    stop = threading.Event()
+    with Interrupts() as interrupts, ZenohLink(met) as link, ForeignLink(tuple(arguments.ros_connect or connect)) as wire:
+        try:
+            node = Node(arguments.domain, wire.id, "sextant", arguments.ros_namespace)
+        except ValueError as error:
+            raise InputError(str(error)) from None
+        bridge = Bridge(profile, wire, node, lead, time.time_ns, complain, arguments.pictures)
+        published = (*PUBLISHED, *(PICTURES if arguments.pictures else ()))
+        say(f"node {node.full('sextant')} in ROS domain {node.domain}; Ctrl-C ends it")
+        say(f"publishes {', '.join(node.full(topic) for topic, *_ in published)}")
+        say(f"listens to {', '.join(node.full(topic) for topic, *_ in SUBSCRIBED)}")
+        running = threading.Thread(target=run_live, args=(bridge, link, stop), name="ros2")
+        running.start()
+        try:
+            while not interrupts.asked() and running.is_alive():
+                stop.wait(_LOOK_S)
+        finally:
+            stop.set()
+            running.join()
+        for message in bridge.release(time.monotonic_ns()):
+            link.send(topics.OF_TYPE[type(message)], codec.encode(message))
+    return INTERRUPTED

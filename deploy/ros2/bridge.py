@@ -1,0 +1,242 @@
+"""The bridge as a service: hears Sextant, speaks as a node of ROS 2, and leads the robot by the Twists that it gets."""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
+
+import numpy as np
+
+from deploy.ros2 import cdr, converted
+from deploy.ros2.clock import TimeOfDay
+from deploy.ros2.lead import Lead
+from deploy.ros2.names import Node, attachment, gid
+from shared import topics
+from shared.geometry import Array
+from shared.messages import Message, Odometry, Tick
+from shared.robot import RobotProfile
+from shared.service import AnyTopic, Every, Inbox, Stages
+
+RATE_HZ = 50.0
+MAX_TWIST_BYTES = 1024  # of a Twist with a header whose frame has a long name
+_WORD_S = 1.0  # [s] for which the actuator's last word counts
+_WAITING = 64  # Twists that may wait to be read
+
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+# Topic, message type, and how many messages a subscriber is told that we keep.
+PUBLISHED = (
+    ("odom", "nav_msgs/msg/Odometry", 10),
+    ("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", 10),
+    ("/tf", "tf2_msgs/msg/TFMessage", 100),
+    ("joint_states", "sensor_msgs/msg/JointState", 10),
+    ("terrain", "grid_map_msgs/msg/GridMap", 1),
+    ("terrain_points", "sensor_msgs/msg/PointCloud2", 1),
+)
+PICTURES = (
+    ("camera/depth_preview/compressed", "sensor_msgs/msg/CompressedImage", 1),
+    ("camera/color_preview/compressed", "sensor_msgs/msg/CompressedImage", 1),
+)
+SUBSCRIBED = (("cmd_vel", TWIST, 10), ("cmd_vel_stamped", TWIST_STAMPED, 10))
+
+
+class Publisher(Protocol):
+    """Puts bytes on a key of ROS."""
+
+    def send(self, payload: bytes, attachment: bytes) -> None:
+        """Publish, never blocking."""
+        ...
+
+    def wanted(self) -> bool:
+        """Whether anybody is subscribed."""
+        ...
+
+
+class Wire(Protocol):
+    """The session among ROS nodes; `shared.transport` has the one for Zenoh."""
+
+    @property
+    def id(self) -> str:
+        """Of the session."""
+        ...
+
+    def announce(self, token: str) -> None:
+        """Declare a liveliness token, for as long as the session lasts."""
+        ...
+
+    def publisher(self, key: str) -> Publisher:
+        """Declare a publisher."""
+        ...
+
+    def subscribe(self, key: str, receive: Callable[[bytes], None]) -> None:
+        """Have the payloads of a key handed over, from a thread of the session."""
+        ...
+
+
+class Outlet:
+    """One topic that is published."""
+
+    def __init__(self, wire: Wire, node: Node, entity: int, topic: str, kind: str, depth: int, wall: Callable[[], int]):
+        """Declare it, as the publisher of a number."""
+        token = node.endpoint_token(entity, "MP", topic, kind, depth)
+        self._publisher = wire.publisher(node.key(topic, kind))
+        self._kind, self._gid, self._wall = kind, gid(token), wall
+        self._sent = 0
+        wire.announce(token)
+
+    def wanted(self) -> bool:
+        """Whether anybody is subscribed: what nobody wants need not be made."""
+        return self._publisher.wanted()
+
+    def publish(self, value: converted.Value) -> None:
+        """Send one message."""
+        self._sent += 1
+        self._publisher.send(cdr.encode(self._kind, value), attachment(self._sent, self._wall(), self._gid))
+
+
+class Bridge:
+    """A node of ROS 2 that says where the robot is and what it sees, and passes Twists on."""
+
+    name = "ros2"
+    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.BODY_POSE, topics.TERRAIN, topics.PREVIEW)
+    writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.MODE)
+
+    def __init__(
+        self,
+        profile: RobotProfile,
+        wire: Wire,
+        node: Node,
+        lead: Lead,
+        wall: Callable[[], int],
+        say: Callable[[str], None] = lambda _words: None,
+        pictures: bool = False,
+    ):
+        """Make the node known.
+
+        Args:
+            profile: Of the robot.
+            wire: Session among the ROS nodes.
+            node: What it is there.
+            lead: What becomes of Twists.
+            wall: Time of day [ns].
+            say: Takes what has come about, in words.
+            pictures: Also pass the camera's small pictures on, which are made only for who asks.
+        """
+        self.paced_by = Every.hz(RATE_HZ)
+        self.stages = Stages()
+        self.refused = 0  # Twists that were none
+        self.last_refusal = ""
+        if not pictures:
+            self.reads = tuple(topic for topic in self.reads if topic is not topics.PREVIEW)
+        self._camera = profile.camera.T_body_camera
+        self._lead, self._wall, self._tell = lead, wall, say
+        self._time = TimeOfDay()
+        self._before: Odometry | None = None
+        self._twists: deque[tuple[str, bytes]] = deque(maxlen=_WAITING)
+        wire.announce(node.token())
+        published = (*PUBLISHED, *(PICTURES if pictures else ()))
+        self._outlets = {
+            topic: Outlet(wire, node, entity, topic, kind, depth, wall)
+            for entity, (topic, kind, depth) in enumerate(published, 1)
+        }
+        for entity, (topic, kind, depth) in enumerate(SUBSCRIBED, 1 + len(published)):
+            wire.subscribe(node.key(topic, kind), self._receiver(kind))
+            wire.announce(node.endpoint_token(entity, "MS", topic, kind, depth))
+
+    def doing(self) -> str:
+        """Whether it leads, and what it could not read."""
+        words = "a Twist leads the robot" if self._lead.leading else "passing on what the robot says, listening to cmd_vel"
+        return f"{words}; {self.refused} Twists refused: {self.last_refusal}" if self.refused else words
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """One beat: pass on what has come, either way."""
+        now = tick.stamp_ns
+        self._pass_odometry(inbox)
+        self._pass_state(inbox)
+        self._pass_pose(inbox)
+        self._pass_terrain(inbox)
+        if topics.PREVIEW in self.reads:
+            self._pass_pictures(inbox)
+        while self._twists:
+            self._take_twist(*self._twists.popleft(), now)
+        yield from self._lead.beat(now, inbox.fresh(topics.ACTUATOR_STATE, _WORD_S))
+        for words in self._lead.drain_words():
+            self._tell(words)
+
+    def release(self, now_ns: int) -> list[Message]:
+        """What is still to be said before this ends."""
+        return self._lead.release(now_ns)
+
+    # ---------------------------------------------------------------------------------------------------------- to ROS
+
+    def _pass_odometry(self, inbox: Inbox) -> None:
+        for message in inbox.drain(topics.ODOMETRY):
+            at_ns = self._at(message)
+            self._publish("odom", converted.odometry, message, self._before, at_ns)
+            self._publish("/tf", converted.transforms, at_ns, (converted.ODOM, converted.BASE, message.T_odom_body))
+            self._before = message
+
+    def _pass_state(self, inbox: Inbox) -> None:
+        for message in inbox.drain(topics.ACTUATOR_STATE):
+            self._publish("joint_states", converted.joint_state, message, self._at(message))
+
+    def _pass_pose(self, inbox: Inbox) -> None:
+        for message in inbox.drain(topics.BODY_POSE):
+            at_ns = self._at(message)
+            correction = (converted.MAP, converted.ODOM, message.T_world_odom)
+            camera = (converted.BASE, converted.CAMERA, self._camera)
+            self._publish("pose", converted.pose, message, at_ns)
+            self._publish("/tf", converted.transforms, at_ns, correction, camera)
+
+    def _pass_terrain(self, inbox: Inbox) -> None:
+        for message in inbox.drain(topics.TERRAIN):
+            with self.stages("terrain"):
+                self._publish("terrain", converted.grid_map, message, self._at(message))
+                self._publish("terrain_points", converted.points, message, self._at(message))
+
+    def _pass_pictures(self, inbox: Inbox) -> None:
+        for message in inbox.drain(topics.PREVIEW):
+            for (topic, *_), data in zip(PICTURES, (message.depth_jpeg, message.color_jpeg), strict=True):
+                if len(data):
+                    self._publish(topic, converted.jpeg, data, self._at(message))
+
+    def _at(self, message: Message) -> int:
+        """When the world was as a message says, as time of day [ns]."""
+        self._time.learn(message.stamp_ns, self._wall())
+        return self._time.of(message.stamp_ns)
+
+    def _publish(self, topic: str, make: Callable[..., converted.Value], *arguments: Any) -> None:
+        outlet = self._outlets[topic]
+        if outlet.wanted():
+            outlet.publish(make(*arguments))
+
+    # -------------------------------------------------------------------------------------------------------- from ROS
+
+    def _receiver(self, kind: str) -> Callable[[bytes], None]:
+        return lambda payload: self._twists.append((kind, payload))
+
+    def _take_twist(self, kind: str, payload: bytes, now_ns: int) -> None:
+        try:
+            velocity, yaw_rate = read_twist(kind, payload)
+        except cdr.CdrError as error:
+            self.refused += 1
+            if str(error) != self.last_refusal:
+                self.last_refusal = str(error)
+                self._tell(f"a Twist is refused: {error}")
+            return
+        self._lead.twist(velocity, yaw_rate, now_ns)
+
+
+def read_twist(kind: str, payload: bytes) -> tuple[Array, float]:
+    """Velocity (2,) [m/s] {body} and rate of turn [rad/s] of a Twist, or of a stamped one; the rest of it is not for walkers.
+
+    Raises:
+        CdrError: It is none, or not finite.
+    """
+    if len(payload) > MAX_TWIST_BYTES:
+        raise cdr.CdrError(f"{kind}: at most {MAX_TWIST_BYTES} bytes expected, found {len(payload)}")
+    found = cdr.decode(kind, payload)
+    twist = found["twist"] if kind == TWIST_STAMPED else found
+    linear, angular = twist["linear"], twist["angular"]
+    if not all(math.isfinite(number) for part in (linear, angular) for number in part.values()):
+        raise cdr.CdrError(f"{kind}: finite numbers expected, found {linear} and {angular}")
+    return np.array([linear["x"], linear["y"]]), angular["z"]

@@ -1,0 +1,169 @@
+"""Sextant's messages as ROS 2 has them. Pure: stamps come in.
+
+Frames by REP 105: {world} is `map`, {odom} is `odom`, {body} is `base_link`; axes and units are those of REP 103 already, x
+forward, y left, z up, metres and radians. The camera's is an optical frame: z forward, x right, y down.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shared.geometry import Array, inverse, log_se3, quaternion_from_rotation
+from shared.messages import UNKNOWN, ActuatorState, BodyPose, Odometry, TerrainMap
+from shared.robot import JOINTS, LEGS
+
+MAP, ODOM, BASE, CAMERA = "map", "odom", "base_link", "camera_depth_optical_frame"
+JOINT_NAMES = tuple(f"{leg.replace(' ', '_')}_{joint}" for leg in LEGS for joint in JOINTS)
+_FLOAT32 = 7  # of sensor_msgs/msg/PointField
+_NOT_KNOWN = np.zeros(36)
+_LONG_NS = 500_000_000  # [ns] between two messages of odometry, over which no velocity is told
+
+Value = dict[str, Any]
+
+
+def stamp(ns: int) -> Value:
+    """A time [ns] as builtin_interfaces/msg/Time."""
+    return {"sec": ns // 1_000_000_000, "nanosec": ns % 1_000_000_000}
+
+
+def header(at_ns: int, frame: str) -> Value:
+    """std_msgs/msg/Header."""
+    return {"stamp": stamp(at_ns), "frame_id": frame}
+
+
+def _xyz(values: Array) -> Value:
+    x, y, z = values.tolist()
+    return {"x": x, "y": y, "z": z}
+
+
+def _quaternion(R: Array) -> Value:
+    w, x, y, z = quaternion_from_rotation(R).tolist()
+    return {"x": x, "y": y, "z": z, "w": w}
+
+
+def _pose(T: Array) -> Value:
+    return {"position": _xyz(T[:3, 3]), "orientation": _quaternion(T[:3, :3])}
+
+
+def transforms(at_ns: int, *found: tuple[str, str, Array]) -> Value:
+    """tf2_msgs/msg/TFMessage of (frame, child frame, transform that takes the child's coordinates to the frame)."""
+    return {
+        "transforms": [
+            {
+                "header": header(at_ns, frame),
+                "child_frame_id": child,
+                "transform": {"translation": _xyz(T[:3, 3]), "rotation": _quaternion(T[:3, :3])},
+            }
+            for frame, child, T in found
+        ]
+    }
+
+
+def joint_state(state: ActuatorState, at_ns: int) -> Value:
+    """sensor_msgs/msg/JointState: measured angles [rad] and torques [N m]; velocities are not measured."""
+    return {
+        "header": header(at_ns, ""),
+        "name": list(JOINT_NAMES),
+        "position": state.q.ravel(),
+        "velocity": np.zeros(0),
+        "effort": state.load_nm.ravel(),
+    }
+
+
+def odometry(newest: Odometry, before: Odometry | None, at_ns: int) -> Value:
+    """nav_msgs/msg/Odometry: the pose in `odom`, the twist in `base_link` by the way since the message before.
+
+    Covariances are all zero, which says that they are not known.
+    """
+    return {
+        "header": header(at_ns, ODOM),
+        "child_frame_id": BASE,
+        "pose": {"pose": _pose(newest.T_odom_body), "covariance": _NOT_KNOWN},
+        "twist": {"twist": twist(newest, before), "covariance": _NOT_KNOWN},
+    }
+
+
+def twist(newest: Odometry, before: Odometry | None) -> Value:
+    """geometry_msgs/msg/Twist {body} between two messages of odometry; zero where there is none before, or long ago."""
+    moved = np.zeros(6)
+    if before is not None and 0 < newest.stamp_ns - before.stamp_ns <= _LONG_NS:
+        moved = log_se3(inverse(before.T_odom_body) @ newest.T_odom_body) / ((newest.stamp_ns - before.stamp_ns) * 1e-9)
+    return {"linear": _xyz(moved[:3]), "angular": _xyz(moved[3:])}
+
+
+def pose(found: BodyPose, at_ns: int) -> Value:
+    """geometry_msgs/msg/PoseWithCovarianceStamped in `map`."""
+    return {
+        "header": header(at_ns, MAP),
+        "pose": {"pose": _pose(found.T_world_body), "covariance": found.covariance.ravel()},
+    }
+
+
+def grid_map(terrain: TerrainMap, at_ns: int) -> Value:
+    """grid_map_msgs/msg/GridMap in `map`; NaN where nothing is known.
+
+    Layers: `elevation` [m], `variance` [m^2], `score` (0 best, above 1 no foothold) and `evaluation` (Masri's function [cells],
+    negative where a foot may stand). There cell (0, 0) lies at the largest x and y, and rows go along x, columns along y.
+    """
+    nx, ny = terrain.elevation.shape
+    edge = terrain.resolution
+    middle = terrain.origin + 0.5 * edge * (np.array([nx, ny]) - 1)
+    evaluation = np.where(terrain.evaluation == UNKNOWN, np.nan, terrain.evaluation)
+    layers = {
+        "elevation": terrain.elevation,
+        "variance": terrain.variance,
+        "score": terrain.score,
+        "evaluation": evaluation,
+    }
+    return {
+        "header": header(at_ns, MAP),
+        "info": {
+            "resolution": edge,
+            "length_x": nx * edge,
+            "length_y": ny * edge,
+            "pose": {"position": _xyz(np.array([*middle, 0.0])), "orientation": _quaternion(np.eye(3))},
+        },
+        "layers": list(layers),
+        "basic_layers": ["elevation"],
+        "data": [_float_array(layer) for layer in layers.values()],
+        "outer_start_index": 0,
+        "inner_start_index": 0,
+    }
+
+
+def _float_array(layer: NDArray[Any]) -> Value:
+    """std_msgs/msg/Float32MultiArray of cells (nx, ny), column by column from the largest x and y on."""
+    rows, columns = layer.shape
+    dims = [
+        {"label": "column_index", "size": columns, "stride": rows * columns},
+        {"label": "row_index", "size": rows, "stride": rows},
+    ]
+    return {"layout": {"dim": dims, "data_offset": 0}, "data": layer[::-1, ::-1].astype(np.float32).ravel(order="F")}
+
+
+def points(terrain: TerrainMap, at_ns: int) -> Value:
+    """sensor_msgs/msg/PointCloud2 in `map`: a point with its score in the middle of every cell whose height is known."""
+    i, j = np.nonzero(np.isfinite(terrain.elevation))
+    xy = terrain.origin + terrain.resolution * np.column_stack([i, j])
+    cloud = np.column_stack([xy, terrain.elevation[i, j], terrain.score[i, j]]).astype("<f4")
+    step = cloud.itemsize * cloud.shape[1]
+    names = ("x", "y", "z", "score")
+    return {
+        "header": header(at_ns, MAP),
+        "height": 1,
+        "width": len(cloud),
+        "fields": [
+            {"name": name, "offset": cloud.itemsize * k, "datatype": _FLOAT32, "count": 1} for k, name in enumerate(names)
+        ],
+        "is_bigendian": False,
+        "point_step": step,
+        "row_step": step * len(cloud),
+        "data": np.frombuffer(cloud.tobytes(), np.uint8),
+        "is_dense": bool(np.isfinite(cloud).all()),
+    }
+
+
+def jpeg(data: NDArray[np.uint8], at_ns: int) -> Value:
+    """sensor_msgs/msg/CompressedImage of a JPEG."""
+    return {"header": header(at_ns, CAMERA), "format": "jpeg", "data": data}

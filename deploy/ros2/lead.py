@@ -1,0 +1,145 @@
+"""Twists from ROS as an operator's stick: held while they come, let go when they stop. Pure: time comes in.
+
+Whoever sends them takes the lease by the rules of all operators, while it is free, and loses it to who takes over. A Twist of
+nothing but zeros begins nothing. What was refused or taken away moves nothing until the Twists have paused or were zero.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from shared.geometry import Array
+from shared.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, VelocityCommand
+
+DEAD_MAN_NS = 300_000_000  # [ns] without a Twist, after which the stick is let go
+_REPEAT_NS = 500_000_000  # [ns] between two messages of an order: that keeps the lease
+_VELOCITY_NS = 40_000_000  # [ns] between two velocities at least
+_FASTEST_TURN = 1.0  # [rad/s]; what the robot can is the planner's matter
+_LED = (Mode.HOLD, Mode.WALK)  # modes in which leading begins
+_GOES_ON = (*_LED, Mode.FAULT)  # and in which it goes on: a fault stops the legs by itself
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """How the robot is to walk; a Twist does not say."""
+
+    max_speed: float  # [m/s] of the robot
+    body_height: float  # [m] over the floor
+    lift: float = 0.04  # [m] clearance of swinging feet
+    gait: GaitName = "tripod"
+
+
+@dataclass(slots=True)
+class Lead:
+    """Takes Twists, and says what goes out; one call of `beat` every few hundredths of a second."""
+
+    walk: Walk
+    holder: str = "ros2"
+    leading: bool = False
+    _lapsed: bool = False  # the Twists that come now move nothing
+    _heard_ns: int = -DEAD_MAN_NS - 1
+    _velocity: Array = field(default_factory=lambda: np.zeros(2))
+    _yaw_rate: float = 0.0
+    _state: ActuatorState | None = None
+    _sequence: int = 0
+    _order: ModeCommand | None = None
+    _velocity_ns: int = 0
+    _new: list[Message] = field(default_factory=list)  # to go out at the next beat
+    _words: list[str] = field(default_factory=list)
+
+    def twist(self, velocity: Array, yaw_rate: float, now_ns: int) -> None:
+        """Take in a Twist.
+
+        Args:
+            velocity: (2,) [m/s] {body} forward, left; finite.
+            yaw_rate: [rad/s] finite.
+            now_ns: [ns]
+        """
+        if self.leading and now_ns - self._heard_ns > DEAD_MAN_NS:
+            self._let_go(now_ns)
+        moves = bool(np.any(velocity)) or yaw_rate != 0.0
+        if now_ns - self._heard_ns > DEAD_MAN_NS or not moves:
+            self._lapsed = False
+        self._heard_ns = now_ns
+        if not self.leading:
+            if self._lapsed or not moves:
+                return
+            refused = self._refused()
+            if refused:
+                self._lapsed = True
+                self._words.append(f"a Twist is refused: {refused}")
+                return
+            self.leading = True
+            self._words.append("a Twist leads the robot")
+            self._say("walk", now_ns)
+        speed = math.hypot(*velocity.tolist())
+        self._velocity = velocity * min(1.0, self.walk.max_speed / speed) if speed > 0.0 else np.zeros(2)
+        self._yaw_rate = min(max(yaw_rate, -_FASTEST_TURN), _FASTEST_TURN)
+
+    def beat(self, now_ns: int, state: ActuatorState | None) -> list[Message]:
+        """What goes out now [ns], by the actuator's newest word; None where it has not said one for a while."""
+        self._state = state
+        if self.leading:
+            self._watch(now_ns)
+        if self.leading and self._order is not None and now_ns - self._order.stamp_ns >= _REPEAT_NS:
+            self._order = replace(self._order, stamp_ns=now_ns)
+            self._new.append(self._order)
+        out, self._new = self._new, []
+        if self.leading and state is not None and state.lease == self.holder and now_ns - self._velocity_ns >= _VELOCITY_NS:
+            self._velocity_ns = now_ns
+            out.append(self._command(now_ns, self._velocity, self._yaw_rate))
+        return out
+
+    def release(self, now_ns: int) -> list[Message]:
+        """What is to be said before nobody asks any more: the robot stops, if it was led."""
+        if self.leading:
+            self._let_go(now_ns, "the bridge ends")
+        out, self._new = self._new, []
+        return out
+
+    def drain_words(self) -> list[str]:
+        """What has come about since this was last asked, for the log."""
+        words, self._words = self._words, []
+        return words
+
+    def _refused(self) -> str:
+        """Why the robot cannot be led now, in words, or nothing."""
+        state = self._state
+        if state is None:
+            return "no word from the actuator; is it up?"
+        if state.lease not in ("", self.holder):
+            return f"{state.lease} leads the robot"
+        if state.mode not in _LED:
+            return f"the robot cannot walk, its mode is {state.mode}: {state.reason}; `sextant order stand`"
+        return ""
+
+    def _watch(self, now_ns: int) -> None:
+        state = self._state
+        if now_ns - self._heard_ns > DEAD_MAN_NS:
+            self._let_go(now_ns)
+        elif state is not None and state.lease not in ("", self.holder):
+            self._lapse(f"{state.lease} has taken over")
+        elif state is not None and state.mode not in _GOES_ON:
+            self._lapse(f"the robot is led no more: {state.mode}: {state.reason}")
+
+    def _let_go(self, now_ns: int, why: str = f"no Twist for {DEAD_MAN_NS * 1e-9:.1f} s") -> None:
+        """The robot stops: a velocity of zero once, and the order to stop, and then silence."""
+        self.leading = False
+        self._words.append(f"the robot is stopped: {why}")
+        self._new.append(self._command(now_ns, np.zeros(2), 0.0))
+        self._say("stop", now_ns)
+
+    def _lapse(self, why: str) -> None:
+        self.leading, self._lapsed = False, True
+        self._words.append(why)
+
+    def _say(self, mode: Literal["walk", "stop"], now_ns: int) -> None:
+        self._sequence = max(self._sequence + 1, now_ns)  # above those of a bridge that ran before
+        self._order = ModeCommand(now_ns, mode, self._sequence, self.holder)
+        self._new.append(self._order)
+
+    def _command(self, now_ns: int, velocity: Array, yaw_rate: float) -> VelocityCommand:
+        walk = self.walk
+        return VelocityCommand(now_ns, velocity, yaw_rate, walk.body_height, walk.lift, walk.gait)

@@ -1,0 +1,393 @@
+"""The bridge between a robot that is played and ROS nodes that are played, over a wire in memory and over Zenoh itself."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+import zenoh.ext
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from deploy import cli
+from deploy.launcher import free_port
+from deploy.ros2 import cdr
+from deploy.ros2.bridge import MAX_TWIST_BYTES, PICTURES, PUBLISHED, SUBSCRIBED, TWIST, TWIST_STAMPED, Bridge, read_twist
+from deploy.ros2.definitions import DEFINITIONS
+from deploy.ros2.interface import type_hash
+from deploy.ros2.lead import Lead, Walk
+from deploy.ros2.names import Node, dds_name, gid
+from shared import codec, topics
+from shared.codec import Timing
+from shared.geometry import from_xyz_rpy
+from shared.messages import BodyPose, Message, Mode, ModeCommand, Odometry, Preview, TerrainMap, Tick, VelocityCommand
+from shared.robot import load_profile
+from shared.service import AnyTopic, Inbox, run_live
+from shared.transport import Endpoints, ForeignLink, Router, ZenohLink
+from tests.support.commands import eventually
+from tests.support.states import actuator_state
+
+MS, S = 1_000_000, 1_000_000_000
+PROFILE = load_profile("phantomx_mk2")
+WALL = 1_700_000_000 * S
+PEER = get_typestore(Stores.ROS2_KILTED)
+for grid_map_type in ("grid_map_msgs/msg/GridMapInfo", "grid_map_msgs/msg/GridMap"):
+    PEER.register(get_types_from_msg(DEFINITIONS[grid_map_type], grid_map_type))
+ZERO = {"x": 0.0, "y": 0.0, "z": 0.0}
+
+
+def twist(x: float = 0.05, turn: float = 0.1) -> dict[str, Any]:
+    return {"linear": {**ZERO, "x": x}, "angular": {**ZERO, "z": turn}}
+
+
+def stamped(found: dict[str, Any]) -> dict[str, Any]:
+    return {"header": {"stamp": {"sec": 1, "nanosec": 2}, "frame_id": "base_link"}, "twist": found}
+
+
+def said_by_a_robot(now_ns: int) -> list[Message]:
+    """A word of each kind, of a robot that stands."""
+    height = np.full((6, 4), 0.02, np.float32)
+    none = np.zeros((6, 4), dtype=bool)
+    return [
+        Odometry(now_ns, from_xyz_rpy((0.5, 0.0, 0.11), (0, 0, 0)), 1.0, 0.0, ~np.zeros(6, dtype=bool), True),
+        actuator_state(PROFILE, stamp_ns=now_ns, mode=Mode.HOLD, lease="", q=np.full((6, 3), 0.25)),
+        BodyPose(now_ns, np.eye(4), from_xyz_rpy((0.1, 0.0, 0.0), (0, 0, 0.2)), np.eye(6), 1.0, True, "", np.zeros((0, 6))),
+        TerrainMap(now_ns, 0.01, np.zeros(2), height, height, height, none, none.astype(np.int8)),
+        Preview(now_ns, np.frombuffer(b"depth", np.uint8), np.zeros(0, np.uint8)),
+    ]
+
+
+# ------------------------------------------------------------------------------------------------------ a wire in memory
+
+
+@dataclass
+class Played:
+    """A publisher that keeps what is sent."""
+
+    asked: bool = True
+    sent: list[tuple[bytes, bytes]] = field(default_factory=list)
+
+    def send(self, payload: bytes, attachment: bytes) -> None:
+        self.sent.append((payload, attachment))
+
+    def wanted(self) -> bool:
+        return self.asked
+
+
+@dataclass
+class MemoryWire:
+    """ROS nodes that are played by the test."""
+
+    id: str = "abc"
+    asked: bool = True
+    tokens: list[str] = field(default_factory=list)
+    publishers: dict[str, Played] = field(default_factory=dict)
+    receivers: dict[str, Callable[[bytes], None]] = field(default_factory=dict)
+
+    def announce(self, token: str) -> None:
+        self.tokens.append(token)
+
+    def publisher(self, key: str) -> Played:
+        return self.publishers.setdefault(key, Played(self.asked))
+
+    def subscribe(self, key: str, receive: Callable[[bytes], None]) -> None:
+        self.receivers[key] = receive
+
+
+class Bench:
+    """A bridge in beats, the robot and the ROS nodes played."""
+
+    def __init__(self, asked: bool = True, pictures: bool = False) -> None:
+        self.wire, self.node, self.words = MemoryWire(asked=asked), Node(3, "abc", "sextant"), []
+        self.words: list[str] = []
+        self.now = 100 * S
+        lead = Lead(Walk(0.1, 0.11))
+        self.bridge = Bridge(PROFILE, self.wire, self.node, lead, lambda: WALL + self.now, self.words.append, pictures)
+        self.inbox = Inbox(self.bridge.reads, self.bridge.stages)
+
+    def hear(self, *messages: Message) -> None:
+        for message in messages:
+            topic = topics.OF_TYPE[type(message)]
+            if topic in self.bridge.reads:
+                self.inbox.receive(topic, codec.encode(message, Timing(self.now, self.now)), self.now)
+
+    def beat(self) -> list[Message]:
+        self.now += 20 * MS
+        self.inbox.now_ns = self.now
+        return list(self.bridge.step(Tick(self.now), self.inbox))
+
+    def publish(self, kind: str, payload: bytes) -> None:
+        topic = next(topic for topic, known, _ in SUBSCRIBED if known == kind)
+        self.wire.receivers[self.node.key(topic, kind)](payload)
+
+    def sent(self, topic: str, kind: str) -> list[Any]:
+        """What the peer reads of a topic."""
+        return [PEER.deserialize_cdr(payload, kind) for payload, _ in self.wire.publishers[self.node.key(topic, kind)].sent]
+
+
+def test_every_topic_is_read_by_a_peer_as_it_was_said() -> None:
+    bench = Bench(pictures=True)
+    bench.hear(*said_by_a_robot(bench.now))
+    bench.beat()
+    found = {topic: bench.sent(topic, kind) for topic, kind, _ in (*PUBLISHED, *PICTURES)}
+    assert found["odom"][0].pose.pose.position.x == 0.5
+    assert found["odom"][0].header.stamp.sec * S + found["odom"][0].header.stamp.nanosec == WALL + 100 * S + 20 * MS
+    assert found["joint_states"][0].position.tolist() == [0.25] * 18
+    assert found["pose"][0].header.frame_id == "map"
+    frames = {(one.header.frame_id, one.child_frame_id) for message in found["/tf"] for one in message.transforms}
+    assert frames == {("odom", "base_link"), ("map", "odom"), ("base_link", "camera_depth_optical_frame")}
+    assert found["terrain"][0].layers == ["elevation", "variance", "score", "evaluation"]
+    assert found["terrain_points"][0].width == 24
+    assert bytes(found["camera/depth_preview/compressed"][0].data) == b"depth"
+    assert found["camera/color_preview/compressed"] == [], "there is no colour camera"
+
+
+def test_attachments_count_up_and_carry_the_id_of_their_token() -> None:
+    bench = Bench()
+    for _ in range(3):
+        bench.hear(*said_by_a_robot(bench.now))
+        bench.beat()
+    sent = bench.wire.publishers[bench.node.key("odom", "nav_msgs/msg/Odometry")].sent
+    kinds = tuple[zenoh.ext.Int64, zenoh.ext.Int64, bytes]
+    read = [zenoh.ext.z_deserialize(kinds, zenoh.ZBytes(attachment)) for _, attachment in sent]
+    assert [number for number, _, _ in read] == [1, 2, 3]
+    (token,) = (token for token in bench.wire.tokens if "/MP/" in token and "%odom/" in token)
+    assert {source for _, _, source in read} == {gid(token)}
+    assert [at for _, at, _ in read] == sorted(at for _, at, _ in read)
+
+
+def test_what_nobody_wants_is_not_made() -> None:
+    bench = Bench(asked=False)
+    bench.hear(*said_by_a_robot(bench.now))
+    assert bench.beat() == []
+    assert all(publisher.sent == [] for publisher in bench.wire.publishers.values())
+    assert topics.PREVIEW not in bench.bridge.reads, "perception makes pictures for who asks alone"
+
+
+def test_a_twist_and_a_stamped_one_lead_alike() -> None:
+    for kind, value in ((TWIST, twist()), (TWIST_STAMPED, stamped(twist()))):
+        bench = Bench()
+        bench.hear(*said_by_a_robot(bench.now))
+        bench.beat()
+        bench.publish(kind, cdr.encode(kind, value))
+        (order,) = bench.beat()
+        assert isinstance(order, ModeCommand)
+        assert (order.mode, order.holder) == ("walk", "ros2")
+        bench.hear(actuator_state(PROFILE, stamp_ns=bench.now, mode=Mode.HOLD, lease="ros2"))
+        (velocity,) = bench.beat()
+        assert isinstance(velocity, VelocityCommand)
+        assert (velocity.velocity.tolist(), velocity.yaw_rate) == ([0.05, 0.0], 0.1)
+        assert bench.words == ["a Twist leads the robot"]
+
+
+@given(st.binary(max_size=120), st.sampled_from([kind for _, kind, _ in SUBSCRIBED]))
+@settings(max_examples=150)
+def test_whatever_comes_is_a_finite_velocity_or_a_refusal(data: bytes, kind: str) -> None:
+    for head in (b"", b"\0\1\0\0", b"\0\0\0\0"):
+        try:
+            velocity, turn = read_twist(kind, head + data)
+        except cdr.CdrError as error:
+            assert str(error).startswith(f"{kind}: ")  # noqa: PT017
+        else:
+            assert np.isfinite([*velocity, turn]).all()
+
+
+@given(st.binary(max_size=40), st.sampled_from([kind for _, kind, _ in SUBSCRIBED]))  # a Twist has 52
+@settings(max_examples=80, deadline=None)
+def test_wild_bytes_are_refused_counted_and_named_and_move_nothing(data: bytes, kind: str) -> None:
+    bench = Bench()
+    bench.hear(*said_by_a_robot(bench.now))
+    for payload in (data, b"\0\1\0\0" + data):
+        bench.publish(kind, payload)
+    assert bench.beat() == []
+    assert bench.bridge.refused == 2
+    assert bench.bridge.last_refusal.startswith(f"{kind}: ")
+    assert "2 Twists refused" in bench.bridge.doing()
+    assert all(words.startswith("a Twist is refused: ") for words in bench.words)
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
+def test_a_twist_that_is_not_finite_is_refused_wherever_it_is(number: float) -> None:
+    for part in ("linear", "angular"):
+        for axis in "xyz":
+            bench = Bench()
+            bench.hear(*said_by_a_robot(bench.now))
+            value = twist()
+            value[part] = {**value[part], axis: number}
+            bench.publish(TWIST, cdr.encode(TWIST, value))
+            assert bench.beat() == []
+            assert "finite numbers expected" in bench.bridge.last_refusal
+
+
+def test_a_payload_that_is_too_long_is_not_even_read() -> None:
+    bench = Bench()
+    bench.publish(TWIST, cdr.encode(TWIST, twist()) + bytes(MAX_TWIST_BYTES))
+    assert bench.beat() == []
+    assert f"at most {MAX_TWIST_BYTES} bytes expected" in bench.bridge.last_refusal
+
+
+# -------------------------------------------------------------------------------------------------------- over Zenoh
+
+
+class RosNode:
+    """A ROS 2 node as rmw_zenoh would have it, in plain Zenoh and with another reader of CDR."""
+
+    def __init__(self, endpoint: str, domain: int):
+        config = zenoh.Config.from_json5(
+            f'{{mode: "client", connect: {{endpoints: ["{endpoint}"]}}, scouting: {{multicast: {{enabled: false}}}}}}'
+        )
+        self.session, self.domain = zenoh.open(config), domain
+        self.heard: dict[str, list[Any]] = {}
+
+    def subscribe(self, topic: str, kind: str) -> None:
+        def hear(sample: zenoh.Sample) -> None:
+            assert sample.attachment is not None
+            assert len(sample.attachment.to_bytes()) == 33
+            self.heard.setdefault(topic, []).append(PEER.deserialize_cdr(sample.payload.to_bytes(), kind))
+
+        self.session.declare_subscriber(f"{self.domain}/{topic}/{dds_name(kind)}/{type_hash(kind)}", hear)
+
+    def publish(self, topic: str, kind: str, message: Any) -> None:
+        payload = bytes(PEER.serialize_cdr(message, kind, little_endian=True))
+        self.session.put(f"{self.domain}/{topic}/{dds_name(kind)}/{type_hash(kind)}", payload)
+
+    def graph(self) -> list[str]:
+        """All tokens of the domain, as a node asks for them when it begins."""
+        return [str(reply.ok.key_expr) for reply in self.session.liveliness().get(f"@ros2_lv/{self.domain}/**", timeout=2.0)]
+
+
+class PlayedRobot:
+    """Says odometry, state, pose and map, gives the lease to who orders, and keeps what it is told."""
+
+    def __init__(self, link: ZenohLink):
+        self.velocities: list[VelocityCommand] = []
+        self.orders: list[ModeCommand] = []
+        self.lease = ""
+        self._link, self._over = link, threading.Event()
+        self._thread = threading.Thread(target=self._speak, name="played robot")
+        for topic in (topics.VELOCITY, topics.MODE):
+            link.subscribe(topic, self._hear)
+
+    def __enter__(self) -> "PlayedRobot":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _hear(self, topic: AnyTopic, frame: bytes) -> None:
+        message, _ = codec.decode(frame, topic.type)
+        if isinstance(message, ModeCommand):
+            self.lease = message.holder
+            self.orders.append(message)
+        elif isinstance(message, VelocityCommand):
+            self.velocities.append(message)
+
+    def _speak(self) -> None:
+        while not self._over.wait(0.02):
+            now = time.monotonic_ns()
+            for message in said_by_a_robot(now):
+                if isinstance(message, type(actuator_state(PROFILE, stamp_ns=0))):
+                    message = replace(message, lease=self.lease)
+                self._link.send(topics.OF_TYPE[type(message)], codec.encode(message, Timing(now, now)))
+
+
+@pytest.fixture(scope="module")
+def router() -> Iterator[str]:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with Router((endpoint,)):
+        yield endpoint
+
+
+def test_a_ros_node_finds_the_robot_reads_it_and_leads_it_over_zenoh(router: str) -> None:
+    said: list[str] = []
+    stop = threading.Event()
+    with ZenohLink(Endpoints((router,))) as link, ForeignLink((router,)) as wire, ZenohLink(Endpoints((router,))) as robots:
+        bridge = Bridge(PROFILE, wire, Node(7, wire.id, "sextant"), Lead(Walk(0.1, 0.11)), time.time_ns, said.append)
+        running = threading.Thread(target=run_live, args=(bridge, link, stop), name="bridge")
+        running.start()
+        node = RosNode(router, 7)
+        try:
+            with PlayedRobot(robots) as robot:
+                for topic, kind, _ in PUBLISHED:
+                    node.subscribe(topic.lstrip("/"), kind)
+                eventually(lambda: len(node.heard) == len(PUBLISHED), "a message on every topic", 20.0)
+                stamp = node.heard["odom"][-1].header.stamp
+                assert abs(stamp.sec + stamp.nanosec * 1e-9 - time.time()) < 5.0, "by the time of day"
+
+                tokens = node.graph()
+                assert sum("/NN/%/%/sextant" in token for token in tokens) == 1
+                assert sum("/MP/%/%/sextant/" in token for token in tokens) == len(PUBLISHED)
+                assert sum("/MS/%/%/sextant/" in token for token in tokens) == len(SUBSCRIBED)
+                assert all(token.split("/")[2] == wire.id for token in tokens)
+
+                types = PEER.types
+                forward = types["geometry_msgs/msg/Vector3"](0.06, 0.0, 0.0)
+                turn = types["geometry_msgs/msg/Vector3"](0.0, 0.0, -0.2)
+
+                def drive() -> bool:
+                    node.publish("cmd_vel", TWIST, types["geometry_msgs/msg/Twist"](forward, turn))
+                    return any(v.velocity.any() for v in robot.velocities)
+
+                eventually(drive, "a velocity", 20.0)
+                led = next(v for v in robot.velocities if v.velocity.any())
+                assert (led.velocity.tolist(), led.yaw_rate) == ([0.06, 0.0], -0.2)
+                assert {(order.mode, order.holder) for order in robot.orders} == {("walk", "ros2")}
+                eventually(lambda: robot.orders[-1].mode == "stop", "the stop, once no Twist comes", 20.0)
+                eventually(lambda: not robot.velocities[-1].velocity.any(), "a velocity of zero", 20.0)
+
+                node.session.put(f"7/cmd_vel/{dds_name(TWIST)}/{type_hash(TWIST)}", b"\0\1\0\0nothing")
+                eventually(lambda: bridge.refused == 1, "the refusal of what is no Twist", 20.0)
+                assert running.is_alive()
+        finally:
+            stop.set()
+            running.join()
+            node.session.close()  # type: ignore[no-untyped-call]
+    assert said[0] == "a Twist leads the robot"
+    assert "no Twist for 0.3 s" in said[1]
+    assert "bytes and more expected" in said[2]
+
+
+def test_the_command_says_what_it_offers_and_ends_at_ctrl_c(
+    router: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from deploy.interrupts import Interrupts
+
+    looks = iter([False, False, True])
+    monkeypatch.setattr(Interrupts, "asked", lambda _: next(looks, True))
+    words = ["ros2", "--connect", router, "--domain", "5", "--ros-namespace", "/hexapod", "--pictures"]
+    assert cli.main(words) == 130
+    printed = capsys.readouterr().out
+    assert "node /hexapod/sextant in ROS domain 5" in printed
+    assert "/hexapod/terrain" in printed
+    assert "/hexapod/camera/depth_preview/compressed" in printed
+    assert "listens to /hexapod/cmd_vel, /hexapod/cmd_vel_stamped" in printed
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (["--ros-namespace", "robot"], 2, "a ROS namespace like / or /robot_1 expected, found 'robot'"),
+        (["--domain", "400"], 2, "a ROS domain from 0 to 232 expected, found 400"),
+        (["--robot", "nobody"], 2, "no profile 'nobody'"),
+    ],
+)
+def test_wrong_input_is_named(
+    words: list[str], status: int, said: str, router: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["ros2", "--connect", router, *words]) == status
+    assert said in capsys.readouterr().err
+
+
+def test_the_domain_is_that_of_ros(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    assert cli.parse(["ros2"]).domain == 42
+    monkeypatch.setenv("ROS_DOMAIN_ID", "")
+    assert cli.parse(["ros2"]).domain == 0
+    assert cli.parse(["ros2", "--domain", "1"]).domain == 1

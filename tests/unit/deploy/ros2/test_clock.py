@@ -1,0 +1,38 @@
+"""Stamps become times of day by the message that took the shortest."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy.ros2.clock import TimeOfDay
+
+MS, S = 1_000_000, 1_000_000_000
+OFFSET = 1_700_000_000 * S
+
+
+@given(st.lists(st.integers(1, 400), min_size=1, max_size=200))
+def test_the_error_is_the_least_delay_of_late_and_never_more_than_the_newest(delays_ms: list[int]) -> None:
+    clock = TimeOfDay()
+    for n, delay in enumerate(delays_ms):
+        stamp = 7 * S + n * 20 * MS
+        clock.learn(stamp, OFFSET + stamp + delay * MS)
+        error = clock.of(stamp) - OFFSET - stamp
+        assert error <= delay * MS
+        if n < 200:  # the window has not passed
+            assert error == min(delays_ms[: n + 1]) * MS
+
+
+def test_a_clock_that_drifts_is_followed() -> None:
+    clock = TimeOfDay()
+    for n in range(3000):  # a minute, in which the time of day gains 30 ms
+        stamp = n * 20 * MS
+        clock.learn(stamp, OFFSET + stamp + MS + n * 10_000)
+    assert clock.of(stamp) - (OFFSET + stamp + MS + 30 * MS) > -6 * MS
+
+
+def test_a_clock_that_begins_anew_or_is_set_is_believed_at_once() -> None:
+    clock = TimeOfDay()
+    clock.learn(500 * S, OFFSET + 500 * S)
+    clock.learn(1 * S, OFFSET + 501 * S)  # the robot has begun anew
+    assert clock.of(1 * S) == OFFSET + 501 * S
+    clock.learn(2 * S, 3 * S)  # the time of day was set back
+    assert clock.of(2 * S) == 3 * S

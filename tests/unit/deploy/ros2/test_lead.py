@@ -1,0 +1,181 @@
+"""Twists lead the robot while they come, by the rules of all operators, and nothing moves when they stop."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deploy.ros2.lead import DEAD_MAN_NS, Lead, Walk
+from shared.messages import ActuatorState, Message, Mode, ModeCommand, VelocityCommand
+from shared.robot import load_profile
+from tests.support.states import actuator_state
+
+MS = 1_000_000
+PROFILE = load_profile("phantomx_mk2")
+
+
+class Desk:
+    """A lead in beats of 20 ms, and an actuator that gives the lease to who orders."""
+
+    def __init__(self, **state: Any) -> None:
+        self.lead = Lead(Walk(max_speed=0.1, body_height=0.11))
+        self.now = 1_000 * MS
+        found = {"lease": "", "mode": Mode.HOLD, "reason": "standing", **state}
+        self.state: ActuatorState | None = actuator_state(PROFILE, stamp_ns=0, **found)
+        self.said: list[Message] = []
+        self.words: list[str] = []
+        self.beat()
+
+    def beat(self) -> None:
+        self.now += 20 * MS
+        made = self.lead.beat(self.now, self.state)
+        for message in made:
+            if isinstance(message, ModeCommand) and message.mode == "walk" and self.state is not None:
+                self.state = replace(self.state, lease=self.state.lease or message.holder)
+        self.said += made
+        self.words += self.lead.drain_words()
+
+    def drive(self, beats: int, x: float = 0.05, y: float = 0.0, turn: float = 0.0) -> None:
+        """A Twist in every beat."""
+        for _ in range(beats):
+            self.lead.twist(np.array([x, y]), turn, self.now)
+            self.beat()
+
+    def rest(self, beats: int) -> None:
+        for _ in range(beats):
+            self.beat()
+
+    def velocities(self) -> list[VelocityCommand]:
+        return [m for m in self.said if isinstance(m, VelocityCommand)]
+
+    def orders(self) -> list[str]:
+        return [m.mode for m in self.said if isinstance(m, ModeCommand)]
+
+
+def test_twists_become_velocities_and_keep_the_lease() -> None:
+    desk = Desk()
+    desk.drive(100, x=0.04, y=-0.02, turn=0.3)
+    found = desk.velocities()
+    assert 45 <= len(found) <= 51, "every 40 ms"
+    assert all(v.velocity.tolist() == [0.04, -0.02] and v.yaw_rate == 0.3 and v.body_height == 0.11 for v in found)
+    orders = [m for m in desk.said if isinstance(m, ModeCommand)]
+    assert {(m.mode, m.holder, m.take) for m in orders} == {("walk", "ros2", False)}
+    assert len({m.sequence for m in orders}) == 1, "one order, repeated"
+    assert 4 <= len(orders) <= 5, "twice a second"
+
+
+def test_a_pause_is_zero_once_a_stop_and_then_silence() -> None:
+    desk = Desk()
+    desk.drive(20)
+    desk.said.clear()
+    before = desk.now
+    desk.rest(60)
+    zeros = [v for v in desk.velocities() if not v.velocity.any() and v.yaw_rate == 0.0]
+    assert len(zeros) == 1
+    assert DEAD_MAN_NS - 40 * MS <= zeros[0].stamp_ns - before <= DEAD_MAN_NS + 40 * MS
+    assert desk.orders()[-1] == "stop"
+    assert desk.orders().count("stop") == 1
+    after = [m for m in desk.said if m.stamp_ns > zeros[0].stamp_ns]
+    assert after == []
+    assert "no Twist for 0.3 s" in desk.words[-1]
+
+
+def test_it_may_lead_again_after_a_pause_with_a_newer_order() -> None:
+    desk = Desk()
+    for _ in range(2):
+        desk.drive(20)
+        desk.rest(30)
+    orders = {m.sequence: m.mode for m in desk.said if isinstance(m, ModeCommand)}
+    assert list(orders.values()) == ["walk", "stop", "walk", "stop"]
+    assert list(orders) == sorted(orders)
+
+
+def test_a_twist_of_zeros_begins_nothing() -> None:
+    desk = Desk()
+    desk.drive(50, x=0.0)
+    assert desk.said == []
+    desk.drive(20)
+    desk.drive(50, x=0.0)  # while it leads, it is a velocity like others
+    assert desk.lead.leading
+    assert not desk.velocities()[-1].velocity.any()
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        ({"lease": "console 1"}, "console 1 leads the robot"),
+        ({"mode": Mode.READY, "reason": "sitting"}, "its mode is ready: sitting; `sextant order stand`"),
+        ({"mode": Mode.OFF, "reason": "ordered off"}, "its mode is off"),
+    ],
+)
+def test_a_refusal_is_said_once_and_nothing_moves(state: dict[str, Any], words: str) -> None:
+    desk = Desk(**state)
+    desk.drive(50)
+    assert desk.said == []
+    assert len(desk.words) == 1
+    assert words in desk.words[0]
+    assert desk.state is not None
+    desk.state = replace(desk.state, lease="", mode=Mode.HOLD)
+    desk.drive(50)
+    assert desk.said == [], "the stick is still held: it has to be let go first"
+    desk.rest(20)
+    desk.drive(5)
+    assert desk.orders() == ["walk"]
+
+
+def test_without_a_word_of_the_actuator_nothing_is_led() -> None:
+    desk = Desk()
+    desk.state = None
+    desk.beat()
+    desk.drive(10)
+    assert desk.said == []
+    assert "is it up?" in desk.words[0]
+
+
+@pytest.mark.parametrize("change", [{"lease": "console 2"}, {"mode": Mode.OFF, "reason": "torque off"}])
+def test_who_takes_over_or_lets_go_ends_it_without_a_word_from_here(change: dict[str, Any]) -> None:
+    desk = Desk()
+    desk.drive(20)
+    assert desk.state is not None
+    desk.state = replace(desk.state, **change)
+    desk.said.clear()
+    desk.drive(50)
+    assert desk.said == [], "neither a velocity nor an order, though Twists go on"
+    assert not desk.lead.leading
+    desk.state = replace(desk.state, lease="", mode=Mode.HOLD)
+    desk.drive(1, x=0.0)  # one of zeros is a stick let go
+    desk.drive(5)
+    assert desk.orders() == ["walk"]
+
+
+def test_velocities_wait_for_the_lease() -> None:
+    desk = Desk()
+    assert desk.state is not None
+    desk.lead.twist(np.array([0.05, 0.0]), 0.0, desk.now)
+    made = desk.lead.beat(desk.now + 20 * MS, desk.state)
+    assert [type(m) for m in made] == [ModeCommand], "the actuator has not given it yet"
+
+
+def test_the_end_of_the_bridge_stops_a_robot_that_it_leads() -> None:
+    desk = Desk()
+    assert desk.lead.release(desk.now) == []
+    desk.drive(10)
+    zero, stop = desk.lead.release(desk.now)
+    assert isinstance(zero, VelocityCommand)
+    assert not zero.velocity.any()
+    assert isinstance(stop, ModeCommand)
+    assert stop.mode == "stop"
+
+
+@given(st.lists(st.tuples(st.floats(-1e300, 1e300), st.floats(-1e300, 1e300), st.floats(-1e300, 1e300)), max_size=20))
+@settings(deadline=None)
+def test_whatever_is_asked_the_speed_is_the_robots(asked: list[tuple[float, float, float]]) -> None:
+    desk = Desk()
+    for x, y, turn in asked:
+        desk.drive(2, x, y, turn)
+    for found in desk.velocities():
+        assert np.linalg.norm(found.velocity) <= 0.1 + 1e-9
+        assert abs(found.yaw_rate) <= 1.0
