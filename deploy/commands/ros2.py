@@ -2,7 +2,7 @@
 
 import argparse
 
-from deploy.commands.common import INTERRUPTED, InputError, complain, say
+from deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, say
 
 _ROUTER = "tcp/127.0.0.1:7447"
 _LOOK_S = 0.1
@@ -50,4 +50,4 @@ def ros2(arguments: argparse.Namespace) -> int:
             running.join()
         for message in bridge.release(time.monotonic_ns()):
             link.send(topics.OF_TYPE[type(message)], codec.encode(message))
-    return INTERRUPTED
+        return INTERRUPTED if interrupts.asked() else FAILED

@@ -15,6 +15,7 @@ from shared.messages import ActuatorState, GaitName, Message, Mode, ModeCommand,
 
 DEAD_MAN_NS = 300_000_000  # [ns] without a Twist, after which the stick is let go
 _REPEAT_NS = 500_000_000  # [ns] between two messages of an order: that keeps the lease
+_LEASE_NS = 1_000_000_000  # [ns] within which the actuator gives the lease, or does not mean to
 _VELOCITY_NS = 40_000_000  # [ns] between two velocities at least
 _FASTEST_TURN = 1.0  # [rad/s]; what the robot can is the planner's matter
 _LED = (Mode.HOLD, Mode.WALK)  # modes in which leading begins
@@ -38,6 +39,7 @@ class Lead:
     walk: Walk
     holder: str = "ros2"
     leading: bool = False
+    _begun_ns: int = 0  # since when it leads, or waits for the lease
     _lapsed: bool = False  # the Twists that come now move nothing
     _heard_ns: int = -DEAD_MAN_NS - 1
     _velocity: Array = field(default_factory=lambda: np.zeros(2))
@@ -71,7 +73,7 @@ class Lead:
                 self._lapsed = True
                 self._words.append(f"a Twist is refused: {refused}")
                 return
-            self.leading = True
+            self.leading, self._begun_ns = True, now_ns
             self._words.append("a Twist leads the robot")
             self._say("walk", now_ns)
         speed = math.hypot(*velocity.tolist())
@@ -121,6 +123,8 @@ class Lead:
             self._let_go(now_ns)
         elif state is not None and state.lease not in ("", self.holder):
             self._lapse(f"{state.lease} has taken over")
+        elif state is not None and not state.lease and now_ns - self._begun_ns > _LEASE_NS:
+            self._lapse(f"the actuator does not give the lease{''.join(f'; {words}' for words in state.warnings)}")
         elif state is not None and state.mode not in _GOES_ON:
             self._lapse(f"the robot is led no more: {state.mode}: {state.reason}")
 

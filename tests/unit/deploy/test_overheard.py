@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from deploy import cli, rates, shown
 from deploy.launcher import free_port
-from deploy.overheard import ONLY_BY_NAME, Heard, Mailbox, age_ns, topics_named
+from deploy.overheard import ONLY_BY_NAME, Heard, Mailbox, age_ns, listen, topics_named
 from shared import codec, topics
 from shared.codec import DecodeError, Timing
 from shared.messages import CameraState, Odometry, TerrainMap, VelocityCommand
@@ -229,6 +229,39 @@ def test_echo_names_what_it_cannot_decode_and_goes_on(robot: list[str], capsys: 
             break
     assert f"schema {codec.schema_id(VelocityCommand)} expected" in said
     assert "restart what is older" in said
+
+
+def test_a_terminal_that_is_slow_misses_states_and_is_told_how_many(
+    robot: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from deploy.commands import topics as commands
+
+    others = Mailbox()  # somebody else, who is not held up meanwhile
+    said: list[dict[str, Any]] = []
+
+    def say_slowly(text: str) -> None:
+        said.append(json.loads(text))
+        come = 0
+        while come < 5:
+            assert others.news.wait(10.0)
+            come += sum(1 + heard.passed_over for heard in others.drain())
+
+    monkeypatch.setattr(commands, "say", say_slowly)
+    with ZenohLink(Endpoints((robot[1],), namespace="heard")) as link:
+        listen(link, (topics.CAMERA_STATE,), others.take, time.monotonic_ns)
+        assert cli.main(["topics", "echo", "camera/state", "--json", "--count", "4", *robot]) == 0
+    assert sum(one["passed_over"] for one in said) > 3
+    stamps = [one["message"]["stamp_ns"] for one in said]
+    assert stamps == sorted(stamps)
+
+
+def test_echo_ends_at_ctrl_c(robot: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from deploy.interrupts import Interrupts
+
+    looks = iter([False] * 3)
+    monkeypatch.setattr(Interrupts, "asked", lambda _: next(looks, True))
+    assert cli.main(["topics", "echo", "camera/state", *robot]) == 130
+    assert "stopped by the operator" in capsys.readouterr().err
 
 
 def test_hz_measures_and_prints_totals(robot: list[str], capsys: pytest.CaptureFixture[str]) -> None:

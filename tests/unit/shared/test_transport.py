@@ -1,5 +1,6 @@
 """Frames over Zenoh on this machine's loopback, with the router in this process."""
 
+import json
 import socket
 import threading
 import time
@@ -8,9 +9,10 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+import zenoh
 
 from shared import topics, transport
-from shared.transport import Endpoints, Router, TransportError, ZenohLink
+from shared.transport import Endpoints, ForeignLink, Router, TransportError, ZenohLink
 
 MODE, VELOCITY, DEPTH, COLOR = topics.MODE, topics.VELOCITY, topics.DEPTH, topics.COLOR
 PATIENCE_S = 10.0  # an event that has not come by then never will
@@ -165,6 +167,36 @@ def test_one_link_may_hear_itself_and_two_readers_both_hear(endpoint: str) -> No
             link.send(MODE, b"x")  # the second declaration may still be on its way
             probe.wait(0.005)
         assert all(r.done.is_set() for r in receivers)
+
+
+def test_among_others_payloads_have_attachments_and_tokens_last_as_long_as_the_session(endpoint: str) -> None:
+    received: list[bytes] = []
+    config = {"mode": "client", "connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as other:
+
+        def tokens() -> list[str]:
+            return [str(reply.ok.key_expr) for reply in other.liveliness().get("@them/**", timeout=PATIENCE_S)]
+
+        with ForeignLink((endpoint,)) as link:
+            publisher = link.publisher("7/theirs")
+            assert not publisher.wanted()
+            subscriber = other.declare_subscriber("7/theirs")
+            pause, until = threading.Event(), time.monotonic() + PATIENCE_S
+            while not publisher.wanted() and time.monotonic() < until:
+                pause.wait(0.001)
+            publisher.send(b"payload", b"beside it")
+            sample = subscriber.recv()
+            assert (sample.payload.to_bytes(), sample.attachment.to_bytes()) == (b"payload", b"beside it")
+            link.announce(f"@them/{link.id}/here")
+            assert tokens() == [f"@them/{link.id}/here"]
+            link.subscribe("7/ours", received.append)
+            while not received and time.monotonic() < until:
+                other.put("7/ours", b"back")
+                pause.wait(0.001)
+        assert received[0] == b"back"
+        while tokens() and time.monotonic() < until:
+            pause.wait(0.001)
+        assert tokens() == []
 
 
 def test_closing_is_quick_and_ends_its_threads(endpoint: str) -> None:

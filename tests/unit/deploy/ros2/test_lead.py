@@ -159,6 +159,18 @@ def test_velocities_wait_for_the_lease() -> None:
     assert [type(m) for m in made] == [ModeCommand], "the actuator has not given it yet"
 
 
+def test_an_actuator_that_does_not_give_the_lease_is_named_with_its_reason() -> None:
+    desk = Desk()
+    assert desk.state is not None
+    refused = "`walk` of ros2 refused: it is older than their newest order"
+    for _ in range(60):
+        desk.state = replace(desk.state, lease="", warnings=(refused,))
+        desk.drive(1)
+    assert desk.velocities() == []
+    assert not desk.lead.leading
+    assert desk.words[-1] == f"the actuator does not give the lease; {refused}"
+
+
 def test_the_end_of_the_bridge_stops_a_robot_that_it_leads() -> None:
     desk = Desk()
     assert desk.lead.release(desk.now) == []
