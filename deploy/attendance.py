@@ -76,6 +76,7 @@ class Attendance:
 
 
 def about(scenario: Scenario, seed: int, way: str) -> dict[str, str]:
-    """What a recording says about its run, the size of its map included: replays make one of the same cells."""
+    """What a recording says about its run, the size of its map and what it walks by included: replays do likewise."""
     size = {f"map.{field.name}": str(getattr(scenario.map, field.name)) for field in fields(scenario.map)}
-    return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way, **size}
+    walk = {"walk.blind": str(scenario.walk.blind), "walk.footholds": scenario.walk.footholds}
+    return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way, **size, **walk}

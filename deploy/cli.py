@@ -21,12 +21,12 @@ from deploy.commands.benches import (
     bench_speed,
     bench_stages,
     bench_start,
-    replay,
 )
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor
 from deploy.commands.faults import faults
 from deploy.commands.order import order
+from deploy.commands.recordings import info, record, recover, replay
 from deploy.commands.ros2 import ros2
 from deploy.commands.topics import docs, echo, hz, list_topics
 from deploy.commands.trials import table, trials
@@ -35,10 +35,10 @@ from deploy.commands.walks import DEMOS, demo, run
 
 _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "shared.transport": "TransportError",
-    "deploy.recording": "RecordingError",
+    "services.console.recording.layout": "RecordingError",
     "deploy.kept": "KeptError",
     "deploy.trials": "ChangedError",
-    "deploy.replay": "ReplayError",
+    "deploy.replay_error": "ReplayError",
     "services.actuator.line": "BusGone",
     "services.actuator.gentle": "ServoSilentError",
 }
@@ -140,10 +140,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_walks(add)
     _add_campaigns(add)
     _add_robots(add)
-    one = add("replay", replay, "run perception and mapper on a recorded depth sequence, or the mapper on a recorded run")
-    one.add_argument("source", help="folder with depth.txt, camera.toml (and groundtruth.txt), or a recording.mcap")
-    one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
-    one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
+    _add_recordings(add)
 
     _add_benches(add, commands.add_parser("bench", help="what the stages are worth"))
     _add_topics(add, commands.add_parser("topics", help="what travels on the wire"))
@@ -159,6 +156,29 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--scenario", default="steps", help="name of the scenario (default %(default)s)")
     one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
     return parser
+
+
+def _add_recordings(add: Any) -> None:
+    one = add("record", record, "record all that is said on the wire, in MCAP files of a minute, until Ctrl-C")
+    one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below recordings/)")
+    one.add_argument("--seconds", type=_seconds, metavar="S", help="end after as long")
+    one.add_argument("--pictures", action="store_true", help="the camera's own pictures too: nine tenths of the bytes")
+    words = "of the disk that stay free (default %(default)s)"
+    one.add_argument("--reserve", type=_natural, default=500, metavar="MB", help=words)
+    one.add_argument("--robot", default="phantomx_mk2", help="whose (default %(default)s)")
+    _add_meeting(one)
+    one = add("info", info, "say what is in a recording: its files, topics, rates and sizes")
+    one.add_argument("recording", help="an MCAP file, or a folder of them")
+    one.add_argument("--json", action="store_true", help="as JSON")
+    one = add("recover", recover, "make a recording whole that a crash cut off; the old file stays as it is")
+    one.add_argument("recording", help="an MCAP file, or a folder of them")
+    one = add(
+        "replay", replay, "run perception and mapper on a recorded depth sequence, or mapper and planner on a recorded run"
+    )
+    one.add_argument("source", help="folder with depth.txt, camera.toml (and groundtruth.txt), or a recording")
+    one.add_argument("--only", action="append", metavar="TOPIC", help="feed only these of the recorded topics")
+    one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
+    one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
 
 
 def _add_walks(add: Any) -> None:
@@ -237,8 +257,7 @@ def _add_robots(add: Any) -> None:
     one = add("order", order, "order the legs of a robot that is up: stand, walk, stop, sit, or let go")
     words = "off: let go; stop: set the feet down; ready: torque on; stand: rise; walk: let the planner walk; sit: lie down"
     one.add_argument("what", choices=("off", "stop", "ready", "stand", "walk", "sit"), help=words)
-    one.add_argument("--connect", action="append", default=None, help="router of the robot (default: tcp/127.0.0.1:7447)")
-    one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
+    _add_meeting(one)
     one.add_argument("--holder", default="operator", help="who orders: one at a time may move the legs (default %(default)s)")
     one.add_argument("--take", action="store_true", help="take over from whoever may move them now")
 
@@ -302,8 +321,7 @@ def _add_topics(add: Any, parser: argparse.ArgumentParser) -> None:
         one: argparse.ArgumentParser = add(name, command, words, group)
         one.set_defaults(name=f"topics {name}")
         one.add_argument("keys", nargs="*", metavar="KEY", help="only these (default: all but pictures)")
-        one.add_argument("--connect", action="append", default=None, help="router of the robot (default: tcp/127.0.0.1:7447)")
-        one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
+        _add_meeting(one)
         return one
 
     one = heard("echo", echo, "print messages as they come, large arrays by their shape and what lies in them")
@@ -374,6 +392,12 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 def _add_out_and_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
+
+
+def _add_meeting(parser: argparse.ArgumentParser) -> None:
+    words = "router of the robot (default: tcp/127.0.0.1:7447)"
+    parser.add_argument("--connect", action="append", default=None, help=words)
+    parser.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
 
 
 def _add_robot_and_gait(parser: argparse.ArgumentParser) -> None:

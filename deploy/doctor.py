@@ -24,7 +24,7 @@ _ROLES: dict[str, tuple[str, ...]] = {  # the extras of pyproject.toml, by the m
     "perception": ("cv2", "kiss_icp", "numba"),
     "mapper": ("cv2", "numba"),
     "simulator": ("cv2", "mujoco", "numba"),
-    "recording": ("cv2", "matplotlib", "mcap"),
+    "recording": ("cv2", "matplotlib", "mcap", "foxglove_schemas_protobuf"),
 }
 _PYTHON = (3, 11)
 _CORES = 2

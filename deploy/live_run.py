@@ -15,8 +15,10 @@ from deploy.interrupts import Interrupts
 from deploy.launcher import Launcher, free_port, host_router
 from deploy.process_table import ENVIRONMENT, Command
 from deploy.progress import Progress
-from deploy.recording import LiveRecorder, Recorder
 from deploy.report import Report
+from services.console.recording.foxglove.translation import Foxglove
+from services.console.recording.live import LiveRecorder
+from services.console.recording.writer import Recorder
 from shared.robot import load_profile
 from shared.scenario import Fault, Scenario
 from shared.service import Service, run_live
@@ -69,7 +71,8 @@ def run_live_scenario(
         rows = () if attach else process_table.rows("all", simulated=True)
         # 2. Record, command, judge and watch from this process, each over a link of its own. They connect before the
         #    services start, so that the recording has the first word.
-        recorder = Recorder(out / "recording.mcap", about(scenario, seed, "live"))
+        profile = load_profile(scenario.robot)
+        recorder = Recorder(out / "recording.mcap", about(scenario, seed, "live"), Foxglove(profile))
         recording = stack.enter_context(_recording(recorder, endpoints))
         attendants = stack.enter_context(Attendants(attendance.services(), endpoints))
         process_table.new_robot(chosen)

@@ -13,7 +13,6 @@ from deploy.attendance import Attendance, about
 from deploy.passage_warm_up import plan_passage
 from deploy.pose_error import MODELS, Erring
 from deploy.progress import Progress, Silent
-from deploy.recording import Recorder
 from deploy.report import Report
 from services.actuator.config import Settings as ActuatorSettings
 from services.actuator.latch import Latch
@@ -21,6 +20,8 @@ from services.actuator.service import Actuator
 from services.actuator.servos import read_timeout_ns
 from services.actuator.stop.config import Settings as StopSettings
 from services.actuator.stop.service import Stop
+from services.console.recording.foxglove.translation import Foxglove
+from services.console.recording.writer import Recorder
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception.config import Settings as PerceptionSettings
@@ -177,7 +178,8 @@ def run_lockstep(
         recorder = None
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
-            recorder = stack.enter_context(Recorder(out / "recording.mcap", about(scenario, seed, "lockstep")))
+            saying = about(scenario, seed, "lockstep")
+            recorder = stack.enter_context(Recorder(out / "recording.mcap", saying, Foxglove(profile)))
         hear = [*taps, *([recorder.write] if recorder else [])]
 
         def tell(topic: AnyTopic, frame: bytes, at_ns: int) -> None:

@@ -41,6 +41,7 @@ class Choices:
     map: MapOptions = field(default_factory=MapOptions)
     lift: float = 0.04  # [m] of swinging feet, where an operator leads
     console_port: int = 8080  # TCP port of the operators' page
+    recordings: str = "recordings"  # folder in which the operator's recordings go
     camera: str = ""  # device in place of the one of the robot's profile: "openni2", "realsense", or a recorded folder
 
 
@@ -93,6 +94,10 @@ def _console(choices: Choices) -> dict[str, Value]:
     return {"port": choices.console_port, "lift": choices.lift}
 
 
+def _recorder(choices: Choices) -> dict[str, Value]:
+    return {"folder": choices.recordings}
+
+
 def _servo_port(choices: Choices) -> dict[str, Value]:
     return {"port": f"socket://127.0.0.1:{choices.bus_port}"} if choices.scenario else {}
 
@@ -113,6 +118,7 @@ TABLE: tuple[Process, ...] = (
     Process("mapper", "services.mapper", "either", 3, _mapper, nice=5),
     Process("planner", "services.planner", "either", 3, _planner, nice=2),
     Process("console", "services.console", "page", 3, _console, nice=3),
+    Process("recorder", "services.console.recorder", "page", 3, _recorder, nice=10),
 )
 
 

@@ -401,6 +401,28 @@ class ModeCommand(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class RecordCommand(Message):
+    """What the operator wants of the recorder; console -> recorder."""
+
+    record: bool
+    sequence: int  # counts up: an order counts once, however often it is repeated
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderState(Message):
+    """Whether what is said is being recorded, and where; recorder -> console."""
+
+    recording: bool
+    sequence: int  # of the order that it follows, -1 before the first
+    file: str  # that is being written, or was last; empty before the first
+    seconds: float  # [s] recorded since it began
+    size: int  # [B] of its files together
+    free: int  # [B] that are free where they are, -1 where that is not known
+    dropped: int  # messages that came faster than the disk took them
+    reason: str  # why it ended before it was told to, in words; empty when all is well
+
+
+@dataclass(frozen=True, slots=True)
 class FaultCommand(Message):
     """What to break in the simulated servos or on their bus, as `shared.bus_fault` has it; tests -> simulator."""
 

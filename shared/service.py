@@ -10,7 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
@@ -311,12 +311,21 @@ class Link(Protocol):
         """Publish a frame, never blocking."""
         ...
 
-    def subscribe(self, topic: AnyTopic, receive: Callable[[AnyTopic, bytes], None]) -> None:
-        """Have every frame of a topic handed over, from a thread of the link."""
+    def subscribe(self, topic: AnyTopic, receive: Callable[[AnyTopic, bytes], None]) -> Callable[[], None]:
+        """Have every frame of a topic handed over, from a thread of the link, until what is returned is called."""
         ...
 
     def wanted(self, topic: AnyTopic) -> bool:
         """Whether anybody is subscribed to a topic."""
+        ...
+
+
+@runtime_checkable
+class Listening(Protocol):
+    """A service that takes frames from the link by itself, as they come and while it wants them, beside its inbox."""
+
+    def meet(self, link: Link) -> None:
+        """Be given the link, before the first step."""
         ...
 
 
@@ -339,6 +348,8 @@ def run_live(
 
     for topic in worker.reads:
         link.subscribe(topic, receive)
+    if isinstance(service, Listening):
+        service.meet(link)
     beats = Beats(pace, clock) if isinstance(pace, Every) else None
     while not stop.is_set():
         alive(clock())

@@ -155,20 +155,25 @@ class ForeignLink:
         _pump(subscriber, lambda sample: receive(sample.payload.to_bytes()), f"receive {key}")
 
 
-def _pump(subscriber: Any, take: Callable[[Any], None], name: str) -> threading.Thread:
-    """Hand every sample of a subscriber on at once, from a thread that ends with its session."""
+def _pump(subscriber: Any, take: Callable[[Any], None], name: str) -> Callable[[], None]:
+    """Hand every sample of a subscriber on at once, from a thread that ends with its session, or by what is returned."""
 
     def pump() -> None:
         while True:
             try:
-                sample = subscriber.recv()
+                sample = subscriber.handler.recv()  # by itself it could not be ended while one waits for it
             except zenoh.ZError:
-                return  # the session has been closed
+                return  # it has been ended, or the session closed
             take(sample)
 
     thread = threading.Thread(target=pump, name=name, daemon=True)
     thread.start()
-    return thread
+
+    def end() -> None:
+        subscriber.undeclare()
+        thread.join()
+
+    return end
 
 
 class ZenohLink:
@@ -178,7 +183,6 @@ class ZenohLink:
         self._endpoints = endpoints
         self._sessions: dict[Lane, zenoh.Session] = {}
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._threads: list[threading.Thread] = []
 
     def __enter__(self) -> Self:
         config = self._endpoints.zenoh_config()
@@ -202,15 +206,12 @@ class ZenohLink:
         status: Any = self._publisher(topic).matching_status  # an object that is always true, though the stubs say bool
         return bool(status.matching)
 
-    def subscribe(self, topic: Topic[Any], receive: Callable[[Topic[Any], bytes], None]) -> None:
-        """Hand every frame of a topic to `receive` from a thread of this link."""
+    def subscribe(self, topic: Topic[Any], receive: Callable[[Topic[Any], bytes], None]) -> Callable[[], None]:
+        """Hand every frame of a topic to `receive` from a thread of this link, until what is returned is called."""
         latest = topic.delivery is Delivery.LATEST
         channel: Any = zenoh.handlers.RingChannel(1) if latest else zenoh.handlers.FifoChannel(256)
         subscriber = self._sessions[topic.lane].declare_subscriber(topic.key, channel)
-
-        self._threads.append(
-            _pump(subscriber, lambda sample: receive(topic, sample.payload.to_bytes()), f"receive {topic.key}")
-        )
+        return _pump(subscriber, lambda sample: receive(topic, sample.payload.to_bytes()), f"receive {topic.key}")
 
     def _publisher(self, topic: Topic[Any]) -> zenoh.Publisher:
         publisher = self._publishers.get(topic.key)

@@ -36,8 +36,10 @@ RUN_BY = {
     "trials table": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials passages": "tests/unit/deploy/test_cli.py::test_trials_of_all_passages_print_their_table_and_the_thesis_one",
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
-    "replay FILE": "tests/unit/deploy/test_replay.py::"
-    "test_the_command_replays_a_recording_and_the_folder_of_a_run_points_to_it",
+    "replay FILE": "tests/unit/deploy/test_replay.py::test_the_command_replays_a_recording_or_the_folder_that_holds_it",
+    "record": "tests/live/test_recording.py::test_what_is_said_is_recorded_until_the_recorder_is_killed",
+    "info": "tests/unit/console/recording/test_recovery.py::test_the_command_says_what_is_in_a_file",
+    "recover": "tests/unit/console/recording/test_recovery.py::test_the_command_leaves_the_old_file_and_says_what_was_lost",
     "up --camera": "tests/live/test_camera.py::test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none",
     "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "order": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",

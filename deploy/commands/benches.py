@@ -1,7 +1,6 @@
-"""`sextant bench` and `sextant replay`: what the stages are worth, on rebuilt scenes and on recordings."""
+"""`sextant bench`: what the stages are worth."""
 
 import argparse
-import json
 from pathlib import Path
 
 from deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say
@@ -99,25 +98,4 @@ def bench_start(arguments: argparse.Namespace) -> int:
 def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:
     path.write_text(text, encoding="utf-8")
     say(text.rstrip() if as_json else f"{words}\nwritten to {path}")
-    return SUCCESS
-
-
-def replay(arguments: argparse.Namespace) -> int:
-    """`sextant replay`: a recorded depth sequence, or a recorded run."""
-    source = Path(arguments.source)
-    if not (source.is_dir() or (source.is_file() and source.suffix == ".mcap")):
-        raise InputError(f"{source}: a folder with depth.txt and camera.toml, or the recording.mcap of a run, expected")
-    from deploy import replay as replays
-
-    out = out_folder(arguments, f"replay-{source.stem}")
-    progress = open_progress(arguments.json)
-    if source.is_dir():
-        table = replays.replay_folder(source, out, progress)
-    else:
-        table = replays.replay_recording(source, out, progress)
-    text = json.dumps(table, indent=1)
-    (out / "replay.json").write_text(text + "\n", encoding="utf-8")
-    say(text if arguments.json else replays.in_words(table))
-    if not arguments.json:
-        say(f"written to {out}")
     return SUCCESS

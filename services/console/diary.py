@@ -3,7 +3,7 @@
 from collections import deque
 from dataclasses import dataclass
 
-from shared.messages import ActuatorState, CameraState, Health, Mode, PassagePlan, PlannerStatus
+from shared.messages import ActuatorState, BodyPose, CameraState, Health, Mode, PassagePlan, PlannerStatus
 
 KEPT = 300  # entries
 _BAD = (Mode.FAULT, Mode.OFF)
@@ -55,6 +55,11 @@ class Diary:
             return
         words = status.state if status.state == "stepping" else f"{status.state}: {status.reason}"
         self._if_new(now_ns, "planner", "status", words, status.state == "blocked")
+
+    def perception(self, now_ns: int, pose: BodyPose) -> None:
+        """See whether it is known where the robot is."""
+        known = "it is known where the robot is"
+        self._if_new(now_ns, "perception", "pose", known if pose.ok else pose.reason, not pose.ok, unless=known)
 
     def camera(self, now_ns: int, state: CameraState | None) -> None:
         """See how the camera fares."""

@@ -16,8 +16,8 @@ import pytest
 import deploy
 from deploy.launcher import Launcher, free_port, port_taken
 from deploy.process_table import BUS_PORT
-from deploy.recording import Recording
 from deploy.report import check
+from services.console.recording.reader import Recording
 from shared import topics
 from shared.messages import Health
 from shared.transport import Endpoints

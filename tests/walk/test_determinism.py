@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from deploy.lockstep_run import run_lockstep
-from deploy.recording import Recording
+from services.console.recording.reader import Recording
 from shared import topics
 from shared.scenario import Rubble
 from tests.support.walks import flat

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy import cli, replay
+from deploy import cli
+from deploy import replay_sequence as replay
 from deploy.progress import Silent
 from deploy.tum_recording import record_tum
 from services.perception import tum

@@ -110,7 +110,7 @@ def test_what_is_up_is_the_robot_that_is_asked_for(
     monkeypatch.setattr(transport, "Router", lambda _: contextlib.nullcontext())
     assert cli.main(["up", "all", "--scenario", "flat", *words]) == 130
     capsys.readouterr()
-    assert len(started) == 7
+    assert len(started) == 8
     assert all(arguments[arguments.index("--robot") + 1] == robot for arguments in started)
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from deploy.lockstep_run import assemble, run_lockstep
-from deploy.recording import Recording
 from deploy.report import without_timing
+from services.console.recording.reader import Recording
 from shared import topics
 from shared.robot import load_profile
 from shared.scenario import Fault, Goal, Plane, Scenario

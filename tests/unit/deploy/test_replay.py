@@ -6,11 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from deploy import cli, replay
+from deploy import cli
+from deploy import replay_sequence as replay
 from deploy.attendance import about
 from deploy.progress import Silent
-from deploy.recording import Recorder
-from deploy.replay import HandHeld, Player, ReplayError
+from deploy.replay_error import ReplayError
+from deploy.replay_sequence import HandHeld, Player
+from deploy.replay_walk import in_words, map_difference, replay_recording
+from services.console.recording.writer import Recorder
 from services.mapper.config import Settings
 from services.mapper.service import Mapper
 from services.perception import tum
@@ -124,14 +127,14 @@ def test_maps_that_agree_do_not_differ_and_a_shift_is_a_bias() -> None:
     rng = np.random.default_rng(0)
     heights = rng.normal(size=(20, 30))
     heights[:5] = np.nan
-    same = replay.map_difference([(terrain(heights), terrain(heights))])
+    same = map_difference([(terrain(heights), terrain(heights))])
     assert same == {"rmse": 0.0, "bias": 0.0, "p95": 0.0, "coverage": 1.0}
-    higher = replay.map_difference([(terrain(heights), terrain(heights + 0.01))])
+    higher = map_difference([(terrain(heights), terrain(heights + 0.01))])
     assert higher["bias"] == higher["rmse"] == higher["p95"] == 0.01
     half = heights.copy()
     half[:, ::2] = np.nan
-    assert replay.map_difference([(terrain(heights), terrain(half))])["coverage"] == 0.5
-    assert replay.map_difference([])["rmse"] is None
+    assert map_difference([(terrain(heights), terrain(half))])["coverage"] == 0.5
+    assert map_difference([])["rmse"] is None
 
 
 def scan(stamp_ns: int, rng: np.random.Generator) -> Scan:
@@ -163,29 +166,31 @@ def record(tmp_path: Path, about: dict[str, str], settings: Settings) -> Path:
 
 
 def test_a_recorded_run_replays_into_the_same_maps(recorded: Path, tmp_path: Path) -> None:
-    table = replay.replay_recording(recorded, tmp_path, Silent())
+    table = replay_recording(recorded, tmp_path, Silent())
     assert table["complete"]
     assert table["topics"]["perception/scan"] == 30
     assert 2 <= table["maps"]["compared"] == table["maps"]["recorded"] < table["maps"]["made"]
     assert table["map_error_m"]["rmse"] == 0.0
     assert table["map_error_m"]["coverage"] == 1.0
-    assert "differ by 0.00 mm" in replay.in_words(table)
+    assert "differ by 0.00 mm" in in_words(table)
 
 
-def test_the_command_replays_a_recording_and_the_folder_of_a_run_points_to_it(
+def test_the_command_replays_a_recording_or_the_folder_that_holds_it(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     assert cli.main(["replay", str(recorded), "--out", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["map_error_m"]["rmse"] == 0.0
-    assert cli.main(["replay", str(recorded.parent), "--out", str(out)]) == 2
-    assert f"to replay what was recorded of a run, give {recorded}" in capsys.readouterr().err
+    assert cli.main(["replay", str(recorded.parent), "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["map_error_m"]["rmse"] == 0.0
+    assert cli.main(["replay", str(recorded), "--only", "perception/skan", "--out", str(out)]) == 2
+    assert "did you mean 'perception/scan'" in capsys.readouterr().err
 
 
 def test_a_run_with_a_map_of_its_own_replays_into_the_same_cells(tmp_path: Path) -> None:
     scenario = replace(load_scenario("flat"), map=MapOptions(cells=120, cells_y=100, resolution=0.02))
     path = record(tmp_path, about(scenario, 0, "live"), Settings(120, 100, 0.02))
-    table = replay.replay_recording(path, tmp_path, Silent())
+    table = replay_recording(path, tmp_path, Silent())
     assert table["maps"]["compared"] >= 2
     assert table["map_error_m"]["rmse"] == 0.0
 
@@ -193,20 +198,20 @@ def test_a_run_with_a_map_of_its_own_replays_into_the_same_cells(tmp_path: Path)
 def test_maps_of_other_cells_are_not_compared_in_silence(tmp_path: Path) -> None:
     path = record(tmp_path, {}, Settings(120, 100, 0.02))
     with pytest.raises(ReplayError, match=r"120x100 cells of 0\.02 m.* recorded.*256x256 cells of 0\.01 m.* made"):
-        replay.replay_recording(path, tmp_path, Silent())
+        replay_recording(path, tmp_path, Silent())
     with pytest.raises(ReplayError, match="make no sense"):
-        replay.replay_recording(record(tmp_path, {"map.cells": "many"}, Settings()), tmp_path, Silent())
+        replay_recording(record(tmp_path, {"map.cells": "many"}, Settings()), tmp_path, Silent())
 
 
 def test_a_run_that_was_cut_off_replays_as_far_as_it_goes(recorded: Path, tmp_path: Path) -> None:
     data = recorded.read_bytes()
     recorded.write_bytes(data[: len(data) - 40])
-    table = replay.replay_recording(recorded, tmp_path, Silent())
+    table = replay_recording(recorded, tmp_path, Silent())
     assert not table["complete"]
     assert table["topics"]["perception/scan"] == 30
     recorded.write_bytes(data[:100])
     with pytest.raises(ReplayError, match="no messages"):
-        replay.replay_recording(recorded, tmp_path, Silent())
+        replay_recording(recorded, tmp_path, Silent())
 
 
 def test_a_profile_for_a_sequence_keeps_the_robot(folder: Path) -> None:

@@ -477,9 +477,10 @@ class Wire:
         if self.expect(topic):
             self.came.set()
 
-    def subscribe(self, topic: AnyTopic, receive: Callable[[AnyTopic, bytes], None]) -> None:
+    def subscribe(self, topic: AnyTopic, receive: Callable[[AnyTopic, bytes], None]) -> Callable[[], None]:
         self.receivers.setdefault(topic.key, []).append(receive)
         self.subscribed.set()
+        return lambda: self.receivers[topic.key].remove(receive)
 
     def wanted(self, topic: AnyTopic) -> bool:
         return topic is not STATUS

@@ -1,8 +1,7 @@
-"""Recordings through the real services: a depth sequence through perception and mapper, a run through the mapper."""
+"""A recorded depth sequence through the real perception and mapper."""
 
-import heapq
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -14,8 +13,9 @@ from numpy.typing import NDArray
 from deploy import layers_picture
 from deploy.listener import Listener
 from deploy.progress import Progress
-from deploy.recording import Recording
 from deploy.relief import shaded
+from deploy.replay_error import ReplayError
+from deploy.stage_times import rounded, stages_ms
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception import tum
@@ -23,22 +23,18 @@ from services.perception.config import Settings as PerceptionSettings
 from services.perception.motion import constant_velocity
 from services.perception.service import Perception
 from services.perception.trajectory import TrajectoryError, trajectory_error
-from shared import codec, topics
+from shared import topics
 from shared.camera import DepthSensor
 from shared.geometry import Array, inverse, log_so3, transform
 from shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
 from shared.robot import Camera, RobotProfile, load_profile
-from shared.service import AnyTopic, Every, Inbox, Lockstep, Service, Stages, Worker
+from shared.service import AnyTopic, Every, Inbox, Lockstep, Service, Stages
 
 _FLAT = 0.05  # [m] of height that a picture's colours span at least: noise is no relief
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
 _SHOW_NS = 1_000_000_000
 _HAND_CELLS = 512  # along each edge of the map: a hand-held camera sees further than the robot steps
 _HAND_SIGMA = 0.01  # [m] and [rad] by which a hand's motion from picture to picture differs from the one before
-
-
-class ReplayError(ValueError):
-    """What in the recording does not fit, with the place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,12 +157,10 @@ def replay_folder(
     try:
         sequence = tum.read_recording(folder)
     except (FileNotFoundError, ValueError) as unreadable:
-        run = folder / "recording.mcap"
-        instead = f"; to replay what was recorded of a run, give {run}" if run.is_file() else ""
-        raise ReplayError(f"{unreadable}{instead}") from None
+        raise ReplayError(str(unreadable)) from None
     profile = profile_for(sequence)
     # 2. Play it to perception and mapper on simulated time.
-    poses, terrain, stages_ms, lost = _play(sequence, profile, registration, progress)
+    poses, terrain, stages, lost = _play(sequence, profile, registration, progress)
     # 3. Compare the camera's way with the truth.
     stamps_ns = np.array([pose.stamp_ns for pose in poses], dtype=np.int64) + sequence.stamps_ns[0]
     T_estimate = np.array([pose.T_world_body for pose in poses]).reshape(-1, 4, 4) @ profile.camera.T_body_camera
@@ -181,68 +175,9 @@ def replay_folder(
         "frames": len(sequence),
         "poses": len(poses),
         "poses_not_ok": lost,
-        "pose_error_m": {"rms": error and _rounded(error.rms), "final": error and _rounded(error.final)},
+        "pose_error_m": {"rms": error and rounded(error.rms), "final": error and rounded(error.final)},
         "map_error_m": {"rmse": None, "bias": None, "p95": None, "coverage": None},
-        "stages_ms": {name: {"p50": _rounded(p50), "p99": _rounded(p99)} for name, (p50, p99) in sorted(stages_ms.items())},
-    }
-
-
-def replay_recording(path: Path, out: Path, progress: Progress) -> dict[str, Any]:
-    """Run the mapper on what it heard in a recorded run, and compare its maps with the recorded ones.
-
-    Draws the last map with its foothold layers (layers.png) to `out`.
-
-    Returns:
-        Plain table: topics with their counts, maps compared, map_error_m of the new maps against the recorded ones, stages_ms.
-    """
-    recording = Recording(path)
-    counts: dict[str, int] = {}
-    made: dict[int, TerrainMap] = {}
-    recorded: list[TerrainMap] = []
-    clock = _Clock()
-    mapper: Worker | None = None
-
-    def send(topic: AnyTopic, frame: bytes, _: int) -> None:
-        if topic is topics.TERRAIN:
-            terrain = codec.decode(frame, TerrainMap)[0]
-            made[terrain.stamp_ns] = terrain
-
-    for topic, frame, arrival_ns in _arrivals(recording):
-        counts[topic.key] = counts.get(topic.key, 0) + 1
-        if mapper is None:  # now it is known whose run this was
-            profile = load_profile(recording.about.get("robot", "phantomx_mk2"))
-            mapper = Worker(Mapper(profile, _map_settings(recording)), send, clock)
-        clock.now_ns = arrival_ns
-        if topic in mapper.reads:
-            mapper.inbox.receive(topic, frame, arrival_ns)
-            if topic is mapper.service.paced_by:
-                mapper.arrived()
-        elif topic is topics.TERRAIN:
-            recorded.append(_decoded(path, frame))
-        if sum(counts.values()) % 5000 == 0:
-            progress.say(f"{sum(counts.values())} messages, {len(made)} maps")
-    if not counts:
-        raise ReplayError(f"{path}: no messages in it: the run ended before anybody spoke, or the file was cut off")
-    if not recording.complete:
-        progress.say(f"{path} was cut off; replayed as far as it goes")
-    if made:
-        layers_picture.draw(out / "layers.png", made[max(made)])
-    pairs = [(terrain, made[terrain.stamp_ns]) for terrain in recorded if terrain.stamp_ns in made]
-    if pairs and not any(_same_cells(before, after) for before, after in pairs):
-        raise ReplayError(
-            f"{path}: none of its maps has the cells of those made now: {_cells(pairs[0][0])} recorded, "
-            f"{_cells(pairs[0][1])} made; replay it with the version that wrote it"
-        )
-    stages = _stages(mapper.service) if mapper else {}
-    return {
-        "source": path.name,
-        "about": {key: value for key, value in recording.about.items() if key != "frame_layout"},
-        "complete": recording.complete,
-        "topics": dict(sorted(counts.items())),
-        "maps": {"made": len(made), "recorded": len(recorded), "compared": len(pairs)},
-        "pose_error_m": {"rms": None, "final": None},
-        "map_error_m": map_difference(pairs),
-        "stages_ms": {name: {"p50": _rounded(p50), "p99": _rounded(p99)} for name, (p50, p99) in sorted(stages.items())},
+        "stages_ms": stages,
     }
 
 
@@ -260,52 +195,6 @@ def hand_held_settings(registration: Literal["projective", "kiss-icp"]) -> Perce
         odometry_level=_HAND_SIGMA,
         tilt_s=1e-6,  # the guess takes the correction at its word, and a hand has no two tripods to average over
     )
-
-
-def map_difference(pairs: Iterable[tuple[TerrainMap, TerrainMap]]) -> dict[str, float | None]:
-    """How far the second map of each pair is off the first: errors [m] over cells known to both, coverage the share of the
-    first's cells that the second knows."""
-    differences, known, shared_cells = [], 0, 0
-    for before, after in pairs:
-        if not _same_cells(before, after):
-            continue
-        both = np.isfinite(before.elevation) & np.isfinite(after.elevation)
-        known += int(np.isfinite(before.elevation).sum())
-        shared_cells += int(both.sum())
-        differences.append((after.elevation[both] - before.elevation[both]).astype(np.float64))
-    d = np.concatenate(differences) if differences else np.zeros(0)
-    if d.size == 0:
-        return {"rmse": None, "bias": None, "p95": None, "coverage": None}
-    return {
-        "rmse": _rounded(float(np.sqrt(np.mean(d**2)))),
-        "bias": _rounded(float(d.mean())),
-        "p95": _rounded(float(np.percentile(np.abs(d), 95))),
-        "coverage": _rounded(shared_cells / known),
-    }
-
-
-def _same_cells(a: TerrainMap, b: TerrainMap) -> bool:
-    same = a.elevation.shape == b.elevation.shape and math.isclose(a.resolution, b.resolution)
-    return same and np.allclose(a.origin, b.origin)
-
-
-def _cells(terrain: TerrainMap) -> str:
-    nx, ny = terrain.elevation.shape
-    x, y = terrain.origin
-    return f"{nx}x{ny} cells of {terrain.resolution:g} m from ({x:.3f}, {y:.3f}) m on"
-
-
-def _map_settings(recording: Recording) -> MapperSettings:
-    """The mapper's settings of a recorded run; older recordings say nothing of them."""
-    about, usual = recording.about, MapperSettings()
-    try:
-        return MapperSettings(
-            cells=int(about.get("map.cells", usual.cells)),
-            cells_y=int(about.get("map.cells_y", usual.cells_y)),
-            resolution=float(about.get("map.resolution", usual.resolution)),
-        )
-    except ValueError as error:
-        raise ReplayError(f"{recording.path}: its map options make no sense: {error}") from None
 
 
 def profile_for(sequence: tum.Recording) -> RobotProfile:
@@ -330,58 +219,21 @@ def profile_for(sequence: tum.Recording) -> RobotProfile:
 def in_words(table: dict[str, Any]) -> str:
     """A replay's result for people."""
     lines = [f"{table['source']}:"]
-    if "topics" in table:
-        lines += [f"  {key:<20} {count:>6} messages" for key, count in table["topics"].items()]
-        maps, error = table["maps"], table["map_error_m"]
+    lines.append(f"  {table['poses']} poses of {table['frames']} pictures, {table['poses_not_ok']} of them by the prior alone")
+    if table["pose_error_m"]["rms"] is not None:
+        error = table["pose_error_m"]
         lines.append(
-            f"  the mapper made {maps['made']} maps of the recorded scans; {maps['compared']} compared with recorded ones"
+            f"  trajectory error after alignment: {error['rms'] * 1e3:.1f} mm rms, {error['final'] * 1e3:.1f} mm at the end"
         )
-        if error["rmse"] is not None:
-            lines.append(
-                f"  they differ by {error['rmse'] * 1e3:.2f} mm rms, {error['coverage']:.1%} of the cells are known to both"
-            )
     else:
-        lines.append(
-            f"  {table['poses']} poses of {table['frames']} pictures, {table['poses_not_ok']} of them by the prior alone"
-        )
-        if table["pose_error_m"]["rms"] is not None:
-            error = table["pose_error_m"]
-            lines.append(
-                f"  trajectory error after alignment: {error['rms'] * 1e3:.1f} mm rms, {error['final'] * 1e3:.1f} mm at the end"
-            )
-        else:
-            lines.append("  no groundtruth.txt that covers it: no trajectory error")
+        lines.append("  no groundtruth.txt that covers it: no trajectory error")
     lines += [f"  {name}: {t['p50']:.2f} ms, 99 % below {t['p99']:.2f} ms" for name, t in table["stages_ms"].items()]
     return "\n".join(lines)
 
 
-def _arrivals(recording: Recording) -> Iterator[tuple[AnyTopic, bytes, int]]:
-    """Frames with the time [ns] at which their readers got them: a lockstep run records them as they are sent."""
-    by_key = {topic.key: topic for topic in topics.TOPICS}
-    under_way: list[tuple[int, int, AnyTopic, bytes]] = []
-    for order, (key, frame, at_ns) in enumerate(recording.frames()):
-        if key not in by_key:
-            raise ReplayError(f"{recording.path}: topic {key!r} is unknown; replay it with the version that wrote it")
-        delay_ns = round(by_key[key].latency_s * 1e9) if recording.about.get("run") == "lockstep" else 0
-        while under_way and under_way[0][0] <= at_ns:
-            arrival_ns, _, topic, waiting = heapq.heappop(under_way)
-            yield topic, waiting, arrival_ns
-        heapq.heappush(under_way, (at_ns + delay_ns, order, by_key[key], frame))
-    while under_way:
-        arrival_ns, _, topic, waiting = heapq.heappop(under_way)
-        yield topic, waiting, arrival_ns
-
-
-class _Clock:
-    now_ns = 0
-
-    def __call__(self) -> int:
-        return self.now_ns
-
-
 def _play(
     sequence: tum.Recording, profile: RobotProfile, registration: Literal["projective", "kiss-icp"], progress: Progress
-) -> tuple[list[BodyPose], TerrainMap | None, dict[str, tuple[float, float]], int]:
+) -> tuple[list[BodyPose], TerrainMap | None, dict[str, Any], int]:
     heard = Listener()
     player = Player(sequence)
     makers: dict[str, Callable[[], Service]] = {
@@ -396,14 +248,8 @@ def _play(
         lockstep.run(lockstep.now_ns + _SHOW_NS)
         progress.say(f"{player.doing()}, {len(heard.poses)} poses")
     lockstep.run(lockstep.now_ns + _SETTLE_NS)
-    stages = {**_stages(lockstep.service("perception")), **_stages(lockstep.service("mapper"))}
+    stages = stages_ms(lockstep.service("perception"), lockstep.service("mapper"))
     return heard.poses, heard.terrain, stages, sum(not pose.ok for pose in heard.poses)
-
-
-def _stages(service: Service) -> dict[str, tuple[float, float]]:
-    """Stage -> 50th and 99th percentile [ms], named as in report.json."""
-    found = service.stages.percentiles()
-    return {s if s == service.name else f"{service.name}.{s}": v for s, v in found.items() if not s.startswith("latency ")}
 
 
 def _error(truth: tum.Trajectory | None, stamps_ns: NDArray[np.int64], T_estimate: Array) -> TrajectoryError | None:
@@ -443,14 +289,3 @@ def _draw(path: Path, terrain: TerrainMap, T: Array) -> None:
         words = f"heights {low:.2f} to {high:.2f} m in the ground's colours, cell {terrain.resolution * 100:.0f} cm"
     cv2.putText(picture, words, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
     cv2.imwrite(str(path), picture)
-
-
-def _decoded(path: Path, frame: bytes) -> TerrainMap:
-    try:
-        return codec.decode(frame, TerrainMap, topics.TERRAIN.max_bytes)[0]
-    except codec.DecodeError as error:
-        raise ReplayError(f"{path}: {error}; replay it with the version that wrote it") from None
-
-
-def _rounded(value: float) -> float:
-    return round(float(value), 6)

@@ -7,33 +7,15 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from deploy import recording as recording_module
-from deploy.recording import LiveRecorder, Recorder, Recording, RecordingError, describe, read
+from services.console.recording.layout import RecordingError, describe
+from services.console.recording.reader import Recording, read
+from services.console.recording.writer import Recorder
 from shared import codec, topics
-from shared.messages import DepthImage, Message, Mode, ModeCommand, Scan, TerrainMap, VelocityCommand
+from shared.messages import DepthImage, Message, Mode, Scan
 from shared.service import AnyTopic
+from tests.support.recorded import S, some_messages, terrain, velocity
 
 ABOUT = {"scenario": "steps", "seed": "3"}
-S = 1_000_000_000
-
-
-def velocity(stamp_ns: int, rng: np.random.Generator) -> VelocityCommand:
-    return VelocityCommand(stamp_ns, rng.normal(size=2), float(rng.normal()), 0.1, 0.04)
-
-
-def terrain(stamp_ns: int) -> TerrainMap:
-    layer = np.full((5, 4), np.nan, dtype=np.float32)
-    flags, cells = np.zeros((5, 4), dtype=np.bool_), np.zeros((5, 4), dtype=np.int8)
-    return TerrainMap(stamp_ns, 0.01, np.zeros(2), layer, layer, layer, flags, cells)
-
-
-def some_messages(seed: int = 0, n: int = 40) -> list[tuple[AnyTopic, Message, int]]:
-    rng = np.random.default_rng(seed)
-    made: list[tuple[AnyTopic, Message, int]] = []
-    for i in range(n):
-        made.append((topics.VELOCITY, velocity(i * S, rng), i * S))
-        made.append((topics.MODE, ModeCommand(i * S, "walk", i), i * S + 5))
-    return made
 
 
 def write(path: Path, messages: list[tuple[AnyTopic, Message, int]], **options: Any) -> None:
@@ -130,7 +112,7 @@ def test_a_description_gives_shapes_types_and_words() -> None:
 def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(
     tmp_path: Path, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording_module, "_CHUNK_BYTES", 2000)
+    monkeypatch.setattr("services.console.recording.writer._CHUNK_BYTES", 2000)
     written = some_messages(n=400)
     write(tmp_path / "whole", written)
     data = (tmp_path / "whole").read_bytes()
@@ -143,10 +125,8 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(
     assert len(found) > 0.5 * share * len(written) - 100
 
 
-def test_a_recording_that_was_never_closed_is_read_up_to_a_chunk_and_a_second(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recording_module, "_CHUNK_BYTES", 2000)
+def test_a_recording_that_was_never_closed_is_read_up_to_half_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.console.recording.writer._CHUNK_BYTES", 2000)
     written = some_messages(n=400)  # two frames a second
     recorder = Recorder(tmp_path / "r", ABOUT)
     for topic, message, at_ns in written:
@@ -156,8 +136,7 @@ def test_a_recording_that_was_never_closed_is_read_up_to_a_chunk_and_a_second(
     assert not recording.complete
     assert recording.about.items() >= ABOUT.items()
     assert all(same(a, b) for (_, a, _), (_, b, _) in zip(found, written, strict=False))
-    smallest = min(len(codec.encode(message)) for _, message, _ in written[:2])
-    assert len(found) >= len(written) - 2000 // smallest - 3
+    assert len(found) >= len(written) - 3, "what came since the last flush"
     recorder.close()
 
 
@@ -173,7 +152,7 @@ def test_a_message_of_a_channel_that_is_not_declared_is_named(tmp_path: Path) ->
 
 
 def test_a_damaged_chunk_ends_the_reading(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording_module, "_CHUNK_BYTES", 2000)
+    monkeypatch.setattr("services.console.recording.writer._CHUNK_BYTES", 2000)
     write(tmp_path / "r", some_messages(n=400))
     with (tmp_path / "r").open("r+b") as file:
         summary = make_reader(file).get_summary()
@@ -198,52 +177,3 @@ def test_frames_of_another_version_are_refused(tmp_path: Path) -> None:
         recorder.write(topics.MODE, codec.encode(velocity(0, np.random.default_rng(0))), 0)
     with pytest.raises(RecordingError, match="different versions"):
         list(read(tmp_path / "r"))
-
-
-class FullDisk(Recorder):
-    """Its disk is full."""
-
-    def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        raise OSError(28, "No space left on device")
-
-
-def test_a_live_recording_keeps_all_that_fits_its_queue(tmp_path: Path) -> None:
-    written = some_messages()
-    live = LiveRecorder(Recorder(tmp_path / "r", ABOUT))
-    with live:
-        for topic, message, at_ns in written:
-            live.take(topic, codec.encode(message), at_ns)
-    assert live.dropped == 0
-    assert not live.problem
-    assert [at for _, _, at in read(tmp_path / "r")] == [at for _, _, at in written]
-
-
-def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording_module, "_QUEUE_FRAMES", 10)
-    live = LiveRecorder(Recorder(tmp_path / "r", ABOUT))
-    for topic, message, at_ns in some_messages(n=10):  # nobody writes yet
-        live.take(topic, codec.encode(message), at_ns)
-    assert live.dropped == 10
-    with live:
-        pass
-    assert sum(Recording(tmp_path / "r").counts().values()) == 10
-
-
-def test_a_full_disk_ends_the_recording_and_not_the_walk(tmp_path: Path) -> None:
-    live = LiveRecorder(FullDisk(tmp_path / "r", ABOUT))
-    with live:
-        for topic, message, at_ns in some_messages():
-            live.take(topic, codec.encode(message), at_ns)
-    assert "No space left" in live.problem
-
-
-def test_everything_but_pictures_is_listened_to(tmp_path: Path) -> None:
-    heard: list[str] = []
-
-    class Link:
-        def subscribe(self, topic: AnyTopic, _receive: Any) -> None:
-            heard.append(topic.key)
-
-    with Recorder(tmp_path / "r", ABOUT) as recorder:
-        LiveRecorder(recorder).listen(Link(), lambda: 0)  # type: ignore[arg-type]
-    assert sorted(heard) == sorted(t.key for t in topics.TOPICS if t not in (topics.DEPTH, topics.COLOR))

@@ -1,0 +1,127 @@
+"""`sextant record`, `info`, `recover` and `replay`: what was said on the wire, kept and looked at again."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say
+
+if TYPE_CHECKING:
+    from services.console.recording.live import LiveRecorder
+
+_ROUTER = "tcp/127.0.0.1:7447"
+_LOOK_S = 0.2
+_SHOW_S = 5.0
+_SILENCE_S = 3.0  # without a message, after which that is said
+
+
+def record(arguments: argparse.Namespace) -> int:
+    """`sextant record`: what is said, into a folder, until Ctrl-C."""
+    import time
+    from datetime import datetime
+
+    from deploy.interrupts import Interrupts
+    from services.console.recorder.config import Settings
+    from services.console.recorder.service import open_rotation
+    from services.console.recording.live import LiveRecorder
+    from shared.robot import load_profile
+    from shared.transport import Endpoints, ZenohLink
+
+    settings = Settings(reserve_mb=arguments.reserve, pictures=arguments.pictures)
+    profile = load_profile(arguments.robot)
+    met = Endpoints(tuple(arguments.connect or [_ROUTER]), namespace=arguments.namespace)
+    now = datetime.now().astimezone()
+    folder = Path(arguments.out or Path(settings.folder) / now.strftime("%Y%m%d-%H%M%S"))
+    about = {"robot": profile.name, "run": "live", "began": now.isoformat(timespec="seconds")}
+    try:
+        rotation = open_rotation(folder, profile, settings, about)
+    except OSError as error:
+        raise InputError(f"nothing can be recorded to {folder}: {error}; give another folder with --out") from None
+    with Interrupts() as interrupts, ZenohLink(met) as link, LiveRecorder(rotation) as recording:
+        recording.listen(link, time.monotonic_ns)
+        say(f"recording to {folder}; Ctrl-C ends it")
+        began = shown = time.monotonic()
+        while not interrupts.asked() and not recording.problem:
+            now_s = time.monotonic()
+            if arguments.seconds and now_s - began >= arguments.seconds:
+                break
+            if now_s - shown >= (_SHOW_S if recording.taken else _SILENCE_S):
+                shown = now_s
+                say(_progress(recording, now_s - began, met.connect[0]))
+            time.sleep(_LOOK_S)
+    if recording.problem:
+        complain(f"sextant record: {recording.problem}")
+        return FAILED
+    lost = f", {recording.dropped} lost: the disk was too slow" if recording.dropped else ""
+    say(f"recorded {recording.taken} messages, {recording.size / 1e6:.1f} MB to {folder}{lost}")
+    return SUCCESS
+
+
+def _progress(recording: "LiveRecorder", elapsed_s: float, endpoint: str) -> str:
+    if not recording.taken:
+        return f"nothing has been said at {endpoint} for {elapsed_s:.0f} s; `sextant up` starts the services"
+    return f"{elapsed_s:6.0f} s  {recording.taken} messages, {recording.size / 1e6:.1f} MB"
+
+
+def info(arguments: argparse.Namespace) -> int:
+    """`sextant info`: what is in a recording."""
+    from services.console.recording.contents import as_table, contents, in_words
+
+    found = contents(Path(arguments.recording))
+    say(json.dumps(as_table(found), indent=1) if arguments.json else in_words(found))
+    return SUCCESS
+
+
+def recover(arguments: argparse.Namespace) -> int:
+    """`sextant recover`: make files whole that a crash cut off."""
+    from services.console.recording.reader import files_of, recovered
+    from services.console.recording.recovery import recover as rescue
+
+    files = files_of(Path(arguments.recording))
+    if not files:
+        raise InputError(f"{arguments.recording}: no recordings in this folder")
+    for path in files:
+        target = recovered(path)
+        if path in {recovered(other) for other in files}:
+            continue
+        try:
+            found = rescue(path, target)
+        except FileExistsError:
+            raise InputError(f"{target} is there already; move it away first") from None
+        if found.was_whole:
+            target.unlink()
+            say(f"{path}: whole already, {found.messages} messages over {found.span_s:.1f} s")
+            continue
+        lost = [f"{found.lost_chunks} damaged parts"] if found.lost_chunks else []
+        lost += [f"{found.tail_bytes} bytes at the end"] if found.tail_bytes else []
+        words = f"; lost: {' and '.join(lost)}" if lost else ""
+        say(f"{target}: {found.messages} messages over {found.span_s:.1f} s{words}")
+    return SUCCESS
+
+
+def replay(arguments: argparse.Namespace) -> int:
+    """`sextant replay`: a recorded depth sequence, or a recorded run."""
+    source = Path(arguments.source)
+    run = source.suffix == ".mcap" and source.is_file()
+    parts = source.is_dir() and not (source / "depth.txt").is_file() and any(source.glob("recording*.mcap"))
+    if not run and not source.is_dir():
+        raise InputError(f"{source}: a folder with depth.txt and camera.toml, or the recording.mcap of a run, expected")
+    out = out_folder(arguments, f"replay-{source.stem}")
+    progress = open_progress(arguments.json)
+    if run or parts:
+        from deploy import replay_walk
+
+        table = replay_walk.replay_recording(source, out, progress, arguments.only or ())
+        words = replay_walk.in_words(table)
+    else:
+        from deploy import replay_sequence
+
+        if arguments.only:
+            raise InputError("--only is for recorded runs: of a depth sequence everything is fed")
+        table = replay_sequence.replay_folder(source, out, progress)
+        words = replay_sequence.in_words(table)
+    text = json.dumps(table, indent=1)
+    (out / "replay.json").write_text(text + "\n", encoding="utf-8")
+    say(text if arguments.json else f"{words}\nwritten to {out}")
+    return SUCCESS

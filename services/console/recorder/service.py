@@ -1,0 +1,148 @@
+"""Records what is said while the operator wants it, and says whether it does."""
+
+import logging
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from services.console.recorder.config import Settings
+from services.console.recording.foxglove.translation import Foxglove
+from services.console.recording.live import LiveRecorder
+from services.console.recording.rotation import Rotation
+from services.console.recording.writer import LEFT_OUT, Recorder
+from shared import topics
+from shared.messages import Message, RecordCommand, RecorderState, Tick
+from shared.robot import RobotProfile
+from shared.service import AnyTopic, Every, Inbox, Link, Stages
+
+_LOGGER = logging.getLogger(__name__)
+
+
+class RecorderService:
+    """Starts and ends recordings; what is recorded it takes from the link by itself, and only while it records."""
+
+    name = "recorder"
+    paced_by = Every.hz(topics.RECORDER_STATE.rate_hz)
+    reads: tuple[AnyTopic, ...] = (topics.RECORD,)
+    writes: tuple[AnyTopic, ...] = (topics.RECORDER_STATE,)
+
+    def __init__(
+        self, profile: RobotProfile, settings: Settings, wall: Callable[[], datetime] = lambda: datetime.now().astimezone()
+    ):
+        """Begin at rest; `wall` gives the date and time that folders are named by."""
+        self.stages = Stages()
+        self._profile, self._settings, self._wall = profile, settings, wall
+        self._link: Link | None = None
+        self._sequence = -1
+        self._recording: LiveRecorder | None = None  # that is being written, or was last
+        self._wanted = False
+        self._began_ns = self._ended_ns = 0
+        self._reason = ""
+
+    def meet(self, link: Link) -> None:
+        """Take what is recorded from a link."""
+        self._link = link
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._recording is not None:
+            self._recording.end()
+            self._recording.join()
+
+    def doing(self) -> str:
+        """What is being recorded."""
+        if self._recording is None:
+            return self._reason or "recording nothing"
+        if self._wanted:
+            return f"recording {self._recording.path}, {self._recording.size / 1e6:.1f} MB"
+        return self._reason or f"recorded {self._recording.path.parent}"
+
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """Do what was ordered, notice what went wrong, and say how it stands."""
+        for command in inbox.drain(topics.RECORD):
+            self._obey(command, tick.stamp_ns)
+        if self._wanted and self._recording is not None and self._recording.problem:
+            self._end(tick.stamp_ns)
+        yield self._state(tick.stamp_ns)
+
+    def _obey(self, command: RecordCommand, now_ns: int) -> None:
+        if command.sequence == self._sequence:
+            return
+        self._sequence = command.sequence
+        if command.record and not self._wanted:
+            self._begin(now_ns)
+        elif not command.record and self._wanted:
+            self._end(now_ns)
+
+    def _begin(self, now_ns: int) -> None:
+        assert self._link is not None, "meet() comes before step()"
+        if self._recording is not None and not self._recording.finished:
+            self._recording.join()
+        wall = self._wall()
+        folder = Path(self._settings.folder) / wall.strftime("%Y%m%d-%H%M%S")
+        about = {"robot": self._profile.name, "run": "live", "began": wall.isoformat(timespec="seconds")}
+        self._reason = ""
+        try:
+            rotation = open_rotation(folder, self._profile, self._settings, about)
+        except OSError as error:
+            self._reason = f"nothing can be recorded to {folder}: {error}"
+            _LOGGER.warning("%s", self._reason)
+            return
+        self._recording = LiveRecorder(rotation)
+        self._recording.start()
+        self._recording.listen(self._link, time.monotonic_ns)
+        self._wanted, self._began_ns = True, now_ns
+
+    def _end(self, now_ns: int) -> None:
+        assert self._recording is not None
+        self._wanted, self._ended_ns = False, now_ns
+        self._recording.end()  # its thread finishes the file
+        self._reason = self._recording.problem
+        if self._reason:
+            _LOGGER.warning("%s", self._reason)
+
+    def _state(self, now_ns: int) -> RecorderState:
+        recording = self._recording
+        until_ns = now_ns if self._wanted else self._ended_ns
+        return RecorderState(
+            stamp_ns=now_ns,
+            recording=self._wanted,
+            sequence=self._sequence,
+            file="" if recording is None else str(recording.path.resolve()),
+            seconds=0.0 if recording is None else (until_ns - self._began_ns) * 1e-9,
+            size=0 if recording is None else recording.size,
+            free=_free(Path(self._settings.folder)),
+            dropped=0 if recording is None else recording.dropped,
+            reason=self._reason,
+        )
+
+
+def open_rotation(folder: Path, profile: RobotProfile, settings: Settings, about: dict[str, str]) -> Rotation:
+    """Files of a recording in a folder, which is made.
+
+    Raises:
+        OSError: They cannot be written, or there is no room for them.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    left_out = () if settings.pictures else LEFT_OUT
+
+    def make(path: Path) -> Recorder:
+        return Recorder(path, about, Foxglove(profile), left_out)
+
+    return Rotation(folder, make, round(settings.file_s * 1e9), settings.reserve_mb << 20)
+
+
+def _free(folder: Path) -> int:
+    """[B] that are free where a folder is, or is to be; -1 where that is not known."""
+    for place in (folder.resolve(), *folder.resolve().parents):
+        try:
+            return shutil.disk_usage(place).free
+        except OSError:
+            continue
+    return -1

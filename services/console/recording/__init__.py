@@ -1,0 +1,1 @@
+"""Recordings: what the wire carried, in MCAP files that people's tools open too."""

@@ -1,0 +1,52 @@
+"""What Foxglove's larger messages are made of."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from shared.geometry import Array, quaternion_from_rotation
+
+Rgba = tuple[float, float, float, float]
+
+
+def time(stamp_ns: int) -> Timestamp:
+    """A stamp [ns]."""
+    seconds, nanos = divmod(stamp_ns, 1_000_000_000)
+    return Timestamp(seconds=seconds, nanos=nanos)
+
+
+def pose(T: Array) -> Pose:
+    """A rigid transform (4, 4)."""
+    w, x, y, z = (float(v) for v in quaternion_from_rotation(T[:3, :3]))
+    return Pose(position=vector(T[:3, 3]), orientation=Quaternion(x=x, y=y, z=z, w=w))
+
+
+def vector(v: Sequence[float] | Array) -> Vector3:
+    """Three numbers."""
+    return Vector3(x=float(v[0]), y=float(v[1]), z=float(v[2]))
+
+
+def color(rgba: Rgba) -> Color:
+    """Red, green, blue and opacity within 0..1."""
+    return Color(r=rgba[0], g=rgba[1], b=rgba[2], a=rgba[3])
+
+
+def ball(p: Array, diameter: float, rgba: Rgba) -> SpherePrimitive:
+    """A ball [m] at a point (3,)."""
+    T = np.eye(4)
+    T[:3, 3] = p
+    return SpherePrimitive(pose=pose(T), size=vector((diameter, diameter, diameter)), color=color(rgba))
+
+
+def lines(kind: LinePrimitive.Type.ValueType, corners: Array, rgba: Rgba, width: float) -> LinePrimitive:
+    """Lines of a width [m] through points (n, 3)."""
+    ends = [Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()]
+    return LinePrimitive(type=kind, pose=pose(np.eye(4)), thickness=width, points=ends, color=color(rgba))

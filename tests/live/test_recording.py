@@ -1,0 +1,119 @@
+"""The recorder as a process: what it keeps when it is killed, and what it says when it cannot record."""
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deploy.launcher import host_router
+from services.console.recording.reader import Recording
+from services.console.recording.recovery import recover
+from shared import codec, topics
+from shared.messages import RecordCommand, RecorderState, VelocityCommand
+from shared.transport import Endpoints, ZenohLink
+
+pytestmark = pytest.mark.live
+ROOT = Path(__file__).parents[2]
+SENT_HZ = 50.0
+
+
+@pytest.fixture
+def endpoints() -> Iterator[Endpoints]:
+    with host_router() as met:
+        yield met
+
+
+@pytest.fixture
+def said(endpoints: Endpoints) -> Iterator[threading.Event]:
+    """Somebody who says something all the time, until the event is set."""
+    stop = threading.Event()
+
+    def speak() -> None:
+        with ZenohLink(endpoints) as link:
+            while not stop.wait(1.0 / SENT_HZ):
+                message = VelocityCommand(time.monotonic_ns(), np.zeros(2), 0.0, 0.1, 0.04)
+                link.send(topics.VELOCITY, codec.encode(message))
+
+    thread = threading.Thread(target=speak)
+    thread.start()
+    yield stop
+    stop.set()
+    thread.join()
+
+
+def sextant(*words: str) -> list[str]:
+    return [sys.executable, "-m", "deploy.cli", *words]
+
+
+def met(endpoints: Endpoints) -> tuple[str, ...]:
+    return ("--connect", endpoints.connect[0], "--namespace", endpoints.namespace)
+
+
+def until(what: str, holds: object, within_s: float = 30.0) -> None:
+    end = time.monotonic() + within_s
+    assert callable(holds)
+    while not holds():
+        assert time.monotonic() < end, what
+        threading.Event().wait(0.05)
+
+
+def test_what_is_said_is_recorded_until_the_recorder_is_killed(
+    endpoints: Endpoints, said: threading.Event, tmp_path: Path
+) -> None:
+    out = tmp_path / "recorded"
+    recorder = subprocess.Popen(sextant("record", "--out", str(out), "--reserve", "0", *met(endpoints)), cwd=ROOT)
+    file = out / "recording-0001.mcap"
+    until("frames on the disk", lambda: file.is_file() and file.stat().st_size > 8000)
+    killed_ns = time.monotonic_ns()
+    recorder.kill()
+    recorder.wait()
+    recording = Recording(file)
+    stamps = [at_ns for _, _, at_ns in recording.frames()]
+    assert not recording.complete
+    assert killed_ns - max(stamps) < 1_000_000_000, "no more than a second is lost"
+    assert np.diff(stamps).max() < 1_000_000_000, "and nothing in between"
+    assert recover(file, tmp_path / "whole.mcap").messages == len(stamps)
+
+
+def test_a_recording_of_so_many_seconds_is_whole(endpoints: Endpoints, said: threading.Event, tmp_path: Path) -> None:
+    words = sextant("record", "--out", str(tmp_path), "--reserve", "0", "--seconds", "1", *met(endpoints))
+    told = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert "recorded" in told
+    recording = Recording(tmp_path)
+    assert 0.5 * SENT_HZ < sum(recording.counts().values()) < 2.0 * SENT_HZ
+    assert recording.complete
+
+
+def test_a_disk_without_room_is_refused_with_what_to_do(endpoints: Endpoints, tmp_path: Path) -> None:
+    words = sextant("record", "--out", str(tmp_path), "--reserve", "999999999", *met(endpoints))
+    told = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert told.returncode == 2
+    assert "make room, or record to another disk" in told.stderr
+
+
+def test_the_process_records_by_order_and_says_how_it_stands(
+    endpoints: Endpoints, said: threading.Event, tmp_path: Path
+) -> None:
+    words = ("-m", "services.console.recorder", *met(endpoints), "--set", f"folder={tmp_path}", "--set", "reserve_mb=0")
+    states: list[RecorderState] = []
+    with ZenohLink(endpoints) as link:
+        link.subscribe(topics.RECORDER_STATE, lambda _, frame: states.append(codec.decode(frame, RecorderState)[0]))
+        recorder = subprocess.Popen([sys.executable, *words], cwd=ROOT)
+        try:
+            until("its first word", lambda: states)
+            assert not states[-1].recording
+            for record, sequence in ((True, 1), (False, 2)):
+                link.send(topics.RECORD, codec.encode(RecordCommand(time.monotonic_ns(), record, sequence)))
+                until("the order followed", lambda n=sequence: states[-1].sequence == n)
+                until("something written", lambda: states[-1].size > 5000)
+            assert not states[-1].recording
+            assert states[-1].dropped == 0
+        finally:
+            recorder.terminate()
+            recorder.wait()
+    assert sum(Recording(Path(states[-1].file).parent).counts().values()) > 5

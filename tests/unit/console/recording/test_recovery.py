@@ -1,0 +1,122 @@
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from deploy import cli
+from services.console.recording.layout import RecordingError
+from services.console.recording.reader import Recording
+from services.console.recording.recovery import recover
+from services.console.recording.writer import Recorder
+from tests.support.recorded import frames, some_messages
+
+WRITTEN = frames(some_messages(n=200))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("whole") / "recording.mcap"
+    with Recorder(path, {"scenario": "steps"}) as recorder:
+        for topic, frame, at_ns in WRITTEN:
+            recorder.write(topic, frame, at_ns)
+    return path
+
+
+def read(path: Path) -> list[tuple[str, bytes, int]]:
+    return list(Recording(path).frames())
+
+
+EXPECTED = [(topic.key, frame, at_ns) for topic, frame, at_ns in WRITTEN]
+
+
+@settings(max_examples=30, deadline=None)
+@given(share=st.floats(0.05, 0.99))
+def test_whatever_was_cut_off_becomes_whole_with_all_that_was_there(
+    whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float
+) -> None:
+    folder, data = tmp_path_factory.mktemp("cut"), whole.read_bytes()
+    (folder / "cut.mcap").write_bytes(data[: int(share * len(data))])
+    before = read(folder / "cut.mcap")
+    if not before:
+        with pytest.raises(RecordingError, match="nothing in it is whole"):
+            recover(folder / "cut.mcap", folder / "new.mcap")
+        assert not (folder / "new.mcap").exists()
+        return
+    found = recover(folder / "cut.mcap", folder / "new.mcap")
+    after = Recording(folder / "new.mcap")
+    assert list(after.frames()) == before == EXPECTED[: len(before)]
+    assert after.complete
+    assert after.about["scenario"] == "steps"
+    assert found.messages == len(before)
+    with (folder / "new.mcap").open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == len(before), "it has an index now, by which tools find their way"
+
+
+@settings(max_examples=30, deadline=None)
+@given(share=st.floats(0.05, 0.95), flips=st.integers(1, 255))
+def test_damage_in_the_middle_costs_what_it_hit(
+    whole: Path, tmp_path_factory: pytest.TempPathFactory, share: float, flips: int
+) -> None:
+    folder, data = tmp_path_factory.mktemp("damaged"), bytearray(whole.read_bytes())
+    data[int(share * len(data))] ^= flips
+    (folder / "bad.mcap").write_bytes(data)
+    try:
+        recover(folder / "bad.mcap", folder / "new.mcap")
+    except RecordingError:
+        return  # what was hit said where everything else is
+    after = read(folder / "new.mcap")
+    assert after != []
+    of_old = iter(EXPECTED)
+    assert all(any(one == old for old in of_old) for one in after), "in their order, and none that was not there"
+
+
+def test_a_whole_file_is_known_as_such(whole: Path, tmp_path: Path) -> None:
+    found = recover(whole, tmp_path / "new.mcap")
+    assert found.was_whole
+    assert (found.lost_chunks, found.tail_bytes, found.messages) == (0, 0, 400)
+    assert read(tmp_path / "new.mcap") == EXPECTED
+
+
+def test_the_command_leaves_the_old_file_and_says_what_was_lost(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = whole.read_bytes()
+    (tmp_path / "recording-0001.mcap").write_bytes(data)
+    (tmp_path / "recording-0002.mcap").write_bytes(data[: len(data) // 2])
+    assert cli.main(["recover", str(tmp_path)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert "recording-0001.mcap: whole already, 400 messages over 199.0 s" in said[0]
+    assert "recording-0002.recovered.mcap" in said[1]
+    assert "bytes at the end" in said[1]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "recording-0001.mcap",
+        "recording-0002.mcap",
+        "recording-0002.recovered.mcap",
+    ]
+    parts = Recording(tmp_path)
+    assert [path.name for path in parts.files] == ["recording-0001.mcap", "recording-0002.recovered.mcap"], "none is read twice"
+    assert len(data) // 2 == (tmp_path / "recording-0002.mcap").stat().st_size
+    assert cli.main(["recover", str(tmp_path)]) == 2
+    assert "is there already; move it away first" in capsys.readouterr().err
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "text.mcap").write_text("hello, this is text")
+    assert cli.main(["recover", str(tmp_path / "text.mcap")]) == 2
+    assert cli.main(["info", str(tmp_path / "nowhere.mcap")]) == 2
+    said = capsys.readouterr().err
+    assert "not an MCAP file" in said
+    assert "No such file" in said
+
+
+def test_the_command_says_what_is_in_a_file(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["info", str(whole)]) == 0
+    said = capsys.readouterr().out
+    assert "1 file" in said
+    assert "scenario: steps" in said
+    assert "operator/velocity    VelocityCommand                 200    1.0 Hz" in said

@@ -1,0 +1,131 @@
+"""A walk is recorded and replayed through mapper and planner: the same comes of it; and then its inputs are broken."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy.attendance import about
+from deploy.lockstep_run import assemble
+from deploy.progress import Silent
+from deploy.replay_walk import Change, replay_recording
+from services.console.recording.foxglove.translation import Foxglove
+from services.console.recording.writer import Recorder
+from shared.geometry import transform
+from shared.messages import BodyPose, Message, Scan
+from shared.robot import load_profile
+from shared.scenario import load_scenario
+from shared.service import AnyTopic
+
+S = 1_000_000_000
+STEPS = load_scenario("steps")
+WALKED_S, BROKEN_S = 15.0, (7.0, 10.0)  # [s] simulated; the robot stands up for two and a half
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The beginning of a walk over the steps course."""
+    path, profile = tmp_path_factory.mktemp("recorded") / "recording.mcap", load_profile(STEPS.robot)
+    with Recorder(path, about(STEPS, 1000, "lockstep"), Foxglove(profile)) as recorder:
+        assemble(STEPS, 1000, profile, recorder.write, every_frame=False).run(round(WALKED_S * 1e9))
+    return path
+
+
+def replayed(recorded: Path, out: Path, change: Change, only: tuple[str, ...] = ()) -> dict[str, Any]:
+    return replay_recording(recorded, out, Silent(), only, change)
+
+
+def broken(message: Message) -> bool:
+    return BROKEN_S[0] * S <= message.stamp_ns < BROKEN_S[1] * S
+
+
+def test_a_recorded_walk_replays_into_the_same_maps_and_plans(recorded: Path, tmp_path: Path) -> None:
+    table = replay_recording(recorded, tmp_path, Silent())
+    assert table["complete"]
+    assert 10 <= table["maps"]["compared"] == table["maps"]["recorded"] < table["maps"]["made"]
+    assert table["map_error_m"] == {"rmse": 0.0, "bias": 0.0, "p95": 0.0, "coverage": 1.0}
+    assert table["plans"]["recorded"] > 200
+    assert table["plans"]["made"] - table["plans"]["recorded"] in (0, 1), "one may have been under way at the end"
+    assert table["plans"]["compared"] >= 8
+    assert set(table["plan_error_m"].values()) == {0.0}
+    assert set(table["stages_ms"]) >= {"mapper.fuse", "mapper.score", "planner.plan step"}
+    assert (tmp_path / "layers.png").stat().st_size > 1000
+
+
+def test_scans_that_are_lost_now_and_then_make_the_same_map_a_little_later(recorded: Path, tmp_path: Path) -> None:
+    count = 0
+
+    def every_third_is_lost(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
+        nonlocal count
+        count += isinstance(message, Scan)
+        return () if isinstance(message, Scan) and count % 3 == 0 else ((message, at_ns),)
+
+    table = replayed(recorded, tmp_path, every_third_is_lost)
+    assert table["maps"]["made"] < 0.7 * 7.5 * WALKED_S
+    assert table["map_error_m"]["rmse"] < 0.003
+    assert table["map_error_m"]["coverage"] > 0.98
+    assert table["plans"]["compared"] >= 8
+    assert table["plan_error_m"]["touchdown_p50"] < 0.01
+
+
+def test_scans_that_stay_away_stop_the_planner_and_it_says_why(recorded: Path, tmp_path: Path) -> None:
+    def no_scans(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
+        return () if isinstance(message, Scan) and broken(message) else ((message, at_ns),)
+
+    whole, table = replayed(recorded, tmp_path, lambda _, m, t: ((m, t),)), replayed(recorded, tmp_path, no_scans)
+    assert table["said"]["waiting: no fresh terrain map"] > 15, "ten words a second, from 0.8 s after the last map on"
+    assert table["plans"]["compared"] < whole["plans"]["compared"]
+    assert table["plans"]["compared"] >= 4, "before and after it plans"
+
+
+def test_scans_that_come_late_are_mapped_where_they_were_taken(recorded: Path, tmp_path: Path) -> None:
+    def late(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
+        is_late = isinstance(message, Scan) and broken(message)
+        return ((message, at_ns + (2 * S if is_late else 0)),)
+
+    table = replayed(recorded, tmp_path, late)
+    assert table["map_error_m"]["rmse"] < 0.002, "a scan says itself from where it was taken"
+    assert table["map_error_m"]["coverage"] > 0.98
+
+
+def test_a_pose_that_jumps_is_not_walked_on(recorded: Path, tmp_path: Path) -> None:
+    """Perception that is suddenly half a metre off, and sure of it: the map's cells are not below these feet any more."""
+    aside = transform(np.eye(3), np.array([0.0, 0.5, 0.15]))
+
+    def jumped(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
+        if isinstance(message, BodyPose) and broken(message):
+            moved = {"T_world_body": aside @ message.T_world_body, "T_world_odom": aside @ message.T_world_odom}
+            message = replace(message, **moved)
+        return ((message, at_ns),)
+
+    table = replayed(recorded, tmp_path, jumped)
+    stopped = [words for words in table["said"] if words.startswith(("blocked", "waiting"))]
+    assert any("leg" in words or "map" in words for words in stopped), table["said"]
+    assert table["plans"]["compared"] >= 4, "before and after it plans"
+
+
+def test_stamps_that_jump_back_are_refused(recorded: Path, tmp_path: Path) -> None:
+    def older(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
+        if isinstance(message, Scan) and broken(message):
+            message = replace(message, stamp_ns=message.stamp_ns - S)
+        return ((message, at_ns),)
+
+    table = replayed(recorded, tmp_path, older)
+    assert table["map_error_m"]["rmse"] < 0.003
+    assert table["said"]["waiting: no fresh terrain map"] > 0
+
+
+def test_only_some_topics_are_fed_where_that_is_asked_for(recorded: Path, tmp_path: Path) -> None:
+    def as_it_was(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
+        return ((message, at_ns),)
+
+    scans = replayed(recorded, tmp_path, as_it_was, ("perception/scan", "perception/pose"))
+    assert scans["fed"] == ["perception/pose", "perception/scan"]
+    assert scans["maps"]["made"] > 50
+    assert scans["plans"]["made"] == 0
+    maps = replayed(recorded, tmp_path, as_it_was, ("mapper/terrain", "perception/pose", "actuator/state", "operator/velocity"))
+    assert maps["maps"]["made"] == 0, "the recorded ones are fed"
+    assert maps["plans"]["made"] > 0
