@@ -22,13 +22,8 @@ from deploy.bench.timing import machine
 from services.console.desk import DEAD_MAN_NS
 from shared.messages import Mode
 
-RELEASE_S, OFF_S, CORE, RATE, FRAMES = (
-    0.350,
-    0.150,
-    0.03,
-    3e6,
-    20.0,
-)  # what the page is to keep; bytes a second, frames likewise
+# What the page is to keep: times, share of a core, bytes a second, frames a second.
+RELEASE_S, OFF_S, CORE, RATE, FRAMES = 0.350, 0.150, 0.03, 3e6, 20.0
 FROZEN_S = RELEASE_S + DEAD_MAN_NS * 1e-9
 _WALK_S, _MORE_S = 1.0, 1.5  # [s] of walking before the pad is let go, and up to so much more
 _SETTLE_S = 1.5
@@ -225,10 +220,17 @@ def in_words(found: Measured) -> str:
 
 
 def to_json(found: Measured) -> str:
-    """For scripts."""
-    delays = [{**asdict(d), "limit_s": None if math.isnan(d.limit_s) else d.limit_s, "kept": d.kept} for d in found.delays]
+    """For scripts; what is not finite, a limit that is none or a time in which something did not end, is null."""
+    delays = [
+        {"what": d.what, "limit_s": _finite(d.limit_s), "seconds": [_finite(s) for s in d.seconds], "kept": d.kept}
+        for d in found.delays
+    ]
     made: dict[str, Any] = {"machine": machine(), "delays": delays, "cost": asdict(found.cost)}
-    return json.dumps(made, indent=1)
+    return json.dumps(made, indent=1, allow_nan=False)
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _percentiles(values: Sequence[float]) -> tuple[float, float, float]:

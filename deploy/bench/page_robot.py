@@ -4,14 +4,13 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy import process_table
-from deploy.faults import live, tap
+from deploy import tapped_robot
+from deploy.faults import tap
 from deploy.faults.wire import Recorder
 from deploy.launcher import Launcher, free_port
 from services.actuator.latch import Latch
@@ -48,12 +47,9 @@ class PageRobot:
         self.page_port = free_port()
         self._endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="page")
         bus, listen = free_port(), free_port()
-        self._latch = Latch.of_port(f"socket://127.0.0.1:{listen}")
-        made = live.commands(self._endpoints, bus, listen, seed, scenario)
-        page = next(row for row in process_table.TABLE if row.name == "console")
-        chosen = process_table.Choices(console_port=self.page_port, lift=0.025)
-        console = replace(process_table.commands([page], chosen, self._endpoints)[0], after=("router",), restarts=1000)
-        self._launcher = Launcher([*(one for one in made if one.name != "operator"), console], hear=self._hear_line)
+        self._latch = Latch.of_port(tapped_robot.port(listen))
+        made = tapped_robot.commands(self._endpoints, bus, listen, seed, scenario, self.page_port)
+        self._launcher = Launcher(made, hear=self._hear_line)
 
     @property
     def url(self) -> str:

@@ -4,14 +4,13 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from math import inf, nan
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy import process_table
+from deploy import tapped_robot
 from deploy.faults import hog, tap
 from deploy.faults.cases import Away, Case, Deed, Hogs, Off
 from deploy.faults.watched import LEAST_WATCH_S, Seen, Watched
@@ -30,7 +29,6 @@ _LOOK_S = 0.02
 _SETTLE_S = 0.5  # [s] after a fault's end before which nothing is over
 _AGAIN_S = 0.3  # [s] from one crash to the next
 _BACK_S = 15.0  # [s] in which a killed process must be back
-_RESTARTS = 1000
 _WORDS = 40  # lines kept of what the processes say
 
 
@@ -53,7 +51,7 @@ class LiveWalk(Watched):
         self._acts: list[tuple[float, Callable[[], object]]] = []  # what is to be done, and when [s]
         self._endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="faults")
         bus, listen = free_port(), free_port()
-        self.port = _port(listen)
+        self.port = tapped_robot.port(listen)
         self._latch = Latch.of_port(self.port)
         self._launcher = Launcher(commands(self._endpoints, bus, listen, seed), hear=self.hear_line)
 
@@ -201,37 +199,16 @@ class LiveWalk(Watched):
             self._signs[name] = at_s
 
 
-def _port(listen: int) -> str:
-    return f"socket://127.0.0.1:{listen}"
-
-
-def commands(endpoints: Endpoints, bus: int, listen: int, seed: int, scenario: str = _GROUND) -> list[Command]:
-    """All processes: the services, their router, the tap between actuator and servos, and the operator.
+def commands(endpoints: Endpoints, bus: int, listen: int, seed: int) -> list[Command]:
+    """All processes of a robot on level ground with a tap on its bus, and the operator who walks it.
 
     Args:
         endpoints: Where they meet; the router listens at the first of them.
         bus: TCP port of the simulated servo bus.
         listen: TCP port of the tap.
         seed: Of the simulator.
-        scenario: That it is given.
     """
-    chosen = process_table.choices(load_scenario(scenario), scenario, seed, bus)
-    tapped = (process_table.assignment("port", _port(listen)),)
-    rows = process_table.rows("all", simulated=True)
-    rows = tuple(replace(row, urgent=True) if row.side == "simulation" else row for row in rows)  # the world waits for nobody
-    services = process_table.commands(rows, chosen, endpoints, {"actuator": tapped, "stop": tapped})
-    meeting = ("--robot", chosen.robot, "--connect", endpoints.connect[0], "--namespace", endpoints.namespace)
-    operator = Command("operator", ("-m", "deploy.faults.console", *meeting), ENVIRONMENT)
-    needs = {"actuator": ("tap",)}
-    return [
-        replace(process_table.router_command(endpoints.connect[0]), restarts=_RESTARTS),
-        tap.command(listen, bus),
-        *(
-            replace(
-                one,
-                restarts=_RESTARTS if one.name != "simulator" else 0,
-                after=("router", *one.after, *needs.get(one.name, ())),
-            )
-            for one in (*services, operator)
-        ),
-    ]
+    robot = tapped_robot.commands(endpoints, bus, listen, seed, _GROUND)
+    meeting = ("--robot", load_scenario(_GROUND).robot, "--connect", endpoints.connect[0], "--namespace", endpoints.namespace)
+    words = ("-m", "deploy.faults.console", *meeting)
+    return [*robot, Command("operator", words, ENVIRONMENT, restarts=tapped_robot.RESTARTS, after=("router",))]

@@ -5,7 +5,7 @@ says who leads. Nothing moves but while a press of the pad is being repeated, or
 a press that was let go, or was silent for longer than the dead-man allows, has lapsed for good, whatever comes in later.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,21 +67,22 @@ class _Errand:
     begun_ns: int = 0
 
 
-@dataclass(slots=True)
 class Desk:
     """Takes requests of pages, and says what goes out; one call of `beat` every few hundredths of a second."""
 
-    max_speed: float  # [m/s] of the robot
-    _pages: dict[int, _Page] = field(default_factory=dict)
-    _state: ActuatorState | None = None
-    _press: _Press | None = None
-    _errand: _Errand | None = None
-    _zero: VelocityCommand | None = None  # what is said after a press
-    _zero_until_ns: int = 0
-    _velocity_ns: int = 0  # when one was last sent
-    _sequence: int = 0
-    _new: list[Message] = field(default_factory=list)  # to go out at the next beat
-    _words: list[str] = field(default_factory=list)  # for the log
+    def __init__(self, max_speed: float):
+        """Nobody is there yet; `max_speed` [m/s] is the robot's."""
+        self._max_speed = max_speed
+        self._pages: dict[int, _Page] = {}
+        self._state: ActuatorState | None = None
+        self._press: _Press | None = None
+        self._errand: _Errand | None = None
+        self._zero: VelocityCommand | None = None  # what is said after a press
+        self._zero_until_ns = 0
+        self._velocity_ns = 0  # when one was last sent
+        self._sequence = 0
+        self._new: list[Message] = []  # to go out at the next beat
+        self._words: list[str] = []  # for the log
 
     # ------------------------------------------------------------------------------------------------- pages come and go
 
@@ -174,28 +175,15 @@ class Desk:
         return ""
 
     def _command(self, sender: _Page, command: Command, now_ns: int) -> str:
-        if command.order in ("off", "stop"):
-            if self._press is not None:
-                self._lapse()
-            self._errand = None
-            self._order(sender, command.order, now_ns)
-            return ""
-        refused = self._led_by_another(sender)
-        if refused:
-            return refused
-        if self._press is not None:
-            self._lapse()
-        self._errand = None
-        self._order(sender, command.order, now_ns)
-        return ""
+        refused = "" if command.order in ("off", "stop") else self._led_by_another(sender)
+        if not refused:
+            self._order_anew(sender, command.order, now_ns)
+        return refused
 
     def _take_over(self, sender: _Page, now_ns: int) -> str:
         if not sender.seat:
             return f"{SEATS} pages are open; close one"
-        if self._press is not None:
-            self._lapse()
-        self._errand = None
-        self._order(sender, "stop", now_ns, take=True)
+        self._order_anew(sender, "stop", now_ns, take=True)
         return ""
 
     def _go(self, page: int, sender: _Page, goal: GoTo, now_ns: int) -> str:
@@ -289,14 +277,11 @@ class Desk:
             drive, walk = press.drive, press.drive.walk
             velocity = np.array([drive.forward, drive.left])
             speed = float(np.linalg.norm(velocity))
-            velocity *= min(1.0, self.max_speed / speed) if speed > 0.0 else 1.0
+            velocity *= min(1.0, self._max_speed / speed) if speed > 0.0 else 1.0
             return [VelocityCommand(now_ns, velocity, drive.turn, walk.height, walk.lift, walk.gait, drive.by_touch)]
         if press is None and self._zero is not None and now_ns < self._zero_until_ns:
             self._velocity_ns = now_ns
-            zero = self._zero
-            return [
-                VelocityCommand(now_ns, np.zeros(2), 0.0, zero.body_height, zero.lift, zero.gait, zero.by_touch)  # let go
-            ]
+            return [replace(self._zero, stamp_ns=now_ns)]
         return []
 
     def _goal(self, now_ns: int) -> list[Message]:
@@ -307,7 +292,7 @@ class Desk:
             return []
         errand.said_ns = now_ns
         goal, walk = errand.goal, errand.goal.walk
-        speed = min(goal.speed, self.max_speed)
+        speed = min(goal.speed, self._max_speed)
         waypoints = np.array(goal.waypoints)
         return [Goal(now_ns, waypoints, _TOLERANCE, speed, walk.height, walk.lift, walk.gait, goal.passage)]
 
@@ -344,6 +329,13 @@ class Desk:
         page, self._errand = self._errand.page, None
         self._order(self._pages[page], "stop", now_ns)
 
+    def _order_anew(self, sitting: _Page, mode: str, now_ns: int, take: bool = False) -> None:
+        """An order that ends whatever press or goal there is."""
+        if self._press is not None:
+            self._lapse()
+        self._errand = None
+        self._order(sitting, mode, now_ns, take)
+
     def _order(self, sitting: _Page, mode: str, now_ns: int, take: bool = False) -> None:
         self._sequence = max(self._sequence + 1, now_ns)  # above those of a console that ran before
         order = ModeCommand(now_ns, mode, self._sequence, sitting.holder, take)  # type: ignore[arg-type]
@@ -352,4 +344,4 @@ class Desk:
 
     def _say(self, sitting: _Page, order: ModeCommand, now_ns: int) -> None:
         sitting.said_ns = now_ns
-        self._new.append(ModeCommand(now_ns, order.mode, order.sequence, order.holder, order.take))
+        self._new.append(replace(order, stamp_ns=now_ns))

@@ -2,7 +2,7 @@
 
     uint32 little-endian header length | header | padding to 4 bytes | heights, int16 | colours, uint8
 
-Heights are millimetres from the header's `z0`; unknown is -32768. `values` are one byte a cell, what they mean the header says;
+Heights are millimetres {world}; unknown is -32768. `values` are one byte a cell, what they mean the header says;
 `rgb` are three.
 """
 
@@ -17,6 +17,7 @@ from services.console.requests import Layer
 from shared.messages import UNKNOWN, Preview, TerrainMap
 
 NO_HEIGHT = -32768
+_HIGHEST = 32767.0  # [mm]; what is higher or deeper is drawn there
 NO_VALUE = 255  # of a layer: unknown
 _ALIGNMENT = 4
 _SCORE_STEPS = 100.0  # values of a byte per unit of the score, which is a foothold up to 1
@@ -24,15 +25,13 @@ _WORST_VARIANCE = 0.02  # [m] standard deviation drawn as the worst
 _FAR_VALUE = 25  # [cells] of the evaluation function on either side that are told apart
 
 
-def map_frame(terrain: TerrainMap, layer: Layer, T_world_body: NDArray[np.float64] | None) -> bytes:
+def map_frame(terrain: TerrainMap, layer: Layer) -> bytes:
     """A map with one of its layers; about three bytes a cell, five in colour.
 
     Args:
         terrain: The map.
         layer: To colour it by; the score, where it has no colour.
-        T_world_body: (4, 4) where the body was, for heights to be counted from.
     """
-    z0 = 0.0 if T_world_body is None else round(float(T_world_body[2, 3]), 2)
     chosen: Layer = "score" if layer == "color" and terrain.color.size == 0 else layer
     values, scale = _values(terrain, chosen)
     header = {
@@ -42,12 +41,11 @@ def map_frame(terrain: TerrainMap, layer: Layer, T_world_body: NDArray[np.float6
         "origin": [round(float(v), 4) for v in terrain.origin],
         "nx": terrain.elevation.shape[0],
         "ny": terrain.elevation.shape[1],
-        "z0": z0,
         "layer": chosen,
         "scale": scale,
         "layers": ["score", "evaluation", "variance", *(["color"] if terrain.color.size else [])],
     }
-    return framed(header, _heights(terrain, z0), values)
+    return framed(header, _heights(terrain), values)
 
 
 def picture_frame(picture: Preview) -> bytes:
@@ -68,11 +66,11 @@ def framed(header: dict[str, Any], *arrays: NDArray[Any]) -> bytes:
     return b"".join((struct.pack("<I", len(text) + gap), text, b" " * gap, *(array.tobytes() for array in arrays)))
 
 
-def _heights(terrain: TerrainMap, z0: float) -> NDArray[np.int16]:
-    mm = terrain.elevation - np.float32(z0)
-    mm *= np.float32(1000.0)
-    np.clip(mm, -32767.0, 32767.0, out=mm)
-    return np.asarray(np.nan_to_num(mm, copy=False, nan=NO_HEIGHT), dtype=np.int16)
+def _heights(terrain: TerrainMap) -> NDArray[np.int16]:
+    mm = terrain.elevation * np.float32(1000.0)
+    np.clip(mm, -_HIGHEST, _HIGHEST, out=mm)
+    np.copyto(mm, NO_HEIGHT, where=np.isnan(mm))
+    return mm.astype(np.int16)
 
 
 def _values(terrain: TerrainMap, layer: Layer) -> tuple[NDArray[np.uint8], dict[str, float]]:

@@ -74,10 +74,10 @@ class GiveUp:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What this page wants to see."""
+    """What this page wants to see; by default what a new one shows."""
 
-    layer: Layer
-    picture: bool
+    layer: Layer = "score"
+    picture: bool = False
 
 
 @dataclass(frozen=True, slots=True)

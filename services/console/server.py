@@ -1,22 +1,21 @@
 """The web server, in a thread of its own: files of the page, and a socket for each page that is open.
 
-It listens on this machine alone unless told otherwise, and believes nobody: a page of another site that a browser has open
-could reach it as well, so requests must name an address that is its own, and come from its own page.
+It listens on this machine alone unless told otherwise, and believes nobody. A thread that dies or hangs
+is noticed by `check`.
 """
 
 import asyncio
 import contextlib
-import hmac
 import logging
+import math
 import socket
 import threading
+import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Collection
 from dataclasses import dataclass
-from importlib import resources
 from types import TracebackType
-from typing import Any, Literal, Self, TypeAlias
-from urllib.parse import urlsplit
+from typing import Literal, Self, TypeAlias
 
 import uvicorn
 from starlette.applications import Starlette
@@ -28,33 +27,19 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from services.console import view
 from services.console.config import Settings
 from services.console.desk import DEAD_MAN_NS
+from services.console.door import PROTOCOL, Door
+from services.console.files import HEADERS, headers_of, page_files
 from services.console.pages import Page
 from services.console.requests import MAX_BYTES, Drive, Here, Request, RequestError, Seen, parse
 
 log = logging.getLogger(__name__)
 
-PROTOCOL = f"sextant.{view.PROTOCOL}"
-_LOCAL = ("127.0.0.1", "localhost", "[::1]")
-_MOST_PAGES = 32
 _PING_S = 5.0
 _STOP_S = 2.0
 _OVERDUE_S = DEAD_MAN_NS * 1e-9 + 0.001
 _WAITING = 4096  # requests that may wait for the next beat: more are a flood, and the oldest go
-_KINDS = {
-    ".html": "text/html; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".js": "text/javascript; charset=utf-8",
-    ".svg": "image/svg+xml",
-    ".txt": "text/plain; charset=utf-8",
-}
-_HEADERS = {
-    "Cache-Control": "no-cache",
-    "Content-Security-Policy": "default-src 'self'; connect-src 'self'; img-src 'self' blob: data:; style-src 'self'; "
-    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-}
+_HUNG_S = 10.0  # without an answer of the thread, after which it hangs
+_LOOKS = 5  # in that time at least: else it is the whole process that stood still
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +69,11 @@ class PageServer:
             OSError: The address cannot be listened on.
         """
         self._settings, self._clock, self._stir = settings, clock, stir
+        self._door = Door(settings)
         self._pages: dict[int, Page] = {}
         self._count = 0
         self._events: deque[Event] = deque(maxlen=_WAITING)
-        self._files = _page_files()
+        self._files = page_files()
         family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
         try:
             self._socket = socket.create_server((settings.host, settings.port), family=family)
@@ -97,6 +83,9 @@ class PageServer:
         self.port = int(self._socket.getsockname()[1])
         self._loop: asyncio.AbstractEventLoop | None = None
         self._overdue: asyncio.TimerHandle | None = None  # stirs when the pad must have been heard of again
+        self._failure: BaseException | None = None  # what has ended the thread
+        self._called_s = math.nan  # when it was last called, as long as it has not answered
+        self._looks = 0  # since then
         self._thread = threading.Thread(target=self._serve, name="page server", daemon=True)
         self._server = uvicorn.Server(
             uvicorn.Config(
@@ -136,31 +125,57 @@ class PageServer:
             events.append(self._events.popleft())
         return events
 
-    def post(self, kind: str, text: str, page: int | None = None) -> None:
-        """Have a text sent to all pages, or to one."""
-        self._on(lambda found: found.post(kind, text), page)
+    def post(self, kind: str, text: str, pages: Collection[int]) -> None:
+        """Have a text sent to some pages."""
+        self._on(lambda found: found.post(kind, text), pages)
 
-    def show(self, kind: str, frame: bytes, page: int) -> None:
-        """Have a frame sent to a page."""
-        self._on(lambda found: found.show(kind, frame), page)
+    def show(self, kind: str, frame: bytes, pages: Collection[int]) -> None:
+        """Have a frame sent to some pages."""
+        self._on(lambda found: found.show(kind, frame), pages)
+
+    def check(self) -> None:
+        """See whether the thread still does anything; to be called about once a second.
+
+        Raises:
+            RuntimeError: It has ended, or does not answer.
+        """
+        if self._thread.ident is not None and not self._thread.is_alive():
+            raise RuntimeError("the page's server has ended") from self._failure
+        self._looks += 1
+        if math.isnan(self._called_s):
+            self._called_s, self._looks = time.monotonic(), 0
+        elif self._looks >= _LOOKS and time.monotonic() - self._called_s > _HUNG_S:
+            raise RuntimeError(f"the page's server hangs: it has not answered for {_HUNG_S:g} s")
+        self._call(self._answer)
 
     # ------------------------------------------------------------------------------------------------- the server's thread
 
-    def _on(self, act: _Poster, page: int | None) -> None:
-        loop = self._loop
-        if loop is None:
-            return
+    def _on(self, act: _Poster, pages: Collection[int]) -> None:
+        numbers = tuple(pages)
 
         def run() -> None:
-            for number, found in self._pages.items():
-                if page in (None, number):
+            for number in numbers:
+                found = self._pages.get(number)
+                if found is not None:
                     act(found)
 
-        with contextlib.suppress(RuntimeError):  # the loop is closed: the server is on its way out
-            loop.call_soon_threadsafe(run)
+        self._call(run)
+
+    def _call(self, act: Callable[[], object]) -> None:
+        """Have the thread do something, once it is up."""
+        loop = self._loop
+        if loop is not None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed: the server is on its way out
+                loop.call_soon_threadsafe(act)
+
+    def _answer(self) -> None:
+        self._called_s = math.nan
 
     def _serve(self) -> None:
-        self._server.run(sockets=[self._socket])
+        try:
+            self._server.run(sockets=[self._socket])
+        except BaseException as error:  # noqa: BLE001 - `check` raises it again in the thread that can end the process
+            self._failure = error
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, _app: Starlette) -> AsyncIterator[None]:
@@ -172,39 +187,17 @@ class PageServer:
         return [Route("/{path:path}", self._file, methods=["GET", "HEAD"]), WebSocketRoute("/socket", self._talk)]
 
     async def _file(self, request: HttpRequest) -> Response:
-        if not self._is_own(request.headers.get("host", "")):
-            return PlainTextResponse("this address is not the console's own", 403, _HEADERS)
+        if not self._door.is_own(request.headers.get("host", "")):
+            return PlainTextResponse("this address is not the console's own", 403, HEADERS)
         path = request.path_params["path"] or "index.html"
         content = self._files.get(path)
         if content is None:
-            return PlainTextResponse("no such file", 404, _HEADERS)
-        return Response(content, headers={**_HEADERS, "Content-Type": _KINDS[path[path.rindex(".") :]]})
-
-    def _is_own(self, host: str) -> bool:
-        """Whether a request names this server: a name that somebody has turned to its address is none."""
-        name = host.rpartition(":")[0] if host.rpartition(":")[2].isdigit() else host
-        return bool(self._settings.token) or name in (*_LOCAL, self._settings.host)
-
-    def _refusal(self, headers: Any, offered: list[str]) -> str:
-        """Why a page may not connect, in words, or nothing."""
-        host, origin = headers.get("host", ""), headers.get("origin")
-        if not self._is_own(host):
-            return "this address is not the console's own"
-        if origin is not None and urlsplit(origin).netloc != host:
-            return "the page of another site may not connect"
-        if PROTOCOL not in offered:
-            return f"{PROTOCOL} is spoken here; load the page anew"
-        if self._settings.token:
-            token = next((word.removeprefix("token.") for word in offered if word.startswith("token.")), "")
-            if not hmac.compare_digest(token.encode(), self._settings.token.encode()):
-                return "the token is wrong, or missing; open the address with #TOKEN behind it"
-        if len(self._pages) >= _MOST_PAGES:
-            return f"{_MOST_PAGES} pages are open already; close one"
-        return ""
+            return PlainTextResponse("no such file", 404, HEADERS)
+        return Response(content, headers=headers_of(path))
 
     async def _talk(self, ws: WebSocket) -> None:
         """One page, for as long as it is open."""
-        refusal = self._refusal(ws.headers, list(ws.scope.get("subprotocols", [])))
+        refusal = self._door.refusal(ws.headers, list(ws.scope.get("subprotocols", [])), len(self._pages))
         if refusal:
             log.warning("a page was refused: %s", refusal)
             await ws.close(1008, refusal)
@@ -249,18 +242,3 @@ class PageServer:
             while True:
                 for message in await page.next():
                     await (ws.send_text(message) if isinstance(message, str) else ws.send_bytes(message))
-
-
-def _page_files() -> dict[str, bytes]:
-    """All files of the page by their paths: they are few, and what is not here is not served."""
-    files: dict[str, bytes] = {}
-
-    def gather(folder: Any, below: str) -> None:
-        for item in folder.iterdir():
-            if item.is_dir():
-                gather(item, f"{below}{item.name}/")
-            elif item.name[item.name.rfind(".") :] in _KINDS:
-                files[below + item.name] = item.read_bytes()
-
-    gather(resources.files("services.console") / "page", "")
-    return files

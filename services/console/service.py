@@ -4,13 +4,13 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from services.console import frames, view
 from services.console.config import Settings
 from services.console.desk import Desk
 from services.console.diary import KEPT, Diary
-from services.console.requests import Layer, Request, Watch
+from services.console.requests import Request, Watch
 from services.console.server import Event, PageServer
 from shared import topics
 from shared.messages import ActuatorState, Health, Message, PlannerStatus, TerrainMap, Tick
@@ -70,7 +70,6 @@ class Console:
         self._map_due_ns = 0
         self._map: TerrainMap | None = None  # the newest that was sent
         self._pictured_ns = -1
-        self._words = ""
 
     def __enter__(self) -> Self:
         self.server.__enter__()
@@ -103,9 +102,10 @@ class Console:
             self._see(now, inbox)
         if now - self._told_ns >= _HEALTH_NS:
             self._told_ns = now
+            self.server.check()
             self._diary.services(now, self._health)
             if self._watched:
-                self.server.post("health", view.text(view.health(self._health, now)))
+                self._tell("health", view.health(self._health, now))
 
     # ---------------------------------------------------------------------------------------------------------- from pages
 
@@ -113,10 +113,7 @@ class Console:
         page, what, now = event.page, event.what, event.at_ns
         match what:
             case "arrived":
-                seat = self._desk.arrive(page, now)
-                self._watched[page] = Watch("score", False)
-                self.server.post("hello", view.text(view.hello(self._profile, self._settings, seat)), page)
-                self._say_all(page, now)
+                self._welcome(page, now)
             case "left":
                 self._desk.leave(page, now)
                 self._watched.pop(page, None)
@@ -125,23 +122,30 @@ class Console:
             case _:
                 self._ask(page, what, now)
 
+    def _welcome(self, page: int, now: int) -> None:
+        """Tell a new page who it is, what has come about so far, and the newest map."""
+        self._tell_log(now)  # the others have theirs, and the new one has all of it, once
+        self._watched[page] = Watch()
+        self._tell("hello", view.hello(self._profile, self._settings, self._desk.arrive(page, now)), page)
+        self._tell("log", view.log(self._diary.entries, now), page)
+        self._tell("health", view.health(self._health, now), page)
+        self._told = ""  # the state, which goes to all that are there
+        self._draw(page)
+
     def _watch(self, page: int, watch: Watch) -> None:
-        before, self._watched[page] = self._watched[page], watch
-        if before.layer != watch.layer and self._map is not None:
-            self.server.show("map", frames.map_frame(self._map, watch.layer, None), page)
+        before, self._watched[page] = self._watched.get(page, Watch()), watch
+        if before.layer != watch.layer:
+            self._draw(page)
+
+    def _draw(self, page: int) -> None:
+        """Have a page draw the newest map that there is."""
+        if self._map is not None:
+            self.server.show("map", frames.map_frame(self._map, self._watched[page].layer), [page])
 
     def _ask(self, page: int, request: Request, now: int) -> None:
         refused = self._desk.ask(page, request, now)
         if refused:
-            self.server.post("refused", view.text(view.answer(refused)), page)
-
-    def _say_all(self, page: int, now: int) -> None:
-        """What has come about so far, and the newest map, for a page that is new."""
-        self.server.post("log", view.text(view.log(self._diary.entries, now)), page)
-        self.server.post("health", view.text(view.health(self._health, now)), page)
-        self._told = ""
-        if self._map is not None:
-            self.server.show("map", frames.map_frame(self._map, "score", None), page)
+            self._tell("refused", view.answer(refused), page)
 
     # ------------------------------------------------------------------------------------------------------------ to pages
 
@@ -154,21 +158,25 @@ class Console:
         passages = inbox.drain(topics.PASSAGE_PLAN)
         for plan in passages:
             self._diary.passage(now, plan)
+        self._tell_log(now)
         if not self._watched:
             return
         for plan in passages:
-            self.server.post("passage", view.text(view.passage(plan)))
+            self._tell("passage", view.passage(plan))
         with self.stages("state"):
             pose = inbox.fresh(topics.BODY_POSE, _STATE_S)
             told = view.text(view.state(self._desk, legs, pose, inbox.latest(topics.STEP_PLAN), status, camera))
         if told != self._told:
             self._told = told
-            self.server.post("state", told)
-        new = min(self._diary.count - self._logged, KEPT)
-        if new > 0:
-            self._logged = self._diary.count
-            self.server.post("log", view.text(view.log(list(self._diary.entries)[-new:], now)))
+            self.server.post("state", told, self._watched)
         self._show(now, inbox)
+
+    def _tell_log(self, now: int) -> None:
+        """New lines of the log, to the pages that are there."""
+        new = min(self._diary.count - self._logged, KEPT)
+        self._logged = self._diary.count
+        if new and self._watched:
+            self._tell("log", view.log(list(self._diary.entries)[-new:], now))
 
     def _show(self, now: int, inbox: Inbox) -> None:
         """The newest map and picture, to those that want them."""
@@ -176,15 +184,16 @@ class Console:
         if terrain is not None and terrain is not self._map:
             self._map, self._map_due_ns = terrain, now + _MAP_NS
             with self.stages("map"):
-                made: dict[Layer, bytes] = {}
-                for page, watch in self._watched.items():
-                    if watch.layer not in made:
-                        made[watch.layer] = frames.map_frame(terrain, watch.layer, None)
-                    self.server.show("map", made[watch.layer], page)
+                for layer in {watch.layer for watch in self._watched.values()}:
+                    pages = [page for page, watch in self._watched.items() if watch.layer == layer]
+                    self.server.show("map", frames.map_frame(terrain, layer), pages)
         picture = inbox.latest(topics.PREVIEW)
         if picture is not None and picture.stamp_ns != self._pictured_ns:
             self._pictured_ns = picture.stamp_ns
-            frame = frames.picture_frame(picture)
-            for page, watch in self._watched.items():
-                if watch.picture:
-                    self.server.show("picture", frame, page)
+            pages = [page for page, watch in self._watched.items() if watch.picture]
+            if pages:
+                self.server.show("picture", frames.picture_frame(picture), pages)
+
+    def _tell(self, kind: str, message: dict[str, Any], page: int | None = None) -> None:
+        """Have a message sent to a page, or to all that are there."""
+        self.server.post(kind, view.text(message), self._watched if page is None else [page])

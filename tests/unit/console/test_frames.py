@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,29 +51,33 @@ def test_what_is_behind_the_header_is_aligned(text: str, length: int) -> None:
     assert (len(frame) - 2 * length) % 4 == 0
 
 
-@given(st.integers(0, 1000), st.floats(-2.0, 2.0))
-def test_heights_are_right_to_a_millimetre_and_what_is_unknown_stays_so(seed: int, z: float) -> None:
-    map_, T = terrain(seed), np.eye(4)
-    T[2, 3] = z
-    header, heights, _ = read_map(map_frame(map_, "score", T))
+@given(st.integers(0, 1000))
+def test_heights_are_right_to_a_millimetre_and_what_is_unknown_stays_so(seed: int) -> None:
+    map_ = terrain(seed)
+    header, heights, _ = read_map(map_frame(map_, "score"))
     known = np.isfinite(map_.elevation)
     np.testing.assert_array_equal(heights == NO_HEIGHT, ~known)
-    np.testing.assert_allclose(header["z0"] + heights[known] * 1e-3, map_.elevation[known], atol=1.1e-3)
+    np.testing.assert_allclose(heights[known] * 1e-3, map_.elevation[known], atol=1.1e-3)
     assert (header["resolution"], header["origin"], header["stamp_ns"]) == (0.01, [0.5, -1.0], 5)
+
+
+def test_heights_that_millimetres_do_not_reach_are_drawn_where_they_end() -> None:
+    map_ = replace(terrain(), elevation=np.full((NX, NY), -100.0, np.float32))
+    assert (read_map(map_frame(map_, "score"))[1] == -32767).all()
 
 
 def test_each_layer_says_how_its_bytes_are_read() -> None:
     map_ = terrain(1)
     known = np.isfinite(map_.elevation)
     for layer, expected in (("score", map_.score), ("variance", np.sqrt(map_.variance))):
-        header, _, values = read_map(map_frame(map_, layer, None))  # type: ignore[arg-type]
+        header, _, values = read_map(map_frame(map_, layer))  # type: ignore[arg-type]
         values = values.reshape(NX, NY)
         assert header["layer"] == layer
         np.testing.assert_array_equal(values == NO_VALUE, ~known)
         most = 254 * header["scale"]["per_byte"]
         read_back = values[known] * header["scale"]["per_byte"]
         np.testing.assert_allclose(read_back, np.minimum(expected[known], most), atol=header["scale"]["per_byte"])
-    header, _, values = read_map(map_frame(map_, "evaluation", None))
+    header, _, values = read_map(map_frame(map_, "evaluation"))
     values = values.reshape(NX, NY).astype(int)
     np.testing.assert_array_equal(values == NO_VALUE, ~known)
     np.testing.assert_array_equal(values[known] - header["scale"]["zero"], np.clip(map_.evaluation[known], -25, 25))
@@ -80,10 +85,10 @@ def test_each_layer_says_how_its_bytes_are_read() -> None:
 
 def test_colour_is_sent_where_there_is_some_and_else_the_score() -> None:
     map_ = terrain(2, colored=True)
-    header, _, values = read_map(map_frame(map_, "color", None))
+    header, _, values = read_map(map_frame(map_, "color"))
     assert (header["layer"], "color" in header["layers"]) == ("color", True)
     np.testing.assert_array_equal(values.reshape(NX, NY, 3), map_.color)
-    header, _, _ = read_map(map_frame(terrain(2), "color", None))
+    header, _, _ = read_map(map_frame(terrain(2), "color"))
     assert (header["layer"], header["layers"]) == ("score", ["score", "evaluation", "variance"])
 
 

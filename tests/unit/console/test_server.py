@@ -1,8 +1,10 @@
 """The web server and its sockets, by a client that is no browser."""
 
 import contextlib
+import hashlib
 import http.client
 import json
+import math
 import re
 import threading
 import time
@@ -15,8 +17,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from services.console.config import Settings
+from services.console.door import PROTOCOL
 from services.console.requests import Drive, Release, Walk
-from services.console.server import PROTOCOL, PageServer
+from services.console.server import PageServer
 
 PAGE = Path("services/console/page")
 PATIENCE_S = 20.0
@@ -123,7 +126,7 @@ def test_who_sends_bytes_or_too_much_is_hung_up_on_and_the_others_are_not(server
         assert events(server, 1) == ["left"]
         with pytest.raises(ConnectionClosed):
             bad.recv(timeout=PATIENCE_S)
-        server.post("state", "still here")
+        server.post("state", "still here", (1, 2))
         assert good.recv(timeout=PATIENCE_S) == "still here"
 
 
@@ -132,11 +135,11 @@ def test_a_slow_page_gets_the_newest_map_once_it_has_drawn_the_last(server: Page
         found: list[int] = []
         within(lambda: found.extend(e.page for e in server.drain()) or found)
         for k in range(50):
-            server.show("map", b"%d" % k, found[0])
+            server.show("map", b"%d" % k, found)
         first = socket.recv(timeout=PATIENCE_S)
-        server.post("state", "between")
+        server.post("state", "between", found)
         assert socket.recv(timeout=PATIENCE_S) == "between", "no other map before it has been drawn"
-        server.show("map", b"newest", found[0])
+        server.show("map", b"newest", found)
         socket.send(json.dumps({"type": "seen", "what": "map"}))
         assert socket.recv(timeout=PATIENCE_S) == b"newest"
         assert first != b"newest"
@@ -181,3 +184,50 @@ def test_a_page_for_everybody_wants_a_token() -> None:
 def test_a_port_that_is_taken_is_said_so(server: PageServer) -> None:
     with pytest.raises(OSError, match=r"is another console running\? --set port=8081"):
         PageServer(Settings(port=server.port), time.monotonic_ns)
+
+
+def test_a_server_that_is_well_passes_each_look(server: PageServer) -> None:
+    for _ in range(50):
+        server.check()
+        get(server, "/icon.svg")
+
+
+@pytest.mark.parametrize("error", [RuntimeError("a bug"), SystemExit(3), None])
+def test_a_server_that_has_ended_is_noticed_with_its_reason(
+    error: BaseException | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(sockets: object) -> None:
+        if error is not None:
+            raise error
+
+    server = PageServer(Settings(port=0), time.monotonic_ns)
+    monkeypatch.setattr(server._server, "run", run)
+    with server:
+        server._thread.join(PATIENCE_S)
+        with pytest.raises(RuntimeError, match="the page's server has ended") as caught:
+            server.check()
+    assert caught.value.__cause__ is error
+
+
+def test_a_server_that_hangs_is_noticed(server: PageServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.console.server._HUNG_S", 0.0)
+    go_on = threading.Event()
+    get(server, "/")
+    server._call(go_on.wait)
+    try:
+        for _ in range(5):
+            server.check()
+        with pytest.raises(RuntimeError, match="the page's server hangs"):
+            server.check()
+    finally:
+        go_on.set()
+    within(lambda: math.isnan(server._called_s))
+    server.check()
+
+
+def test_the_vendored_files_are_those_that_the_maintainers_command_makes() -> None:
+    folder = PAGE / "vendor" / "three"
+    kept = dict(line.split()[::-1] for line in (folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines())
+    found = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir() if path.name != "SHA256SUMS"}
+    assert kept == found
+    assert "LICENSE.txt" in found

@@ -12,7 +12,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 
 from services.console.config import Settings
-from services.console.server import PROTOCOL
+from services.console.door import PROTOCOL
 from services.console.service import Console
 from shared import codec, topics
 from shared.messages import (
@@ -228,6 +228,27 @@ def test_who_is_there_is_told_and_who_goes_is_no_more(rig: Rig) -> None:
     other.close()
     page.until("state", lambda told: len(told["seats"]) == 1)
     assert rig.console.doing().endswith("to 1 pages")
+
+
+def test_each_page_is_told_each_line_of_the_log_once(rig: Rig) -> None:
+    rig.hear(CameraState(1, "a camera", False, "the first"))
+    rig.beat(300.0)  # noted while nobody looks on
+    page = rig.page()
+    page.until("log", lambda _: "camera: the first" in page.log)
+    rig.hear(CameraState(2, "a camera", False, "the second"))
+    rig.beat(300.0)
+    other = rig.page()
+    other.until("log", lambda _: "camera: the second" in other.log)
+    rig.hear(CameraState(3, "a camera", False, "the third"))
+    for one in (page, other):
+        one.until("log", lambda _, one=one: "camera: the third" in one.log)
+        assert [line for line in one.log if "camera" in line] == [f"camera: the {n}" for n in ("first", "second", "third")]
+
+
+def test_a_console_whose_server_is_gone_ends(rig: Rig) -> None:
+    rig.console.server.__exit__(None, None, None)
+    with pytest.raises(RuntimeError, match="the page's server has ended"):
+        rig.beat(1000.0)
 
 
 def test_services_and_passages_are_told_of(rig: Rig) -> None:

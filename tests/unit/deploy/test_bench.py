@@ -303,5 +303,11 @@ def test_what_the_page_costs_is_told_with_how_often_each_limit_was_kept() -> Non
     assert "| pad let go | 200 | 400 | 400 | 350 | 2 of 3 |" in words
     assert "| feet down | 300 | inf | inf |  | 3 times |" in words
     assert "2.1% of a core" in words
-    told = json.loads(page.to_json(page.Measured(delays, cost)))
-    assert [d["kept"] for d in told["delays"]] == [False, True]
+    text = page.to_json(page.Measured(delays, cost))
+    assert "Infinity" not in text
+    assert "NaN" not in text
+    told = json.loads(text)["delays"]
+    assert [(d["kept"], d["limit_s"], d["seconds"]) for d in told] == [
+        (False, 0.35, [0.1, 0.2, 0.4]),
+        (True, None, [0.3, None, 0.2]),
+    ]

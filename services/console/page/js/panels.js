@@ -25,6 +25,7 @@ export class Panels {
     this.robot = message.robot;
     set("robot", `Sextant: ${message.robot.name}`);
     document.title = `${message.robot.name} - Sextant`;
+    $("entries").replaceChildren(); // all that there is follows
     const body = $("loads");
     body.replaceChildren();
     this.cells = message.robot.legs.map((leg, i) => {

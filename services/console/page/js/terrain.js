@@ -9,13 +9,13 @@ const BLOCK = 16; // [cells] edge of the largest square
 const VERTEX = `
 in float mm;
 uniform vec2 origin;
-uniform float resolution, z0;
+uniform float resolution;
 uniform int ny;
 out vec3 vPlace;
 out vec2 vCell;
 void main() {
   vCell = vec2(gl_VertexID / ny, gl_VertexID % ny);
-  vPlace = vec3(origin + resolution * vCell, z0 + mm * 0.001);
+  vPlace = vec3(origin + resolution * vCell, mm * 0.001);
   gl_Position = projectionMatrix * viewMatrix * vec4(vPlace, 1.0);
 }`;
 
@@ -49,7 +49,7 @@ export class Terrain {
       side: THREE.DoubleSide,
       uniforms: {
         values: { value: null }, table: { value: null }, colored: { value: false },
-        origin: { value: new THREE.Vector2() }, resolution: { value: 0.01 }, z0: { value: 0 }, ny: { value: 0 },
+        origin: { value: new THREE.Vector2() }, resolution: { value: 0.01 }, ny: { value: 0 },
       },
     });
     this.mesh = new THREE.Mesh(new THREE.BufferGeometry(), this.material);
@@ -87,7 +87,6 @@ export class Terrain {
     uniforms.colored.value = colored;
     uniforms.origin.value.set(header.origin[0], header.origin[1]);
     uniforms.resolution.value = header.resolution;
-    uniforms.z0.value = header.z0;
     uniforms.ny.value = ny;
     this.header = header;
     this.mesh.visible = true;
@@ -174,12 +173,12 @@ export class Terrain {
   /** Height [m] of the ground at a place, or null where nothing is known. */
   heightAt(x, y) {
     if (!this.header) return null;
-    const { origin, resolution, nx, ny, z0 } = this.header;
+    const { origin, resolution, nx, ny } = this.header;
     const i = Math.round((x - origin[0]) / resolution);
     const j = Math.round((y - origin[1]) / resolution);
     if (i < 0 || j < 0 || i >= nx || j >= ny) return null;
     const mm = this.heights[i * ny + j];
-    return mm === NO_HEIGHT ? null : z0 + mm * 0.001;
+    return mm === NO_HEIGHT ? null : mm * 0.001;
   }
 
   /** Where a ray first meets the ground, or null. */

@@ -1,0 +1,51 @@
+"""The processes of a simulated robot whose servo bus is tapped: to break one of them, or to time what reaches the servos."""
+
+from dataclasses import replace
+
+from deploy import process_table
+from deploy.faults import tap
+from deploy.process_table import Command
+from shared.scenario import load_scenario
+from shared.transport import Endpoints
+
+RESTARTS = 1000
+
+
+def port(listen: int) -> str:
+    """The tap as pyserial opens it, by its TCP port."""
+    return f"socket://127.0.0.1:{listen}"
+
+
+def commands(
+    endpoints: Endpoints, bus: int, listen: int, seed: int, scenario: str, page_port: int | None = None
+) -> list[Command]:
+    """The services, their router, and the tap between actuator and servos.
+
+    Args:
+        endpoints: Where they meet; the router listens at the first of them.
+        bus: TCP port of the simulated servo bus.
+        listen: TCP port of the tap.
+        seed: Of the simulator.
+        scenario: That it is given.
+        page_port: TCP port of the operators' page; None for no page.
+    """
+    chosen = process_table.choices(load_scenario(scenario), scenario, seed, bus)
+    if page_port is not None:
+        chosen = replace(chosen, console_port=page_port, lift=0.025)
+    tapped = (process_table.assignment("port", port(listen)),)
+    rows = process_table.rows("all", simulated=True, page=page_port is not None)
+    rows = tuple(replace(row, urgent=True) if row.side == "simulation" else row for row in rows)  # the world waits for nobody
+    services = process_table.commands(rows, chosen, endpoints, {"actuator": tapped, "stop": tapped})
+    needs = {"actuator": ("tap",)}
+    return [
+        replace(process_table.router_command(endpoints.connect[0]), restarts=RESTARTS),
+        tap.command(listen, bus),
+        *(
+            replace(
+                one,
+                restarts=RESTARTS if one.name != "simulator" else 0,
+                after=("router", *one.after, *needs.get(one.name, ())),
+            )
+            for one in services
+        ),
+    ]

@@ -1,0 +1,49 @@
+"""Who may come in: a browser on this machine may have pages of other sites open, too. Pure."""
+
+import hmac
+from collections.abc import Mapping, Sequence
+from urllib.parse import urlsplit
+
+from services.console import view
+from services.console.config import Settings
+
+PROTOCOL = f"sextant.{view.PROTOCOL}"
+MOST_PAGES = 32
+_LOCAL = ("127.0.0.1", "localhost", "[::1]")
+_TOKEN = "token."  # before it, among the protocols that a page offers
+
+
+class Door:
+    """Refuses whoever does not name an address of the console's own, and pages that it has not served."""
+
+    def __init__(self, settings: Settings):
+        """Of a console that listens where the settings say."""
+        self._host, self._token = settings.host, settings.token
+
+    def is_own(self, host: str) -> bool:
+        """Whether a request names this console: a name that somebody has turned to its address is none."""
+        name = host.rpartition(":")[0] if host.rpartition(":")[2].isdigit() else host
+        return bool(self._token) or name in (*_LOCAL, self._host)
+
+    def refusal(self, headers: Mapping[str, str], offered: Sequence[str], pages: int) -> str:
+        """Why a page may not connect, in words, or nothing.
+
+        Args:
+            headers: Of its request, by names in small letters.
+            offered: Protocols that it speaks.
+            pages: That are open already.
+        """
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if not self.is_own(host):
+            return "this address is not the console's own"
+        if origin is not None and urlsplit(origin).netloc != host:
+            return "the page of another site may not connect"
+        if PROTOCOL not in offered:
+            return f"{PROTOCOL} is spoken here; load the page anew"
+        if self._token:
+            token = next((word.removeprefix(_TOKEN) for word in offered if word.startswith(_TOKEN)), "")
+            if not hmac.compare_digest(token.encode(), self._token.encode()):
+                return "the token is wrong, or missing; open the address with #TOKEN behind it"
+        if pages >= MOST_PAGES:
+            return f"{MOST_PAGES} pages are open already; close one"
+        return ""

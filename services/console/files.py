@@ -1,0 +1,44 @@
+"""Files of the page as they are served: they are few, and what is not here is not served. Pure but for `page_files`."""
+
+from importlib import resources
+from typing import Any
+
+KINDS = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain; charset=utf-8",
+}
+HEADERS = {
+    "Cache-Control": "no-cache",
+    "Content-Security-Policy": "default-src 'self'; connect-src 'self'; img-src 'self' blob: data:; style-src 'self'; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+
+def headers_of(path: str) -> dict[str, str]:
+    """What a file of the page is served with."""
+    return {**HEADERS, "Content-Type": KINDS[_ending(path)]}
+
+
+def page_files() -> dict[str, bytes]:
+    """All files of the page by their paths."""
+    files: dict[str, bytes] = {}
+
+    def gather(folder: Any, below: str) -> None:
+        for item in folder.iterdir():
+            if item.is_dir():
+                gather(item, f"{below}{item.name}/")
+            elif _ending(item.name) in KINDS:
+                files[below + item.name] = item.read_bytes()
+
+    gather(resources.files("services.console") / "page", "")
+    return files
+
+
+def _ending(path: str) -> str:
+    return path[path.rfind(".") :]
