@@ -26,7 +26,7 @@ from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError,
 from deploy.commands.facts import compose, doctor
 from deploy.commands.faults import faults
 from deploy.commands.order import order
-from deploy.commands.recordings import info, record, recover, replay
+from deploy.commands.recordings import export, foxglove, info, record, recover, replay
 from deploy.commands.ros2 import ros2
 from deploy.commands.topics import docs, echo, hz, list_topics
 from deploy.commands.trials import table, trials
@@ -172,6 +172,14 @@ def _add_recordings(add: Any) -> None:
     one.add_argument("--json", action="store_true", help="as JSON")
     one = add("recover", recover, "make a recording whole that a crash cut off; the old file stays as it is")
     one.add_argument("recording", help="an MCAP file, or a folder of them")
+    one = add("export", export, "write a recording in another tool's format")
+    one.add_argument("recording", help="an MCAP file, or a folder of them")
+    one.add_argument("--rerun", required=True, metavar="FILE.rrd", help="for the rerun viewer")
+    one = add("foxglove", foxglove, "show what is said, live, in Foxglove or Lichtblick, until Ctrl-C")
+    one.add_argument("--host", default="127.0.0.1", help="address to listen on (default %(default)s)")
+    one.add_argument("--port", type=_natural, default=8765, help="TCP port, 0 for any that is free (default %(default)s)")
+    one.add_argument("--robot", default="phantomx_mk2", help="whose (default %(default)s)")
+    _add_meeting(one)
     one = add(
         "replay", replay, "run perception and mapper on a recorded depth sequence, or mapper and planner on a recorded run"
     )

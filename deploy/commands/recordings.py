@@ -1,4 +1,4 @@
-"""`sextant record`, `info`, `recover` and `replay`: what was said on the wire, kept and looked at again."""
+"""`sextant record`, `info`, `recover`, `export`, `replay` and `foxglove`: what is said on the wire, kept and looked at."""
 
 import argparse
 import json
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say
 
 if TYPE_CHECKING:
-    from services.console.recording.live import LiveRecorder
+    from services.console.recording.live import LiveRecorder, Sink
 
 _ROUTER = "tcp/127.0.0.1:7447"
 _LOOK_S = 0.2
@@ -18,19 +18,14 @@ _SILENCE_S = 3.0  # without a message, after which that is said
 
 def record(arguments: argparse.Namespace) -> int:
     """`sextant record`: what is said, into a folder, until Ctrl-C."""
-    import time
     from datetime import datetime
 
-    from deploy.interrupts import Interrupts
     from services.console.recorder.config import Settings
     from services.console.recorder.service import open_rotation
-    from services.console.recording.live import LiveRecorder
     from shared.robot import load_profile
-    from shared.transport import Endpoints, ZenohLink
 
     settings = Settings(reserve_mb=arguments.reserve, pictures=arguments.pictures)
     profile = load_profile(arguments.robot)
-    met = Endpoints(tuple(arguments.connect or [_ROUTER]), namespace=arguments.namespace)
     now = datetime.now().astimezone()
     folder = Path(arguments.out or Path(settings.folder) / now.strftime("%Y%m%d-%H%M%S"))
     about = {"robot": profile.name, "run": "live", "began": now.isoformat(timespec="seconds")}
@@ -38,18 +33,8 @@ def record(arguments: argparse.Namespace) -> int:
         rotation = open_rotation(folder, profile, settings, about)
     except OSError as error:
         raise InputError(f"nothing can be recorded to {folder}: {error}; give another folder with --out") from None
-    with Interrupts() as interrupts, ZenohLink(met) as link, LiveRecorder(rotation) as recording:
-        recording.listen(link, time.monotonic_ns)
-        say(f"recording to {folder}; Ctrl-C ends it")
-        began = shown = time.monotonic()
-        while not interrupts.asked() and not recording.problem:
-            now_s = time.monotonic()
-            if arguments.seconds and now_s - began >= arguments.seconds:
-                break
-            if now_s - shown >= (_SHOW_S if recording.taken else _SILENCE_S):
-                shown = now_s
-                say(_progress(recording, now_s - began, met.connect[0]))
-            time.sleep(_LOOK_S)
+    say(f"recording to {folder}; Ctrl-C ends it")
+    recording = _listen(arguments, rotation, arguments.seconds)
     if recording.problem:
         complain(f"sextant record: {recording.problem}")
         return FAILED
@@ -58,10 +43,68 @@ def record(arguments: argparse.Namespace) -> int:
     return SUCCESS
 
 
+def foxglove(arguments: argparse.Namespace) -> int:
+    """`sextant foxglove`: what is said, live for Foxglove and Lichtblick, until Ctrl-C."""
+    from shared.robot import load_profile
+
+    try:
+        from deploy.foxglove_server import FoxgloveServer
+    except ModuleNotFoundError as error:
+        raise InputError(f"{error.name} is not installed: pip install 'sextant[foxglove]'") from None
+    profile = load_profile(arguments.robot)
+    try:
+        server = FoxgloveServer(profile, arguments.host, arguments.port)
+    except OSError as error:
+        complain(f"sextant foxglove: {error}")
+        return FAILED
+    say(f"open {server.target} in Foxglove or Lichtblick (Open connection, Foxglove WebSocket); Ctrl-C ends it")
+    recording = _listen(arguments, server)
+    say(f"sent {recording.taken} messages" + (f", {recording.dropped} dropped" if recording.dropped else ""))
+    return SUCCESS
+
+
+def _listen(arguments: argparse.Namespace, sink: "Sink", seconds: float | None = None) -> "LiveRecorder":
+    """Have a sink take all that is said, until Ctrl-C or for some seconds [s], and close it."""
+    import time
+
+    from deploy.interrupts import Interrupts
+    from services.console.recording.live import LiveRecorder
+    from shared.transport import Endpoints, ZenohLink
+
+    met = Endpoints(tuple(arguments.connect or [_ROUTER]), namespace=arguments.namespace)
+    with Interrupts() as interrupts, ZenohLink(met) as link, LiveRecorder(sink) as recording:
+        recording.listen(link, time.monotonic_ns)
+        began = shown = time.monotonic()
+        while not interrupts.asked() and not recording.problem:
+            now = time.monotonic()
+            if seconds and now - began >= seconds:
+                break
+            if now - shown >= (_SHOW_S if recording.taken else _SILENCE_S):
+                shown = now
+                say(_progress(recording, now - began, met.connect[0]))
+            time.sleep(_LOOK_S)
+    return recording
+
+
 def _progress(recording: "LiveRecorder", elapsed_s: float, endpoint: str) -> str:
     if not recording.taken:
         return f"nothing has been said at {endpoint} for {elapsed_s:.0f} s; `sextant up` starts the services"
     return f"{elapsed_s:6.0f} s  {recording.taken} messages, {recording.size / 1e6:.1f} MB"
+
+
+def export(arguments: argparse.Namespace) -> int:
+    """`sextant export`: a recording in another tool's format."""
+    source = Path(arguments.recording)
+    target = Path(arguments.rerun)
+    if target.suffix != ".rrd":
+        raise InputError(f"--rerun: a file that ends in .rrd expected, found {target}")
+    try:
+        from deploy import rerun_export
+    except ModuleNotFoundError as error:
+        raise InputError(f"{error.name} is not installed: pip install 'sextant[rerun]'") from None
+    count = rerun_export.export(source, target, open_progress(False))
+    say(f"{target}: {count} messages; open it with `rerun {target}`")
+    return SUCCESS
 
 
 def info(arguments: argparse.Namespace) -> int:

@@ -39,6 +39,7 @@ class RecorderService:
         self._link: Link | None = None
         self._sequence = -1
         self._recording: LiveRecorder | None = None  # that is being written, or was last
+        self._files: Rotation | None = None  # its files
         self._wanted = False
         self._began_ns = self._ended_ns = 0
         self._reason = ""
@@ -57,11 +58,11 @@ class RecorderService:
 
     def doing(self) -> str:
         """What is being recorded."""
-        if self._recording is None:
+        if self._files is None:
             return self._reason or "recording nothing"
         if self._wanted:
-            return f"recording {self._recording.path}, {self._recording.size / 1e6:.1f} MB"
-        return self._reason or f"recorded {self._recording.path.parent}"
+            return f"recording {self._files.path}, {self._files.size / 1e6:.1f} MB"
+        return self._reason or f"recorded {self._files.folder}"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Do what was ordered, notice what went wrong, and say how it stands."""
@@ -89,12 +90,12 @@ class RecorderService:
         about = {"robot": self._profile.name, "run": "live", "began": wall.isoformat(timespec="seconds")}
         self._reason = ""
         try:
-            rotation = open_rotation(folder, self._profile, self._settings, about)
+            self._files = open_rotation(folder, self._profile, self._settings, about)
         except OSError as error:
             self._reason = f"nothing can be recorded to {folder}: {error}"
             _LOGGER.warning("%s", self._reason)
             return
-        self._recording = LiveRecorder(rotation)
+        self._recording = LiveRecorder(self._files)
         self._recording.start()
         self._recording.listen(self._link, time.monotonic_ns)
         self._wanted, self._began_ns = True, now_ns
@@ -114,7 +115,7 @@ class RecorderService:
             stamp_ns=now_ns,
             recording=self._wanted,
             sequence=self._sequence,
-            file="" if recording is None else str(recording.path.resolve()),
+            file="" if self._files is None else str(self._files.path.resolve()),
             seconds=0.0 if recording is None else (until_ns - self._began_ns) * 1e-9,
             size=0 if recording is None else recording.size,
             free=_free(Path(self._settings.folder)),

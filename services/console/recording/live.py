@@ -4,7 +4,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -19,10 +18,10 @@ _FLUSH_S = 0.4  # after which what has come is on the disk, if the disk is quick
 
 
 class Sink(Protocol):
-    """What is recorded into: a `Recorder`, or a `Rotation` of them."""
+    """What is recorded into: a `Recorder`, a `Rotation` of them, or whoever else takes frames."""
 
     @property
-    def path(self) -> Path: ...  # noqa: D102 - as of both
+    def target(self) -> str: ...  # noqa: D102 - as of those
 
     @property
     def size(self) -> int: ...  # noqa: D102
@@ -58,11 +57,6 @@ class LiveRecorder:
         self._ended = threading.Event()
         self._endings: list[Callable[[], None]] = []  # of what is listened to
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-
-    @property
-    def path(self) -> Path:
-        """The file that is being written."""
-        return self._sink.path
 
     @property
     def size(self) -> int:
@@ -128,13 +122,13 @@ class LiveRecorder:
         except NoRoomError as error:
             self.problem = f"the recording ended early: {error}"  # and its last file is whole
         except OSError as error:
-            self.problem = f"the recording ended early: {self._sink.path}: {error}"
+            self.problem = f"the recording ended early: {self._sink.target}: {error}"
             self._sink.abandon()
             return
         try:
             self._sink.close()
         except OSError as error:
-            self.problem = self.problem or f"the recording could not be finished: {self._sink.path}: {error}"
+            self.problem = self.problem or f"the recording could not be finished: {self._sink.target}: {error}"
 
     def _write_what_waits(self) -> None:
         with self._lock:

@@ -54,6 +54,11 @@ class Rotation:
         return self._recorder.path
 
     @property
+    def target(self) -> str:
+        """The same, in words."""
+        return self._recorder.target
+
+    @property
     def size(self) -> int:
         """Written so far, into all files."""
         return self._finished_size + self._recorder.size

@@ -89,6 +89,11 @@ class Recorder:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
+    @property
+    def target(self) -> str:
+        """The file, in words."""
+        return str(self.path)
+
     def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
         """Append a frame with the time [ns] at which it was sent or came."""
         if topic in self.skipped:

@@ -1,0 +1,71 @@
+"""What is said on the wire, live for Foxglove and Lichtblick: the recorder's translation, sent instead of written."""
+
+from types import TracebackType
+from typing import Self
+
+import foxglove
+from google.protobuf.message import Message
+
+from services.console.recording.foxglove.translation import Foxglove
+from services.console.recording.writer import LEFT_OUT, declaration
+from shared.robot import RobotProfile
+from shared.service import AnyTopic
+
+
+class FoxgloveServer:
+    """A WebSocket server, as a sink of a `LiveRecorder`; a context manager.
+
+    What a slow viewer does not take in time is dropped by its own queue, the oldest first.
+    """
+
+    skipped: frozenset[AnyTopic] = LEFT_OUT
+
+    def __init__(self, profile: RobotProfile, host: str, port: int):
+        """Serve what is known of a robot.
+
+        Raises:
+            OSError: The address cannot be listened on.
+        """
+        self.size = 0  # sent so far
+        self._translator = Foxglove(profile)
+        self._channels: dict[str, foxglove.Channel] = {}
+        self._context = foxglove.Context()
+        try:
+            self._server = foxglove.start_server(name=f"sextant {profile.name}", host=host, port=port, context=self._context)
+        except RuntimeError as error:
+            raise OSError(f"{host}:{port} cannot be listened on: {error}; --port names another") from None
+        self.target = f"ws://{host}:{self._server.port}"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        """Send what a frame says to whoever looks at it."""
+        for name, message in self._translator.translate(topic, frame, at_ns):
+            data = message.SerializeToString()
+            self._channel(name, message).log(data, log_time=at_ns)
+            self.size += len(data)
+
+    def flush(self) -> None:
+        """Nothing waits here."""
+
+    def sync(self) -> None:
+        """Nor on a disk."""
+
+    def close(self) -> None:
+        """Send viewers away; safe to call twice."""
+        self._server.stop()
+
+    def abandon(self) -> None:
+        """Likewise."""
+        self.close()
+
+    def _channel(self, name: str, message: Message) -> foxglove.Channel:
+        if name not in self._channels:
+            kind = message.DESCRIPTOR
+            schema = foxglove.Schema(name=kind.full_name, encoding="protobuf", data=declaration(kind.file).SerializeToString())
+            self._channels[name] = foxglove.Channel(name, schema=schema, message_encoding="protobuf", context=self._context)
+        return self._channels[name]
