@@ -17,6 +17,7 @@ from deploy.commands.benches import (
     bench_bus,
     bench_page,
     bench_passage,
+    bench_recording,
     bench_servos,
     bench_speed,
     bench_stages,
@@ -310,6 +311,14 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
 
     one = add("page", bench_page, "time how soon the operator's page stops the robot, by a real browser, and its cost", group)
     one.add_argument("--rounds", type=_positive, default=30, metavar="N", help="of each (default %(default)s)")
+    _add_out_and_json(one)
+    one = add(
+        "recording",
+        bench_recording,
+        "time the servos' cycle while somebody records, the disk fills up, the recorder dies",
+        group,
+    )
+    one.add_argument("--rounds", type=_positive, default=5, metavar="N", help="of each (default %(default)s)")
     _add_out_and_json(one)
     one = add(
         "start", bench_start, "time how soon the actuator holds a robot that stands, from the start of its process", group

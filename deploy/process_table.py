@@ -118,7 +118,7 @@ TABLE: tuple[Process, ...] = (
     Process("mapper", "services.mapper", "either", 3, _mapper, nice=5),
     Process("planner", "services.planner", "either", 3, _planner, nice=2),
     Process("console", "services.console", "page", 3, _console, nice=3),
-    Process("recorder", "services.console.recorder", "page", 3, _recorder, nice=10),
+    Process("recorder", "services.console.recorder", "page", 3, _recorder, nice=3),
 )
 
 

@@ -17,7 +17,13 @@ def port(listen: int) -> str:
 
 
 def commands(
-    endpoints: Endpoints, bus: int, listen: int, seed: int, scenario: str, page_port: int | None = None
+    endpoints: Endpoints,
+    bus: int,
+    listen: int,
+    seed: int,
+    scenario: str,
+    page_port: int | None = None,
+    recordings: str = "recordings",
 ) -> list[Command]:
     """The services, their router, and the tap between actuator and servos.
 
@@ -27,11 +33,12 @@ def commands(
         listen: TCP port of the tap.
         seed: Of the simulator.
         scenario: That it is given.
-        page_port: TCP port of the operators' page; None for no page.
+        page_port: TCP port of the operators' page; None for no page, and no recorder.
+        recordings: Folder in which recordings go.
     """
     chosen = process_table.choices(load_scenario(scenario), scenario, seed, bus)
     if page_port is not None:
-        chosen = replace(chosen, console_port=page_port, lift=0.025)
+        chosen = replace(chosen, console_port=page_port, lift=0.025, recordings=recordings)
     tapped = (process_table.assignment("port", port(listen)),)
     rows = process_table.rows("all", simulated=True, page=page_port is not None)
     rows = tuple(replace(row, urgent=True) if row.side == "simulation" else row for row in rows)  # the world waits for nobody

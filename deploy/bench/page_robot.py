@@ -31,12 +31,13 @@ _WINDOW = 5  # cycles
 class PageRobot:
     """Processes of a robot with a page; a context manager."""
 
-    def __init__(self, scenario: str = "flat", seed: int = 1):
+    def __init__(self, scenario: str = "flat", seed: int = 1, recordings: str = "recordings"):
         """Prepare.
 
         Args:
             scenario: That is simulated.
             seed: Of it.
+            recordings: Folder in which recordings go.
         """
         self.profile = load_profile("phantomx_mk2")
         self.recorder = Recorder(self.profile)
@@ -48,7 +49,7 @@ class PageRobot:
         self._endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="page")
         bus, listen = free_port(), free_port()
         self._latch = Latch.of_port(tapped_robot.port(listen))
-        made = tapped_robot.commands(self._endpoints, bus, listen, seed, scenario, self.page_port)
+        made = tapped_robot.commands(self._endpoints, bus, listen, seed, scenario, self.page_port, recordings)
         self._launcher = Launcher(made, hear=self._hear_line)
 
     @property
@@ -105,6 +106,10 @@ class PageRobot:
         goals = list(self.recorder.goals)
         ticks = np.array([g.ticks for g in goals]).reshape(-1, 18)
         return np.array([g.t_s for g in goals])[1:], np.abs(np.diff(ticks, axis=0)).max(axis=1, initial=0)
+
+    def goal_times(self) -> NDArray[np.float64]:
+        """Times [s] at which goals were on the wire."""
+        return np.array([goal.t_s for goal in list(self.recorder.goals)])
 
     def still_after(self, since_s: float) -> float:
         """How long [s] after a time the goals on the wire went on changing; infinite where they still do."""

@@ -65,6 +65,15 @@ def bench_page(arguments: argparse.Namespace) -> int:
     return _tell_bench(page.in_words(found), page.to_json(found), out / "page.json", arguments.json)
 
 
+def bench_recording(arguments: argparse.Namespace) -> int:
+    """`sextant bench recording`: what recording does to a walk, and what becomes of it when it breaks."""
+    from deploy.bench import recording
+
+    out = out_folder(arguments, "bench-recording")
+    found = recording.measure(arguments.rounds, open_progress(arguments.json).say)
+    return _tell_bench(recording.in_words(found), recording.to_json(found), out / "recording.json", arguments.json)
+
+
 def bench_servos(arguments: argparse.Namespace) -> int:
     """`sextant bench servos`: how long the servo bus takes through our packets and through dynamixel-sdk."""
     from deploy.bench import servo_bus

@@ -93,13 +93,20 @@ class Here:
 
 
 @dataclass(frozen=True, slots=True)
+class Record:
+    """Begin to record what is said, or end it."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Name:
     """What the operator at this page is called."""
 
     name: str
 
 
-Request: TypeAlias = Drive | Release | Command | TakeOver | GoTo | GiveUp | Watch | Seen | Here | Name
+Request: TypeAlias = Drive | Release | Command | TakeOver | GoTo | GiveUp | Watch | Seen | Here | Record | Name
 
 
 def parse(text: str) -> Request:
@@ -158,6 +165,8 @@ class _Fields:
                 made = Seen(self._one_of("what", ("map", "picture")))
             case "here":
                 made = Here()
+            case "record":
+                made = Record(self._truth("on"))
             case "name":
                 made = Name(self._name())
             case _:

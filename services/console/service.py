@@ -7,10 +7,11 @@ from types import TracebackType
 from typing import Any, Self
 
 from services.console import frames, view
+from services.console.clerk import Clerk
 from services.console.config import Settings
 from services.console.desk import Desk
 from services.console.diary import KEPT, Diary
-from services.console.requests import Request, Watch
+from services.console.requests import Record, Request, Watch
 from services.console.server import Event, PageServer
 from shared import topics
 from shared.messages import ActuatorState, Health, Message, PlannerStatus, TerrainMap, Tick
@@ -39,8 +40,9 @@ class Console:
         topics.TERRAIN,
         topics.PREVIEW,
         topics.HEALTH,
+        topics.RECORDER_STATE,
     )
-    writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.GOAL, topics.MODE)
+    writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.GOAL, topics.MODE, topics.RECORD)
 
     def __init__(self, profile: RobotProfile, settings: Settings, clock: Callable[[], int] = time.monotonic_ns):
         """Listen for pages.
@@ -60,6 +62,7 @@ class Console:
         self.server = PageServer(settings, clock, early.set)
         self._desk = Desk(profile.stance.max_speed)
         self._diary = Diary()
+        self._clerk = Clerk(self._diary)
         self._watched: dict[int, Watch] = {}  # by page
         self._view_due_ns = self._told_ns = 0  # when pages are told of the robot next, and were last told of the services
         self._legs: ActuatorState | None = None
@@ -92,6 +95,8 @@ class Console:
             self._legs = inbox.fresh(topics.ACTUATOR_STATE, _STATE_S)
             self._status = inbox.fresh(topics.PLANNER_STATUS, _STATE_S)
         yield from self._desk.beat(now, self._legs, self._status)
+        if due:
+            yield from self._clerk.beat(now, inbox.fresh(topics.RECORDER_STATE))
         for words in self._desk.drain_words():
             self._diary.note(now, "console", words)
         for word in inbox.drain(topics.HEALTH):
@@ -143,7 +148,7 @@ class Console:
             self.server.show("map", frames.map_frame(self._map, self._watched[page].layer), [page])
 
     def _ask(self, page: int, request: Request, now: int) -> None:
-        refused = self._desk.ask(page, request, now)
+        refused = self._clerk.want(request.on, now) if isinstance(request, Record) else self._desk.ask(page, request, now)
         if refused:
             self._tell("refused", view.answer(refused), page)
 
@@ -165,7 +170,8 @@ class Console:
             self._tell("passage", view.passage(plan))
         with self.stages("state"):
             pose = inbox.fresh(topics.BODY_POSE, _STATE_S)
-            told = view.text(view.state(self._desk, legs, pose, inbox.latest(topics.STEP_PLAN), status, camera))
+            step = inbox.latest(topics.STEP_PLAN)
+            told = view.text({**view.state(self._desk, legs, pose, step, status, camera), "recorder": self._clerk.view()})
         if told != self._told:
             self._told = told
             self.server.post("state", told, self._watched)

@@ -14,6 +14,7 @@ import pytest
 from deploy.bench import browser as browsers
 from deploy.bench.browser import DESKTOP, PHONE, Hand
 from deploy.bench.page_robot import PageRobot
+from services.console.recording.reader import Recording
 from shared.messages import Mode
 
 pytestmark = [
@@ -25,8 +26,13 @@ SOON_S = 2.0  # for what takes some tenths of a second where nobody else is busy
 
 
 @pytest.fixture(scope="module")
-def robot() -> Iterator[PageRobot]:
-    with PageRobot("steps") as made:
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recordings")
+
+
+@pytest.fixture(scope="module")
+def robot(recordings: Path) -> Iterator[PageRobot]:
+    with PageRobot("steps", recordings=str(recordings)) as made:
         yield made
 
 
@@ -275,3 +281,31 @@ def test_it_looks_right_on_a_desk_and_on_a_phone(
     for name, size in (("page.png", DESKTOP), ("page_phone.png", PHONE)):
         image = (folder / name).read_bytes()
         assert (int.from_bytes(image[16:20], "big"), int.from_bytes(image[20:24], "big")) == size
+
+
+def test_a_recording_is_begun_and_ended_on_the_page_and_a_recorder_that_dies_is_said_and_goes_on(
+    robot: PageRobot, hand: Hand, recordings: Path
+) -> None:
+    page = hand.page
+    page.wait_for_function("() => !document.getElementById('record').disabled")
+    before = set(recordings.iterdir())
+    hand.click("#record")
+    page.wait_for_function("() => document.getElementById('record').textContent === 'end'")
+    (first,) = set(recordings.iterdir()) - before
+    assert str(first) in hand.says("#recorder-words")
+    robot.pass_time(2.0)
+    robot.kill("recorder")
+    robot.until(lambda: "not recorded" in hand.says("#entries"), 20.0, "that it died")
+    robot.until(
+        lambda: hand.says("#record") == "end" and str(first) not in hand.says("#recorder-words"), 20.0, "that it goes on"
+    )
+    robot.pass_time(1.0)
+    hand.click("#record")
+    page.wait_for_function("() => document.getElementById('record').textContent === 'record'")
+    page.wait_for_function("() => document.getElementById('recorder-words').textContent.startsWith('recorded ')")
+    (second,) = set(recordings.iterdir()) - before - {first}
+    killed, whole = Recording(first), Recording(second)
+    assert killed.counts()["actuator/state"] > 20
+    assert not killed.complete
+    robot.until(lambda: whole.files and whole.files[0].stat().st_size > 0, 5.0, "the file")
+    assert sum(1 for _ in whole.frames()) > 50

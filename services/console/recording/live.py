@@ -14,7 +14,8 @@ from shared.service import AnyTopic, Link
 _QUEUE_FRAMES = 2000  # that may wait for the disk
 _QUEUE_BYTES = 64 << 20  # of them together
 _WRITE_S = 0.05  # between two looks at what waits
-_FLUSH_S = 0.4  # after which what has come is on the disk, if the disk is quick
+_FLUSH_S = 0.4  # after which what has come is handed to the system, which keeps it whatever becomes of this process
+_SYNC_S = 0.4  # between two times that the system is to bring it to the disk, for when the power goes
 
 
 class Sink(Protocol):
@@ -57,6 +58,7 @@ class LiveRecorder:
         self._ended = threading.Event()
         self._endings: list[Callable[[], None]] = []  # of what is listened to
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._syncing = threading.Thread(target=self._sync, name="sync", daemon=True)
 
     @property
     def size(self) -> int:
@@ -88,6 +90,7 @@ class LiveRecorder:
     def start(self) -> None:
         """Let the thread write."""
         self._thread.start()
+        self._syncing.start()
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.end()
@@ -112,12 +115,11 @@ class LiveRecorder:
     def _run(self) -> None:
         flush_due_s = time.monotonic()
         try:
-            while not self._ended.wait(_WRITE_S):
+            while not self._ended.wait(_WRITE_S) and not self.problem:
                 self._write_what_waits()
                 if time.monotonic() >= flush_due_s:
                     flush_due_s = time.monotonic() + _FLUSH_S
                     self._sink.flush()
-                    self._sink.sync()
             self._write_what_waits()
         except NoRoomError as error:
             self.problem = f"the recording ended early: {error}"  # and its last file is whole
@@ -129,6 +131,14 @@ class LiveRecorder:
             self._sink.close()
         except OSError as error:
             self.problem = self.problem or f"the recording could not be finished: {self._sink.target}: {error}"
+
+    def _sync(self) -> None:
+        """The disk takes its time, in which the other thread goes on."""
+        while not self._ended.wait(_SYNC_S) and not self.problem:
+            try:
+                self._sink.sync()
+            except OSError as error:
+                self.problem = self.problem or f"the recording ended early: {self._sink.target}: {error}"
 
     def _write_what_waits(self) -> None:
         with self._lock:

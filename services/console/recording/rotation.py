@@ -17,7 +17,7 @@ class NoRoomError(OSError):
 
 
 class Rotation:
-    """Writes frames into one file after the other; used by one thread at a time, as a `Recorder`."""
+    """Writes frames into one file after the other; used by one thread at a time but for `sync`, as a `Recorder`."""
 
     def __init__(
         self,
@@ -85,7 +85,7 @@ class Rotation:
         self._recorder.flush()
 
     def sync(self) -> None:
-        """Wait until what was flushed is on the disk."""
+        """Wait until what was flushed is on the disk; from any thread."""
         self._recorder.sync()
 
     def close(self) -> None:

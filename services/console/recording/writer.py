@@ -1,6 +1,7 @@
 """One MCAP file: the frames of the wire as they are, and beside them what people's tools draw."""
 
 import os
+import threading
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -41,7 +42,7 @@ class Silent:
 
 
 class Recorder:
-    """Writes frames into an MCAP file; a context manager. Used by one thread at a time."""
+    """Writes frames into an MCAP file; a context manager. Used by one thread at a time, but for `sync`."""
 
     def __init__(
         self,
@@ -72,6 +73,7 @@ class Recorder:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}  # of translations, by name
         self._counts: dict[int, int] = {}
+        self._closing = threading.Lock()
         self._file = path.open("wb")
         try:
             self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -115,8 +117,15 @@ class Recorder:
         self.size = self._file.tell()
 
     def sync(self) -> None:
-        """Wait until what was flushed is on the disk."""
-        os.fdatasync(self._file.fileno())
+        """Wait until what was flushed is on the disk; from any thread, holding nobody else up."""
+        with self._closing:
+            if self._file.closed:
+                return
+            descriptor = os.dup(self._file.fileno())
+        try:
+            os.fdatasync(descriptor)
+        finally:
+            os.close(descriptor)
 
     def close(self) -> None:
         """Finish the file; safe to call twice."""
@@ -124,7 +133,8 @@ class Recorder:
             try:
                 self._writer.finish()  # type: ignore[no-untyped-call]
                 self.size = self._file.tell()
-                self._file.close()
+                with self._closing:
+                    self._file.close()
             except OSError:
                 self.abandon()
                 raise
@@ -132,7 +142,8 @@ class Recorder:
     def abandon(self) -> None:
         """Close the file as it is: it can be read as far as it goes."""
         try:
-            self._file.close()
+            with self._closing:
+                self._file.close()
         except OSError:
             return  # what could not be written is lost, which whoever abandons it knows
 

@@ -16,6 +16,7 @@ from services.console.requests import (
     GoTo,
     Here,
     Name,
+    Record,
     Release,
     RequestError,
     Seen,
@@ -38,6 +39,7 @@ GOOD: list[tuple[dict[str, Any], object]] = [
     ({"type": "watch", "layer": "variance", "picture": True}, Watch("variance", True)),
     ({"type": "seen", "what": "map"}, Seen("map")),
     ({"type": "here"}, Here()),
+    ({"type": "record", "on": True}, Record(True)),
     ({"type": "name", "name": "Ann"}, Name("Ann")),
 ]
 
@@ -72,6 +74,7 @@ def test_a_field_that_is_missing_or_too_many_is_named(fields: dict[str, Any], _:
         ({**GO, "waypoints": [[1.0, 1e9]]}, "x: a number from -100 to 100"),
         ({**GO, "speed": 0.0}, "speed: a number from 0.01"),
         ({"type": "order", "order": "walk"}, "order: one of off, stop, ready, stand, sit expected"),
+        ({"type": "record", "on": 1}, "on: true or false"),
         ({"type": "name", "name": "a\nb"}, "name: 1 to 24 printable"),
         ({"type": ["order"]}, "no request of type"),
         ([1, 2], "a table expected, found a list"),

@@ -5,6 +5,7 @@ import json
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from shared.messages import (
     PassagePlan,
     PlannerStatus,
     Preview,
+    RecordCommand,
+    RecorderState,
     StepPlan,
     Tick,
     VelocityCommand,
@@ -265,3 +268,22 @@ def test_services_and_passages_are_told_of(rig: Rig) -> None:
     passage = page.until("passage")
     assert (passage["state"], passage["legs"], passage["footholds"]) == ("no way", [2], [1.0, 1.0, 1.0])
     assert any("no foothold for the left front leg" in line for line in page.log)
+
+
+def test_a_page_records_and_is_shown_how_it_goes(rig: Rig) -> None:
+    page = rig.page()
+    page.until("hello")
+    page.ask("record", on=True)
+    assert "no recorder is running" in page.until("refused")["words"]
+    resting = RecorderState(rig.now, False, -1, "", 0.0, 0, 5 * 10**9, 0, "")
+    rig.hear(resting)
+    assert page.until("state", lambda told: told["recorder"])["recorder"]["free_gigabytes"] == 5.0
+    page.ask("record", on=True)
+    orders: list[RecordCommand] = []
+    while not orders:
+        rig.hear(resting)
+        orders = [m for m in rig.beat() if isinstance(m, RecordCommand)]
+    assert orders[0].record
+    rig.hear(replace(resting, recording=True, sequence=orders[0].sequence, file="/r/1.mcap"))
+    page.until("state", lambda told: told["recorder"] and told["recorder"]["recording"])
+    assert any("recording to /r/1.mcap" in line for line in page.log)

@@ -311,3 +311,15 @@ def test_what_the_page_costs_is_told_with_how_often_each_limit_was_kept() -> Non
         (False, 0.35, [0.1, 0.2, 0.4]),
         (True, None, [0.3, None, 0.2]),
     ]
+
+
+def test_what_recording_does_to_a_walk_is_told_beside_one_that_nobody_records() -> None:
+    from deploy.bench import recording
+
+    usual = recording.Way("nobody records", [np.array([0.02, 0.02, 0.021])])
+    killed = recording.Way("the recorder is killed", [np.array([0.02, 0.02, 0.023])], [0.4, math.inf], [0.3, 0.25])
+    words = recording.in_words((usual, killed))
+    assert "| the recorder is killed | 20.00 | 22.94 | +1.96 | 23.0 | inf at most | 0.3 at most |" in words
+    table = json.loads(recording.to_json((usual, killed)))["ways"]
+    assert table["the recorder is killed"]["said_s"] == [0.4, None]
+    assert table["nobody records"]["cycle_ms"]["max"] == 21.0

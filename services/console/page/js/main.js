@@ -130,6 +130,7 @@ $("look").onclick = () => {
   if (!looking) panels.hidePictures();
   watch();
 };
+$("record").onclick = () => link.ask("record", { on: $("record").getAttribute("aria-pressed") !== "true" });
 for (const choice of document.querySelectorAll("input[name=layer]")) {
   choice.onchange = () => {
     layer = choice.value;

@@ -73,11 +73,25 @@ export class Panels {
     const overlap = pose && pose.overlap !== null ? `, overlap ${(100 * pose.overlap).toFixed(0)} %` : "";
     set("pose-words", `${at}${overlap}${pose && pose.reason ? `: ${pose.reason}` : ""}`, pose && !pose.ok ? "warn" : "");
     set("camera-words", state.camera ? (state.camera.ok ? state.camera.device : state.camera.reason) : "", state.camera && !state.camera.ok ? "bad" : "");
+    this.recorder(state.recorder);
     const now = performance.now();
     if (legs && this.robot && now - this.servosAt > SERVOS_MS) {
       this.servosAt = now;
       this.servos(legs);
     }
+  }
+
+  recorder(recorder) {
+    const button = $("record");
+    button.disabled = !recorder;
+    button.setAttribute("aria-pressed", String(Boolean(recorder && recorder.recording)));
+    button.textContent = recorder && recorder.recording ? "end" : "record";
+    if (!recorder) return set("recorder-words", "no recorder is running", "");
+    const free = recorder.free_gigabytes === null ? "" : `, ${recorder.free_gigabytes} GB free`;
+    const lost = recorder.dropped ? `, ${recorder.dropped} messages lost` : "";
+    const how = `${recorder.seconds} s, ${recorder.megabytes} MB${free}${lost}`;
+    const words = recorder.recording ? `${how}: ${recorder.file}` : recorder.file ? `recorded ${recorder.file}` : `nothing yet${free}`;
+    return set("recorder-words", recorder.reason || words, recorder.reason ? "bad" : lost ? "warn" : "");
   }
 
   servos(legs) {
