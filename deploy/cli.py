@@ -19,6 +19,7 @@ from deploy.commands.benches import (
     bench_passage,
     bench_recording,
     bench_servos,
+    bench_size,
     bench_speed,
     bench_stages,
     bench_start,
@@ -320,6 +321,7 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     )
     one.add_argument("--rounds", type=_positive, default=5, metavar="N", help="of each (default %(default)s)")
     _add_out_and_json(one)
+    _add_out_and_json(add("size", bench_size, "say how much each role takes on a disk", group))
     one = add(
         "start", bench_start, "time how soon the actuator holds a robot that stands, from the start of its process", group
     )

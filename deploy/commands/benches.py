@@ -74,6 +74,18 @@ def bench_recording(arguments: argparse.Namespace) -> int:
     return _tell_bench(recording.in_words(found), recording.to_json(found), out / "recording.json", arguments.json)
 
 
+def bench_size(arguments: argparse.Namespace) -> int:
+    """`sextant bench size`: how much each role takes on a disk."""
+    try:
+        from deploy.bench import size
+    except ModuleNotFoundError as error:
+        raise InputError(f"{error.name} is missing: pip install 'sextant[bench]'") from None
+    found = size.measure()
+    return _tell_bench(
+        size.in_words(found), size.to_json(found), out_folder(arguments, "bench-size") / "size.json", arguments.json
+    )
+
+
 def bench_servos(arguments: argparse.Namespace) -> int:
     """`sextant bench servos`: how long the servo bus takes through our packets and through dynamixel-sdk."""
     from deploy.bench import servo_bus
