@@ -28,6 +28,7 @@ from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError,
 from deploy.commands.facts import compose, doctor
 from deploy.commands.faults import faults
 from deploy.commands.order import order
+from deploy.commands.plots import plot
 from deploy.commands.recordings import export, foxglove, info, record, recover, replay
 from deploy.commands.ros2 import ros2
 from deploy.commands.topics import docs, echo, hz, list_topics
@@ -143,6 +144,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_campaigns(add)
     _add_robots(add)
     _add_recordings(add)
+    _add_plot(add)
 
     _add_benches(add, commands.add_parser("bench", help="what the stages are worth"))
     _add_topics(add, commands.add_parser("topics", help="what travels on the wire"))
@@ -189,6 +191,18 @@ def _add_recordings(add: Any) -> None:
     one.add_argument("--only", action="append", metavar="TOPIC", help="feed only these of the recorded topics")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
     one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
+
+
+def _add_plot(add: Any) -> None:
+    one = add("plot", plot, "draw the figures of a recorded run, or of several beside each other")
+    one.add_argument("run", nargs="*", metavar="RUN", help="folder of a run, or its recording; several are compared")
+    one.add_argument("--what", nargs="+", action="extend", metavar="NAME", help="only these figures (default: all)")
+    one.add_argument("--list", action="store_true", help="name the figures, and draw nothing")
+    one.add_argument("--format", choices=("svg", "pdf", "png"), default="svg", help="of the files (default %(default)s)")
+    words = "name or TOML file of what was walked, where the recording's own does not come with sextant"
+    one.add_argument("--scenario", default="", metavar="SCENARIO", help=words)
+    one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
+    one.add_argument("--json", action="store_true", help="print the runs in numbers as JSON, in place of a table")
 
 
 def _add_walks(add: Any) -> None:

@@ -29,9 +29,19 @@ def draw(path: Path, terrain: TerrainMap, T_world_way: Array | None = None) -> b
     Returns:
         Whether there was anything to draw: a map that knows nothing leaves no picture.
     """
+    figure = figure_of(terrain, T_world_way)
+    if figure is None:
+        return False
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+    return True
+
+
+def figure_of(terrain: TerrainMap, T_world_way: Array | None = None) -> Any:
+    """The same as a figure that is not saved yet; None where there is nothing to draw."""
     part = _known_part(terrain)
     if part is None:
-        return False
+        return None
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import TwoSlopeNorm
@@ -69,9 +79,8 @@ def draw(path: Path, terrain: TerrainMap, T_world_way: Array | None = None) -> b
             axes.set_ylabel("y [m]")
             figure.colorbar(image, ax=axes, shrink=0.85, pad=0.02).outline.set_visible(False)
         figure.suptitle(f"{terrain.stamp_ns * 1e-9:.1f} s · cells of {100 * r:g} cm · grey: not known well enough", size=12)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
-    return True
+        figure.draw_without_rendering()  # as long as its fonts are set
+    return figure
 
 
 def _known_part(terrain: TerrainMap) -> tuple[slice, slice] | None:

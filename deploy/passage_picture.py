@@ -37,6 +37,13 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         report: What it came to.
         trace: How it went, with sections that were planned.
     """
+    figure = figure_of(report, trace)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+
+
+def figure_of(report: Report, trace: Trace) -> Any:
+    """The same as a figure that is not saved yet."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -56,8 +63,8 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         _draw_aside(aside, trace)
         _draw_sections(figure.add_axes((0.055, 0.015, 0.600, 0.165)), trace)
         draw_table(figure.add_axes((0.685, 0.015, 0.295, 0.165)), _numbers(report))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
+        figure.draw_without_rendering()  # as long as its fonts are set
+    return figure
 
 
 # -- from above

@@ -46,10 +46,11 @@ def draw(path: Path, report: Report, trace: Trace) -> bool:
         height, tilt, foot, above, aside, *below = figure.subplots(len(ratios), 1, height_ratios=ratios).tolist()
         walk = f"{report.scenario}, seed {report.seed}, {report.robot}, {report.gait}" + (", blind" if report.blind else "")
         figure.suptitle(f"{walk}: {report.reason}", size=15)
-        _over_time(height, tilt, trace)
-        _one_foot(foot, trace, steadiest_leg(trace))
-        _from_above(above, trace)
-        _from_aside(aside, trace)
+        draw_height(height, trace)
+        draw_tilt(tilt, trace)
+        draw_one_foot(foot, trace, steadiest_leg(trace))
+        draw_from_above(above, trace)
+        draw_from_aside(aside, trace)
         if published is not None:
             _as_published(height, tilt, below[0], trace, published)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -63,25 +64,33 @@ def steadiest_leg(trace: Trace) -> int:
     return int(np.argmin(np.ptp(feet, axis=0)))
 
 
-def _over_time(height: Any, tilt: Any, trace: Trace) -> None:
-    t = trace.t
-    height.plot(t, 100 * trace.height_reference, color=_REFERENCE, lw=2.5, label="commanded")
-    height.plot(t, 100 * trace.p_true[:, 2], color=_TRUE, lw=1.2, label="true")
-    height.set_ylabel("body height [cm]")
+def draw_height(axes: Any, trace: Trace) -> None:
+    """Body height over time, while it walked."""
+    axes.plot(trace.t, 100 * trace.height_reference, color=_REFERENCE, lw=2.5, label="commanded")
+    axes.plot(trace.t, 100 * trace.p_true[:, 2], color=_TRUE, lw=1.2, label="true")
+    axes.set_ylabel("body height [cm]")
+    _as_it_walked(axes, trace)
+    _zoom(axes, 100 * np.concatenate([trace.p_true[trace.walking, 2], trace.height_reference[trace.walking]]), 2.0)
+
+
+def draw_tilt(axes: Any, trace: Trace) -> None:
+    """Roll and pitch over time, while it walked."""
     for k, (name, color) in enumerate((("roll", _ROLL), ("pitch", _PITCH))):
         reference = np.degrees(trace.attitude_reference[:, k])
-        tilt.plot(t, reference, color=color, lw=2.5, alpha=0.35, label=f"{name}, commanded")
-        tilt.plot(t, np.degrees(trace.attitude[:, k]), color=color, lw=1.0, label=f"{name}, true")
-    tilt.set_ylabel("tilt [deg]")
-    tilt.set_xlabel("simulated time [s]")
-    walked = t[trace.walking]
-    for axes in (height, tilt):
-        axes.set_xlim(walked[0] - 0.5, walked[-1] + 0.5)
-        axes.grid(alpha=0.25)
-        axes.legend(loc="upper left", ncols=4, frameon=False, fontsize=11)
-    _zoom(height, 100 * np.concatenate([trace.p_true[trace.walking, 2], trace.height_reference[trace.walking]]), 2.0)
+        axes.plot(trace.t, reference, color=color, lw=2.5, alpha=0.35, label=f"{name}, commanded")
+        axes.plot(trace.t, np.degrees(trace.attitude[:, k]), color=color, lw=1.0, label=f"{name}, true")
+    axes.set_ylabel("tilt [deg]")
+    axes.set_xlabel("simulated time [s]")
+    _as_it_walked(axes, trace)
     both = np.concatenate([trace.attitude[trace.walking].ravel(), trace.attitude_reference[trace.walking].ravel()])
-    _zoom(tilt, np.degrees(both), 2.0)
+    _zoom(axes, np.degrees(both), 2.0)
+
+
+def _as_it_walked(axes: Any, trace: Trace) -> None:
+    walked = trace.t[trace.walking]
+    axes.set_xlim(walked[0] - 0.5, walked[-1] + 0.5)
+    axes.grid(alpha=0.25)
+    axes.legend(loc="upper left", ncols=4, frameon=False, fontsize=11)
 
 
 def _as_published(height: Any, tilt: Any, table: Any, trace: Trace, published: Published) -> None:
@@ -104,7 +113,8 @@ def _as_published(height: Any, tilt: Any, table: Any, trace: Trace, published: P
     drawn.scale(1.0, 1.5)
 
 
-def _one_foot(axes: Any, trace: Trace, leg: int) -> None:
+def draw_one_foot(axes: Any, trace: Trace, leg: int) -> None:
+    """One foot's way from aside, over the ground."""
     feet = trace.feet[trace.walking, leg]
     axes.plot(feet[:, 0], 100 * trace.ground[trace.walking, leg], color=_GROUND, lw=2.0, label="ground under it")
     lowest = 100 * (feet[:, 2] - trace.profile.foot.radius)
@@ -112,7 +122,8 @@ def _one_foot(axes: Any, trace: Trace, leg: int) -> None:
     _side_view(axes, trace, leg)
 
 
-def _from_above(axes: Any, trace: Trace) -> None:
+def draw_from_above(axes: Any, trace: Trace) -> None:
+    """The ways of all feet from above, their touchdowns and the body's way."""
     from matplotlib.collections import PolyCollection
 
     if len(trace.blocks):
@@ -130,7 +141,8 @@ def _from_above(axes: Any, trace: Trace) -> None:
     axes.set_aspect("equal", adjustable="box")
 
 
-def _from_aside(axes: Any, trace: Trace) -> None:
+def draw_from_aside(axes: Any, trace: Trace) -> None:
+    """The ways of all feet from aside."""
     for leg, color in enumerate(LEG_COLORS):
         feet = trace.feet[trace.walking, leg]
         axes.plot(feet[:, 0], 100 * (feet[:, 2] - trace.profile.foot.radius), color=color, lw=0.9, label=LEGS[leg])

@@ -42,6 +42,7 @@ RUN_BY = {
     "recover": "tests/unit/console/recording/test_recovery.py::test_the_command_leaves_the_old_file_and_says_what_was_lost",
     "foxglove": "tests/unit/deploy/test_viewers.py::test_foxglove_is_told_of_each_channel_and_gets_what_it_subscribes_to",
     "export": "tests/unit/deploy/test_viewers.py::test_a_recording_is_written_for_rerun",
+    "plot": "tests/unit/deploy/plots/test_figures.py::test_the_command_draws_what_is_asked_for_and_compares",
     "up --camera": "tests/live/test_camera.py::test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none",
     "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "order": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",

@@ -1,0 +1,46 @@
+"""`sextant plot`: figures of recorded runs."""
+
+import argparse
+import json
+from pathlib import Path
+
+from deploy.commands.common import FAILED, SUCCESS, InputError, complain, out_folder, say
+
+
+def plot(arguments: argparse.Namespace) -> int:
+    """`sextant plot`: the figures of a run, or of several beside each other."""
+    from deploy.plots.figures import FIGURES, draw
+
+    if arguments.list:
+        width = max(map(len, FIGURES))
+        say("\n".join(f"{name:<{width}}  {kind.shows}" for name, kind in FIGURES.items()))
+        return SUCCESS
+    unknown = [name for name in arguments.what or () if name not in FIGURES]
+    if unknown:
+        raise InputError(f"--what: no figure {unknown[0]!r}; known: {', '.join(FIGURES)}")
+    paths = [Path(run) for run in arguments.run]
+    if not paths:
+        raise InputError("a run's folder expected, found none; `sextant plot --list` names the figures")
+    from deploy.plots.numbers import comparison, markdown
+    from deploy.plots.recorded import recorded_run
+
+    runs = [recorded_run(path, arguments.scenario) for path in paths]
+    for path, run in zip(paths, runs, strict=True):
+        if run.cut_off:
+            complain(f"warning: {path} was cut off; drawn as far as it goes")
+    folder = out_folder(arguments, "plot")
+    drawn: list[str] = []
+    empty: list[str] = []
+    for name in arguments.what or FIGURES:
+        file = folder / f"{name}.{arguments.format}"
+        (drawn if draw(name, runs, file) else empty).append(name)
+    if arguments.json:
+        say(json.dumps({run.name: run.numbers for run in runs}, indent=1))
+    elif len(runs) > 1:
+        say(markdown(comparison(runs)))
+    if not arguments.json and drawn:
+        say(f"written to {folder}: {', '.join(f'{name}.{arguments.format}' for name in drawn)}")
+    missing = [name for name in empty if arguments.what]
+    if missing:
+        complain(f"sextant plot: nothing to show in {', '.join(missing)}: `sextant plot --list` says what each needs")
+    return FAILED if missing or not drawn else SUCCESS

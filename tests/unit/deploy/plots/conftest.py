@@ -1,0 +1,59 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from deploy import report as reports
+from deploy.plots.recorded import RecordedRun, recorded_run
+from services.console.recording.writer import Recorder
+from shared import codec, topics
+
+SCENARIO = 'name = "story"\n[goal]\ndistance = 0.5\n[[terrain]]\nkind = "plane"\n'
+
+
+@pytest.fixture(scope="module")
+def scenario(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """What the stories walk, as a file."""
+    path = tmp_path_factory.mktemp("scenario") / "story.toml"
+    path.write_text(SCENARIO)
+    return str(path)
+
+
+def keep(story, folder: Path, *, truth: bool = True, until_s: float = 1e9) -> Path:
+    """Leave behind what a run of a story does."""
+    folder.mkdir()
+    about = {"scenario": "story", "seed": str(story.seed), "robot": story.scenario.robot, "run": "live"}
+    with Recorder(folder / "recording.mcap", about, thinned_ns={}) as recorder:
+        for message in story.messages():
+            topic = topics.OF_TYPE[type(message)]
+            if truth or topic is not topics.TRUTH:
+                recorder.write(topic, codec.encode(message), message.stamp_ns)
+            if message.stamp_ns > until_s * 1e9:
+                break
+    if until_s == 1e9:
+        reports.write(story.judged().result(), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Makes the folder of a story's run, once for each name."""
+    root = tmp_path_factory.mktemp("runs")
+
+    def made(name: str, story, **how) -> Path:
+        return root / name if (root / name).exists() else keep(story, root / name, **how)
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def heard(kept: Callable[..., Path], scenario: str) -> Callable[..., RecordedRun]:
+    """Hears a story's run again, once for each name."""
+    runs: dict[str, RecordedRun] = {}
+
+    def made(name: str, story, **how) -> RecordedRun:
+        if name not in runs:
+            runs[name] = recorded_run(kept(name, story, **how), scenario)
+        return runs[name]
+
+    return made

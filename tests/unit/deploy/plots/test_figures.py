@@ -1,0 +1,136 @@
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deploy import cli
+from deploy.plots import figures
+from deploy.plots.figures import FIGURES, RUN_COLORS
+from deploy.plots.numbers import comparison, markdown
+
+cv2 = pytest.importorskip("cv2")
+
+
+@pytest.fixture
+def good(story, heard):
+    return heard("good", story(moved_leg=2, drift=0.02, bob=0.001))
+
+
+@pytest.fixture
+def fallen(story, heard):
+    return heard("fallen", story(topple_s=4.0, bob=0.003))
+
+
+def _share(path, color):
+    wanted = [int(color[k : k + 2], 16) for k in (5, 3, 1)]
+    return np.mean(np.all(np.abs(cv2.imread(str(path)).astype(int) - wanted) < 45, axis=-1))
+
+
+@pytest.mark.parametrize("name", ["height", "tilt", "joints", "stability", "pose", "table"])
+def test_several_runs_stand_beside_each_other_each_in_its_colour(name, good, fallen, tmp_path):
+    path = tmp_path / f"{name}.png"
+    assert figures.draw(name, [good, fallen], path)
+    for color in RUN_COLORS[:2]:
+        assert _share(path, color) > 5e-5, color
+    assert _share(path, RUN_COLORS[2]) < 1e-5
+
+
+@pytest.mark.parametrize("name", ["foot", "feet", "footholds"])
+def test_what_cannot_be_overlaid_is_drawn_below_each_other(name, good, fallen, tmp_path):
+    heights = []
+    for runs in ([good], [good, fallen]):
+        path = tmp_path / f"{name}{len(runs)}.png"
+        assert figures.draw(name, runs, path)
+        heights.append(cv2.imread(str(path)).shape[0])
+    assert heights[1] > 1.5 * heights[0]
+
+
+def test_who_has_nothing_to_show_leaves_no_file(story, heard, good, tmp_path):
+    stood = heard("stood", story(moved_leg=2), until_s=0.8)
+    assert not stood.trace.walking.any()
+    drawn = {name for name in FIGURES if figures.draw(name, [stood], tmp_path / f"{name}.svg")}
+    assert drawn == {"torque", "footholds", "layers"}
+    assert {path.stem for path in tmp_path.iterdir()} == drawn
+    assert not figures.draw("passage", [good], tmp_path / "passage.svg")
+    assert not figures.draw("table", [good], tmp_path / "table.svg")
+
+
+@pytest.mark.parametrize("suffix", ["svg", "pdf", "png"])
+def test_the_same_run_makes_the_same_file(suffix, good, tmp_path):
+    a, b = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+    for path in (a, b):
+        assert figures.draw("height", [good], path)
+    assert a.read_bytes() == b.read_bytes()
+    assert a.read_bytes()[:5] == {"svg": b"<?xml", "pdf": b"%PDF-", "png": b"\x89PNG\r"}[suffix]
+
+
+def test_the_worst_within_a_while_is_never_less_than_what_happened():
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 10.0, 0.02)
+    values = np.where(rng.random(len(t)) < 0.1, np.nan, rng.standard_normal(len(t)))
+    worst = figures.worst(values, t)
+    known = np.isfinite(values)
+    np.testing.assert_array_equal(np.isfinite(worst), known)
+    assert (worst[known] >= values[known]).all()
+    for k in np.flatnonzero(known)[::17]:
+        assert worst[k] == np.nanmax(values[np.abs(t - t[k]) < figures.WINDOW_S / 2 + 1e-9])
+
+
+def test_the_numbers_are_those_of_the_reports_and_a_dash_where_there_is_none(good, fallen):
+    header, *rows = comparison([good, fallen])
+    assert header == ["", "good", "fallen"]
+    found = {words: values for words, *values in rows}
+    assert found["success"] == ["yes", "no"]
+    assert found["falls"] == ["0", "1"]
+    assert found["speed"][0] == f"{100 * good.numbers['speed_mps']:.1f} cm/s"
+    assert found["map error, rmse"] == [f"{1000 * run.numbers['map_error_m']['rmse']:.1f} mm" for run in (good, fallen)]
+    nothing = {**good.numbers, "min_stability_margin_m": None}
+    rows = comparison([replace(good, numbers=nothing, name="a-name-that-is-much-too-long-for-a-column")])
+    assert dict(rows[1:])["least stability margin"] == "–"
+    assert len(rows[0][1]) == 24
+    assert markdown([["", "a"], ["x", "1"]]) == "|  | a |\n|---|---|\n| x | 1 |"
+
+
+def test_the_command_draws_what_is_asked_for_and_compares(story, kept, scenario, tmp_path, capsys):
+    good, fallen = kept("good", story(moved_leg=2, drift=0.02, bob=0.001)), kept("fallen", story(topple_s=4.0, bob=0.003))
+    out = ["--scenario", scenario, "--out", str(tmp_path / "plots")]
+    assert cli.main(["plot", str(good), str(fallen), "--what", "height", "footholds", "--format", "pdf", *out]) == 0
+    assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == ["footholds.pdf", "height.pdf"]
+    printed = capsys.readouterr()
+    assert "|  | good | fallen |" in printed.out
+    assert printed.err == ""
+    assert cli.main(["plot", str(good), "--what", "layers", "--json", *out]) == 0
+    assert json.loads(capsys.readouterr().out)["good"]["scenario"] == "story"
+    # Nothing to show is no success, and a recording that was cut off is drawn as far as it goes.
+    assert cli.main(["plot", str(good), "--what", "passage", *out]) == 1
+    assert "nothing to show in passage" in capsys.readouterr().err
+    part = tmp_path / "part.mcap"
+    whole = (good / "recording.mcap").read_bytes()
+    part.write_bytes(whole[: len(whole) * 2 // 3])
+    assert cli.main(["plot", str(part), "--what", "torque", *out]) == 0
+    assert "part.mcap was cut off; drawn as far as it goes" in capsys.readouterr().err
+
+
+def test_the_command_lists_its_figures(capsys):
+    assert cli.main(["plot", "--list"]) == 0
+    listed = [re.split(r"\s{2,}", line) for line in capsys.readouterr().out.splitlines()]
+    assert [name for name, _ in listed] == list(FIGURES)
+    assert all(words == FIGURES[name].shows for name, words in listed)
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["plot"], "a run's folder expected, found none"),
+        (["plot", "nowhere.mcap"], "give the recording.mcap of a run's folder"),
+        (["plot", "nowhere", "--what", "heigth"], "no figure 'heigth'; known: height, tilt"),
+    ],
+    ids=["none", "no such", "no figure"],
+)
+def test_wrong_input_is_refused_in_words(words, hint, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(words) == 2
+    assert hint in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
