@@ -34,11 +34,14 @@ from deploy.commands.ros2 import ros2
 from deploy.commands.topics import docs, echo, hz, list_topics
 from deploy.commands.trials import table, trials
 from deploy.commands.up import up
+from deploy.commands.video import video
 from deploy.commands.walks import DEMOS, demo, run
 
 _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "shared.transport": "TransportError",
     "services.console.recording.layout": "RecordingError",
+    "deploy.video.story": "StoryError",
+    "deploy.video.files": "FileError",
     "deploy.kept": "KeptError",
     "deploy.trials": "ChangedError",
     "deploy.replay_error": "ReplayError",
@@ -122,6 +125,36 @@ def _seconds(text: str) -> float:
     return found
 
 
+def _number(text: str, lowest: float, highest: float, what: str) -> float:
+    try:
+        found = float(text)
+    except ValueError:
+        found = float("nan")
+    if not lowest <= found <= highest:
+        raise argparse.ArgumentTypeError(f"{what} from {lowest:g} to {highest:g} expected, found {text!r}")
+    return found
+
+
+def _times(text: str) -> float:
+    return _number(text, 0.05, 100.0, "a number")
+
+
+def _rate(text: str) -> float:
+    return _number(text, 1.0, 120.0, "pictures a second")
+
+
+def _instant(text: str) -> float:
+    return _number(text, 0.0, 1e6, "seconds")
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
+    width, height = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not (64 <= width <= 3840 and 64 <= height <= 2160) or width % 2 or height % 2:
+        raise argparse.ArgumentTypeError(f"WxH expected, even and 64x64 to 3840x2160, found {text!r}; for example 960x540")
+    return width, height
+
+
 def _frames(text: str) -> int:
     if not text.isdecimal() or int(text) < 3:
         raise argparse.ArgumentTypeError(f"a whole number of at least 3 expected, found {text!r}: a ride has a way to go")
@@ -191,6 +224,18 @@ def _add_recordings(add: Any) -> None:
     one.add_argument("--only", action="append", metavar="TOPIC", help="feed only these of the recorded topics")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
     one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
+
+    one = add("video", video, "draw a recorded run: the robot on its ground, its map, its footholds and what it says")
+    one.add_argument("run", help="folder that a run has left, an MCAP file, or a folder of them")
+    words = "where to: .mp4, .webm, .avi, or animated .webp, .gif, .png (default: walk.mp4 beside the recording)"
+    one.add_argument("--out", metavar="FILE", help=words)
+    one.add_argument("--speed", type=_times, default=1.0, metavar="X", help="times as fast as it walked (default %(default)g)")
+    one.add_argument("--size", type=_size, default=(1280, 720), metavar="WxH", help="in pixels (default 1280x720)")
+    words = "whose ground it is drawn on, where the recording names one that is not known here: a name, or a TOML file"
+    one.add_argument("--scenario", default="", metavar="NAME", help=words)
+    one.add_argument("--fps", type=_rate, default=25.0, metavar="N", help="pictures a second (default %(default)g)")
+    one.add_argument("--from", dest="from_s", type=_instant, default=0.0, metavar="S", help="begin there")
+    one.add_argument("--to", dest="to_s", type=_instant, default=float("inf"), metavar="S", help="end there")
 
 
 def _add_plot(add: Any) -> None:

@@ -38,6 +38,7 @@ RUN_BY = {
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
     "replay FILE": "tests/unit/deploy/test_replay.py::test_the_command_replays_a_recording_or_the_folder_that_holds_it",
     "record": "tests/live/test_recording.py::test_what_is_said_is_recorded_until_the_recorder_is_killed",
+    "video": "tests/unit/deploy/test_video.py::test_the_command_draws_a_run_and_says_what_came_of_it",
     "info": "tests/unit/console/recording/test_recovery.py::test_the_command_says_what_is_in_a_file",
     "recover": "tests/unit/console/recording/test_recovery.py::test_the_command_leaves_the_old_file_and_says_what_was_lost",
     "foxglove": "tests/unit/deploy/test_viewers.py::test_foxglove_is_told_of_each_channel_and_gets_what_it_subscribes_to",

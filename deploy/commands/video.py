@@ -1,0 +1,121 @@
+"""`sextant video`: a recorded run as a moving picture."""
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deploy.commands.common import SUCCESS, InputError, complain, say
+
+if TYPE_CHECKING:
+    from deploy.video.ground import Ground
+    from deploy.video.story import Story
+    from shared.robot import RobotProfile
+
+_TOLD_EVERY_S = 3.0
+_FEET_OFF = 0.02  # [m] of feet that stand, in the median: the ground is another
+
+
+def video(arguments: argparse.Namespace) -> int:
+    """`sextant video`: draw the robot on its ground, from what was recorded."""
+    from deploy.video import files
+    from deploy.video.film import Cut, Film
+    from deploy.video.story import Story
+    from services.console.recording.reader import Recording
+    from shared.robot import load_profile
+
+    run = Path(arguments.run)
+    out = Path(arguments.out) if arguments.out else _beside(run)
+    if out.suffix.lower() not in files.SUFFIXES:
+        raise InputError(f"--out: a name that ends in one of {', '.join(files.SUFFIXES)} expected, found {out.name!r}")
+    recording = Recording(_recording_of(run))
+    story = Story.read(recording)
+    for path in recording.cut_off:
+        complain(f"{path} was cut off: it is drawn as far as it goes, {story.duration_s:.1f} s")
+    about = _about(run, recording.about, story)
+    profile = load_profile(about["robot"])
+    ground = _ground(about, story, profile, arguments.scenario)
+    cut = Cut(arguments.size, arguments.fps, arguments.speed, arguments.from_s, arguments.to_s)
+    try:
+        film = Film(recording.path, story, profile, ground, _title(about), cut)
+    except ValueError as error:
+        raise InputError(f"{run}: {error}") from None
+    began = told = time.monotonic()
+    total = len(film.times_ns)
+
+    def tell(done: int) -> None:
+        nonlocal told
+        now = time.monotonic()
+        if now - told >= _TOLD_EVERY_S:
+            told = now
+            say(f"{done:6d} of {total} pictures, {(now - began) / done * (total - done):.0f} s to go")
+
+    workers = min(os.cpu_count() or 1, 8)
+    count = files.write(out, film.frames(workers, tell), cut.fps, cut.size)
+    seconds, size = count / cut.fps, out.stat().st_size
+    say(f"{out}: {count} pictures, {seconds:.1f} s at {cut.fps:g} a second, {size / 1e6:.1f} MB")
+    return SUCCESS
+
+
+def _beside(run: Path) -> Path:
+    return (run if run.is_dir() else run.parent) / "walk.mp4"
+
+
+def _recording_of(run: Path) -> Path:
+    """What there is to be read at a place."""
+    if not run.exists():
+        raise InputError(f"{run}: no such run; give the folder that `sextant run` left, or a recording")
+    return run
+
+
+def _about(run: Path, said: Mapping[str, str], story: "Story") -> dict[str, str]:
+    """Scenario, seed and robot: what the recording says, or the report beside it, or the simulator in it."""
+    about = {name: said[name] for name in ("scenario", "seed", "robot") if name in said}
+    folder = run if run.is_dir() else run.parent
+    try:
+        report: Any = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        report = None
+    if isinstance(report, dict):
+        about = {name: str(report[name]) for name in ("scenario", "seed", "robot") if name in report} | about
+    if len(story.truth):
+        truth = story.truth.said[0]
+        about = {"scenario": truth.scenario, "seed": str(truth.seed), "robot": truth.robot} | about
+    return {"robot": "phantomx_mk2"} | about
+
+
+def _ground(about: Mapping[str, str], story: "Story", profile: "RobotProfile", asked: str) -> "Ground | None":
+    """The true ground, or None where it is not known; then the robot is drawn where it believed to be, on its own map."""
+    import numpy as np
+
+    from deploy.video.ground import of_terrain
+    from deploy.video.story import trail
+    from services.simulator.terrain import build_terrain
+    from shared.config import ConfigError
+    from shared.scenario import load_scenario
+
+    if not story.true:
+        return None
+    name = asked or about["scenario"]
+    try:
+        terrain = build_terrain(load_scenario(name), np.random.default_rng([int(about["seed"]), 0]))
+    except (ConfigError, ValueError) as error:
+        if asked:
+            raise
+        problem = str(error).splitlines()[0]
+    else:
+        off = float(story.feet_off(terrain.height_at, profile.foot.radius))
+        problem = f"the feet stood {100 * off:.0f} cm off the ground of {name} as it is now" if off > _FEET_OFF else ""
+    if problem:
+        complain(f"{problem}: drawn on the map that the robot made; --scenario FILE names another ground")
+        story.draw_truth(False)
+        return None
+    steps = range(story.began_ns, story.ended_ns + 1, 500_000_000)
+    return of_terrain(terrain, trail(story, list(steps))[:, :2, 3])
+
+
+def _title(about: Mapping[str, str]) -> str:
+    return f"{about['scenario']}, seed {about['seed']}" if "scenario" in about and "seed" in about else about["robot"]

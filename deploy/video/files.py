@@ -1,0 +1,82 @@
+"""Moving pictures in files: video through OpenCV, animated pictures through Pillow, told apart by the file name's suffix."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+_VIDEOS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # encoders that OpenCV's wheels bring along
+_ANIMATED = (".webp", ".gif", ".png")
+SUFFIXES = (*_VIDEOS, *_ANIMATED)
+_WEBP: dict[str, Any] = {"quality": 68, "method": 4}
+_COLORS = 200  # of a GIF
+
+
+class FileError(OSError):
+    """A file that cannot be written, in words."""
+
+
+def write(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float, size: tuple[int, int]) -> int:
+    """Write pictures (h, w, 3) R, G, B to a file, as they come; returns how many.
+
+    A file that could not be finished is not left behind.
+
+    Raises:
+        FileError: It cannot be written, or nothing here can write such a file.
+        ValueError: An unknown suffix.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ValueError(f"a name that ends in one of {', '.join(SUFFIXES)} expected, found {path.name!r}")
+    unfinished = path.with_name(f".{path.name}.unfinished{suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.touch()
+        counted = _Counted(frames)
+        (_write_video if suffix in _VIDEOS else _write_animated)(unfinished, suffix, counted, fps, size)
+        unfinished.replace(path)
+    except OSError as error:
+        raise FileError(f"{path} cannot be written: {error.strerror or error}; give another file with --out") from error
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return counted.count
+
+
+class _Counted(Iterator[NDArray[np.uint8]]):
+    """Pictures, counted as they go through."""
+
+    def __init__(self, frames: Iterable[NDArray[np.uint8]]):
+        self._frames = iter(frames)
+        self.count = 0
+
+    def __next__(self) -> NDArray[np.uint8]:
+        frame = next(self._frames)
+        self.count += 1
+        return frame
+
+
+def _write_video(path: Path, suffix: str, frames: Iterable[NDArray[np.uint8]], fps: float, size: tuple[int, int]) -> None:
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*_VIDEOS[suffix]), fps, size)
+    try:
+        if not writer.isOpened():
+            raise FileError(f"OpenCV has no encoder for {suffix} here; take .webp or .gif")
+        for frame in frames:
+            writer.write(np.ascontiguousarray(frame[..., ::-1]))
+    finally:
+        writer.release()
+
+
+def _write_animated(path: Path, suffix: str, frames: Iterable[NDArray[np.uint8]], fps: float, size: tuple[int, int]) -> None:
+    images = (Image.fromarray(frame) for frame in frames)
+    if suffix == ".gif":
+        images = (image.quantize(_COLORS, dither=Image.Dither.NONE) for image in images)
+    first = next(images)
+    options: dict[str, Any] = _WEBP if suffix == ".webp" else {}
+    others = list(images) if suffix == ".png" else images  # which Pillow goes through twice
+    with path.open("wb") as file:
+        kind = suffix.removeprefix(".")
+        first.save(file, kind, save_all=True, append_images=others, duration=1000.0 / fps, loop=0, **options)

@@ -1,0 +1,156 @@
+"""A recorded run as a film: what is drawn at each moment, and in what order."""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.video import ground as grounds
+from deploy.video.ground import Ground
+from deploy.video.inset import FOOTHOLD, Inset
+from deploy.video.painter import Figure, Mark, Painter, View
+from deploy.video.story import Maps, Moment, Story
+from deploy.video.view import FollowingCamera
+from deploy.video.words import Caption, lay_in
+from services.console.recording.reader import Recording
+from shared.geometry import Array, apply
+from shared.messages import TerrainMap
+from shared.robot import RobotProfile
+
+_TRAIL_NS = 200_000_000  # [ns] between the places of the trail
+_INSET = 0.40  # [1] of the picture's height
+_SMALLEST = 96  # [px] of a map that still tells something
+_MARGIN = 0.025  # [1] likewise
+_INNER, _OUTER = 0.016, 0.024  # [m] radii of the ring around a foothold to come
+_CORE = 0.007  # [m] and of the dot within
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """Which part of a run is shown, and how."""
+
+    size: tuple[int, int] = (1280, 720)  # [px]
+    fps: float = 25.0
+    times: float = 1.0  # as fast as the robot walked
+    from_s: float = 0.0
+    to_s: float = float("inf")
+
+    def times_ns(self, story: Story) -> list[int]:
+        """Time of each picture [ns].
+
+        Raises:
+            ValueError: Nothing of the run lies in that part.
+        """
+        to_s = min(self.to_s, story.duration_s)
+        count = round((to_s - self.from_s) * self.fps / self.times)
+        if not self.from_s < to_s or count < 1:
+            asked = f"{self.from_s:g} to {min(self.to_s, 1e6):g} s"
+            raise ValueError(f"a part of the {story.duration_s:.1f} s that were recorded expected, found {asked}")
+        return [story.began_ns + round((self.from_s + k * self.times / self.fps) * 1e9) for k in range(count)]
+
+
+class Film:
+    """Pictures of a run, made in their order and several at a time."""
+
+    def __init__(self, path: Path, story: Story, profile: RobotProfile, ground: Ground | None, title: str, cut: Cut):
+        """Make it.
+
+        Args:
+            path: Of the recording: its maps are read again as the film goes on.
+            story: What else was said.
+            profile: The robot.
+            ground: The true ground; None to draw the robot on the maps that it made.
+            title: Of what is shown.
+            cut: Which part of it.
+        """
+        self._path, self._story, self._profile, self._cut = path, story, profile, cut
+        self._ground = ground
+        self.times_ns = cut.times_ns(story)
+        self.camera = FollowingCamera(story, profile)
+        self._caption = Caption(cut.size, title, cut.times)
+        self._limits = (0.0, 0.0)
+        n = (story.ended_ns - story.began_ns) // _TRAIL_NS + 1
+        self._trail = np.array([story.believed(story.began_ns + k * _TRAIL_NS)[:2, 3] for k in range(n)])
+
+    def frames(self, workers: int, tell: Callable[[int], None] = lambda _done: None) -> Iterator[NDArray[np.uint8]]:
+        """The pictures (h, w, 3) R, G, B in their order, painted by so many threads; tell hears how many are done."""
+        painters: SimpleQueue[Painter] = SimpleQueue()
+        for _ in range(workers):
+            painter = Painter(self._profile, self._cut.size)
+            if self._ground is not None:
+                painter.stand_on(self._ground)
+            painters.put(painter)
+        self._limits = self._limits_of_maps()
+        maps = Maps(Recording(self._path))
+        inset_size = max(round(_INSET * self._cut.size[1]), 1)
+        inset = Inset(self._profile, inset_size, self._limits) if inset_size >= _SMALLEST else None
+        coming: deque[Future[NDArray[np.uint8]]] = deque()
+        with ThreadPoolExecutor(workers) as pool:
+            try:
+                for k, t_ns in enumerate(self.times_ns):
+                    coming.append(pool.submit(self._frame, painters, t_ns, maps.until(t_ns), inset))
+                    if len(coming) > 2 * workers:
+                        yield coming.popleft().result()
+                        tell(k + 1 - len(coming))
+                while coming:
+                    yield coming.popleft().result()
+                    tell(len(self.times_ns) - len(coming))
+            finally:
+                for future in coming:
+                    future.cancel()
+
+    def _frame(
+        self, painters: "SimpleQueue[Painter]", t_ns: int, terrain: TerrainMap | None, inset: Inset | None
+    ) -> NDArray[np.uint8]:
+        moment, view = self._story.moment(t_ns), self.camera.view(t_ns)
+        painter = painters.get()
+        try:
+            if self._ground is None:
+                painter.stand_on(self._mapped(terrain))
+            picture = self.paint(painter, moment, view)
+        finally:
+            painters.put(painter)
+        if inset is not None:
+            ahead = moment.T_scene_world[:2, :2].T @ [np.cos(self.camera.heading(t_ns)), np.sin(self.camera.heading(t_ns))]
+            been = self._trail[: (t_ns - self._story.began_ns) // _TRAIL_NS + 1]
+            drawn = inset.draw(terrain, moment, float(np.arctan2(ahead[1], ahead[0])), been)
+            lay_in(picture, drawn, round(_MARGIN * self._cut.size[1]))
+        self._caption.write(picture, moment)
+        return picture
+
+    @staticmethod
+    def paint(painter: Painter, moment: Moment, view: View) -> NDArray[np.uint8]:
+        """The picture of a moment, without map and words."""
+        marks = []
+        for p in moment.footholds:
+            marks += [Mark(p, _INNER, _OUTER, FOOTHOLD), Mark(p, 0.0, _CORE, FOOTHOLD)]
+        return painter.paint(Figure(moment.T_scene_body, moment.q, moment.carries), view, marks, _way(moment))
+
+    def _mapped(self, terrain: TerrainMap | None) -> Ground:
+        if terrain is None:
+            none = np.full((2, 2), np.nan, dtype=np.float32)
+            return grounds.of_map(none, np.zeros(2), 0.01, self._limits)
+        return grounds.of_map(terrain.elevation, terrain.origin, terrain.resolution, self._limits)
+
+    def _limits_of_maps(self) -> tuple[float, float]:
+        """Heights [m] of the lowest and highest colour: those of all maps together."""
+        maps, found = Maps(Recording(self._path)), []
+        for t_ns in range(self._story.began_ns, self._story.ended_ns + 1, 5_000_000_000):
+            known = maps.until(t_ns)
+            if known is not None:
+                found.append(known.elevation[::4, ::4].ravel())
+        return grounds.limits_of(np.concatenate(found) if found else np.zeros(0, dtype=np.float32))
+
+
+def _way(moment: Moment) -> Array:
+    """The way to the goal (s, 2, 2) [m] {scene} in short pieces."""
+    if not len(moment.path):
+        return np.zeros((0, 2, 2))
+    corners = np.vstack([moment.T_world_body[:2, 3], moment.path])
+    places = apply(moment.T_scene_world, np.column_stack([corners, np.zeros(len(corners))]))[:, :2]
+    return np.stack([places[:-1], places[1:]], axis=1)

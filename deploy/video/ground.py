@@ -1,0 +1,126 @@
+"""The ground as it is drawn: a scenario's true terrain, or, where none is known, the height map that the robot made."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.video.robot_figure import GROUND
+from shared.geometry import Array
+
+if TYPE_CHECKING:
+    from services.simulator.terrain import Terrain
+
+_FAR = 60.0  # [m] how far level ground is drawn
+_FILM = 5e-4  # [m] of what lies on it: puddles
+_STEP = 0.01  # [m] of the raster on which the ground around is averaged
+_AROUND = 0.035  # [m] over which
+_MOST = 3000  # cells of that raster along either axis
+_NARROWEST = 0.06  # [m] between the lowest and the highest colour: level ground is not to look like mountains
+RELIEF = ((92, 140, 150), (150, 184, 166), (224, 219, 188), (236, 194, 134), (214, 138, 84))  # R, G, B from low to high
+_FACES = np.array(  # corners of a box's six faces, outward and counter-clockwise, as signs along its axes
+    [
+        [[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]],
+        [[-1, -1, -1], [-1, 1, -1], [1, 1, -1], [1, -1, -1]],
+        [[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]],
+        [[-1, -1, -1], [-1, -1, 1], [-1, 1, 1], [-1, 1, -1]],
+        [[-1, 1, -1], [-1, 1, 1], [1, 1, 1], [1, 1, -1]],
+        [[-1, -1, -1], [1, -1, -1], [1, -1, 1], [-1, -1, 1]],
+    ],
+    dtype=np.float64,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """What is drawn of the ground; a part of a color of its own has a material of its own."""
+
+    faces: Array  # (n, 4, 3) [m] {world}
+    materials: NDArray[np.uint8]  # (n,)
+    field: NDArray[np.float64]  # (nx, ny) [m] {world} heights, NaN where there is none; (0, 0) without one
+    grid: Array  # (3,) [m] x and y of its first, and their spacing
+    field_material: int
+    heights: NDArray[np.float32]  # (kx, ky) [m] {world} on a raster around the way
+    raster: tuple[float, float, float]  # [m] x, y of its first, and its step
+    low: float  # [m] {world} of the lowest colour
+    high: float  # [m] {world}
+    colors: tuple[tuple[int, tuple[float, float, float]], ...] = ()  # materials beside that by height: number, R, G, B
+
+    @property
+    def around(self) -> NDArray[np.float32]:
+        """Heights of the raster averaged over what is near."""
+        known = np.where(np.isfinite(self.heights), self.heights, np.float32(self.low - 0.5))
+        return np.asarray(cv2.GaussianBlur(known, (0, 0), _AROUND / self.raster[2]), dtype=np.float32)
+
+
+def of_terrain(terrain: "Terrain", way: Array) -> Ground:
+    """A scenario's terrain, coloured by the heights along a way (n, 2) [m] {world}."""
+    boxes, look = terrain.boxes, terrain.look
+    corners = np.einsum("nij,fkj,nj->nfki", boxes.R, _FACES, boxes.half) + boxes.centre[:, None, None]
+    faces, materials = [corners.reshape(-1, 4, 3)], [np.full(6 * len(boxes), GROUND, dtype=np.uint8)]
+    colors: list[tuple[int, tuple[float, float, float]]] = []
+
+    def painted(color: Array | None) -> int:
+        if color is None or not np.isfinite(color).all():
+            return GROUND
+        rgb = tuple(np.asarray(color, dtype=np.float64).tolist())
+        for number, known in colors:
+            if known == rgb:
+                return number
+        colors.append((GROUND + 1 + len(colors), rgb))
+        return colors[-1][0]
+
+    if look is not None:
+        materials[0] = np.repeat([painted(color) for color in look.boxes], 6).astype(np.uint8)
+    if terrain.plane is not None:
+        faces.append(_rectangle(way.mean(axis=0) - _FAR, way.mean(axis=0) + _FAR, terrain.plane)[None])
+        materials.append(np.array([painted(look.plane if look else None)], dtype=np.uint8))
+        for low, high, color in zip(terrain.hollows.low, terrain.hollows.high, terrain.hollows.color, strict=True):
+            faces.append(_rectangle(low, high, terrain.plane + _FILM)[None])
+            materials.append(np.array([painted(color)], dtype=np.uint8))
+    field_, grid, field_material = np.zeros((0, 0)), np.zeros(3), GROUND
+    if terrain.height_field is not None:
+        field_ = np.ascontiguousarray(terrain.height_field.heights, dtype=np.float64)
+        grid = np.array([*terrain.height_field.origin, terrain.height_field.resolution])
+        field_material = painted(look.height_field if look else None)
+    low, high = way.min(axis=0) - 1.0, way.max(axis=0) + 1.0
+    step = max(_STEP, float((high - low).max()) / _MOST)
+    nx, ny = np.ceil((high - low) / step).astype(int) + 1
+    heights = terrain.raster(low[0], low[1], int(nx), int(ny), step).astype(np.float32)
+    bottom, top = _limits(heights)
+    return Ground(
+        np.concatenate(faces), np.concatenate(materials), field_, grid, field_material,
+        heights, (float(low[0]), float(low[1]), step), bottom, top, tuple(colors),
+    )  # fmt: skip
+
+
+def of_map(elevation: NDArray[np.float32], origin: Array, resolution: float, limits: tuple[float, float]) -> Ground:
+    """A height map (nx, ny) [m] {world}, NaN where unknown, between limits [m] of its colours."""
+    grid = np.array([*origin, resolution])
+    raster = (float(origin[0]), float(origin[1]), resolution)
+    none = np.zeros((0, 4, 3))
+    return Ground(none, np.zeros(0, dtype=np.uint8), elevation.astype(np.float64), grid, GROUND, elevation, raster, *limits)
+
+
+def limits_of(elevation: NDArray[np.float32]) -> tuple[float, float]:
+    """Heights [m] of the lowest and highest colour for a map; NaN is unknown."""
+    return _limits(elevation)
+
+
+def _limits(heights: NDArray[np.float32]) -> tuple[float, float]:
+    known = heights[np.isfinite(heights)]
+    if not len(known):
+        return -_NARROWEST / 2, _NARROWEST / 2
+    middle = float(np.median(known))
+    near = known[np.abs(known - middle) < 0.4]  # what an abyss shows is no part of the relief
+    low, high = np.percentile(near, [1.0, 99.5]).tolist()
+    spare = max(_NARROWEST - (high - low), 0.0) / 2
+    return low - spare, high + spare
+
+
+def _rectangle(low: Array, high: Array, z: float) -> Array:
+    """A level face (4, 3) [m] between two corners (2,) [m]."""
+    (x0, y0), (x1, y1) = low, high
+    return np.array([[x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]])

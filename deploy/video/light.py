@@ -1,0 +1,261 @@
+"""The loops that light what is seen: a sun with soft shadows, the sky, corners where little of it comes, the air between.
+
+Colours are linear R, G, B from 0 to 1 until `resolve` makes a picture of them.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.video.raster import Sight
+from shared.compiled import compiled, written_into
+from shared.geometry import Array
+
+BY_HEIGHT, GLOSS = 3, 4  # columns of the table of materials, after R, G, B
+_SUN = (1.02, 0.955, 0.85)  # times its cosine
+_SKY, _EARTH = (0.36, 0.43, 0.54), (0.26, 0.23, 0.20)  # what comes from above and, thrown back, from below
+_ZENITH, _HORIZON = (0.40, 0.57, 0.80), (0.74, 0.81, 0.88)
+_DEEP = (0.050, 0.064, 0.090)  # what lies far below the course
+_HAZE_FROM, _HAZE_TO = 1.6, 7.0  # [m] beyond the middle of the picture, where the air begins to be seen, and alone is
+_GRID, _GRID_LINE = 0.10, 0.0011  # [m] lines on level ground, and half their width
+_BIAS = 0.0025  # [m] by which what is lit stands off its own shadow
+_CREASE = 0.0035  # kink of the inverse depth, as a share of it, that is an edge
+_LEVEL = 0.7  # z of a normal from which on a face is a floor, and no wall
+
+
+class Shadow(NamedTuple):
+    """What a lamp sees."""
+
+    sight: Sight
+    T: Array  # (4, 4) T_lamp_world
+    reach: float  # [px] over which its rim is soft
+
+
+class Grid(NamedTuple):
+    """Values over the ground, (nx, ny), value (0, 0) at x, y [m] {world}, so far [m] apart; nothing is said beside it."""
+
+    values: NDArray[np.float32]
+    x: float
+    y: float
+    step: float
+
+
+class Scene(NamedTuple):
+    """What light falls on, beside what is seen itself."""
+
+    sun: Array  # (3,) {world} toward it
+    ground_shadow: Shadow  # that of the ground
+    robot_shadow: Shadow
+    around: Grid  # [m] mean height of the ground around
+    under: Grid  # [1] share of the sky that the robot takes from the ground
+    materials: Array  # (m, 5) R, G, B, whether height colours it, gloss
+    heights: Array  # (n, 3) colours of heights from low to high
+    low: float  # [m] {world}
+    high: float  # [m] {world}
+    marks: Array  # (k, 8) x, y, z [m] {world}, inner and outer radius [m], R, G, B painted on the ground
+    way: Array  # (s, 2, 2) [m] {world} pieces of a line painted on the ground
+    middle: float  # [m] from the camera to the middle of the picture
+
+
+@compiled
+def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.float32]) -> None:
+    """Light what is seen from a camera pose (4, 4) into a picture (h, w, 3)."""
+    T = T_world_camera
+    rows, columns = sight.w.shape
+    fx, fy, cx, cy = sight.lens
+    w, sun, materials = sight.w, scene.sun, scene.materials
+    color = np.empty(3)
+    shades = len(scene.heights) - 1
+    for row in range(rows):
+        for column in range(columns):
+            dx, dy = (column - cx) / fx, (row - cy) / fy
+            rx = T[0, 0] * dx + T[0, 1] * dy + T[0, 2]
+            ry = T[1, 0] * dx + T[1, 1] * dy + T[1, 2]
+            rz = T[2, 0] * dx + T[2, 1] * dy + T[2, 2]
+            long = np.sqrt(dx * dx + dy * dy + 1.0)
+            upward = min(max(2.2 * rz / long, 0.0), 1.0)
+            if w[row, column] <= 0.0:
+                for k in range(3):
+                    out[row, column, k] = _HORIZON[k] + upward * (_ZENITH[k] - _HORIZON[k])
+                continue
+            z = 1.0 / w[row, column]
+            px, py, pz = T[0, 3] + z * rx, T[1, 3] + z * ry, T[2, 3] + z * rz
+            nx, ny, nz = sight.normal[row, column, 0], sight.normal[row, column, 1], sight.normal[row, column, 2]
+            material = sight.material[row, column]
+            # 1. Its own colour.
+            ground = materials[material, 3] > 0.0
+            if materials[material, 3] > 1.0:
+                at = min(max((pz - scene.low) / (scene.high - scene.low), 0.0), 1.0) * shades
+                i = min(int(at), shades - 1)
+                deep = min(max((scene.low - 0.10 - pz) / 0.25, 0.0), 1.0)
+                for k in range(3):
+                    color[k] = scene.heights[i, k] + (at - i) * (scene.heights[i + 1, k] - scene.heights[i, k])
+                    color[k] += deep * (_DEEP[k] - color[k])
+            else:
+                for k in range(3):
+                    color[k] = materials[material, k]
+            if ground:
+                if nz > _LEVEL:
+                    _draw_grid(color, px, py, z / fx)
+                    _draw_marks(color, px, py, pz, scene)
+                else:
+                    for k in range(3):
+                        color[k] *= 0.78
+            # 2. What light comes there.
+            cosine = nx * sun[0] + ny * sun[1] + nz * sun[2]
+            lit = max(cosine, 0.0)
+            if lit > 0.0:
+                ox, oy, oz = px + _BIAS * nx, py + _BIAS * ny, pz + _BIAS * nz
+                lit *= _shadow(scene.ground_shadow, ox, oy, oz)
+            if lit > 0.0:
+                lit *= _shadow(scene.robot_shadow, px + _BIAS * nx, py + _BIAS * ny, pz + _BIAS * nz)
+            open_sky = 1.0
+            around = _at(scene.around, px, py)
+            if np.isfinite(around):
+                open_sky = 1.0 - 0.6 * min(max((around - pz) / 0.045, 0.0), 1.0)
+            if ground:
+                under = _at(scene.under, px, py)
+                if np.isfinite(under):
+                    open_sky *= 1.0 - under
+            half = 0.5 + 0.5 * nz
+            # 3. What of it goes to the eye, and the air between.
+            gloss = 0.0
+            if materials[material, 4] > 0.0:
+                hx, hy, hz = sun[0] - rx / long, sun[1] - ry / long, sun[2] - rz / long
+                size = np.sqrt(hx * hx + hy * hy + hz * hz)
+                shine = max((nx * hx + ny * hy + nz * hz) / size, 0.0) ** 40
+                rim = (1.0 - max(-(nx * rx + ny * ry + nz * rz) / long, 0.0)) ** 4
+                gloss = materials[material, 4] * (shine * min(2.0 * lit, 1.0) + 0.35 * rim * half)
+            haze = min(max((z * long - scene.middle - _HAZE_FROM) / (_HAZE_TO - _HAZE_FROM), 0.0), 1.0)
+            haze = haze * haze * (3.0 - 2.0 * haze)
+            edge = 1.0 if not ground else 1.0 - 0.38 * _crease(w, row, column) * (1.0 - haze)
+            for k in range(3):
+                sky = _EARTH[k] + half * (_SKY[k] - _EARTH[k])
+                seen = color[k] * (_SUN[k] * lit + sky * open_sky) + gloss
+                out[row, column, k] = (1.0 - haze) * seen * edge + haze * _HORIZON[k]
+
+
+@written_into
+def _draw_grid(color: Array, x: float, y: float, pixel: float) -> None:
+    """Faint lines on the ground, as wide as they are, or fainter where a pixel is wider."""
+    for at in (x, y):
+        off = abs(at - _GRID * np.round(at / _GRID))
+        share = min(max((_GRID_LINE + 0.5 * pixel - off) / pixel, 0.0), 1.0) * min(2.0 * _GRID_LINE / pixel, 1.0)
+        for k in range(3):
+            color[k] *= 1.0 - 0.22 * share
+
+
+@written_into
+def _draw_marks(color: Array, x: float, y: float, z: float, scene: Scene) -> None:
+    """What is painted on the ground: rings with a tinted middle, and the way."""
+    for s in range(len(scene.way)):
+        ax, ay = scene.way[s, 0, 0], scene.way[s, 0, 1]
+        bx, by = scene.way[s, 1, 0] - ax, scene.way[s, 1, 1] - ay
+        size = bx * bx + by * by
+        t = min(max(((x - ax) * bx + (y - ay) * by) / size, 0.0), 1.0) if size > 0.0 else 0.0
+        if (x - ax - t * bx) ** 2 + (y - ay - t * by) ** 2 < 0.005**2:
+            color[0], color[1], color[2] = 0.05, 0.20, 0.70
+    for k in range(len(scene.marks)):
+        mark = scene.marks[k]
+        off = (x - mark[0]) ** 2 + (y - mark[1]) ** 2
+        if off < mark[4] ** 2 and abs(z - mark[2]) < 0.03:
+            share = 0.92 if off > mark[3] ** 2 else 0.30
+            for i in range(3):
+                color[i] += share * (mark[5 + i] - color[i])
+
+
+@written_into
+def _at(grid: Grid, x: float, y: float) -> float:
+    """The value of a grid at a place; NaN beside it."""
+    u, v = (x - grid.x) / grid.step, (y - grid.y) / grid.step
+    nx, ny = grid.values.shape
+    if not (0.0 <= u < nx - 1 and 0.0 <= v < ny - 1):
+        return np.nan
+    i, j = int(u), int(v)
+    u, v = u - i, v - j
+    low = grid.values[i, j] * (1.0 - u) + grid.values[i + 1, j] * u
+    high = grid.values[i, j + 1] * (1.0 - u) + grid.values[i + 1, j + 1] * u
+    return float(low * (1.0 - v) + high * v)
+
+
+@written_into
+def _shadow(shadow: Shadow, x: float, y: float, z: float) -> float:
+    """Share of a lamp's light that comes to a place {world}; all of it where the lamp does not look."""
+    T, seen = shadow.T, shadow.sight.w
+    fx, fy, cx, cy = shadow.sight.lens
+    a = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+    b = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+    c = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+    u, v = fx * a / c + cx, fy * b / c + cy
+    rows, columns = seen.shape
+    margin = 2.0 * shadow.reach + 1.0
+    if not (margin <= u < columns - 1 - margin and margin <= v < rows - 1 - margin):
+        return 1.0
+    own = np.float32(1.0 / c)
+    # Where the corners and the middle agree, so does for the most part what lies between.
+    free, r = 0, int(shadow.reach + 0.5)
+    at_row, at_column = int(v + 0.5), int(u + 0.5)
+    for i in (-1, 1):
+        for j in (-1, 1):
+            free += seen[at_row + r * i, at_column + r * j] <= own
+    middle = seen[at_row, at_column] <= own
+    if free == 0 and not middle:
+        return 0.0
+    if free == 4 and middle:
+        return 1.0
+    free = 0
+    for i in range(-2, 3):
+        for j in range(-2, 3):
+            row, column = int(v + 0.5 * shadow.reach * i + 0.5), int(u + 0.5 * shadow.reach * j + 0.5)
+            if seen[row, column] <= own:
+                free += 1
+    return float(free / 25.0)
+
+
+@written_into
+def _crease(w: NDArray[np.float32], row: int, column: int) -> float:
+    """1 at an edge: on a plane the inverse depth has no kink."""
+    rows, columns = w.shape
+    if not (0 < row < rows - 1 and 0 < column < columns - 1):
+        return 0.0
+    here = w[row, column]
+    across = w[row, column - 1] + w[row, column + 1] - 2.0 * here
+    along = w[row - 1, column] + w[row + 1, column] - 2.0 * here
+    kink = max(abs(across), abs(along)) / here
+    return float(min(max((kink - 0.4 * _CREASE) / (0.6 * _CREASE), 0.0), 1.0))
+
+
+@compiled
+def resolve(linear: NDArray[np.float32], curve: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
+    """The picture (h, w, 3), each pixel the mean of several linear ones; the curve says which byte a brightness is."""
+    rows, columns, _ = out.shape
+    times = len(linear) // rows
+    most = len(curve) - 1
+    for row in range(rows):
+        for column in range(columns):
+            for k in range(3):
+                total = 0.0
+                for i in range(times):
+                    for j in range(times):
+                        total += linear[row * times + i, column * times + j, k]
+                out[row, column, k] = curve[int(min(max(total / (times * times), 0.0), 1.0) * most)]
+
+
+@compiled
+def shade_under(heights: NDArray[np.float32], x: float, y: float, step: float, balls: Array, out: NDArray[np.float32]) -> None:
+    """The share of the sky that balls (n, 4) - x, y, z, radius [m] - take from level ground of heights (nx, ny) [m].
+
+    Source: a ball of radius r, d away, takes r^2 / d^2 times the cosine of the angle between it and the vertical.
+    """
+    nx, ny = heights.shape
+    for i in range(nx):
+        for j in range(ny):
+            free = 1.0
+            for k in range(len(balls)):
+                dx, dy, dz = balls[k, 0] - x - i * step, balls[k, 1] - y - j * step, balls[k, 2] - heights[i, j]
+                d2 = dx * dx + dy * dy + dz * dz
+                r2 = balls[k, 3] ** 2
+                if dz > 0.0:
+                    free *= 1.0 - min(r2 / max(d2, r2) * dz / np.sqrt(d2), 0.9)
+            out[i, j] = 1.0 - free

@@ -1,0 +1,480 @@
+"""Moving pictures of recorded runs: laws of what is drawn, and how the command ends."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from deploy import cli
+from deploy.video import files, ground
+from deploy.video.film import Cut, Film
+from deploy.video.painter import Figure, Mark, Painter, View
+from deploy.video.raster import blank, draw_faces, draw_field, draw_limbs
+from deploy.video.robot_figure import CARRIES, COLORS, SWINGS, Solids
+from deploy.video.story import Maps, Moment, Story, Track
+from deploy.video.words import Caption
+from services.console.recording.reader import Recording
+from services.console.recording.writer import Recorder
+from services.simulator.solids import Boxes
+from services.simulator.terrain import Terrain
+from shared import codec
+from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, transform
+from shared.kinematics import body_forward, body_inverse
+from shared.messages import (
+    ActuatorState,
+    BodyPose,
+    GroundTruth,
+    Message,
+    Mode,
+    Odometry,
+    PlannerStatus,
+    StepPlan,
+    TerrainMap,
+)
+from shared.robot import load_profile
+from shared.service import AnyTopic
+from shared.topics import OF_TYPE
+from tests.support.states import actuator_state
+
+PROFILE = load_profile("phantomx_mk2")
+RADIUS = PROFILE.foot.radius
+S = 1_000_000_000
+DURATION_S = 4.0
+STEP_NS = S // 25
+BLOCKED = "leg left front finds no foothold"
+REFUSED_FROM_S = 3.0
+SMALL = Cut(size=(160, 96), fps=5.0)
+
+
+def at(t_s: float) -> Array:
+    """Where the robot is after so many seconds: in a bend to the left."""
+    return transform(rotation_z(0.3 * t_s), np.array([0.12 * t_s, 0.02 * t_s**2, PROFILE.stance.body_height]))
+
+
+def on_ground(T: Array) -> Array:
+    """Joint angles (6, 3) of a robot whose feet stand on level ground in their resting places below it."""
+    return body_inverse(PROFILE, PROFILE.rest_feet(float(T[2, 3])))
+
+
+def a_walk(seed: int = 0) -> list[Message]:
+    """A robot that glides over level ground, its odd legs in the air, and is refused at the end."""
+    said: list[Message] = []
+    for k in range(int(DURATION_S * S / STEP_NS) + 1):
+        t_ns = k * STEP_NS
+        T = at(t_ns / S)
+        q, swing = on_ground(T), np.arange(6) % 2 == k // 12 % 2
+        feet = apply(T, body_forward(PROFILE, q))
+        said.append(
+            GroundTruth(
+                t_ns,
+                T,
+                q,
+                np.zeros((6, 3)),
+                feet,
+                ~swing,
+                ~swing,
+                np.zeros((6, 3), dtype=bool),
+                11.0,
+                30.0,
+                "flat",
+                seed,
+                PROFILE.name,
+            )
+        )
+        said.append(Odometry(t_ns, T, 0.0, 0.0, ~swing, True))
+        said.append(actuator_state(PROFILE, stamp_ns=t_ns, mode=Mode.WALK, q=q, swing=swing, step=1, phase=0.5, T_odom_body=T))
+        said.append(BodyPose(t_ns, T, np.eye(4), np.eye(6), 1.0, True, "", np.zeros((0, 6))))
+        down = feet + T[:3, 0] * 0.06
+        said.append(StepPlan(t_ns, 0, 1, k, np.eye(4), swing, down, np.full(6, 0.04), T, 1.0, False))
+        refused = t_ns >= REFUSED_FROM_S * S
+        state, reason = ("blocked", BLOCKED) if refused else ("stepping", "")
+        said.append(PlannerStatus(t_ns, state, reason, 1, 0, -1, np.array([[1.0, 0.0], [2.0, 0.5]])))  # type: ignore[arg-type]
+        if k % 25 == 0:
+            said.append(level_map(t_ns))
+    return said
+
+
+def level_map(stamp_ns: int, n: int = 120) -> TerrainMap:
+    zeros = np.zeros((n, n), dtype=np.float32)
+    elevation = zeros.copy()
+    elevation[:20] = np.nan
+    score = zeros.copy()
+    score[80:90] = 2.0
+    flags, evaluation = np.zeros((n, n), dtype=np.bool_), np.full((n, n), -1, dtype=np.int8)
+    return TerrainMap(stamp_ns, 0.01, np.array([-0.6, -0.6]), elevation, zeros + np.float32(1e-5), score, flags, evaluation)
+
+
+def record(path: Path, said: list[Message], about: dict[str, str] | None = None) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with Recorder(path, {"scenario": "flat", "seed": "0", "robot": PROFILE.name} if about is None else about) as recorder:
+        for message in said:
+            topic: AnyTopic = OF_TYPE[type(message)]
+            recorder.write(topic, codec.encode(message), message.stamp_ns + 2_000_000)
+    return path
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run."""
+    folder = tmp_path_factory.mktemp("run")
+    record(folder / "recording.mcap", a_walk())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def story(run: Path) -> Story:
+    return Story.read(Recording(run))
+
+
+def level(way: Array | None = None) -> ground.Ground:
+    """Level ground with a block beside the robot."""
+    block = Boxes(np.array([[0.5, 0.0, 0.02]]), np.array([[0.05, 0.2, 0.02]]), np.eye(3)[None])
+    return ground.of_terrain(Terrain(block, plane=0.0), np.array([[-0.5, 0.0], [0.5, 0.0]]) if way is None else way)
+
+
+@pytest.fixture(scope="module")
+def film(run: Path, story: Story) -> Film:
+    return Film(run, story, PROFILE, level(), "flat, seed 0", SMALL)
+
+
+@pytest.fixture(scope="module")
+def painter() -> Painter:
+    painter = Painter(PROFILE, (320, 192))
+    painter.stand_on(level())
+    return painter
+
+
+def pixel(view: View, size: tuple[int, int], p: Array) -> Array:
+    """Column and row (2,) of a point {world}."""
+    x, y, z = apply(inverse(view.T_world_camera), p)
+    return np.array([(size[0] - 1) / 2, (size[1] - 1) / 2]) + view.focal * size[1] * np.array([x, y]) / z
+
+
+def test_as_many_pictures_as_the_part_lasts_at_their_rate_and_speed(story: Story) -> None:
+    for fps, times, from_s, to_s in ((25.0, 1.0, 0.0, 4.0), (12.5, 2.0, 0.5, 3.3), (10.0, 0.25, 3.0, 99.0)):
+        cut = Cut(fps=fps, times=times, from_s=from_s, to_s=to_s)
+        shown = cut.times_ns(story)
+        assert len(shown) == round((min(to_s, DURATION_S) - from_s) * fps / times)
+        np.testing.assert_allclose(np.diff(shown) * 1e-9, times / fps, atol=1e-8)
+        assert story.began_ns <= shown[0]
+        assert shown[-1] <= story.ended_ns
+    for from_s, to_s in ((5.0, 6.0), (2.0, 2.0), (3.0, 1.0)):
+        with pytest.raises(ValueError, match=r"a part of the 4\.0 s"):
+            Cut(from_s=from_s, to_s=to_s).times_ns(story)
+
+
+def test_pictures_are_the_same_however_many_paint_them(film: Film) -> None:
+    alone, together = list(film.frames(1)), list(film.frames(3))
+    assert len(alone) == len(together) == len(film.times_ns) == 20
+    for one, other in zip(alone, together, strict=True):
+        assert one.shape == (96, 160, 3)
+        np.testing.assert_array_equal(one, other)
+
+
+def test_the_robot_stays_in_the_middle_and_moves(film: Film, story: Story) -> None:
+    size = np.array(SMALL.size)
+    for t_ns in film.times_ns:
+        body = pixel(film.camera.view(t_ns), SMALL.size, story.pose(t_ns)[:3, 3])
+        assert (np.abs(body - (size - 1) / 2) < size / 4).all()
+    first, *_, last = film.frames(2)
+    middle = slice(24, 72), slice(40, 120)
+    assert np.abs(first[middle].astype(int) - last[middle]).max(axis=-1).mean() > 5
+
+
+def still(contact: NDArray[np.bool_]) -> tuple[Figure, Array]:
+    T = at(0.0)
+    q = on_ground(T)
+    return Figure(T, q, contact), apply(T, body_forward(PROFILE, q))
+
+
+def from_aside(p: Array, yaw: float, away: float = 1.2) -> View:
+    """Level enough that a foot is seen, from a heading."""
+    look = np.array([-np.cos(yaw), -np.sin(yaw), -0.5])
+    look /= np.linalg.norm(look)
+    x = np.cross(look, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    return View(transform(np.column_stack([x, np.cross(look, x), look]), p - away * look), 1.6, away)
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_a_foot_is_drawn_where_the_kinematics_say_and_tells_whether_it_carries(painter: Painter, leg: int) -> None:
+    hue = {}
+    for state in (CARRIES, SWINGS):
+        figure, feet = still(np.full(6, state == CARRIES))
+        out = np.arctan2(*feet[leg, 1::-1])
+        view = from_aside(np.array([0.0, 0.0, 0.05]), out)
+        u, v = np.round(pixel(view, painter.size, feet[leg])).astype(int)
+        color = painter.paint(figure, view)[v, u].astype(float)
+        expected = np.array(COLORS[state][0], dtype=float)
+        assert color @ expected / np.linalg.norm(color) / np.linalg.norm(expected) > 0.97, (color, expected)
+        hue[state] = color / color.sum()
+    assert np.abs(hue[CARRIES] - hue[SWINGS]).max() > 0.1
+
+
+def test_a_mark_is_painted_on_the_ground_and_the_robot_darkens_it(painter: Painter) -> None:
+    figure, _ = still(np.ones(6, dtype=bool))
+    view, p = from_aside(np.zeros(3), 0.7, 1.6), np.array([0.30, 0.25, 0.0])
+    bare = painter.paint(figure, view).astype(int)
+    marked = painter.paint(figure, view, [Mark(p, 0.0, 0.03, (219, 22, 102))]).astype(int)
+    u, v = np.round(pixel(view, painter.size, p)).astype(int)
+    assert marked[v, u, 0] - marked[v, u, 1] > bare[v, u, 0] - bare[v, u, 1] + 30
+    changed = np.argwhere(np.abs(marked - bare).max(axis=-1) > 8)
+    assert len(changed) > 4
+    assert np.abs(changed - [v, u]).max() < 20
+    # Beside its shadow it is lighter than below it.
+    away = replace(figure, T_world_body=figure.T_world_body @ from_xyz_rpy((0.0, 3.0, 0.0), (0.0, 0.0, 0.0)))
+    lit, below = (
+        painter.paint(away, view).astype(int),
+        np.round(pixel(view, painter.size, np.array([0.0, -0.12, 0.0]))).astype(int),
+    )
+    assert lit[below[1], below[0]].sum() > 1.3 * bare[below[1], below[0]].sum()
+
+
+def solid_limbs(starts: Array, ends: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
+    """Points drawn (n, 3), their normals, and all pixels' rays and depths."""
+    sight = blank(120, 90, (150.0, 150.0, 59.5, 44.5))
+    draw_limbs(sight, np.eye(4), starts, ends, radii, np.ones(len(radii), dtype=np.uint8))
+    v, u = np.nonzero(sight.w)
+    z = 1.0 / sight.w[v, u].astype(float)
+    return np.column_stack([(u - 59.5) / 150 * z, (v - 44.5) / 150 * z, z]), sight.normal[v, u], sight.w, sight.material
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_limb_is_the_hull_of_its_balls(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    start, end = rng.uniform([-0.2, -0.15, 0.8], [0.2, 0.15, 1.2], (2, 3))
+    radii = rng.uniform(0.01, 0.07, 2)
+    points, normals, w, _ = solid_limbs(start[None], end[None], radii[None])
+    s = np.linspace(0.0, 1.0, 2001)[:, None]
+    centre, radius = start + s * (end - start), radii[0] + s[:, 0] * (radii[1] - radii[0])
+    gap = np.linalg.norm(points[:, None] - centre, axis=2) - radius
+    np.testing.assert_allclose(gap.min(axis=1), 0.0, atol=2e-5)
+    outward = points - centre[gap.argmin(axis=1)]
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    assert (np.einsum("ij,ij->i", outward, normals) > 0.99).all()
+    # And every ray that meets one of the balls is drawn.
+    v, u = np.mgrid[:90, :120]
+    rays = np.stack([(u - 59.5) / 150, (v - 44.5) / 150, np.ones(u.shape)], axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    for k in range(0, 2001, 100):
+        off = centre[k] - (rays @ centre[k])[..., None] * rays
+        assert (w[np.linalg.norm(off, axis=-1) < radius[k] - 1e-6] > 0).all()
+
+
+def test_faces_hide_each_other_and_a_field_is_where_its_heights_are() -> None:
+    T = from_aside(np.zeros(3), 0.5).T_world_camera
+    sight = blank(96, 64, (90.0, 90.0, 47.5, 31.5))
+    square = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    lower, upper = 0.4 * square - [0.0, 0.0, 0.1], 0.1 * square + [0.0, 0.0, 0.1]
+    draw_faces(sight, inverse(T), np.array([lower, upper]), np.array([1, 2], dtype=np.uint8))
+    field = blank(96, 64, sight.lens)
+    heights = np.full((41, 41), -0.1)
+    draw_field(field, inverse(T), heights, np.array([-0.4, -0.4, 0.02]), 1)
+    v, u = np.nonzero(sight.material)
+    z = 1.0 / sight.w[v, u].astype(float)
+    world = apply(T, np.column_stack([(u - 47.5) / 90 * z, (v - 31.5) / 90 * z, z]))
+    np.testing.assert_allclose(world[:, 2], np.where(sight.material[v, u] == 2, 0.1, -0.1), atol=1e-4)
+    np.testing.assert_allclose(sight.normal[v, u], np.tile([0.0, 0.0, 1.0], (len(u), 1)), atol=1e-6)
+    below = (sight.material == 1) & (field.material == 1)
+    np.testing.assert_allclose(field.w[below], sight.w[below], rtol=1e-4)
+    draw_faces(sight, inverse(T), upper[None, ::-1] + [0.0, 0.0, 0.05], np.array([3], dtype=np.uint8))
+    assert not (sight.material == 3).any()  # seen from behind
+
+
+def test_a_rounded_box_keeps_within_its_size() -> None:
+    solids = Solids()
+    solids.rounded_box(np.eye(4), (0.2, 0.1, 0.04), 0.01, 1)
+    faces, _, starts, ends, radii, _ = solids.arrays()
+    high = np.maximum(faces.max(axis=(0, 1)), np.maximum(starts, ends).max(axis=0) + radii.max())
+    np.testing.assert_allclose(high, [0.1, 0.05, 0.02])
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    assert (np.einsum("ij,ij->i", normals, faces.mean(axis=1)) > 0).all()  # outward
+
+
+def test_what_is_wrong_stands_in_words_in_a_color_of_its_own(film: Film, story: Story) -> None:
+    said = [story.moment(round(t_s * S)) for t_s in (2.0, 3.5)]
+    assert [m.trouble for m in said] == ["", f"planner blocked: {BLOCKED}"]
+    assert said[0].mode == "walk"
+    assert [m.planner for m in said] == ["stepping", "blocked"]
+    caption = Caption((640, 360), "flat", 1.0)
+    amber = []
+    for moment in said:
+        picture = np.full((360, 640, 3), 128, dtype=np.uint8)
+        caption.write(picture, moment)
+        r, g, b = picture.astype(int).transpose(2, 0, 1)
+        amber.append(int(((r > 200) & (b < 120) & (g > 130)).sum()))
+        assert (picture[:200] == 128).all()
+    assert amber[0] == 0
+    assert amber[1] > 100
+    long = replace(said[1], trouble="because " * 200)
+    picture = np.full((96, 160, 3), 128, dtype=np.uint8)
+    Caption((160, 96), "flat", 1.0).write(picture, long)
+    assert (picture[:20] == 128).all()
+
+
+def test_a_moment_is_where_truth_has_it_and_footholds_where_the_plan_has_them(story: Story) -> None:
+    moment = story.moment(story.began_ns + 2 * S)
+    np.testing.assert_allclose(moment.T_scene_body, at(2.0), atol=1e-6)
+    np.testing.assert_allclose(moment.T_world_body, at(2.0), atol=1e-6)
+    assert len(moment.footholds) == 3
+    np.testing.assert_allclose(moment.footholds[:, 2], RADIUS, atol=1e-6)
+    assert moment.speed == pytest.approx(np.linalg.norm(at(3.0)[:2, 3] - at(1.0)[:2, 3]) / 2, rel=0.01)
+
+
+def test_without_truth_it_is_drawn_where_it_believed_to_be_on_its_own_map(tmp_path: Path) -> None:
+    said = [m for m in a_walk() if not isinstance(m, GroundTruth)]
+    path = record(tmp_path / "recording.mcap", said, {"robot": PROFILE.name})
+    story = Story.read(Recording(path))
+    assert not story.true
+    np.testing.assert_allclose(story.moment(story.began_ns + S).T_scene_body, at(1.0), atol=2e-3)
+    out = tmp_path / "walk.gif"
+    assert cli.main(["video", str(path), "--out", str(out), "--size", "160x96", "--fps", "2"]) == 0
+    with Image.open(out) as image:
+        assert (image.size, image.n_frames) == ((160, 96), 8)  # type: ignore[attr-defined]
+
+
+def test_messages_between_two_are_found_by_time() -> None:
+    track: Track[ActuatorState] = Track()
+    states = [actuator_state(PROFILE, stamp_ns=k * S) for k in range(4)]
+    for k, state in enumerate(states):
+        track.add(state, k * S + 5)
+    assert track.newest(4) is None
+    assert track.newest(S + 5) is states[1]
+    assert track.newest(9 * S, S) is None
+    assert track.between(S, 2 * S + 5) == states[1:3]
+    before, after, s = track.around(S + S // 2 + 5)
+    assert (before, after) == (states[1], states[2])
+    assert s == pytest.approx(0.5)
+    assert track.around(-1) == (states[0], states[0], 0.0)
+
+
+def test_maps_come_as_time_goes_on(run: Path) -> None:
+    maps = Maps(Recording(run))
+    assert maps.until(0) is None
+    for t_s in (0.5, 1.5, 3.9):
+        known = maps.until(round(t_s * S))
+        assert known is not None
+        assert known.stamp_ns == int(t_s) * S
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".webm", ".avi"])
+def test_a_video_has_the_size_and_the_pictures_that_went_in(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"walk{suffix}"
+    shades = [np.full((96, 160, 3), (40 * k, 80, 200 - 40 * k), dtype=np.uint8) for k in range(5)]
+    assert files.write(path, shades, 10.0, (160, 96)) == 5
+    video, read = cv2.VideoCapture(str(path)), []
+    while (got := video.read())[0]:
+        read.append(got[1][..., ::-1])
+    assert len(read) == 5
+    for frame, shade in zip(read, shades, strict=True):
+        assert frame.shape == (96, 160, 3)
+        assert np.abs(frame.mean(axis=(0, 1)) - shade[0, 0]).max() < 12
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".gif", ".png"])
+def test_an_animated_picture_moves(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"walk{suffix}"
+    shades = [np.full((96, 160, 3), (40 * k, 80, 200 - 40 * k), dtype=np.uint8) for k in range(5)]
+    assert files.write(path, shades, 10.0, (160, 96)) == 5
+    with Image.open(path) as image:
+        assert (image.size, image.n_frames) == ((160, 96), 5)  # type: ignore[attr-defined]
+        for k, shade in enumerate(shades):
+            image.seek(k)
+            assert np.abs(np.asarray(image.convert("RGB")).mean(axis=(0, 1)) - shade[0, 0]).max() < 12
+
+
+def test_nothing_is_left_of_a_film_that_broke_off(tmp_path: Path) -> None:
+    def breaks_off() -> "object":
+        yield np.zeros((96, 160, 3), dtype=np.uint8)
+        raise KeyboardInterrupt
+
+    for suffix in (".mp4", ".webp"):
+        with pytest.raises(KeyboardInterrupt):
+            files.write(tmp_path / f"walk{suffix}", breaks_off(), 10.0, (160, 96))  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_draws_a_run_and_says_what_came_of_it(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = run / "short.webp"
+    words = ["video", str(run), "--out", str(out), "--size", "160x96", "--fps", "5", "--from", "1", "--to", "3", "--speed", "2"]
+    assert cli.main(words) == 0
+    assert f"{out}: 5 pictures, 1.0 s at 5 a second" in capsys.readouterr().out
+    with Image.open(out) as image:
+        assert (image.size, image.n_frames) == ((160, 96), 5)  # type: ignore[attr-defined]
+
+
+def test_what_was_cut_off_is_drawn_as_far_as_it_goes(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = (run / "recording.mcap").read_bytes()
+    path = tmp_path / "recording.mcap"
+    path.write_bytes(whole[: int(0.6 * len(whole))])
+    out = tmp_path / "walk.webp"
+    assert cli.main(["video", str(path), "--out", str(out), "--size", "64x64", "--fps", "1"]) == 0
+    assert "was cut off: it is drawn as far as it goes" in capsys.readouterr().err
+    assert out.is_file()
+
+
+def another_ground(folder: Path) -> list[str]:
+    path = record(folder / "recording.mcap", a_walk(), {"scenario": "gone_by_now", "seed": "0", "robot": PROFILE.name})
+    return ["video", str(path), "--out", str(folder / "walk.webp"), "--size", "64x64", "--fps", "1"]
+
+
+def test_a_ground_that_is_not_known_is_said_and_can_be_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = another_ground(tmp_path)
+    assert cli.main(words) == 0
+    assert "drawn on the map that the robot made" in capsys.readouterr().err
+    assert cli.main([*words, "--scenario", "flat"]) == 0
+    assert capsys.readouterr().err == ""
+    assert cli.main([*words, "--scenario", "stairs"]) == 0  # under feet that stood lower, or beside it: level where they went
+    assert cli.main([*words, "--scenario", "nowhere"]) == 2
+
+
+Spoil = Callable[[Path], list[str]]
+WRONG: dict[str, tuple[Spoil, str]] = {
+    "no such run": (lambda folder: [str(folder / "nowhere")], "no such run"),
+    "an empty folder": (lambda folder: [str(folder)], "no recordings in this folder"),
+    "no recording": (lambda folder: [text_file(folder)], "not an MCAP file"),
+    "no robot in it": (lambda folder: [str(record(folder / "a.mcap", [level_map(0)]))], "nothing to draw"),
+    "an unknown suffix": (lambda folder: [recorded(folder), "--out", "walk.mov"], "one of .mp4, .webm"),
+    "beyond the end": (
+        lambda folder: [recorded(folder), "--from", "30", "--out", str(folder / "w.webp")],
+        "a part of the 4.0 s",
+    ),
+}
+
+
+def text_file(folder: Path) -> str:
+    (folder / "notes.mcap").write_text("notes\n", encoding="utf-8")
+    return str(folder / "notes.mcap")
+
+
+def recorded(folder: Path) -> str:
+    return str(record(folder / "recording.mcap", a_walk()))
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_input_is_refused_in_words(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    spoil, words = WRONG[name]
+    assert cli.main(["video", *spoil(tmp_path)]) == 2
+    assert words in capsys.readouterr().err
+    assert not list(tmp_path.glob("*walk*"))
+
+
+@pytest.mark.parametrize(
+    "option", [["--size", "17x9"], ["--size", "641x480"], ["--fps", "0"], ["--speed", "-1"], ["--to", "x"]]
+)
+def test_wrong_options_are_refused(option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["video", "run", *option])
+    assert ended.value.code == 2
+    assert "expected" in capsys.readouterr().err
+
+
+def test_a_film_asks_for_no_moment_it_does_not_show(film: Film) -> None:
+    shown: list[Moment] = [film._story.moment(t_ns) for t_ns in film.times_ns]
+    assert shown[0].time_s == 0.0
+    assert [round(m.time_s, 6) for m in shown] == [round(k / SMALL.fps, 6) for k in range(len(shown))]
