@@ -238,6 +238,8 @@ class Guard:
             return self.reason
         if self._seat:
             return self._seat
+        if not self._may_walk and self.mode is Mode.WALK:
+            return "the walk is ordered to stop, and comes to its end"
         if not self._may_walk or self.mode not in (Mode.HOLD, Mode.WALK):
             return f"the mode is {self.mode}, not ordered to walk"
         if not self.lease(now_ns):

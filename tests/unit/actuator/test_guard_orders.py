@@ -389,6 +389,14 @@ def test_a_stop_that_takes_over_leads_and_moves_nothing(mode: Mode) -> None:
     assert "b holds the lease" in robot.guard.objection
 
 
+def test_a_plan_for_a_walk_that_is_being_stopped_is_refused_as_such() -> None:
+    robot = in_mode(Mode.WALK)
+    robot.order("stop")
+    assert robot.mode is Mode.WALK
+    assert not robot.consider(robot.plan())
+    assert robot.guard.refused.endswith("refused: the walk is ordered to stop, and comes to its end")
+
+
 def test_a_walk_that_is_ordered_to_stop_says_so_when_it_stands() -> None:
     robot = in_mode(Mode.WALK)
     robot.order("stop", "b")
