@@ -237,7 +237,8 @@ def _footholds(runs: Runs) -> Any:
         axes.set_ylabel("left [m]")
         summary.draw_ground(figure, axes, trace.mosaic, low, high)
         summary.draw_blocks(axes, trace)
-        summary.draw_course(axes, trace)
+        if not run.own_words:  # which has no goal that anybody knows
+            summary.draw_course(axes, trace)
         summary.draw_footholds(axes, trace)
         summary.draw_paths(axes, trace, run.report)
     figure.legend(handles=_marks(), loc="lower center", ncols=7, frameon=False, fontsize=10, columnspacing=1.2)
@@ -415,4 +416,6 @@ def _label(run: RecordedRun) -> str:
 
 def _title(run: RecordedRun) -> str:
     r = run.report
+    if run.own_words:
+        return f"{run.name}, {r.robot}: {r.reason}"
     return f"{r.scenario}, seed {r.seed}, {r.robot}, {r.gait}" + (", blind" if r.blind else "") + f": {r.reason}"[:110]

@@ -2,14 +2,16 @@
 
 import heapq
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from deploy import report as reports
+from deploy.plots.own_words import SEED, WORDS, Frame, ground_of, scenario_of, with_truth
 from deploy.report import Report
 from deploy.scorer import Scorer
 from deploy.trace import Trace
@@ -39,6 +41,7 @@ class RecordedRun:
     torque_rms: Array  # (6, 3) [N m] of each joint while it walked, NaN where it did not
     torque_p95: Array  # (6, 3) [N m] likewise
     terrain: TerrainMap | None  # its last map
+    own_words: bool  # no truth is known: what stands for it is what the robot said of itself
     cut_off: bool  # its recording ends before its end
 
     @property
@@ -49,49 +52,86 @@ class RecordedRun:
 
 
 def recorded_run(path: Path, scenario: str = "") -> RecordedRun:
-    """Hear a run again.
+    """Hear a run again; where no truth is known, as the robot itself saw it.
 
     Args:
         path: Its folder, or its recording.
         scenario: Name or TOML file of what was walked; empty for what the recording says.
 
     Raises:
-        RecordingError: There is no recording, or none of a simulated run, or of another scenario; or the report beside is none.
+        RecordingError: There is no recording, or none of a walk, or of another scenario; or the report beside is none, or
+            another version has written it.
         ConfigError: Its scenario does not come with Sextant, and none is given.
     """
     recording = Recording(path)
-    inbox, scorer = Inbox(Scorer.reads, Stages()), None
-    for topic, frame, at_ns in _as_it_came(recording):
-        if topic is not topics.TRUTH:
-            inbox.receive(topic, frame, at_ns)
-            continue
-        truth = _truth(recording, frame)
+    try:
+        scorer, terrain = _heard(_as_it_came(recording), partial(_scorer, recording, scenario))
+        own_words = scorer is None
         if scorer is None:
-            scorer = _scorer(recording, scenario, truth)
-        inbox.now_ns = at_ns
-        scorer.step(truth, inbox)
-    if scorer is None:
-        raise RecordingError(f"{path}: no ground truth in it, so it is not of a simulation; {_INSTEAD}")
+            scorer, terrain = _in_own_words(recording)
+    except codec.DecodeError as error:
+        raise RecordingError(f"{path}: {error}; read it with the version that wrote it") from None
     folder = path if path.is_dir() else path.parent
     judged = scorer.result(in_a_hurry=True)
     left = _left_behind(folder)
+    if own_words:  # nobody can say of a foothold that it was truly none
+        left, judged = {}, replace(judged, success=True, reason=WORDS)
     walk = scorer.walk
     torque = walk.torque[walk.walking] if walk.walking.any() else np.full((1, 6, 3), np.nan)
     verdict = {name: left[name] for name in ("success", "reason", "gait", "blind") if name in left}
+    trace = scorer.trace
+    if own_words:
+        trace = replace(trace, touchdowns=replace(trace.touchdowns, misstep=np.zeros_like(trace.touchdowns.misstep)))
     return RecordedRun(
         name=folder.resolve().name,
         report=replace(judged, **verdict),
-        numbers=left or reports.as_table(judged),
-        trace=scorer.trace,
+        numbers=left or _table(judged, own_words),
+        trace=trace,
         margin=_margin(walk),
         torque_rms=np.sqrt(np.mean(torque**2, axis=0)),
         torque_p95=np.percentile(torque, 95, axis=0),
-        terrain=inbox.latest(topics.TERRAIN),
+        terrain=terrain,
+        own_words=own_words,
         cut_off=not recording.complete,
     )
 
 
-def _as_it_came(recording: Recording) -> Iterator[tuple[AnyTopic, bytes, int]]:
+def _heard(frames: Iterable[Frame], judge: Callable[[GroundTruth], Scorer]) -> tuple[Scorer | None, TerrainMap | None]:
+    """A scorer that has heard all, made for the first truth, and the last map; None where there was none."""
+    inbox, scorer = Inbox(Scorer.reads, Stages()), None
+    for topic, frame, at_ns in frames:
+        if topic is not topics.TRUTH:
+            inbox.receive(topic, frame, at_ns)
+            continue
+        truth, _ = codec.decode(frame, GroundTruth, topic.max_bytes)
+        scorer = scorer or judge(truth)
+        inbox.now_ns = at_ns
+        scorer.step(truth, inbox)
+    return scorer, inbox.latest(topics.TERRAIN)
+
+
+def _in_own_words(recording: Recording) -> tuple[Scorer, TerrainMap | None]:
+    robot = recording.about.get("robot", "")
+    if not robot:
+        raise RecordingError(f"{recording.path}: an empty recording, or one of an unknown robot; {_INSTEAD}")
+    profile = load_profile(robot)
+    scenario, ground = scenario_of(recording, robot), ground_of(recording)
+    frames = with_truth(_as_it_came(recording), profile.name)
+    scorer, terrain = _heard(frames, lambda _: Scorer(profile, scenario, SEED, ground))
+    if scorer is None:
+        raise RecordingError(f"{recording.path}: no word of an actuator in it, so nothing that has walked; {_INSTEAD}")
+    return scorer, terrain
+
+
+def _table(report: Report, own_words: bool) -> dict[str, Any]:
+    """A report as a table, without what only the truth could tell."""
+    table = reports.as_table(report)
+    unknown: dict[str, Any] = dict.fromkeys(("scenario", "seed", "success", "missteps"))
+    unknown |= {name: dict.fromkeys(table[name]) for name in ("map_error_m", "pose_error_m")}
+    return table | unknown if own_words else table
+
+
+def _as_it_came(recording: Recording) -> Iterator[Frame]:
     """(topic, frame, time [ns]) of what a scorer hears, when it hears it: in lockstep frames are recorded as they are sent."""
     wanted = {topic.key: topic for topic in (Scorer.paced_by, *Scorer.reads)}
     on_the_way: list[tuple[int, int, AnyTopic, bytes]] = []
@@ -105,14 +145,6 @@ def _as_it_came(recording: Recording) -> Iterator[tuple[AnyTopic, bytes, int]]:
             heapq.heappush(on_the_way, (at_ns + late, number, topic, frame))
     for due, _, topic, waited in sorted(on_the_way, key=lambda item: item[:2]):
         yield topic, waited, due
-
-
-def _truth(recording: Recording, frame: bytes) -> GroundTruth:
-    try:
-        message, _ = codec.decode(frame, GroundTruth, topics.TRUTH.max_bytes)
-    except codec.DecodeError as error:
-        raise RecordingError(f"{recording.path}: {topics.TRUTH.key}: {error}; read it with the version that wrote it") from None
-    return message
 
 
 def _scorer(recording: Recording, scenario: str, truth: GroundTruth) -> Scorer:

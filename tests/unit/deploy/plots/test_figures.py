@@ -57,6 +57,14 @@ def test_who_has_nothing_to_show_leaves_no_file(story, heard, good, tmp_path):
     assert not figures.draw("table", [good], tmp_path / "table.svg")
 
 
+def test_a_goal_is_shown_only_of_who_is_known_to_have_had_one(story, heard, good, tmp_path):
+    green = "#1a7f37"
+    for run, has in ((good, True), (heard("robot", story(moved_leg=2), truth=False), False)):
+        path = tmp_path / f"{run.name}.png"
+        assert figures.draw("footholds", [replace(run, report=replace(run.report, success=False))], path)
+        assert (_share(path, green) > 2e-4) == has
+
+
 @pytest.mark.parametrize("suffix", ["svg", "pdf", "png"])
 def test_the_same_run_makes_the_same_file(suffix, good, tmp_path):
     a, b = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"

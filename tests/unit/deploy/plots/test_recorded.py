@@ -5,9 +5,13 @@ import numpy as np
 import pytest
 
 from deploy import report as reports
+from deploy.plots.own_words import WORDS, MappedGround
 from deploy.plots.recorded import recorded_run
 from services.console.recording.layout import RecordingError
+from services.console.recording.writer import Recorder
+from shared import codec, topics
 from shared.config import ConfigError
+from shared.messages import BodyPose, TerrainMap
 
 
 def test_a_run_that_is_heard_again_is_the_run_that_was_judged(story, kept, scenario):
@@ -52,12 +56,48 @@ def test_the_verdict_is_the_one_of_the_run_itself(story, kept, scenario, tmp_pat
     assert recorded_run(tmp_path / "stopped", scenario).report.reason == "stopped by the operator"
 
 
+def test_a_robot_without_a_truth_is_drawn_as_it_saw_itself(story, heard):
+    told = story(moved_leg=2)
+    run, true = heard("robot", told, truth=False), told.judged().trace
+    assert run.own_words
+    assert run.report.reason == WORDS
+    assert not run.trace.touchdowns.misstep.any()
+    assert all(run.numbers[name] is None for name in ("scenario", "seed", "success", "missteps"))
+    assert set(run.numbers["pose_error_m"].values()) == {None}
+    # This one was right about its body, and stands on the ground that it mapped.
+    at = np.searchsorted(true.t, run.trace.t[run.trace.t <= true.t[-1]])
+    np.testing.assert_allclose(run.trace.p_true[: len(at)], true.p_true[at], atol=1e-9)
+    np.testing.assert_array_equal(run.trace.walking[: len(at)], true.walking[at])
+    known = np.isfinite(run.trace.ground)
+    assert known.mean() > 0.5
+    np.testing.assert_allclose(run.trace.ground[known], 0.0, atol=1e-6)
+
+
+def test_the_newest_map_says_where_the_ground_is(story):
+    old, new = [m for m in story().messages() if isinstance(m, TerrainMap)][:2]
+    new = replace(new, elevation=new.elevation + np.float32(0.1))
+    seen = new.origin + new.resolution * np.array([[12, 20]])
+    for maps, height in (([old, new], 0.1), ([new, old], 0.0)):
+        assert MappedGround(maps).height_at(seen) == pytest.approx(height, abs=1e-6)
+    # What the newest does not know an older one tells, and what none knows nobody.
+    unknown = replace(new, elevation=np.full_like(new.elevation, np.nan))
+    assert MappedGround([old, unknown]).height_at(seen) == pytest.approx(0.0, abs=1e-6)
+    for maps in ([], [unknown], [old, new]):
+        assert np.isnan(MappedGround(maps).height_at(np.array([[100.0, 0.0]]))).all()
+
+
 def test_what_is_no_run_is_refused_with_what_would_be(story, kept, scenario, tmp_path):
     good = kept("good", story(moved_leg=2, drift=0.02))
     with pytest.raises(RecordingError, match="no recordings in this folder"):
         recorded_run(tmp_path)
-    with pytest.raises(RecordingError, match="not of a simulation; give the folder of a `sextant run`"):
-        recorded_run(kept("robot", story(), truth=False))
+    with Recorder(tmp_path / "old.mcap", {"robot": "phantomx_mk2"}) as recorder:
+        recorder.write(topics.TRUTH, b"not a frame", 0)
+    with pytest.raises(RecordingError, match="read it with the version that wrote it"):
+        recorded_run(tmp_path / "old.mcap")
+    with Recorder(tmp_path / "silent.mcap", {"robot": "phantomx_mk2"}) as recorder:
+        recorder.write(topics.BODY_POSE, codec.encode(next(m for m in story().messages() if isinstance(m, BodyPose))), 0)
+    with pytest.raises(RecordingError, match=r"no word of an actuator in it, .* give the folder of a `sextant run`"):
+        recorded_run(tmp_path / "silent.mcap")
     with pytest.raises(ConfigError, match="no scenario 'story'"):
         recorded_run(good)
     with pytest.raises(RecordingError, match="a run of story, not of flat"):
