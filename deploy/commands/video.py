@@ -40,7 +40,8 @@ def video(arguments: argparse.Namespace) -> int:
     ground = _ground(about, story, profile, arguments.scenario)
     cut = Cut(arguments.size, arguments.fps, arguments.speed, arguments.from_s, arguments.to_s)
     try:
-        film = Film(recording.path, story, profile, ground, _title(about), cut)
+        title = _title(about) if ground is not None else f"{_title(about)}, on the map it made"
+        film = Film(recording.path, story, profile, ground, title, cut)
     except ValueError as error:
         raise InputError(f"{run}: {error}") from None
     began = told = time.monotonic()

@@ -85,7 +85,7 @@ class Film:
             if self._ground is not None:
                 painter.stand_on(self._ground)
             painters.put(painter)
-        self._limits = self._limits_of_maps()
+        self._limits = self._limits_of_maps() if self._ground is None else self._limits_of(self._ground)
         maps = Maps(Recording(self._path))
         inset_size = max(round(_INSET * self._cut.size[1]), 1)
         inset = Inset(self._profile, inset_size, self._limits) if inset_size >= _SMALLEST else None
@@ -136,6 +136,11 @@ class Film:
             none = np.full((2, 2), np.nan, dtype=np.float32)
             return grounds.of_map(none, np.zeros(2), 0.01, self._limits)
         return grounds.of_map(terrain.elevation, terrain.origin, terrain.resolution, self._limits)
+
+    def _limits_of(self, ground: Ground) -> tuple[float, float]:
+        """Heights [m] {world} of the lowest and highest colour: the ground's own."""
+        rise = self._story.moment(self.times_ns[0]).T_scene_world[2, 3]
+        return ground.low - rise, ground.high - rise
 
     def _limits_of_maps(self) -> tuple[float, float]:
         """Heights [m] of the lowest and highest colour: those of all maps together."""

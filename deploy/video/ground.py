@@ -19,7 +19,7 @@ _STEP = 0.01  # [m] of the raster on which the ground around is averaged
 _AROUND = 0.035  # [m] over which
 _MOST = 3000  # cells of that raster along either axis
 _NARROWEST = 0.06  # [m] between the lowest and the highest colour: level ground is not to look like mountains
-RELIEF = ((92, 140, 150), (150, 184, 166), (224, 219, 188), (236, 194, 134), (214, 138, 84))  # R, G, B from low to high
+RELIEF = ((152, 170, 174), (182, 203, 184), (230, 225, 197), (240, 200, 143), (218, 142, 92))  # R, G, B from low to high
 _FACES = np.array(  # corners of a box's six faces, outward and counter-clockwise, as signs along its axes
     [
         [[-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]],

@@ -13,13 +13,13 @@ from shared.compiled import compiled, written_into
 from shared.geometry import Array
 
 BY_HEIGHT, GLOSS = 3, 4  # columns of the table of materials, after R, G, B
-_SUN = (1.02, 0.955, 0.85)  # times its cosine
-_SKY, _EARTH = (0.36, 0.43, 0.54), (0.26, 0.23, 0.20)  # what comes from above and, thrown back, from below
+_SUN = (0.99, 0.925, 0.82)  # times its cosine
+_SKY, _EARTH = (0.36, 0.41, 0.48), (0.26, 0.23, 0.20)  # what comes from above and, thrown back, from below
 _ZENITH, _HORIZON = (0.40, 0.57, 0.80), (0.74, 0.81, 0.88)
 _DEEP = (0.050, 0.064, 0.090)  # what lies far below the course
 _HAZE_FROM, _HAZE_TO = 1.6, 7.0  # [m] beyond the middle of the picture, where the air begins to be seen, and alone is
 _GRID, _GRID_LINE = 0.10, 0.0011  # [m] lines on level ground, and half their width
-_BIAS = 0.0025  # [m] by which what is lit stands off its own shadow
+_BIAS = 0.0015  # [m] by which what is lit is nearer to the lamp than what the lamp sees there
 _CREASE = 0.0035  # kink of the inverse depth, as a share of it, that is an edge
 _LEVEL = 0.7  # z of a normal from which on a face is a floor, and no wall
 
@@ -65,8 +65,17 @@ def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.flo
     rows, columns = sight.w.shape
     fx, fy, cx, cy = sight.lens
     w, sun, materials = sight.w, scene.sun, scene.materials
+    # Taken out of their tuples here: for every pixel anew that would cost more than what is done with them.
+    ground_seen, T_ground, ground_reach = scene.ground_shadow.sight.w, scene.ground_shadow.T, scene.ground_shadow.reach
+    robot_seen, T_robot, robot_reach = scene.robot_shadow.sight.w, scene.robot_shadow.T, scene.robot_shadow.reach
+    ground_lens, robot_lens = scene.ground_shadow.sight.lens, scene.robot_shadow.sight.lens
+    around_values, around_x, around_y, around_step = scene.around
+    under_values, under_x, under_y, under_step = scene.under
+    marks, way, normals, seen_materials, heights = scene.marks, scene.way, sight.normal, sight.material, scene.heights
+    low, high, middle = scene.low, scene.high, scene.middle
+    sun_x, sun_y, sun_z = sun[0], sun[1], sun[2]
     color = np.empty(3)
-    shades = len(scene.heights) - 1
+    shades = len(heights) - 1
     for row in range(rows):
         for column in range(columns):
             dx, dy = (column - cx) / fx, (row - cy) / fy
@@ -81,16 +90,16 @@ def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.flo
                 continue
             z = 1.0 / w[row, column]
             px, py, pz = T[0, 3] + z * rx, T[1, 3] + z * ry, T[2, 3] + z * rz
-            nx, ny, nz = sight.normal[row, column, 0], sight.normal[row, column, 1], sight.normal[row, column, 2]
-            material = sight.material[row, column]
+            nx, ny, nz = normals[row, column, 0], normals[row, column, 1], normals[row, column, 2]
+            material = seen_materials[row, column]
             # 1. Its own colour.
             ground = materials[material, 3] > 0.0
             if materials[material, 3] > 1.0:
-                at = min(max((pz - scene.low) / (scene.high - scene.low), 0.0), 1.0) * shades
+                at = min(max((pz - low) / (high - low), 0.0), 1.0) * shades
                 i = min(int(at), shades - 1)
-                deep = min(max((scene.low - 0.10 - pz) / 0.25, 0.0), 1.0)
+                deep = min(max((low - 0.10 - pz) / 0.25, 0.0), 1.0)
                 for k in range(3):
-                    color[k] = scene.heights[i, k] + (at - i) * (scene.heights[i + 1, k] - scene.heights[i, k])
+                    color[k] = heights[i, k] + (at - i) * (heights[i + 1, k] - heights[i, k])
                     color[k] += deep * (_DEEP[k] - color[k])
             else:
                 for k in range(3):
@@ -98,36 +107,35 @@ def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.flo
             if ground:
                 if nz > _LEVEL:
                     _draw_grid(color, px, py, z / fx)
-                    _draw_marks(color, px, py, pz, scene)
+                    _draw_marks(color, px, py, pz, marks, way)
                 else:
                     for k in range(3):
                         color[k] *= 0.78
             # 2. What light comes there.
-            cosine = nx * sun[0] + ny * sun[1] + nz * sun[2]
+            cosine = nx * sun_x + ny * sun_y + nz * sun_z
             lit = max(cosine, 0.0)
             if lit > 0.0:
-                ox, oy, oz = px + _BIAS * nx, py + _BIAS * ny, pz + _BIAS * nz
-                lit *= _shadow(scene.ground_shadow, ox, oy, oz)
+                lit *= _shadow(ground_seen, T_ground, ground_lens, ground_reach, px, py, pz, nx, ny, nz)
             if lit > 0.0:
-                lit *= _shadow(scene.robot_shadow, px + _BIAS * nx, py + _BIAS * ny, pz + _BIAS * nz)
+                lit *= _shadow(robot_seen, T_robot, robot_lens, robot_reach, px, py, pz, nx, ny, nz)
             open_sky = 1.0
-            around = _at(scene.around, px, py)
+            around = _at(around_values, around_x, around_y, around_step, px, py)
             if np.isfinite(around):
                 open_sky = 1.0 - 0.6 * min(max((around - pz) / 0.045, 0.0), 1.0)
             if ground:
-                under = _at(scene.under, px, py)
+                under = _at(under_values, under_x, under_y, under_step, px, py)
                 if np.isfinite(under):
                     open_sky *= 1.0 - under
             half = 0.5 + 0.5 * nz
             # 3. What of it goes to the eye, and the air between.
             gloss = 0.0
             if materials[material, 4] > 0.0:
-                hx, hy, hz = sun[0] - rx / long, sun[1] - ry / long, sun[2] - rz / long
+                hx, hy, hz = sun_x - rx / long, sun_y - ry / long, sun_z - rz / long
                 size = np.sqrt(hx * hx + hy * hy + hz * hz)
                 shine = max((nx * hx + ny * hy + nz * hz) / size, 0.0) ** 40
                 rim = (1.0 - max(-(nx * rx + ny * ry + nz * rz) / long, 0.0)) ** 4
                 gloss = materials[material, 4] * (shine * min(2.0 * lit, 1.0) + 0.35 * rim * half)
-            haze = min(max((z * long - scene.middle - _HAZE_FROM) / (_HAZE_TO - _HAZE_FROM), 0.0), 1.0)
+            haze = min(max((z * long - middle - _HAZE_FROM) / (_HAZE_TO - _HAZE_FROM), 0.0), 1.0)
             haze = haze * haze * (3.0 - 2.0 * haze)
             edge = 1.0 if not ground else 1.0 - 0.38 * _crease(w, row, column) * (1.0 - haze)
             for k in range(3):
@@ -147,17 +155,17 @@ def _draw_grid(color: Array, x: float, y: float, pixel: float) -> None:
 
 
 @written_into
-def _draw_marks(color: Array, x: float, y: float, z: float, scene: Scene) -> None:
+def _draw_marks(color: Array, x: float, y: float, z: float, marks: Array, way: Array) -> None:
     """What is painted on the ground: rings with a tinted middle, and the way."""
-    for s in range(len(scene.way)):
-        ax, ay = scene.way[s, 0, 0], scene.way[s, 0, 1]
-        bx, by = scene.way[s, 1, 0] - ax, scene.way[s, 1, 1] - ay
+    for s in range(len(way)):
+        ax, ay = way[s, 0, 0], way[s, 0, 1]
+        bx, by = way[s, 1, 0] - ax, way[s, 1, 1] - ay
         size = bx * bx + by * by
         t = min(max(((x - ax) * bx + (y - ay) * by) / size, 0.0), 1.0) if size > 0.0 else 0.0
         if (x - ax - t * bx) ** 2 + (y - ay - t * by) ** 2 < 0.005**2:
             color[0], color[1], color[2] = 0.05, 0.20, 0.70
-    for k in range(len(scene.marks)):
-        mark = scene.marks[k]
+    for k in range(len(marks)):
+        mark = marks[k]
         off = (x - mark[0]) ** 2 + (y - mark[1]) ** 2
         if off < mark[4] ** 2 and abs(z - mark[2]) < 0.03:
             share = 0.92 if off > mark[3] ** 2 else 0.30
@@ -166,40 +174,59 @@ def _draw_marks(color: Array, x: float, y: float, z: float, scene: Scene) -> Non
 
 
 @written_into
-def _at(grid: Grid, x: float, y: float) -> float:
+def _at(values: NDArray[np.float32], x0: float, y0: float, step: float, x: float, y: float) -> float:
     """The value of a grid at a place; NaN beside it."""
-    u, v = (x - grid.x) / grid.step, (y - grid.y) / grid.step
-    nx, ny = grid.values.shape
+    u, v = (x - x0) / step, (y - y0) / step
+    nx, ny = values.shape
     if not (0.0 <= u < nx - 1 and 0.0 <= v < ny - 1):
         return np.nan
     i, j = int(u), int(v)
     u, v = u - i, v - j
-    low = grid.values[i, j] * (1.0 - u) + grid.values[i + 1, j] * u
-    high = grid.values[i, j + 1] * (1.0 - u) + grid.values[i + 1, j + 1] * u
+    low = values[i, j] * (1.0 - u) + values[i + 1, j] * u
+    high = values[i, j + 1] * (1.0 - u) + values[i + 1, j + 1] * u
     return float(low * (1.0 - v) + high * v)
 
 
 @written_into
-def _shadow(shadow: Shadow, x: float, y: float, z: float) -> float:
-    """Share of a lamp's light that comes to a place {world}; all of it where the lamp does not look."""
-    T, seen = shadow.T, shadow.sight.w
-    fx, fy, cx, cy = shadow.sight.lens
+def _shadow(
+    seen: NDArray[np.float32],
+    T: Array,
+    lens: tuple[float, float, float, float],
+    reach: float,
+    x: float,
+    y: float,
+    z: float,
+    nx: float,
+    ny: float,
+    nz: float,
+) -> float:
+    """Share of a lamp's light that comes to a place on a face {world}; all of it where the lamp does not look.
+
+    Around the place the face goes on: what the lamp sees beside it is compared with the face as it lies there.
+    """
+    fx, fy, cx, cy = lens
     a = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
     b = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
     c = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
     u, v = fx * a / c + cx, fy * b / c + cy
     rows, columns = seen.shape
-    margin = 2.0 * shadow.reach + 1.0
+    margin = 2.0 * reach + 1.0
     if not (margin <= u < columns - 1 - margin and margin <= v < rows - 1 - margin):
         return 1.0
-    own = np.float32(1.0 / c)
+    la = T[0, 0] * nx + T[0, 1] * ny + T[0, 2] * nz
+    lb = T[1, 0] * nx + T[1, 1] * ny + T[1, 2] * nz
+    lc = T[2, 0] * nx + T[2, 1] * ny + T[2, 2] * nz
+    d = min(la * a + lb * b + lc * c, -0.05 * c)  # below 0 where the lamp sees the front; flatter light changes no more
+    gu, gv = la / (fx * d), lb / (fy * d)  # by which the inverse depth of the face changes from pixel to pixel
+    own = (1.0 + _BIAS / c) / c
+    u0, v0 = int(u + 0.5), int(v + 0.5)
+    own += gu * (u0 - u) + gv * (v0 - v)
     # Where the corners and the middle agree, so does for the most part what lies between.
-    free, r = 0, int(shadow.reach + 0.5)
-    at_row, at_column = int(v + 0.5), int(u + 0.5)
+    free, r = 0, int(reach + 0.5)
     for i in (-1, 1):
         for j in (-1, 1):
-            free += seen[at_row + r * i, at_column + r * j] <= own
-    middle = seen[at_row, at_column] <= own
+            free += seen[v0 + r * i, u0 + r * j] <= own + r * (gu * j + gv * i)
+    middle = seen[v0, u0] <= own
     if free == 0 and not middle:
         return 0.0
     if free == 4 and middle:
@@ -207,8 +234,8 @@ def _shadow(shadow: Shadow, x: float, y: float, z: float) -> float:
     free = 0
     for i in range(-2, 3):
         for j in range(-2, 3):
-            row, column = int(v + 0.5 * shadow.reach * i + 0.5), int(u + 0.5 * shadow.reach * j + 0.5)
-            if seen[row, column] <= own:
+            down, aside = int(np.round(0.5 * reach * i)), int(np.round(0.5 * reach * j))
+            if seen[v0 + down, u0 + aside] <= own + gu * aside + gv * down:
                 free += 1
     return float(free / 25.0)
 
