@@ -60,7 +60,10 @@ class Attendance:
         return replace(report, success=False, reason=ended_by) if ended_by else report
 
     def leave_behind(self, report: Report, out: Path, picture: bool = True) -> None:
-        """Write report.json and, if asked for and where there is anything to see, summary.png and walk.png into a folder."""
+        """Write report.json and, if asked for and where there is anything to see, pictures into a folder.
+
+        They are summary.png; walk.png of a robot that walked; and passage.png of one that planned its way over a passage.
+        """
         reports.write(report, out)
         if not picture:
             return
@@ -71,7 +74,9 @@ class Attendance:
             trace = self.scorer.trace
         except ValueError:  # the run ended before the simulator said a word
             return
-        (passage_picture.draw if trace.sections else summaries.draw)(out / "summary.png", report, trace)
+        summaries.draw(out / "summary.png", report, trace)
+        if trace.sections:
+            passage_picture.draw(out / "passage.png", report, trace)
         walk_picture.draw(out / "walk.png", report, trace)
 
 

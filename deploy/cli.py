@@ -255,7 +255,7 @@ def _add_walks(add: Any) -> None:
     one.add_argument("course", nargs="?", choices=tuple(DEMOS), default="steps", help="what it walks (default %(default)s)")
     _add_seed_and_out(one)
 
-    one = add("run", run, "run a scenario and write a folder with report.json, summary.png, walk.png and recording.mcap")
+    one = add("run", run, "run a scenario and write a folder with report.json, pictures and recording.mcap")
     one.add_argument("scenario", help="name of a scenario that comes with sextant, or path of a TOML file")
     _add_robot_and_gait(one)
     one.add_argument("--lockstep", action="store_true", help="in one process on simulated time, as fast as the machine allows")

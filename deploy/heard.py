@@ -22,6 +22,7 @@ class Heard:
         self.truth: list[GroundTruth] = []
         self.poses: list[BodyPose] = []
         self.states: list[ActuatorState] = []
+        self.statuses: list[PlannerStatus] = []
         self.plans: dict[int, StepPlan] = {}  # the newest revision of each step
         self.moved: dict[int, int] = {}  # footholds moved in each step, by the planner's word
         self.passage_plans: list[tuple[PassagePlan, PassageMap | None]] = []  # and the newest map of the strip by then
@@ -65,6 +66,7 @@ class Heard:
         return replace(message, step=message.step + self._steps_before) if self._steps_before else message
 
     def _note(self, status: PlannerStatus) -> None:
+        self.statuses.append(status)
         self.moved[status.step + self._steps_before] = status.moved_footholds
         if len(status.path) and not any(_goes_on(status.path, known) for known in self.routes[-1:]):
             self.routes.append(status.path)

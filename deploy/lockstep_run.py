@@ -167,7 +167,7 @@ def run_lockstep(
     Args:
         scenario: The course and the way to walk it.
         seed: Of everything random; one seed makes one report, its timing fields apart.
-        out: Folder for report.json, summary.png, walk.png and recording.mcap; None leaves nothing behind.
+        out: Folder for report.json, pictures and recording.mcap; None leaves nothing behind.
         progress: Where to show it.
         taps: Each sees every frame as it is sent, with the simulated time [ns].
     """

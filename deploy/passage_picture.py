@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 from deploy.layers_picture import UNSEEN
 from deploy.passage_figures import steps_of
 from deploy.report import Report
-from deploy.summary import draw_blocks, draw_course, draw_footholds, draw_ground, draw_paths, draw_table, title
+from deploy.summary import (
+    draw_blocks,
+    draw_course,
+    draw_footholds,
+    draw_ground,
+    draw_paths,
+    draw_table,
+    extent_of,
+    title,
+    verdict,
+)
 from deploy.trace import PlannedSection, Trace
 from deploy.walk_picture import LEG_COLORS
 from shared.geometry import Array, apply, rotation_z, transform
@@ -51,7 +61,7 @@ def figure_of(report: Report, trace: Trace) -> Any:
     with rc_context({"font.size": _FONT, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white")
         FigureCanvasAgg(figure)
-        title(figure, report)
+        title(figure, verdict(report, trace, None, most=1))
         planned, walked, aside = (
             figure.add_axes((0.070, bottom, 0.860, height))
             for bottom, height in ((0.627, 0.265), (0.325, 0.265), (0.230, 0.08))
@@ -206,9 +216,6 @@ def _draw_walked(figure: Any, axes: Any, report: Report, trace: Trace) -> None:
     if trace.mosaic is not None:
         draw_ground(figure, axes, trace.mosaic, low, high)
     draw_blocks(axes, trace)
-    for corners in trace.blocks[trace.weak]:
-        axes.fill(*corners.T, facecolor="none", edgecolor=_BAD, hatch="xx", lw=1.6, zorder=4)
-        axes.annotate("gives way", corners.max(axis=0), (2, 2), textcoords="offset points", color=_BAD, size=11, zorder=9)
     draw_course(axes, trace)
     draw_footholds(axes, trace)
     draw_paths(axes, trace, report)
@@ -218,7 +225,7 @@ def _draw_walked(figure: Any, axes: Any, report: Report, trace: Trace) -> None:
 
 def _frame(axes: Any, trace: Trace) -> tuple[Array, Array]:
     """Lay out a view from above; returns its corners [m] {start}."""
-    low, high = np.array([-_BEFORE, -_SIDE]), np.array([trace.goal_distance + _AFTER, _SIDE])
+    low, high = extent_of(trace, _BEFORE, _AFTER, _SIDE)
     axes.set_facecolor(UNSEEN)
     axes.set_aspect("equal", anchor="W")
     axes.set_xlim(low[0], high[0])
@@ -254,7 +261,8 @@ def _draw_aside(axes: Any, trace: Trace) -> None:
         body = section.plan.body
         axes.plot(body[:, 0], 100 * body[:, 2], color=_color(number), lw=1.4, ls=(0, (4, 2)), zorder=5)
     highest = float(trace.p_true[:, 2].max()) if len(trace.t) else 0.1
-    axes.set_xlim(-_BEFORE, trace.goal_distance + _AFTER)
+    low, high = extent_of(trace, _BEFORE, _AFTER, _SIDE)
+    axes.set_xlim(low[0], high[0])
     axes.set_ylim(-100 * _UNDER, 100 * (highest + 0.03))
     axes.set_xlabel("ahead [m]", labelpad=1)
     axes.set_ylabel("height\n[cm]")

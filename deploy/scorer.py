@@ -18,7 +18,6 @@ from deploy.report import ARRIVED, CourseMap, MapError, Report, StageTime
 from deploy.trace import Trace, trace_of
 from deploy.walk import Walk
 from deploy.walk_figures import pose_error, walk_figures
-from deploy.walk_metrics import walked_into
 from shared import topics
 from shared.geometry import Array, inverse, rotation_z, transform, yaw_of
 from shared.messages import GroundTruth, Message, TerrainMap
@@ -36,7 +35,6 @@ _MAP_PERIOD_NS = 1_000_000_000  # [ns]
 _COURSE_MARGIN = 1.2  # [m] of map around the course that is kept
 _PATH_MARGIN = 0.5  # [m] around the straight path where a fall is looked up on a grid
 _ROUTE_MARGIN = 2.0  # [m] likewise, where the planner finds the way
-_COLLISION_SAMPLES = 5  # of truth, of which one is looked at for what was walked into
 _RESOLUTIONS, _FAR = (0.001, 1.0), 1e4  # [m] cells and places of maps that make sense
 
 
@@ -83,6 +81,7 @@ class Scorer:
         self._stood = False  # a robot that starts on its belly has not fallen
         self._fall = ""
         self._shutdown_ns: int | None = None
+        self._shutdown = np.zeros((6, 3), dtype=bool)  # servos that have, even if they are back
         self._end = ""
         self._x = 0.0
         self._maps: MapJudge | None = None
@@ -164,6 +163,7 @@ class Scorer:
         how = self._falling(truth, z)
         if how:
             self._fall = f"fell {x:.2f} m along after {seconds:.1f} s: {how}"
+        self._shutdown |= truth.shutdown
         if self._shutdown_ns is None and truth.shutdown.any():
             self._shutdown_ns = now
         if self._goal_ns is None and x >= goal.distance and abs(y) <= goal.corridor:
@@ -207,7 +207,7 @@ class Scorer:
         return now - then > 0.9 * _REST_NS and (x - x0) ** 2 + (y - y0) ** 2 < _REST_MOTION**2
 
     def _shutdown_words(self) -> str:
-        legs, joints = np.nonzero(self._heard.truth[-1].shutdown)
+        legs, joints = np.nonzero(self._shutdown)
         names = [f"{LEGS[leg]} {JOINTS[joint]}" for leg, joint in zip(legs, joints, strict=True)]
         return f"servo shut down: {', '.join(names[:4])}" + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
@@ -256,9 +256,9 @@ class Scorer:
         scenario, profile = self._scenario, self._profile
         if not in_a_hurry and len(self._heard.truth) > 1:
             self._look_for_a_way()
-        shutdowns = int(self._heard.truth[-1].shutdown.sum()) if self._heard.truth else 0
+        shutdowns = int(self._shutdown.sum())
         arrived, right = self._goal_ns is not None, self._did_right()
-        collisions = self._collisions() if len(self._heard.truth) > 1 else 0
+        collisions = self.walk.collisions if len(self._heard.truth) > 1 else 0
         success = right and not self._fall and not shutdowns and not (scenario.goal.route and collisions)
         report = Report(
             scenario=scenario.name,
@@ -300,13 +300,6 @@ class Scorer:
             refused = refused and not np.isfinite(self._course.edge_distance(self.trace.touchdowns.p[:, :2])).any()
             expect = "either" if self._passable is None else "arrival" if self._passable else "refusal"
         return (expect != "refusal" and arrived) or (expect != "arrival" and refused)
-
-    def _collisions(self) -> int:
-        """How often a foot or the body ran into what is higher than a step, or a foot hung in a hole."""
-        some = self._heard.truth[::_COLLISION_SAMPLES]
-        feet = np.array([m.feet for m in some])
-        bodies = np.array([m.T_world_body for m in some])
-        return walked_into(self._course.terrain.height_at, feet, bodies, self._profile.foot.radius, self._profile.body.size)
 
     def _failure(self, shutdowns: int, collisions: int, reason: str) -> str:
         if not self._heard.truth:

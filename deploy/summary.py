@@ -2,35 +2,48 @@
 
 import textwrap
 from collections.abc import Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy import history_picture
+from deploy.history_picture import ESTIMATE, TRUE
 from deploy.layers_picture import UNSEEN, ground_colors
 from deploy.map_metrics import Mosaic
+from deploy.moment import MISSED, Moment, decisive_moment, missed_by, refusal, signs
 from deploy.relief import shaded
 from deploy.report import ARRIVED, Report
-from deploy.trace import Trace
+from deploy.said import Complaint
+from deploy.touchdowns import Touchdowns
+from deploy.trace import Touches, Trace
 from deploy.walk_picture import LEG_COLORS
+from shared.geometry import apply
 from shared.robot import LEGS
 
-_SIZE = (16.0, 12.0)  # [in]
-_DPI = 100
-_FONT = 13  # [pt]
-_GOOD, _BAD = "#1a7f37", "#b3261e"
-_TRUE, _ESTIMATE, _REFERENCE, _ROUTE = "#111111", "#d01c8b", "#7f7f7f", "#1f5fd0"
+_WIDTH, _DPI, _FONT = 16.0, 100, 13  # [in], [1/in], [pt]
+_MAP, _LEGEND, _HISTORY = (3.3, 5.2), 0.75, (6.2, 7.6)  # [in] heights: the last without and with a moment that decided
+_LEFT, _RIGHT, _BAR = 0.055, 0.985, 0.06  # [1] of the width: the margins, and what the scale of heights takes
+_GAP = 0.5  # [in] between the map's scale and the close-up
+_LINE = 0.235  # [in] of a line of words
+_GOOD, _BAD, _AMBER = "#1a7f37", "#b3261e", "#9a6700"
+_ROUTE = "#1f5fd0"
 _NO_FOOTHOLD, _HATCH = (0.70, 0.10, 0.08, 0.5), "#00000045"
 _SIDE = 0.62  # [m] least of the map shown to both sides of the line
 _BEFORE, _AFTER = 0.45, 0.45  # [m] of the map shown before the start and after the goal
+_AROUND = 0.42  # [m] to all sides of the body, shown of the moment that decided
+_LOOK_BACK = 3.0  # [s] before a fall in which the body has left what supported it
 
 
 def draw(path: Path, report: Report, trace: Trace) -> None:
-    """Draw a run.
+    """Draw a run: the verdict in words; the map with what was walked, missed and refused; what was said; the walk over time.
+
+    Of a run that did not arrive the moment that decided it is marked through all of it, shown from near, and what led to it.
 
     Args:
-        path: Of the picture, 1600 x 1200 pixels, in the format of its suffix.
+        path: Of the picture, 1600 pixels wide, in the format of its suffix.
         report: What it came to.
         trace: How it went; may be empty.
     """
@@ -45,38 +58,158 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         "hatch.linewidth": 0.8,
         "hatch.color": _HATCH,
     }
+    moment = decisive_moment(report, trace)
+    low, high = extent_of(trace)
+    share = float((high[1] - low[1]) / (high[0] - low[0]))
+    wide = _WIDTH * (_RIGHT - _LEFT - _BAR)  # [in] for the map and the close-up, which is a square
+    map_height = wide * share if moment is None else (wide - _GAP) * share / (1 + share)
+    map_height = float(np.clip(map_height, *_MAP))
+    room = (wide if moment is None else wide - _GAP - map_height) / _WIDTH
+    near = map_height / _WIDTH
+    lines = verdict(report, trace, moment)
+    above = head_height(lines)
+    history = _HISTORY[moment is not None]
+    tall = above + 0.25 + map_height + 0.5 + _LEGEND + 0.25 + history + 0.6
     with rc_context(look):
-        figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white")
+        figure = Figure(figsize=(_WIDTH, tall), dpi=_DPI, facecolor="white")
         FigureCanvasAgg(figure)
-        title(figure, report)
-        ground = figure.add_axes((0.055, 0.505, 0.875, 0.40))
-        _draw_map(figure, ground, report, trace)
-        rows = [figure.add_axes((0.075, bottom, 0.575, 0.102)) for bottom in (0.290, 0.172, 0.054)]
-        _draw_curves(rows, trace)
-        draw_table(figure.add_axes((0.685, 0.025, 0.295, 0.385)), _numbers(report))
+        title(figure, lines)
+        bottom = 1 - (above + 0.25 + map_height) / tall
+        ground = figure.add_axes((_LEFT, bottom, room, map_height / tall))
+        told = history_picture.told_in_words(trace, moment)
+        _draw_map(figure, ground, report, trace, moment, told)
+        if moment is not None:
+            _draw_near(figure.add_axes((_RIGHT - near, bottom, near, map_height / tall)), report, trace, moment, (low, high))
+        _draw_legend(figure, report, trace, 1 - (above + 0.25 + map_height + 0.5) / tall)
+        box = (0.085, 0.6 / tall, 0.565, history / tall)
+        history_picture.draw(figure, box, trace, moment, moment_color(report), told)
+        draw_words(figure, (0.685, 0.45 / tall, 0.30, (history + 0.30) / tall), trace, moment, told, _numbers(report))
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
 
 
-def title(figure: Any, report: Report) -> None:
-    """The verdict in words, and what was walked."""
-    walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {report.gait}" + (" · blind" if report.blind else "")
+def moment_color(report: Report) -> str:
+    """Of what decided a run: red, or where it was right to stop, amber."""
+    return _AMBER if report.success else _BAD
+
+
+# -- in words
+
+
+def verdict(report: Report, trace: Trace, moment: Moment | None, most: int = 4) -> list[tuple[str, float, str]]:
+    """The lines at the top, each with its size [pt] and colour: how it ended, why in at most so many lines, whose leg."""
     arrived = report.success and report.reason == ARRIVED
-    verdict = "Goal reached" if arrived else "Rightly refused" if report.success else "Failed"
-    words = "" if arrived else f": {report.reason}"
-    facts = f" in {report.duration_s:.1f} s at {100 * report.speed_mps:.1f} cm/s" if arrived else ""
-    lines = textwrap.wrap(verdict + words + facts, 100, max_lines=2, placeholder=" …")
+    word = "Goal reached" if arrived else "Rightly refused" if report.success else "Failed"
     color = _GOOD if report.success else _BAD
-    first, second = np.array([0.30, 0.744 if len(lines) == 1 else 0.996]) / figure.get_figheight()  # [in] from the top
-    figure.text(0.055, 1 - first, "\n".join(lines), size=20 if len(lines) == 1 else 17, weight="bold", color=color, va="top")
-    figure.text(0.055, 1 - second, walk, size=_FONT, color="#444444", va="top")
+    found: list[tuple[str, float, str]] = []
+    if arrived:
+        found.append((f"{word} in {report.duration_s:.1f} s at {100 * report.speed_mps:.1f} cm/s", 20.0, color))
+    elif len(report.reason) <= 78:
+        found.append((f"{word}: {report.reason}", 20.0, color))
+    else:
+        found.append((f"{word} {report.distance_m:.2f} m along, after {report.duration_s:.1f} s", 20.0, color))
+        found += [(line, 13.0, color) for line in textwrap.wrap(report.reason, 142, max_lines=most, placeholder=" …")]
+    refused = refusal(trace) if moment is not None else None
+    if refused is not None and refused.words not in report.reason:
+        words = f"The planner: {refused.words}"
+        found += [(line, 13.0, "#222222") for line in textwrap.wrap(words, 142, max_lines=2, placeholder=" …")]
+    if moment is not None and (words := _whose(trace, moment)):
+        found.append((words, 13.0, "#222222"))
+    walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {report.gait}" + (" · blind" if report.blind else "")
+    found.append((walk, float(_FONT), "#5f6368"))
+    return found
+
+
+def _whose(trace: Trace, moment: Moment) -> str:
+    """Which leg to look at and why; empty where none stands out."""
+    of_leg = [sign for sign in signs(trace, moment) if sign.leg == moment.leg and sign.t < moment.t]
+    if moment.leg < 0 or not of_leg:
+        return ""
+    ago = moment.t - of_leg[-1].t
+    return f"Look at the {LEGS[moment.leg]} leg: {of_leg[-1].words}" + (f", {ago:.1f} s before." if ago >= 0.05 else ".")
+
+
+def head_height(lines: Sequence[tuple[str, float, str]]) -> float:
+    """Height [in] of the lines at the top."""
+    return 0.25 + sum(_spacing(size) for _, size, _ in lines)
+
+
+def _spacing(size: float) -> float:
+    return size / 72 * 1.42
+
+
+def title(figure: Any, lines: Sequence[tuple[str, float, str]]) -> None:
+    """The lines at the top."""
+    y = 0.25
+    for text, size, color in lines:
+        at = 1 - y / figure.get_figheight()
+        figure.text(_LEFT, at, text, size=size, weight="bold" if size > _FONT else None, color=color, va="top")
+        y += _spacing(size)
+
+
+def draw_words(
+    figure: Any,
+    box: tuple[float, float, float, float],
+    trace: Trace,
+    moment: Moment | None,
+    told: Sequence[Complaint],
+    numbers: Sequence[tuple[str, str]],
+) -> None:
+    """What led to the end, what was said, and with the room that is left the figures."""
+    left, bottom, width, height = box
+    tall = figure.get_figheight()
+    room = height * tall  # [in]
+    y = 0.0
+    paragraphs: list[tuple[str, str, list[str]]] = []
+    if moment is not None:
+        led = signs(trace, moment)
+        rows = [(f"{sign.t - moment.t:+.1f} s", sign.words) for sign in led]
+        paragraphs.append(("What led to it", "time", [f"{when}\t{words}" for when, words in rows] or ["\tnothing that shows"]))
+    if told:
+        paragraphs.append(("What was said", "flag", [f"{k}\t{c.who}: {c.words}" for k, c in enumerate(told, 1)]))
+    spare = room - _LINE * 1.25 * 6 - 1.3 * _LINE * len(paragraphs)  # of all words
+    for heading, kind, rows_ in paragraphs:
+        figure.text(left, bottom + height - y / tall, heading, size=13, weight="bold", va="top", color="#222222")
+        y += 1.3 * _LINE
+        indent = 0.052 if kind == "time" else 0.026
+        for row in rows_:
+            mark, words = row.split("\t", 1)
+            lines = textwrap.wrap(words, round((width - indent) / 0.0050), max_lines=4, placeholder=" …") or [""]
+            if spare < len(lines) * _LINE:
+                figure.text(left + indent, bottom + height - y / tall, "…", size=11, va="top")
+                y += _LINE
+                break
+            at = bottom + height - y / tall
+            if kind == "flag":
+                middle = at - 0.5 * _LINE / tall
+                figure.text(
+                    left + 0.008,
+                    middle,
+                    mark,
+                    size=10,
+                    weight="bold",
+                    color="white",
+                    ha="center",
+                    va="center",
+                    bbox={"boxstyle": "circle,pad=0.22", "fc": _BAD, "ec": "white", "lw": 0.8},
+                )
+            else:
+                figure.text(left + 0.046, at, mark, size=11, va="top", ha="right", color="#5f6368")
+            figure.text(left + indent, at, "\n".join(lines), size=11, va="top", color="#222222", linespacing=1.3)
+            y += len(lines) * 0.87 * _LINE + 0.05
+            spare -= len(lines) * 0.87 * _LINE + 0.05
+        y += 0.12
+    fitting = min(len(numbers), int((room - y) / (1.25 * _LINE)))
+    if fitting > 0:
+        taken = min(fitting * 0.36, room - y) / tall
+        draw_table(figure.add_axes((left, bottom + height - y / tall - taken, width, taken)), numbers[:fitting])
 
 
 # -- the map
 
 
-def _draw_map(figure: Any, axes: Any, report: Report, trace: Trace) -> None:
-    low, high = _extent(trace)
+def _draw_map(figure: Any, axes: Any, report: Report, trace: Trace, moment: Moment | None, told: Sequence[Complaint]) -> None:
+    low, high = extent_of(trace)
     axes.set_facecolor(UNSEEN)  # never seen
     axes.set_aspect("equal", anchor="W")
     axes.set_xlim(low[0], high[0])
@@ -87,24 +220,31 @@ def _draw_map(figure: Any, axes: Any, report: Report, trace: Trace) -> None:
     draw_course(axes, trace)
     draw_footholds(axes, trace)
     draw_paths(axes, trace, report)
+    draw_flags(axes, trace, told)
+    draw_moment(axes, report, moment)
     axes.set_xlabel("ahead [m]", labelpad=1)
     axes.set_ylabel("left [m]")
+
+
+def _draw_legend(figure: Any, report: Report, trace: Trace, top: float) -> None:
     figure.legend(
         handles=_legend(report, trace),
         loc="upper left",
-        bbox_to_anchor=(0.045, 0.468),
+        bbox_to_anchor=(0.045, top),
         ncols=7,
         frameon=False,
         fontsize=11,
         handletextpad=0.5,
-        columnspacing=1.8,
+        columnspacing=1.6,
         borderaxespad=0.0,
     )
 
 
-def _extent(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Corners [m] {start} of what is shown: the course, and wherever the robot went."""
-    low, high = np.array([-_BEFORE, -_SIDE]), np.array([trace.goal_distance + _AFTER, _SIDE])
+def extent_of(
+    trace: Trace, before: float = _BEFORE, after: float = _AFTER, side: float = _SIDE
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners [m] {start} of what is shown: the course with so much [m] around it, and wherever the robot went."""
+    low, high = np.array([-before, -side]), np.array([trace.goal_distance + after, side])
     if len(trace.t):
         path = trace.p_true[:, :2]
         low = np.minimum(low, path.min(axis=0) - 0.3)
@@ -114,6 +254,19 @@ def _extent(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 def draw_ground(figure: Any, axes: Any, mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
     """The mapped ground between two corners [m] {start}, with its scale beside."""
+    image = draw_cells(axes, mosaic, low, high)
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    figure.canvas.draw()  # the map keeps its proportions, so only now its place is known
+    box = axes.get_position()
+    bar = figure.colorbar(image, cax=figure.add_axes((box.x1 + 0.008, box.y0, 0.010, box.height)))
+    bar.set_label("mapped height [cm]" + (", where no colour is seen" if mosaic.color is not None else ""), size=11)
+    bar.ax.tick_params(labelsize=10)
+    bar.outline.set_visible(False)
+
+
+def draw_cells(axes: Any, mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) -> Any:
+    """The mapped ground in the colours of what lies between two corners [m] {start}; the image of its heights."""
     nx, ny = mosaic.elevation.shape
     first = mosaic.origin - mosaic.resolution / 2
     last = first + mosaic.resolution * np.array([nx, ny])
@@ -145,14 +298,7 @@ def draw_ground(figure: Any, axes: Any, mosaic: Mosaic, low: NDArray[np.float64]
     axes.imshow(tint, origin="lower", extent=extent, interpolation="nearest", zorder=1)
     if (mosaic.assumed & seen).any():
         axes.contourf(x, y, (mosaic.assumed & seen).T.astype(float), levels=[0.5, 1.5], colors="none", hatches=["//"], zorder=1)
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    figure.canvas.draw()  # the map keeps its proportions, so only now its place is known
-    box = axes.get_position()
-    bar = figure.colorbar(image, cax=figure.add_axes((box.x1 + 0.008, box.y0, 0.010, box.height)))
-    bar.set_label("mapped height [cm]" + (", where no colour is seen" if mosaic.color is not None else ""), size=11)
-    bar.ax.tick_params(labelsize=10)
-    bar.outline.set_visible(False)
+    return image
 
 
 def _cells(mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) -> tuple[slice, slice]:
@@ -162,13 +308,16 @@ def _cells(mosaic: Mosaic, low: NDArray[np.float64], high: NDArray[np.float64]) 
 
 
 def draw_blocks(axes: Any, trace: Trace) -> None:
-    """Outlines of the true blocks."""
+    """Outlines of the true blocks, and those that give way."""
     from matplotlib.collections import PolyCollection
 
     if len(trace.blocks):
         axes.add_collection(
             PolyCollection(list(trace.blocks), facecolors="none", edgecolors="#222222", linewidths=0.9, zorder=2)
         )
+    for corners in trace.blocks[trace.weak]:
+        axes.fill(*corners.T, facecolor="none", edgecolor=_BAD, hatch="xx", lw=1.6, zorder=4)
+        axes.annotate("gives way", corners.max(axis=0), (2, 2), textcoords="offset points", color=_BAD, size=11, zorder=9)
 
 
 def draw_course(axes: Any, trace: Trace) -> None:
@@ -176,32 +325,144 @@ def draw_course(axes: Any, trace: Trace) -> None:
     goal, side = trace.goal_distance, trace.corridor
     axes.plot([goal, goal], [-side, side], color=_GOOD, lw=4, solid_capstyle="butt", zorder=5)
     axes.annotate("goal", (goal, side), (0, 4), textcoords="offset points", color=_GOOD, weight="bold", ha="center", zorder=9)
-    axes.plot(0, 0, marker="o", ms=9, mfc="white", mec=_TRUE, mew=2, zorder=8)
+    axes.plot(0, 0, marker="o", ms=9, mfc="white", mec=TRUE, mew=2, zorder=8)
     axes.annotate("start", (0, 0), (-9, 0), textcoords="offset points", weight="bold", ha="right", va="center", zorder=9)
 
 
-def draw_footholds(axes: Any, trace: Trace) -> None:
-    """Where feet came down, by leg; those that were moved, and those that were mistaken."""
+def draw_footholds(axes: Any, trace: Trace, size: float = 36.0) -> None:
+    """Where feet came down, by leg; which were moved, missed what was chosen, were mistaken, or felt no ground."""
     downs = trace.touchdowns
     for leg, color in enumerate(LEG_COLORS):
         xy = downs.p[downs.leg == leg]
-        axes.scatter(xy[:, 0], xy[:, 1], s=36, c=color, edgecolors="white", linewidths=0.7, zorder=6)
+        axes.scatter(xy[:, 0], xy[:, 1], s=size, c=color, edgecolors="white", linewidths=0.7, zorder=6)
     moved = downs.p[downs.moved]
-    axes.scatter(moved[:, 0], moved[:, 1], s=105, facecolors="none", edgecolors=_TRUE, linewidths=1.3, zorder=6)
+    axes.scatter(moved[:, 0], moved[:, 1], s=3 * size, facecolors="none", edgecolors=TRUE, linewidths=1.3, zorder=6)
+    for k in np.flatnonzero(missed_by(trace) > MISSED):
+        wanted, found = downs.chosen[k], downs.p[k]
+        axes.plot([wanted[0], found[0]], [wanted[1], found[1]], color=_BAD, lw=1.4, zorder=6)
+        axes.scatter(*wanted[:2], s=1.3 * size, marker="D", facecolors="none", edgecolors=_BAD, linewidths=1.4, zorder=6)
     missed = downs.p[downs.misstep]
-    axes.scatter(missed[:, 0], missed[:, 1], s=75, c=_BAD, marker="x", linewidths=2.2, zorder=7)
+    axes.scatter(missed[:, 0], missed[:, 1], s=2 * size, c=_BAD, marker="x", linewidths=2.2, zorder=7)
+    felt = trace.no_ground.p
+    axes.scatter(felt[:, 0], felt[:, 1], s=2 * size, marker="v", facecolors="none", edgecolors=_BAD, linewidths=1.6, zorder=7)
+
+
+def draw_flags(axes: Any, trace: Trace, told: Sequence[Complaint]) -> None:
+    """Where the robot was when it complained, in numbers that lead to its words; those of one place together."""
+    if not len(trace.t):
+        return
+    low, high = axes.get_ylim()
+    flags: list[tuple[NDArray[np.float64], list[int]]] = []
+    for number, complaint in enumerate(told, 1):
+        k = min(int(np.searchsorted(trace.t, complaint.begin)), len(trace.t) - 1)
+        place = trace.p_true[k, :2]
+        near = [numbers for other, numbers in flags if np.linalg.norm(place - other) < 0.07 * (high - low)]
+        if near:
+            near[0].append(number)
+        else:
+            flags.append((place, [number]))
+    for place, numbers in flags:
+        at = (float(place[0]), float(place[1]) + 0.085 * (high - low))
+        history_picture.flag(axes, at, ",".join(map(str, numbers)))
+
+
+def draw_moment(axes: Any, report: Report, moment: Moment | None) -> None:
+    """Where it was decided."""
+    if moment is not None:
+        axes.plot(*moment.p, marker="X", ms=14, mfc=moment_color(report), mec="white", mew=1.5, zorder=9)
+
+
+def _draw_near(axes: Any, report: Report, trace: Trace, moment: Moment, colors: tuple[Any, Any]) -> None:
+    """How the robot stood when it was decided: legs that carried, what supported the body, footholds that were wanted next."""
+    k = _instant(trace, moment)
+    t = float(trace.t[k])
+    middle = trace.p_true[k, :2]
+    axes.set_facecolor(UNSEEN)
+    axes.set_aspect("equal", adjustable="box", anchor="E")
+    if trace.mosaic is not None:
+        draw_cells(axes, trace.mosaic, *colors)
+    draw_blocks(axes, trace)
+    draw_footholds(axes, _until(trace, t), 55.0)
+    feet, carrying = trace.feet[k], trace.carrying[k]
+    body = apply(trace.T[k], _outline(trace.profile.body.size))
+    axes.fill(body[:, 0], body[:, 1], facecolor="#ffffffb0", edgecolor=TRUE, lw=1.8, zorder=7)
+    support = _around(feet[carrying, :2])
+    if len(support) > 2:
+        axes.fill(support[:, 0], support[:, 1], facecolor="#1a7f3722", edgecolor=_GOOD, lw=1.2, ls="--", zorder=5)
+    coxae = apply(trace.T[k], trace.profile.T_body_coxa[:, :3, 3])
+    wanted = _wanted(trace, t)
+    for leg, color in enumerate(LEG_COLORS):
+        line = np.stack([coxae[leg], feet[leg]])
+        axes.plot(line[:, 0], line[:, 1], color=_BAD if leg == moment.leg else "#444444", lw=3.0, zorder=7)
+        fill = color if carrying[leg] else "white"
+        axes.scatter(*feet[leg, :2], s=150, c=fill, edgecolors=color, linewidths=2.5, zorder=8)
+        if leg in wanted:
+            place = wanted[leg]
+            axes.plot([feet[leg, 0], place[0]], [feet[leg, 1], place[1]], color=color, lw=1.2, ls=":", zorder=7)
+            axes.scatter(*place[:2], s=110, marker="D", facecolors="none", edgecolors=color, linewidths=2.0, zorder=8)
+    centre = trace.p_true[k]
+    axes.scatter(*centre[:2], s=60, marker="+", c=TRUE, linewidths=2.0, zorder=9)
+    if moment.leg >= 0:
+        out = feet[moment.leg, :2] - middle
+        at = (14 * np.sign(out[0]), 14 * np.sign(out[1]))
+        style: dict[str, Any] = {"color": _BAD, "weight": "bold", "size": 12, "ha": "center", "zorder": 10}
+        axes.annotate(LEGS[moment.leg], feet[moment.leg, :2], (0.0, at[1]), textcoords="offset points", va="center", **style)
+    axes.set_xlim(middle[0] - _AROUND, middle[0] + _AROUND)
+    axes.set_ylim(middle[1] - _AROUND, middle[1] + _AROUND)
+    ago = moment.t - t
+    when = f"{ago:.1f} s before it {moment.words}" if ago > 0.05 else f"as it {moment.words}"
+    if moment.words.endswith("shut down"):
+        when = f"as the {moment.words}"
+    axes.set_title(when, size=12, weight="bold", color=moment_color(report), loc="right")
+    axes.set_xlabel("filled: carries · empty: does not · ◇ wanted", size=11, labelpad=1)
+
+
+def _instant(trace: Trace, moment: Moment) -> int:
+    """The sample that tells most of a moment: of a fall where the body left what supported it."""
+    k = min(int(np.searchsorted(trace.t, moment.t)), len(trace.t) - 1)
+    if moment.words != "fell":
+        return k
+    left = [sign.t for sign in signs(trace, moment) if "left its support" in sign.words and moment.t - sign.t < _LOOK_BACK]
+    return int(np.searchsorted(trace.t, left[-1])) if left else k
+
+
+def _until(trace: Trace, t: float) -> Trace:
+    """The run with the touchdowns of a second before a time, and none after."""
+    downs, felt = trace.touchdowns, trace.no_ground
+    kept, known = (downs.t <= t) & (downs.t > t - _LOOK_BACK), felt.t <= t
+    chosen = Touchdowns(**{field.name: getattr(downs, field.name)[kept] for field in fields(downs)})
+    return replace(trace, touchdowns=chosen, no_ground=Touches(felt.t[known], felt.leg[known], felt.p[known]))
+
+
+def _wanted(trace: Trace, t: float) -> dict[int, NDArray[np.float64]]:
+    """Where legs were to come down by the newest plan at a time: [m] {start}, by leg."""
+    made = [plan for at, plan in trace.plans if at <= t]
+    if not made:
+        return {}
+    return {int(leg): made[-1].touchdown[leg] for leg in np.flatnonzero(made[-1].swing)}
+
+
+def _outline(size: tuple[float, float, float]) -> NDArray[np.float64]:
+    return np.asarray(np.array([[1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) * np.array(size) / 2)
+
+
+def _around(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 2) in their order around their middle."""
+    if not len(points):
+        return points
+    out = points - points.mean(axis=0)
+    return np.asarray(points[np.argsort(np.arctan2(out[:, 1], out[:, 0]))])
 
 
 def draw_paths(axes: Any, trace: Trace, report: Report) -> None:
     """Where the body went, in truth and by its own estimate, and where it was to go."""
     for corners in trace.routes:
         axes.plot(corners[:, 0], corners[:, 1], color=_ROUTE, lw=1.1, alpha=0.8, zorder=3)
-    axes.plot(trace.p_estimate[:, 0], trace.p_estimate[:, 1], color=_ESTIMATE, lw=1.6, ls=(0, (4, 2)), zorder=5)
-    axes.plot(trace.p_true[:, 0], trace.p_true[:, 1], color=_TRUE, lw=2.0, zorder=4)
+    axes.plot(trace.p_estimate[:, 0], trace.p_estimate[:, 1], color=ESTIMATE, lw=1.6, ls=(0, (4, 2)), zorder=5)
+    axes.plot(trace.p_true[:, 0], trace.p_true[:, 1], color=TRUE, lw=2.0, zorder=4)
     if len(trace.t):
         end = trace.p_true[-1]
-        color = _GOOD if report.success else _BAD
-        axes.plot(end[0], end[1], marker="o" if report.success else "X", ms=13, mfc=color, mec="white", mew=1.5, zorder=8)
+        axes.plot(end[0], end[1], marker="o", ms=13, mfc=_GOOD if report.success else _BAD, mec="white", mew=1.5, zorder=8)
 
 
 def _legend(report: Report, trace: Trace) -> list[Any]:
@@ -214,7 +475,7 @@ def _legend(report: Report, trace: Trace) -> list[Any]:
 
     legs = [dot(name, mfc=color) for name, color in zip(LEGS, LEG_COLORS, strict=True)]
     rest = [
-        dot("foothold moved", mfc="none", mec=_TRUE, ms=10, mew=1.3),
+        dot("foothold moved", mfc="none", mec=TRUE, ms=10, mew=1.3),
         dot(f"misstep ({report.missteps})", marker="x", mec=_BAD, mew=2.2),
         Patch(facecolor="none", edgecolor="#222222", label="true blocks"),
         Patch(facecolor=_NO_FOOTHOLD, label="no foothold by the map"),
@@ -222,67 +483,16 @@ def _legend(report: Report, trace: Trace) -> list[Any]:
         Patch(facecolor=UNSEEN, label="never seen"),
     ]
     paths = [
-        Line2D([], [], color=_TRUE, lw=2, label="true path"),
-        Line2D([], [], color=_ESTIMATE, lw=1.6, ls=(0, (4, 2)), label="estimated path"),
+        Line2D([], [], color=TRUE, lw=2, label="true path"),
+        Line2D([], [], color=ESTIMATE, lw=1.6, ls=(0, (4, 2)), label="estimated path"),
     ]
     if trace.routes:
         paths.append(Line2D([], [], color=_ROUTE, lw=1.1, label="planned ways"))
-    # A legend fills its columns first; these are its two rows.
-    return paths + [handle for pair in zip(legs, rest, strict=True) for handle in pair]
-
-
-# -- over time
-
-
-def _draw_curves(rows: list[Any], trace: Trace) -> None:
-    height, tilt, torque = rows
-    height.plot(trace.t, 100 * trace.height_reference, color=_REFERENCE, lw=2.5, label="commanded")
-    height.plot(trace.t, 100 * trace.p_true[:, 2], color=_TRUE, lw=1.2, label="true")
-    height.plot(trace.t_estimate, 100 * trace.p_estimate[:, 2], color=_ESTIMATE, lw=1.0, ls=(0, (4, 2)), label="estimated")
-    _zoom(height, [100 * trace.height_reference, 100 * trace.p_true[:, 2]], least=2.0)
-    height.set_ylabel("body\nheight [cm]")
-    height.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, frameon=False, fontsize=11, borderaxespad=0.0)
-    tilt.plot(trace.t, np.degrees(trace.tilt), color="#0072b2", lw=1.2)
-    tilt.set_ylabel("tilt off\ncommand [°]")
-    _zoom(tilt, [np.degrees(trace.tilt)], least=1.0, floor=0.0)
-    torque.plot(trace.t, trace.torque_worst, color="#d55e00", lw=0.9)
-    stall = trace.profile.servo.stall_torque
-    torque.axhline(stall, color=_BAD, lw=1.2, ls=":")
-    torque.annotate("stall", (1.0, stall), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=_BAD, size=11)
-    torque.set_ylim(0.0, 1.2 * stall)
-    torque.set_ylabel("highest\ntorque [N m]")
-    torque.set_xlabel("simulated time [s]", labelpad=2)
-    end = float(trace.t[-1]) if len(trace.t) else 1.0
-    for axes in rows:
-        axes.set_xlim(0.0, max(end, 1e-3))
-        axes.grid(alpha=0.25)
-        for begin, until in _spans(trace):
-            axes.axvspan(begin, until, color="#0072b2", alpha=0.06, lw=0)
-        if axes is not torque:
-            axes.tick_params(labelbottom=False)
-
-
-def _zoom(axes: Any, curves: list[NDArray[np.float64]], least: float, floor: float | None = None) -> None:
-    """Limits that show nearly all of the curves; what a fall adds to them would hide the walk."""
-    values = np.concatenate(curves)
-    values = values[np.isfinite(values)]
-    if not len(values):
-        return
-    low, high = np.percentile(values, [0.5, 99.5]).tolist()
-    low = low if floor is None else floor
-    spare = max(least - (high - low), 0.0) / 2 + 0.08 * (high - low)
-    axes.set_ylim(low - (spare if floor is None else 0.0), high + (spare if floor is None else 2 * spare))
-
-
-def _spans(trace: Trace) -> list[tuple[float, float]]:
-    """When it walked [s]; pauses of less than half a second do not interrupt a walk."""
-    walking = np.flatnonzero(trace.walking)
-    if not len(walking):
-        return []
-    breaks = np.flatnonzero(np.diff(trace.t[walking]) > 0.5)
-    begins = walking[np.concatenate([[0], breaks + 1])]
-    ends = walking[np.concatenate([breaks, [len(walking) - 1]])]
-    return list(zip(trace.t[begins].tolist(), trace.t[ends].tolist(), strict=True))
+    if (missed_by(trace) > MISSED).any():
+        rest.insert(2, dot("missed what was chosen", marker="D", mfc="none", mec=_BAD, mew=1.4))
+    if len(trace.no_ground.t):
+        rest.insert(2, dot("felt no ground", marker="v", mfc="none", mec=_BAD, mew=1.6))
+    return [*paths, *legs, *rest]
 
 
 # -- in numbers

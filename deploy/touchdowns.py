@@ -23,6 +23,7 @@ class Touchdowns:
     t: Array  # (k,) [s]
     leg: NDArray[np.intp]  # (k,)
     p: Array  # (k, 3) [m] {start} foot centres
+    chosen: Array  # (k, 3) [m] {start} where the planner wanted them, NaN where nobody heard
     moved: NDArray[np.bool_]  # (k,) placed elsewhere than nominal
     raised: NDArray[np.bool_]  # (k,)
     misstep: NDArray[np.bool_]  # (k,)
@@ -31,10 +32,14 @@ class Touchdowns:
 def find_touchdowns(walk: Walk, heard: Heard, course: Course, profile: RobotProfile) -> Touchdowns:
     """The touchdowns of a walk; a misstep is one where the true ground carries no foot, or gives way under it."""
     found = touchdowns(walk.contact, walk.swing)
+    wanted = np.full((len(found), 3), np.nan)
     sample = np.minimum(found[:, 0] + DEBOUNCE, len(walk.t_ns) - 1)  # the foot has settled
     leg = found[:, 1]
     p = walk.feet[sample, leg]
     swung = walk.step[np.maximum(found[:, 0] - 1, 0)]
+    for k, (n, of) in enumerate(zip(swung, leg, strict=True)):
+        if int(n) in heard.plans:
+            wanted[k] = heard.plans[int(n)].touchdown[of]
     moved = [
         bool(moved_legs(heard.plans.get(int(n)), heard.moved.get(int(n)), profile)[k]) for n, k in zip(swung, leg, strict=True)
     ]
@@ -42,6 +47,7 @@ def find_touchdowns(walk: Walk, heard: Heard, course: Course, profile: RobotProf
         t=(walk.t_ns * 1e-9)[found[:, 0]],
         leg=leg,
         p=p,
+        chosen=wanted,
         moved=np.array(moved, dtype=bool),
         raised=course.height_at(p[:, :2]) > RAISED,
         misstep=~is_foothold(course.carrying_at, p[:, :2]) | (course.sink_at(p[:, :2]) > 0),

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from deploy.course import Course
 from deploy.heard import Heard
 from deploy.map_metrics import Mosaic
+from deploy.said import Complaint, Spell, complaints, spells
 from deploy.touchdowns import Touchdowns, find_touchdowns
 from deploy.walk import Walk
 from deploy.walk_metrics import angle_between
-from shared.geometry import Array
-from shared.messages import PassageMap, PassagePlan
+from shared.geometry import Array, apply
+from shared.messages import PassageMap, PassagePlan, StepPlan
 from shared.robot import RobotProfile
 from shared.scenario import Scenario
 
@@ -28,6 +29,15 @@ class PlannedSection:
 
 
 @dataclass(frozen=True, slots=True)
+class Touches:
+    """Where feet looked for ground and felt none, in order of time."""
+
+    t: Array  # (k,) [s]
+    leg: NDArray[np.intp]  # (k,)
+    p: Array  # (k, 3) [m] {start} the deepest that they looked
+
+
+@dataclass(frozen=True, slots=True)
 class Trace:
     """A run as arrays. Times count from the first message of truth; {start} as in `deploy.course`."""
 
@@ -40,10 +50,20 @@ class Trace:
     attitude_reference: Array  # (n, 2) [rad] and those commanded
     feet: Array  # (n, 6, 3) [m] {start} true foot centres
     ground: Array  # (n, 6) [m] {start} true height of what is seen under them
-    torque_worst: Array  # (n,) [N m] highest of all joints
+    T: Array  # (n, 4, 4) {start} true body
+    torque: Array  # (n, 6, 3) [N m] size of the motors' torques
+    shutdown: NDArray[np.bool_]  # (n, 6, 3) servos that have latched an error
+    margin: Array  # (n,) [m] of the body's centre to the edge of what supports it, negative outside, NaN where nothing is known
+    carrying: NDArray[np.bool_]  # (n, 6) legs that support it
+    in_the_way: NDArray[np.bool_]  # (n, 7) feet, and last the body, that have walked into something
     t_estimate: Array  # (m,) [s]
     p_estimate: Array  # (m, 3) [m] {start} body as perception has it
+    pose_error: Array  # (m,) [m] of that position, NaN before the first step
     touchdowns: Touchdowns
+    no_ground: Touches
+    spells: tuple[Spell, ...]
+    complaints: tuple[Complaint, ...]
+    plans: tuple[tuple[float, StepPlan], ...]  # the newest revision of each step, with when it was made [s]; {world}
     mosaic: Mosaic | None
     sections: tuple[PlannedSection, ...]  # of passages
     routes: tuple[Array, ...]  # (k, 2) [m] {start} corners of the ways to a goal that the planner took, each from the robot on
@@ -53,11 +73,18 @@ class Trace:
     corridor: float  # [m]
     profile: RobotProfile
 
+    @property
+    def torque_worst(self) -> Array:
+        """(n,) [N m] highest of all joints."""
+        return np.asarray(self.torque.reshape(-1, 18).max(axis=1))
+
 
 def trace_of(
     walk: Walk, heard: Heard, course: Course, scenario: Scenario, profile: RobotProfile, mosaic: Mosaic | None
 ) -> Trace:
     """The run as it has been heard so far, with its maps laid over each other."""
+    t_estimate = np.array([pose.stamp_ns - heard.begin_ns for pose in heard.poses]) * 1e-9
+    p_estimate = np.array([pose.T_world_body[:3, 3] for pose in heard.poses]).reshape(-1, 3)
     return Trace(
         t=walk.t_ns * 1e-9,
         walking=walk.walking,
@@ -68,10 +95,20 @@ def trace_of(
         attitude_reference=_lean(walk.up_reference),
         feet=walk.feet,
         ground=walk.ground,
-        torque_worst=walk.torque.reshape(-1, 18).max(axis=1),
-        t_estimate=np.array([pose.stamp_ns - heard.begin_ns for pose in heard.poses]) * 1e-9,
-        p_estimate=np.array([pose.T_world_body[:3, 3] for pose in heard.poses]).reshape(-1, 3),
+        T=walk.T,
+        torque=walk.torque,
+        shutdown=walk.shutdown,
+        margin=walk.margin,
+        carrying=walk.carrying,
+        in_the_way=walk.in_the_way,
+        t_estimate=t_estimate,
+        p_estimate=p_estimate,
+        pose_error=_pose_error(walk, t_estimate, p_estimate),
         touchdowns=find_touchdowns(walk, heard, course, profile),
+        no_ground=_no_ground(heard),
+        spells=spells(heard),
+        complaints=complaints(heard),
+        plans=tuple(((plan.stamp_ns - heard.begin_ns) * 1e-9, plan) for _, plan in sorted(heard.plans.items())),
         mosaic=mosaic,
         sections=_sections(walk, heard),
         routes=tuple(heard.routes),
@@ -89,6 +126,32 @@ def _sections(walk: Walk, heard: Heard) -> tuple[PlannedSection, ...]:
         k = min(int(np.searchsorted(walk.t_ns, plan.stamp_ns - heard.begin_ns)), len(walk.t_ns) - 1)
         sections.append(PlannedSection(plan, known, walk.feet[k], walk.p[k]))
     return tuple(sections)
+
+
+def _pose_error(walk: Walk, t: Array, p: Array) -> Array:
+    """How far (m,) [m] estimates (m, 3) at times (m,) [s] are off the truth, from the first step on."""
+    error = np.full(len(t), np.nan)
+    if not walk.walking.any():
+        return error
+    seconds = walk.t_ns * 1e-9
+    known = (t >= seconds[int(np.argmax(walk.walking))]) & (t <= seconds[-1])
+    true = np.stack([np.interp(t[known], seconds, walk.p[:, k]) for k in range(3)], axis=1)
+    error[known] = np.linalg.norm(p[known] - true, axis=1)
+    return error
+
+
+def _no_ground(heard: Heard) -> Touches:
+    """The touches that found nothing to stand on, each once."""
+    found: dict[tuple[int, int], Array] = {}
+    for state in heard.states:
+        for leg in np.flatnonzero(~state.touch_carries & (state.touch_ns >= heard.begin_ns)):
+            found.setdefault((int(state.touch_ns[leg]), int(leg)), apply(state.T_world_odom, state.touch[leg]))
+    keys = sorted(found)
+    return Touches(
+        t=np.array([stamp - heard.begin_ns for stamp, _ in keys], dtype=np.float64) * 1e-9,
+        leg=np.array([leg for _, leg in keys], dtype=np.intp),
+        p=np.array([found[key] for key in keys]).reshape(-1, 3),
+    )
 
 
 def _lean(up: Array) -> Array:

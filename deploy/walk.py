@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deploy.course import Course
 from deploy.heard import Heard
-from deploy.walk_metrics import debounced
+from deploy.walk_metrics import debounced, in_the_way, runs, stability_margin
 from shared import topics
 from shared.geometry import Array, apply
 from shared.kinematics import leg_points
@@ -22,6 +22,7 @@ Flags = NDArray[np.bool_]
 DEBOUNCE = max(1, round(0.02 * topics.TRUTH.rate_hz))  # samples of truth, 20 ms
 _STALE_NS = 250_000_000  # [ns] an actuator that has been silent for longer is not walking
 _GROUNDED = 0.2  # [1] of a swing at its ends, in which a touching foot carries and does not brush
+_EVERY = 5  # samples of truth, of which one is looked at for what was walked into
 _HANGING = 0.003  # [m] a foot so far over its ground catches the body after a degree of tilt
 
 
@@ -32,12 +33,14 @@ class Walk:
         self._heard, self._course, self._profile = heard, course, profile
         truth = heard.truth
         self.t_ns = heard.stamps()  # (n,)
-        self.p = apply(course.T_start_sim, np.array([m.T_world_body[:3, 3] for m in truth]).reshape(-1, 3))  # (n, 3) [m] body
+        self.T = course.T_start_sim @ np.array([m.T_world_body for m in truth]).reshape(-1, 4, 4)  # (n, 4, 4) body
+        self.p: Array = self.T[:, :3, 3]  # (n, 3) [m] body
         self.up = np.array([m.T_world_body[2, :3] for m in truth]).reshape(-1, 3)  # (n, 3) {body} the vertical
         self.feet = apply(course.T_start_sim, np.array([m.feet for m in truth]).reshape(-1, 6, 3))  # (n, 6, 3) [m] centres
-        self.torque = np.abs(np.array([m.torque for m in truth]))  # (n, 6, 3) [N m]
+        self.torque = np.abs(np.array([m.torque for m in truth]).reshape(-1, 6, 3))  # (n, 6, 3) [N m]
         self.contact: Flags = debounced(np.array([m.contact for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
         self.bears: Flags = debounced(np.array([m.bears for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
+        self.shutdown: Flags = np.array([m.shutdown for m in truth], dtype=bool).reshape(-1, 6, 3)  # servos with an error
         self._align()
 
     @cached_property
@@ -61,10 +64,35 @@ class Walk:
         They bear load or their feet are no more than a little over their ground, and are in stance by plan, about to leave or
         just landed.
         """
+        if not self._heard.states:
+            return self.bears
         phase = np.array([s.phase for s in self._heard.states])[self._state_of]
         grounded = (phase < _GROUNDED) | (phase > 1.0 - _GROUNDED)
         hangs_low = self.feet[..., 2] - self._profile.foot.radius - self.ground < _HANGING
         return np.asarray((self.bears | hangs_low) & (~self.swing | grounded[:, None]))
+
+    @cached_property
+    def margin(self) -> Array:
+        """Distance (n,) [m] of the body's centre to the edge of what supports it, negative outside; NaN where nothing does."""
+        if not self._heard.states:
+            return np.full(len(self.t_ns), np.nan)
+        return stability_margin(self.feet[..., :2], self.carrying, self.p[:, :2])
+
+    @cached_property
+    def in_the_way(self) -> Flags:
+        """Feet, and last the body, (n, 7) that have walked into something; every few samples, and False between."""
+        flags = np.zeros((len(self.t_ns), 7), dtype=bool)
+        some = self._heard.truth[::_EVERY]
+        if some:
+            feet, bodies = np.array([m.feet for m in some]), np.array([m.T_world_body for m in some])
+            size, ground = self._profile.body.size, self._course.terrain.height_at
+            flags[::_EVERY] = in_the_way(ground, feet, bodies, self._profile.foot.radius, size)
+        return flags
+
+    @property
+    def collisions(self) -> int:
+        """How often a foot or the body ran into what is higher than a step, or a foot hung in a hole."""
+        return len(runs(np.asarray(self.in_the_way[::_EVERY].any(axis=1))))
 
     def _align(self) -> None:
         """For each sample of truth the actuator's word that held then."""

@@ -8,7 +8,7 @@ from deploy.course import Course
 from deploy.report import HeightError, PoseError, Report, Slip, Spread, Torque
 from deploy.trace import Trace
 from deploy.walk import Walk
-from deploy.walk_metrics import angle_between, rubbing, slip_per_step, stability_margin
+from deploy.walk_metrics import angle_between, rubbing, slip_per_step
 from shared.geometry import Array
 
 
@@ -37,15 +37,8 @@ def walk_figures(report: Report, walk: Walk, trace: Trace, course: Course) -> Re
 
 def pose_error(trace: Trace) -> PoseError:
     """How far off the estimate was, from the first step on: before that both are one by construction."""
-    if not trace.walking.any():
-        return PoseError()
-    first = trace.t[int(np.argmax(trace.walking))]
-    known = (trace.t_estimate >= first) & (trace.t_estimate <= trace.t[-1])
-    if not known.any():
-        return PoseError()
-    true = np.stack([np.interp(trace.t_estimate[known], trace.t, trace.p_true[:, k]) for k in range(3)], axis=1)
-    error = np.linalg.norm(trace.p_estimate[known] - true, axis=1)
-    return PoseError(float(np.sqrt(np.mean(error**2))), float(error[-1]))
+    error = trace.pose_error[np.isfinite(trace.pose_error)]
+    return PoseError(float(np.sqrt(np.mean(error**2))), float(error[-1])) if len(error) else PoseError()
 
 
 def _torque(torque: Array) -> Torque:
@@ -63,8 +56,7 @@ def _slip(walk: Walk, radius: float) -> Slip:
 
 
 def _least_margin(walk: Walk) -> float:
-    walking = walk.walking
-    margin = stability_margin(walk.feet[walking, :, :2], walk.carrying[walking], walk.p[walking, :2])
+    margin = walk.margin[walk.walking]
     return float(np.nanmin(margin)) if np.isfinite(margin).any() else float("nan")
 
 

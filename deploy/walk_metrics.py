@@ -124,6 +124,14 @@ def slip_per_step(feet: Array, planted: Flags, step: NDArray[np.int64]) -> Array
 def walked_into(height_at: HeightAt, feet: Array, bodies: Array, radius: float, size: tuple[float, float, float]) -> int:
     """How often a foot or the body ran into what is higher than a step, or a foot hung in a hole: runs of samples.
 
+    Arguments are those of `in_the_way`.
+    """
+    return len(runs(np.asarray(in_the_way(height_at, feet, bodies, radius, size).any(axis=1))))
+
+
+def in_the_way(height_at: HeightAt, feet: Array, bodies: Array, radius: float, size: tuple[float, float, float]) -> Flags:
+    """Feet that are beside what is higher than a step or hang in a hole, and the body where it is in the ground: (n, 7).
+
     Args:
         height_at: The true ground.
         feet: (n, 6, 3) [m] foot centres.
@@ -136,16 +144,15 @@ def walked_into(height_at: HeightAt, feet: Array, bodies: Array, radius: float, 
     around = feet[..., None, :2] + ring
     ground = height_at(around.reshape(-1, 2)).reshape(around.shape[:-1])
     underside = feet[..., 2] - radius
-    beside = np.asarray(ground > underside[..., None] + _HIGHER).any(axis=(1, 2))
+    beside = np.asarray(ground > underside[..., None] + _HIGHER).any(axis=2)
     others = np.median(underside, axis=1, keepdims=True)
     hangs = (underside < others - _LOWER) & (ground.min(axis=2) < others - _DEEP)
-    hanging = np.asarray(hangs).any(axis=1)
     half = np.array(size) / 2
     edge = np.array([(x, y, -1.0) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]) * half
     corners = edge @ bodies[:, :3, :3].transpose(0, 2, 1) + bodies[:, None, :3, 3]
     under = height_at(corners[..., :2].reshape(-1, 2)).reshape(corners.shape[:2])
     bumped = np.asarray(under > corners[..., 2]).any(axis=1)
-    return len(runs(np.asarray(beside | hanging | bumped)))
+    return np.column_stack([beside | hangs, bumped])
 
 
 def angle_between(a: Array, b: Array) -> Array:

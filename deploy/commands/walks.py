@@ -57,7 +57,7 @@ DEMOS = {
         "passage1",
         "A six-legged robot stands before a gap of 80 cm that only six pillars bridge. It stops, looks from higher up, plans "
         "foothold by foothold on what it saw, and crosses one leg at a time.",
-        "summary.png shows the crossing: where feet could stand, what was planned at each stop, and how it was walked.",
+        "passage.png shows the crossing: where feet could stand, what was planned at each stop, and how it was walked.",
     ),
 }
 _TALKING = "Six processes talk over Zenoh; the simulator is only a camera and a servo bus to them."
