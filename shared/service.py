@@ -28,10 +28,18 @@ _SAMPLES = 4096  # timings kept per stage
 
 @dataclass(frozen=True, slots=True)
 class Every:
-    """Paces a service by its own clock; where `early` is set, the next beat comes at once, and the others a period after it."""
+    """Paces a service by its own clock.
+
+    A service may bring a `wait` [s] of its own until the next beat, in which it does what has to be done between two; where
+    that comes back before its time, the beat comes at once, and the others a period after it.
+
+    A service that `fetches` takes what has come when it looks, and nothing runs when something comes. A frame counts as having
+    come at the look, so this is for those who look often at everything, and on whose reading of ages nothing hangs.
+    """
 
     period_ns: int
-    early: threading.Event | None = None
+    wait: Callable[[float], object] | None = None
+    fetches: bool = False
 
     @classmethod
     def hz(cls, rate_hz: float) -> "Every":
@@ -147,6 +155,7 @@ class Inbox:
             length = 1 if topic.delivery is Delivery.LATEST else QUEUE_LENGTH
             self._frames[topic.key] = deque(maxlen=length)
         self._newest: dict[str, tuple[Message, int]] = {}
+        self._fetch: dict[str, Callable[[], list[bytes]]] = {}
         self._lock = threading.Lock()
 
     def receive(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
@@ -157,8 +166,13 @@ class Inbox:
                 self.dropped += topic.delivery is Delivery.EVERY
             queue.append((frame, at_ns))
 
+    def fetch(self, topic: AnyTopic, come: Callable[[], list[bytes]]) -> None:
+        """Have frames of a topic fetched when it is looked at, in place of `receive`."""
+        self._fetch[topic.key] = come
+
     def waiting(self, topic: AnyTopic) -> bool:
         """Whether a frame has come that nobody has looked at."""
+        self._look(topic)
         return bool(self._frames[topic.key])
 
     def latest(self, topic: Topic[M]) -> M | None:
@@ -178,6 +192,7 @@ class Inbox:
 
     def drain(self, topic: Topic[M]) -> list[M]:
         """All messages that have come since the last look, in order."""
+        self._look(topic)
         queue = self._frames[topic.key]
         if not queue:
             return []
@@ -192,11 +207,16 @@ class Inbox:
                 self.refused += 1
                 self.last_refusal = f"{topic.key}: {error}"[:500]
                 continue
-            if timing.began_ns > 0:
+            if timing.began_ns > 0 and topic.key not in self._fetch:
                 self._stages.add(f"latency {topic.key}", (at_ns - timing.began_ns) * 1e-6)
             self._newest[topic.key] = (message, at_ns)
             messages.append(message)
         return messages
+
+    def _look(self, topic: AnyTopic) -> None:
+        fetch = self._fetch.get(topic.key)
+        for frame in fetch() if fetch is not None else ():
+            self.receive(topic, frame, self.now_ns)
 
 
 class Service(Protocol):
@@ -315,6 +335,10 @@ class Link(Protocol):
         """Have every frame of a topic handed over, from a thread of the link, until what is returned is called."""
         ...
 
+    def collect(self, topic: AnyTopic) -> Callable[[], list[bytes]]:
+        """Keep what comes of a topic, as it is delivered, until it is fetched; what fetches it."""
+        ...
+
     def wanted(self, topic: AnyTopic) -> bool:
         """Whether anybody is subscribed to a topic."""
         ...
@@ -346,8 +370,12 @@ def run_live(
         if topic is pace:
             arrived.set()
 
+    fetches = isinstance(pace, Every) and pace.fetches
     for topic in worker.reads:
-        link.subscribe(topic, receive)
+        if fetches:
+            worker.inbox.fetch(topic, link.collect(topic))
+        else:
+            link.subscribe(topic, receive)
     if isinstance(service, Listening):
         service.meet(link)
     beats = Beats(pace, clock) if isinstance(pace, Every) else None
@@ -364,15 +392,7 @@ def run_live(
 
 def _waiting(pace: AnyTopic | Every, stop: threading.Event) -> Callable[[float], object]:
     """What waits [s] for the next beat."""
-    early = pace.early if isinstance(pace, Every) else None
-    if early is None:
-        return stop.wait
-
-    def wait(length_s: float) -> None:
-        early.wait(length_s)
-        early.clear()
-
-    return wait
+    return (pace.wait if isinstance(pace, Every) else None) or stop.wait
 
 
 class _DecodedOnce:

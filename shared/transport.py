@@ -21,6 +21,8 @@ LEASE_MS = 1000  # a frozen process is noticed after this
 # Batches that may wait for the network, of each priority (16 is Zenoh's limit). With its default for control, a burst of
 # three frames on a busy machine lost one in 500: the sending thread had not had its turn within the millisecond of grace.
 QUEUE_SIZES = {"real_time": 16, "data": 8}
+_RX_BYTES = 1 << 20  # read at once: a map comes in 14 pieces of 64 kB, Zenoh's own choice
+_KEPT = 256  # frames of an EVERY topic that may wait to be taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +60,10 @@ def _config(
         "connect": {"endpoints": list(connect), "timeout_ms": 10_000, "exit_on_failure": True},
         "listen": {"endpoints": list(listen)},
         "scouting": {"multicast": {"enabled": scouting}, "gossip": {"enabled": scouting}},
-        "transport": {"link": {"tx": {"lease": LEASE_MS, "queue": {"size": QUEUE_SIZES}}}, "shared_memory": {"enabled": False}},
+        "transport": {
+            "link": {"tx": {"lease": LEASE_MS, "queue": {"size": QUEUE_SIZES}}, "rx": {"buffer_size": _RX_BYTES}},
+            "shared_memory": {"enabled": False},
+        },
     }
     if namespace is not None:
         config["namespace"] = namespace
@@ -209,9 +214,25 @@ class ZenohLink:
     def subscribe(self, topic: Topic[Any], receive: Callable[[Topic[Any], bytes], None]) -> Callable[[], None]:
         """Hand every frame of a topic to `receive` from a thread of this link, until what is returned is called."""
         latest = topic.delivery is Delivery.LATEST
-        channel: Any = zenoh.handlers.RingChannel(1) if latest else zenoh.handlers.FifoChannel(256)
+        channel: Any = zenoh.handlers.RingChannel(1) if latest else zenoh.handlers.FifoChannel(_KEPT)
         subscriber = self._sessions[topic.lane].declare_subscriber(topic.key, channel)
         return _pump(subscriber, lambda sample: receive(topic, sample.payload.to_bytes()), f"receive {topic.key}")
+
+    def collect(self, topic: Topic[Any]) -> Callable[[], list[bytes]]:
+        """Keep what comes of a topic, the newest frame or some hundred, until it is fetched, with no thread; what fetches it.
+
+        Where nobody fetches, the oldest go: a queue that is full would hold up all of the session.
+        """
+        ring: Any = zenoh.handlers.RingChannel(1 if topic.delivery is Delivery.LATEST else _KEPT)
+        subscriber = self._sessions[topic.lane].declare_subscriber(topic.key, ring)
+
+        def come() -> list[bytes]:
+            frames: list[bytes] = []
+            while (sample := subscriber.try_recv()) is not None:
+                frames.append(sample.payload.to_bytes())
+            return frames
+
+        return come
 
     def _publisher(self, topic: Topic[Any]) -> zenoh.Publisher:
         publisher = self._publishers.get(topic.key)

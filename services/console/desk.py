@@ -5,6 +5,7 @@ says who leads. Nothing moves but while a press of the pad is being repeated, or
 a press that was let go, or was silent for longer than the dead-man allows, has lapsed for good, whatever comes in later.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ DEAD_MAN_NS = 300_000_000  # [ns] without a word from a page that holds the pad,
 _AWAY_NS = 5_000_000_000  # [ns] without any word, after which a page leads no more: it is hidden, frozen or cut off
 _REPEAT_NS = 500_000_000  # [ns] between two messages of an order: that keeps the lease
 _URGENT_NS = 100_000_000  # [ns] likewise, of one that turns torque off, until it has come about
-_VELOCITY_NS = 40_000_000  # [ns] between two velocities at least; a page that holds the pad says so every 50 ms
+_VELOCITY_NS = 40_000_000  # [ns] between two velocities at least; a page that holds the pad says so every 66 ms
 _ZERO_NS = 300_000_000  # [ns] for which a pad that was let go says so
 _GOAL_NS = 200_000_000  # [ns] between two messages of a goal
 _TOLERANCE = 0.05  # [m] from a goal
@@ -275,9 +276,9 @@ class Desk:
         if press is not None and state is not None and state.lease == self._pages[press.page].holder:
             self._velocity_ns = now_ns
             drive, walk = press.drive, press.drive.walk
-            velocity = np.array([drive.forward, drive.left])
-            speed = float(np.linalg.norm(velocity))
-            velocity *= min(1.0, self._max_speed / speed) if speed > 0.0 else 1.0
+            speed = math.hypot(drive.forward, drive.left)
+            share = min(1.0, self._max_speed / speed) if speed > 0.0 else 1.0
+            velocity = np.array([share * drive.forward, share * drive.left])
             return [VelocityCommand(now_ns, velocity, drive.turn, walk.height, walk.lift, walk.gait, drive.by_touch)]
         if press is None and self._zero is not None and now_ns < self._zero_until_ns:
             self._velocity_ns = now_ns

@@ -17,7 +17,7 @@ from services.console.requests import Layer
 from shared.messages import UNKNOWN, Preview, TerrainMap
 
 NO_HEIGHT = -32768
-_HIGHEST = 32767.0  # [mm]; what is higher or deeper is drawn there
+_HIGHEST = np.float32(32767.0)  # [mm]; what is higher is drawn there, what is as deep is unknown
 NO_VALUE = 255  # of a layer: unknown
 _ALIGNMENT = 4
 _SCORE_STEPS = 100.0  # values of a byte per unit of the score, which is a foothold up to 1
@@ -68,8 +68,8 @@ def framed(header: dict[str, Any], *arrays: NDArray[Any]) -> bytes:
 
 def _heights(terrain: TerrainMap) -> NDArray[np.int16]:
     mm = terrain.elevation * np.float32(1000.0)
-    np.clip(mm, -_HIGHEST, _HIGHEST, out=mm)
-    np.copyto(mm, NO_HEIGHT, where=np.isnan(mm))
+    np.fmax(mm, np.float32(NO_HEIGHT), out=mm)  # the other one of a NaN
+    np.fmin(mm, _HIGHEST, out=mm)
     return mm.astype(np.int16)
 
 
@@ -79,10 +79,10 @@ def _values(terrain: TerrainMap, layer: Layer) -> tuple[NDArray[np.uint8], dict[
         case "color":
             return np.ascontiguousarray(terrain.color), {}
         case "score":
-            return _bytes(terrain.score * _SCORE_STEPS), {"per_byte": 1.0 / _SCORE_STEPS, "limit": 1.0}
+            return _bytes(terrain.score * np.float32(_SCORE_STEPS)), {"per_byte": 1.0 / _SCORE_STEPS, "limit": 1.0}
         case "variance":
-            deviation = np.sqrt(np.maximum(terrain.variance, 0.0))
-            return _bytes(deviation * (254.0 / _WORST_VARIANCE)), {
+            deviation = np.sqrt(np.maximum(terrain.variance, np.float32(0.0)))
+            return _bytes(deviation * np.float32(254.0 / _WORST_VARIANCE)), {
                 "per_byte": _WORST_VARIANCE / 254.0,
                 "limit": _WORST_VARIANCE,
             }
@@ -91,7 +91,8 @@ def _values(terrain: TerrainMap, layer: Layer) -> tuple[NDArray[np.uint8], dict[
     return values, {"per_byte": 1.0, "zero": float(_FAR_VALUE), "limit": -1.0}
 
 
-def _bytes(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Numbers from 0 up as bytes up to 254; what is no number is unknown."""
-    with np.errstate(invalid="ignore"):
-        return np.where(np.isnan(values), NO_VALUE, np.clip(values, 0.0, 254.0)).astype(np.uint8)
+    known = np.fmax(values, np.float32(-1.0))  # the other one of a NaN; as a byte it is NO_VALUE
+    np.fmin(known, np.float32(254.0), out=known)
+    return known.astype(np.int16).astype(np.uint8)

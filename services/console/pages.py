@@ -4,7 +4,6 @@ State, health and pictures are slots that the newest fills; log lines are kept u
 once the page has drawn the one before. Everything in here belongs to one thread, the web server's.
 """
 
-import asyncio
 from collections import deque
 from collections.abc import Sequence
 
@@ -19,11 +18,11 @@ class Page:
     def __init__(self, number: int):
         """Nothing waits yet."""
         self.number = number
+        self.press = -1  # of its pad, the newest
         self._slots: dict[str, str] = {}
         self._frames: dict[str, bytes] = {}
         self._drawing: set[str] = set()  # kinds of frames that it has been sent and has not drawn yet
         self._lines: deque[str] = deque(maxlen=_LINES)
-        self._stirred = asyncio.Event()
 
     def post(self, kind: str, text: str) -> None:
         """Have a text sent; a newer one of its kind takes its place, but for lines of the log."""
@@ -31,29 +30,22 @@ class Page:
             self._lines.append(text)
         else:
             self._slots[kind] = text
-        self._stirred.set()
 
     def show(self, kind: str, frame: bytes) -> None:
         """Have a frame sent, once the one before is drawn; a newer one takes its place."""
         self._frames[kind] = frame
-        self._stirred.set()
 
     def seen(self, kind: str) -> None:
         """The page has drawn a frame."""
         self._drawing.discard(kind)
-        self._stirred.set()
 
-    async def next(self) -> Sequence[str | bytes]:
-        """Wait for what is to be sent now."""
-        while True:
-            self._stirred.clear()
-            out: list[str | bytes] = [self._slots.pop(kind) for kind in _SLOTS if kind in self._slots]
-            out += self._lines
-            self._lines.clear()
-            for kind in _FRAMES:
-                if kind in self._frames and kind not in self._drawing:
-                    self._drawing.add(kind)
-                    out.append(self._frames.pop(kind))
-            if out:
-                return out
-            await self._stirred.wait()
+    def take(self) -> Sequence[str | bytes]:
+        """What is to be sent now."""
+        out: list[str | bytes] = [self._slots.pop(kind) for kind in _SLOTS if kind in self._slots]
+        out += self._lines
+        self._lines.clear()
+        for kind in _FRAMES:
+            if kind in self._frames and kind not in self._drawing:
+                self._drawing.add(kind)
+                out.append(self._frames.pop(kind))
+        return out

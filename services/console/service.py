@@ -1,6 +1,5 @@
 """The console: what the services say, shown to the pages that are open; what operators ask for, passed on."""
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from types import TracebackType
@@ -14,14 +13,15 @@ from services.console.diary import KEPT, Diary
 from services.console.requests import Record, Request, Watch
 from services.console.server import Event, PageServer
 from shared import topics
-from shared.messages import ActuatorState, Health, Message, PlannerStatus, TerrainMap, Tick
+from shared.messages import ActuatorState, CameraState, Health, Message, PlannerStatus, TerrainMap, Tick
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 _BEAT_HZ = 15.0  # and at once, when something is asked for
 _VIEW_NS = 66_000_000  # [ns] between two views
-_MAP_NS = 180_000_000  # [ns] likewise of two maps
+_MAP_NS = 240_000_000  # [ns] likewise of two maps
 _IDLE_NS = 250_000_000  # [ns] likewise of two looks for the log, where no page is open
+_NEWS_NS = 240_000_000  # [ns] likewise of two looks at camera and passages
 _HEALTH_NS = 1_000_000_000  # [ns] likewise of how the services fare
 _STATE_S = 0.5  # without a word from the actuator, after which nothing is known of it
 
@@ -56,10 +56,9 @@ class Console:
             OSError: The address cannot be listened on.
         """
         self.stages = Stages()
-        early = threading.Event()
-        self.paced_by = Every(round(1e9 / _BEAT_HZ), early)
+        self.server = PageServer(settings, clock)
+        self.paced_by = Every(round(1e9 / _BEAT_HZ), self.server.wait, fetches=True)
         self._profile, self._settings = profile, settings
-        self.server = PageServer(settings, clock, early.set)
         self._desk = Desk(profile.stance.max_speed)
         self._diary = Diary()
         self._clerk = Clerk(self._diary)
@@ -70,7 +69,8 @@ class Console:
         self._health: dict[str, tuple[Health, int]] = {}
         self._told = ""  # the last state
         self._logged = 0  # entries of the diary that were sent
-        self._map_due_ns = 0
+        self._news_due_ns = self._map_due_ns = 0
+        self._camera: CameraState | None = None
         self._map: TerrainMap | None = None  # the newest that was sent
         self._pictured_ns = -1
 
@@ -99,18 +99,17 @@ class Console:
             yield from self._clerk.beat(now, inbox.fresh(topics.RECORDER_STATE))
         for words in self._desk.drain_words():
             self._diary.note(now, "console", words)
-        for word in inbox.drain(topics.HEALTH):
-            self._health[word.service] = (word, now)
         if due:
             period_ns = _VIEW_NS if self._watched else _IDLE_NS
             self._view_due_ns = max(self._view_due_ns, now - period_ns) + period_ns
             self._see(now, inbox)
         if now - self._told_ns >= _HEALTH_NS:
             self._told_ns = now
-            self.server.check()
+            self._health |= {word.service: (word, now) for word in inbox.drain(topics.HEALTH)}
             self._diary.services(now, self._health)
             if self._watched:
                 self._tell("health", view.health(self._health, now))
+        self.server.flush()
 
     # ---------------------------------------------------------------------------------------------------------- from pages
 
@@ -156,26 +155,31 @@ class Console:
 
     def _see(self, now: int, inbox: Inbox) -> None:
         legs, status = self._legs, self._status
-        camera = inbox.latest(topics.CAMERA_STATE)
         self._diary.legs(now, legs)
         self._diary.planner(now, status)
-        self._diary.camera(now, camera)
-        passages = inbox.drain(topics.PASSAGE_PLAN)
-        for plan in passages:
-            self._diary.passage(now, plan)
+        if now >= self._news_due_ns:
+            self._news_due_ns = now + _NEWS_NS
+            self._hear_news(now, inbox)
         self._tell_log(now)
         if not self._watched:
             return
-        for plan in passages:
-            self._tell("passage", view.passage(plan))
         with self.stages("state"):
             pose = inbox.fresh(topics.BODY_POSE, _STATE_S)
-            step = inbox.latest(topics.STEP_PLAN)
+            step, camera = inbox.latest(topics.STEP_PLAN), self._camera
             told = view.text({**view.state(self._desk, legs, pose, step, status, camera), "recorder": self._clerk.view()})
         if told != self._told:
             self._told = told
             self.server.post("state", told, self._watched)
         self._show(now, inbox)
+
+    def _hear_news(self, now: int, inbox: Inbox) -> None:
+        """What comes about now and then."""
+        self._camera = inbox.latest(topics.CAMERA_STATE)
+        self._diary.camera(now, self._camera)
+        for plan in inbox.drain(topics.PASSAGE_PLAN):
+            self._diary.passage(now, plan)
+            if self._watched:
+                self._tell("passage", view.passage(plan))
 
     def _tell_log(self, now: int) -> None:
         """New lines of the log, to the pages that are there."""
@@ -193,12 +197,11 @@ class Console:
                 for layer in {watch.layer for watch in self._watched.values()}:
                     pages = [page for page, watch in self._watched.items() if watch.layer == layer]
                     self.server.show("map", frames.map_frame(terrain, layer), pages)
-        picture = inbox.latest(topics.PREVIEW)
+        pages = [page for page, watch in self._watched.items() if watch.picture]
+        picture = inbox.latest(topics.PREVIEW) if pages else None
         if picture is not None and picture.stamp_ns != self._pictured_ns:
             self._pictured_ns = picture.stamp_ns
-            pages = [page for page, watch in self._watched.items() if watch.picture]
-            if pages:
-                self.server.show("picture", frames.picture_frame(picture), pages)
+            self.server.show("picture", frames.picture_frame(picture), pages)
 
     def _tell(self, kind: str, message: dict[str, Any], page: int | None = None) -> None:
         """Have a message sent to a page, or to all that are there."""

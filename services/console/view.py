@@ -1,6 +1,7 @@
 """What a page is told of the robot, many times a second: as little as it needs to draw it, as JSON. Pure."""
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -106,8 +107,8 @@ def _pose(legs: ActuatorState | None, pose: BodyPose | None) -> dict[str, Any] |
 
 
 def _plan(plan: StepPlan) -> dict[str, Any]:
-    swing = np.flatnonzero(plan.swing)
-    return {"step": plan.step, "legs": swing.tolist(), "touchdown": _rounded(plan.touchdown[swing].ravel())}
+    swing = [leg for leg, swings in enumerate(plan.swing.tolist()) if swings]
+    return {"step": plan.step, "legs": swing, "touchdown": _rounded(plan.touchdown[swing].ravel())}
 
 
 def _status(status: PlannerStatus) -> dict[str, Any]:
@@ -172,8 +173,8 @@ def text(message: dict[str, Any]) -> str:
 
 
 def _rounded(values: Array, digits: int = 4) -> list[float]:
-    return [round(float(v), digits) for v in values]
+    return [round(v, digits) for v in values.tolist()]
 
 
 def _known(value: float) -> float | None:
-    return round(float(value), 1) if np.isfinite(value) else None
+    return round(value, 1) if math.isfinite(value) else None

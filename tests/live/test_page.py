@@ -229,7 +229,7 @@ def test_the_layers_the_pictures_and_the_panels_show_what_there_is(robot: PageRo
     assert page.is_disabled('input[value="color"]'), "this robot's camera sees no colour"
     hand.click("#look")
     page.wait_for_selector("#depth:not([hidden])")
-    assert page.evaluate("document.getElementById('depth').naturalWidth") == 320
+    page.wait_for_function("() => document.getElementById('depth').naturalWidth === 320")
     services = page.locator("#service-list li b").all_inner_texts()
     assert {"actuator", "console", "mapper", "perception", "planner", "simulator", "stop"} <= {
         name.strip() for name in services

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -61,9 +62,10 @@ def test_heights_are_right_to_a_millimetre_and_what_is_unknown_stays_so(seed: in
     assert (header["resolution"], header["origin"], header["stamp_ns"]) == (0.01, [0.5, -1.0], 5)
 
 
-def test_heights_that_millimetres_do_not_reach_are_drawn_where_they_end() -> None:
-    map_ = replace(terrain(), elevation=np.full((NX, NY), -100.0, np.float32))
-    assert (read_map(map_frame(map_, "score"))[1] == -32767).all()
+@pytest.mark.parametrize(("height", "drawn"), [(100.0, 32767), (-100.0, NO_HEIGHT)])
+def test_heights_that_millimetres_do_not_reach(height: float, drawn: int) -> None:
+    map_ = replace(terrain(), elevation=np.full((NX, NY), height, np.float32))
+    assert (read_map(map_frame(map_, "score"))[1] == drawn).all()
 
 
 def test_each_layer_says_how_its_bytes_are_read() -> None:

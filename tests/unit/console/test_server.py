@@ -4,22 +4,24 @@ import contextlib
 import hashlib
 import http.client
 import json
-import math
 import re
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from services.console.config import Settings
+from services.console.desk import DEAD_MAN_NS
 from services.console.door import PROTOCOL
 from services.console.requests import Drive, Release, Walk
-from services.console.server import PageServer
+from services.console.server import Event, PageServer
+from tests.support.served import Serving
 
 PAGE = Path("services/console/page")
 PATIENCE_S = 20.0
@@ -27,21 +29,44 @@ WALK = {"height": 0.1, "lift": 0.04, "gait": "wave", "by_touch": False}
 DRIVE = {"type": "drive", "press": 1, "forward": 0.1, "left": 0.0, "turn": 0.0, **WALK}
 
 
+class Served(PageServer):
+    """A server that a thread waits with, but for when it is the test's turn."""
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        self.serving = Serving(self.wait)
+        self.serving.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.serving.__exit__(*error)
+        super().__exit__(*error)
+
+    def drain(self) -> list[Event]:
+        with self.serving.turn:
+            return super().drain()
+
+    def say(self, what: Callable[..., object], *words: Any) -> None:
+        with self.serving.turn:
+            what(*words)
+            self.flush()
+
+
 @pytest.fixture
-def server() -> Iterator[PageServer]:
-    with PageServer(Settings(port=0), time.monotonic_ns) as made:
+def server() -> Iterator[Served]:
+    with Served(Settings(port=0), time.monotonic_ns) as made:
         yield made
 
 
-def get(server: PageServer, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
+def get(server: Served, path: str, **headers: str) -> tuple[int, dict[str, str], bytes]:
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
     with contextlib.closing(connection):
         connection.request("GET", path, headers=headers)
         answer = connection.getresponse()
-        return answer.status, dict(answer.getheaders()), answer.read()
+        return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
 
 
-def page(server: PageServer, protocols: tuple[str, ...] = (PROTOCOL,), **options: Any) -> ClientConnection:
+def page(server: Served, protocols: tuple[str, ...] = (PROTOCOL,), **options: Any) -> ClientConnection:
     words: Any = list(protocols)
     return connect(f"ws://127.0.0.1:{server.port}/socket", subprotocols=words, compression=None, **options)
 
@@ -54,13 +79,13 @@ def within(holds: Callable[[], object]) -> None:
         turn.wait(0.005)
 
 
-def events(server: PageServer, count: int) -> list[object]:
+def events(server: Served, count: int) -> list[object]:
     found: list[object] = []
     within(lambda: found.extend(e.what for e in server.drain()) or len(found) >= count)
     return found
 
 
-def test_the_page_and_all_that_it_names_are_served_with_their_kinds(server: PageServer) -> None:
+def test_the_page_and_all_that_it_names_are_served_with_their_kinds(server: Served) -> None:
     status, headers, index = get(server, "/")
     assert status == 200
     assert headers["content-type"] == "text/html; charset=utf-8"
@@ -85,16 +110,16 @@ def test_the_page_asks_no_other_host_for_anything() -> None:
 
 
 @pytest.mark.parametrize("path", ["/nothing", "/../service.py", "/js/../../service.py", "/%2e%2e/service.py", "/vendor"])
-def test_what_is_no_file_of_the_page_is_not_served(server: PageServer, path: str) -> None:
+def test_what_is_no_file_of_the_page_is_not_served(server: Served, path: str) -> None:
     assert get(server, path)[0] == 404
 
 
-def test_another_name_for_this_address_is_refused(server: PageServer) -> None:
+def test_another_name_for_this_address_is_refused(server: Served) -> None:
     assert get(server, "/", Host=f"evil.example:{server.port}")[0] == 403
     assert get(server, "/", Host=f"localhost:{server.port}")[0] == 200
 
 
-def test_a_page_of_another_site_may_not_connect(server: PageServer) -> None:
+def test_a_page_of_another_site_may_not_connect(server: Served) -> None:
     for origin in ("http://evil.example", "null", f"http://127.0.0.1:{server.port + 1}"):
         with pytest.raises(InvalidStatus), page(server, origin=origin):
             pass
@@ -102,12 +127,12 @@ def test_a_page_of_another_site_may_not_connect(server: PageServer) -> None:
         assert events(server, 1) == ["arrived"]
 
 
-def test_who_speaks_another_version_is_refused(server: PageServer) -> None:
+def test_who_speaks_another_version_is_refused(server: Served) -> None:
     with pytest.raises(InvalidStatus), page(server, protocols=("sextant.0",)):
         pass
 
 
-def test_requests_arrive_in_order_and_nonsense_is_answered_in_words(server: PageServer) -> None:
+def test_requests_arrive_in_order_and_nonsense_is_answered_in_words(server: Served) -> None:
     with page(server) as socket:
         socket.send(json.dumps(DRIVE))
         socket.send("nonsense")
@@ -119,52 +144,79 @@ def test_requests_arrive_in_order_and_nonsense_is_answered_in_words(server: Page
 
 
 @pytest.mark.parametrize("data", [b"\x00\x01", "x" * 5000])
-def test_who_sends_bytes_or_too_much_is_hung_up_on_and_the_others_are_not(server: PageServer, data: str | bytes) -> None:
+def test_who_sends_bytes_or_too_much_is_hung_up_on_and_the_others_are_not(server: Served, data: str | bytes) -> None:
     with page(server) as good, page(server) as bad:
         assert events(server, 2) == ["arrived", "arrived"]
         bad.send(data)
         assert events(server, 1) == ["left"]
         with pytest.raises(ConnectionClosed):
             bad.recv(timeout=PATIENCE_S)
-        server.post("state", "still here", (1, 2))
+        server.say(server.post, "state", "still here", (1, 2))
         assert good.recv(timeout=PATIENCE_S) == "still here"
 
 
-def test_a_slow_page_gets_the_newest_map_once_it_has_drawn_the_last(server: PageServer) -> None:
+def test_a_slow_page_gets_the_newest_map_once_it_has_drawn_the_last(server: Served) -> None:
     with page(server) as socket:
         found: list[int] = []
         within(lambda: found.extend(e.page for e in server.drain()) or found)
         for k in range(50):
-            server.show("map", b"%d" % k, found)
+            server.say(server.show, "map", b"%d" % k, found)
         first = socket.recv(timeout=PATIENCE_S)
-        server.post("state", "between", found)
+        server.say(server.post, "state", "between", found)
         assert socket.recv(timeout=PATIENCE_S) == "between", "no other map before it has been drawn"
-        server.show("map", b"newest", found)
+        server.say(server.show, "map", b"newest", found)
         socket.send(json.dumps({"type": "seen", "what": "map"}))
         assert socket.recv(timeout=PATIENCE_S) == b"newest"
         assert first != b"newest"
 
 
-def test_something_urgent_stirs_and_a_pad_that_falls_silent_does() -> None:
-    stirred = threading.Event()
-    with PageServer(Settings(port=0), time.monotonic_ns, stirred.set) as made, page(made) as socket:
-        assert stirred.wait(PATIENCE_S)
-        for said in (
-            {"type": "order", "order": "off"},
-            DRIVE,
-        ):
-            events(made, 1)
-            stirred.clear()
-            socket.send(json.dumps(said))
-            assert stirred.wait(PATIENCE_S)
-        events(made, 1)
-        stirred.clear()
-        assert stirred.wait(PATIENCE_S), "after the dead-man's time"
+def test_something_urgent_ends_the_wait_and_a_pad_that_falls_silent_does(server: Served) -> None:
+    with page(server) as socket:
+        events(server, 1)
+        with server.serving.turn:
+            begun = time.monotonic()
+            socket.send(json.dumps({"type": "here"}))  # is not
+            for said in ({"type": "order", "order": "off"}, DRIVE):
+                socket.send(json.dumps(said))
+                server.wait(PATIENCE_S)
+            assert time.monotonic() - begun < PATIENCE_S
+            socket.send(json.dumps(DRIVE))  # it goes on
+            pressed = time.monotonic()
+            server.wait(PATIENCE_S)
+            assert DEAD_MAN_NS * 1e-9 <= time.monotonic() - pressed < PATIENCE_S, "after the dead-man's time"
+        assert len(events(server, 4)) == 4
+
+
+def test_who_takes_nothing_holds_nobody_up(server: Served) -> None:
+    frame = bytes(400_000)
+    with page(server) as deaf, page(server) as good:
+        numbers = []
+        within(lambda: numbers.extend(e.page for e in server.drain()) or len(numbers) == 2)
+        for _ in range(40):
+            server.say(server.show, "map", frame, numbers)
+            assert good.recv(timeout=PATIENCE_S) == frame
+            good.send(json.dumps({"type": "seen", "what": "map"}))
+            deaf.send(json.dumps({"type": "seen", "what": "map"}))  # it lies
+        server.say(server.post, "state", "still here", numbers)
+        assert good.recv(timeout=PATIENCE_S) == "still here"
+
+
+@pytest.mark.parametrize(
+    "nonsense", [b"\x16\x03\x01\x02\x00", b"GET\r\n\r\n", b"POST / HTTP/1.1\r\n\r\n", b"GET / " + 9000 * b"x"]
+)
+def test_who_speaks_no_http_is_hung_up_on(server: Served, nonsense: bytes) -> None:
+    with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S) as stranger:
+        stranger.sendall(nonsense + b"\r\n\r\n")
+        answer = b""
+        while data := stranger.recv(4096):
+            answer += data
+    assert b" 200 " not in answer
+    assert get(server, "/")[0] == 200
 
 
 def test_a_token_is_asked_for_where_one_is_set() -> None:
     token = "a-token-that-nobody-guesses"
-    with PageServer(Settings(port=0, token=token), time.monotonic_ns) as server:
+    with Served(Settings(port=0, token=token), time.monotonic_ns) as server:
         assert server.url.endswith(f"/#{token}")
         for protocols in ((PROTOCOL,), (PROTOCOL, "token.wrong")):
             with pytest.raises(InvalidStatus), page(server, protocols=protocols):
@@ -181,48 +233,9 @@ def test_a_page_for_everybody_wants_a_token() -> None:
     Settings(host="0.0.0.0", token="a-token-that-nobody-guesses")
 
 
-def test_a_port_that_is_taken_is_said_so(server: PageServer) -> None:
+def test_a_port_that_is_taken_is_said_so(server: Served) -> None:
     with pytest.raises(OSError, match=r"is another console running\? --set port=8081"):
         PageServer(Settings(port=server.port), time.monotonic_ns)
-
-
-def test_a_server_that_is_well_passes_each_look(server: PageServer) -> None:
-    for _ in range(50):
-        server.check()
-        get(server, "/icon.svg")
-
-
-@pytest.mark.parametrize("error", [RuntimeError("a bug"), SystemExit(3), None])
-def test_a_server_that_has_ended_is_noticed_with_its_reason(
-    error: BaseException | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def run(sockets: object) -> None:
-        if error is not None:
-            raise error
-
-    server = PageServer(Settings(port=0), time.monotonic_ns)
-    monkeypatch.setattr(server._server, "run", run)
-    with server:
-        server._thread.join(PATIENCE_S)
-        with pytest.raises(RuntimeError, match="the page's server has ended") as caught:
-            server.check()
-    assert caught.value.__cause__ is error
-
-
-def test_a_server_that_hangs_is_noticed(server: PageServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.console.server._HUNG_S", 0.0)
-    go_on = threading.Event()
-    get(server, "/")
-    server._call(go_on.wait)
-    try:
-        for _ in range(5):
-            server.check()
-        with pytest.raises(RuntimeError, match="the page's server hangs"):
-            server.check()
-    finally:
-        go_on.set()
-    within(lambda: math.isnan(server._called_s))
-    server.check()
 
 
 def test_the_vendored_files_are_those_that_the_maintainers_command_makes() -> None:

@@ -67,6 +67,21 @@ def test_a_flooded_queue_drops_the_oldest_and_counts() -> None:
     assert box.dropped == 7
 
 
+def test_what_is_fetched_counts_as_having_come_at_the_look() -> None:
+    box, kept = inbox(), _Kept(codec.encode(order(1)), codec.encode(order(2)))
+    velocities = _Kept(codec.encode(velocity(), codec.Timing(1, 2)))
+    box.fetch(MODE, kept.take)
+    box.fetch(VELOCITY, velocities.take)
+    box.now_ns = 5000 * MS
+    assert box.waiting(MODE)
+    assert [c.sequence for c in box.drain(MODE)] == [1, 2]
+    assert box.drain(MODE) == []
+    assert box.fresh(VELOCITY) is not None
+    assert box._stages.percentiles() == {}, "how long it was on its way is not known"
+    box.now_ns += VELOCITY.fresh_for_ns + 1
+    assert box.fresh(VELOCITY) is None
+
+
 def test_nothing_has_come_yet() -> None:
     box = inbox()
     assert box.latest(VELOCITY) is None
@@ -462,11 +477,23 @@ def test_in_lockstep_the_measured_latency_is_the_configured_one() -> None:
 # ----------------------------------------------------------------------------------------------------- live
 
 
+class _Kept:
+    """Frames that wait to be fetched."""
+
+    def __init__(self, *frames: bytes) -> None:
+        self.frames = list(frames)
+
+    def take(self) -> list[bytes]:
+        taken, self.frames = self.frames, []
+        return taken
+
+
 class Wire:
     """A link in memory: what is sent is kept, what a test publishes arrives."""
 
     def __init__(self) -> None:
         self.receivers: dict[str, list[Any]] = {}
+        self.kept: dict[str, _Kept] = {}
         self.sent: list[tuple[AnyTopic, bytes]] = []
         self.subscribed = threading.Event()
         self.expect: Callable[[AnyTopic], bool] = lambda _: False
@@ -481,6 +508,9 @@ class Wire:
         self.receivers.setdefault(topic.key, []).append(receive)
         self.subscribed.set()
         return lambda: self.receivers[topic.key].remove(receive)
+
+    def collect(self, topic: AnyTopic) -> Callable[[], list[bytes]]:
+        return self.kept.setdefault(topic.key, _Kept()).take
 
     def wanted(self, topic: AnyTopic) -> bool:
         return topic is not STATUS
@@ -556,6 +586,26 @@ def test_live_a_beat_comes_at_its_rate_and_stops(wire: Wire) -> None:
     assert stamps == sorted(stamps)
     assert service.stages.runs("cycle") == len(stamps), "how regular it is goes out with its health"
     assert stamps[10] - stamps[0] > 30 * MS  # ten periods of 5 ms; a busy machine is late, never early by much
+
+
+def test_live_a_service_may_wait_its_own_way_and_fetch_what_has_come(wire: Wire) -> None:
+    waits: list[float] = []
+    wire.kept[MODE.key] = _Kept(codec.encode(order(1)))
+    stop = threading.Event()
+
+    def wait(length_s: float) -> None:
+        waits.append(length_s)  # and comes back before its time
+        if len(waits) == 3:
+            stop.set()
+
+    service = Scripted(
+        "operator", Every(10_000 * MS, wait, fetches=True), reads=(MODE,), act=lambda _, box: seen.extend(box.drain(MODE)) or ()
+    )
+    seen: list[Any] = []
+    run_live(service, wire, stop)
+    assert [c.sequence for c in seen] == [1]
+    assert wire.receivers == {}, "no thread hands anything over"
+    assert all(9.0 < length_s <= 10.0 for length_s in waits)
 
 
 @pytest.mark.parametrize("pace", [Every.hz(100), MODE])

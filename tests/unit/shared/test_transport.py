@@ -287,3 +287,26 @@ def test_a_router_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) ->
     address = free_endpoint()
     with pytest.raises(TransportError, match=f"could not open Zenoh as client.*{address}"), ZenohLink(Endpoints((address,))):
         pass
+
+
+def test_what_is_collected_waits_until_it_is_fetched(endpoint: str) -> None:
+    endpoints = Endpoints((endpoint,), namespace="collected")
+    with ZenohLink(endpoints) as sender, ZenohLink(endpoints) as receiver:
+        come = {topic: receiver.collect(topic) for topic in (MODE, VELOCITY)}
+        for topic in come:
+            wait_until_wanted(sender, topic)
+            assert come[topic]() == []
+        marker = Receiver(b"")
+        receiver.subscribe(MODE, marker)
+        receiver.subscribe(VELOCITY, marker)
+        for topic in come:
+            for n in range(300):
+                last = b"%s %d" % (topic.key.encode(), n)
+                marker.expect(last)
+                sender.send(topic, last)
+                assert marker.done.wait(PATIENCE_S)
+        assert come[VELOCITY]() == [b"operator/velocity 299"], "of states the newest"
+        found = come[MODE]()
+        assert len(found) == 256, "of events some hundred; who does not fetch holds nobody up"
+        assert found[-1] == b"operator/mode 299"
+        assert come[MODE]() == come[VELOCITY]() == []

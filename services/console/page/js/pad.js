@@ -1,6 +1,6 @@
 // The hold-to-move pad: mouse, touch, keys and gamepad make one press; let go, look away or freeze, and it is over.
 
-const SAY_MS = 50; // between two words of a press
+const SAY_MS = 66; // between two words of a press, of which a beat of the console passes on the newest
 const FROZEN_MS = 300; // between two looks, after which this page has been frozen, as the console has it: what is held counts no more
 const DEAD_ZONE = 0.25; // of a gamepad's stick
 const TURN = 0.3; // [rad/s] at full speed
