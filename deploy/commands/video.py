@@ -12,10 +12,11 @@ from deploy.commands.common import SUCCESS, InputError, complain, say
 
 if TYPE_CHECKING:
     from deploy.video.ground import Ground
+    from deploy.video.sinking import Sinking
     from deploy.video.story import Story
     from shared.robot import RobotProfile
 
-_TOLD_EVERY_S = 3.0
+_TOLD_EVERY_S = 5.0
 _FEET_OFF = 0.02  # [m] of feet that stand, in the median: the ground is another
 
 
@@ -37,11 +38,11 @@ def video(arguments: argparse.Namespace) -> int:
         complain(f"{path} was cut off: it is drawn as far as it goes, {story.duration_s:.1f} s")
     about = _about(run, recording.about, story)
     profile = load_profile(about["robot"])
-    ground = _ground(about, story, profile, arguments.scenario)
+    ground, sinking = _ground(about, story, profile, arguments.scenario)
     cut = Cut(arguments.size, arguments.fps, arguments.speed, arguments.from_s, arguments.to_s)
     try:
         title = _title(about) if ground is not None else f"{_title(about)}, on the map it made"
-        film = Film(recording.path, story, profile, ground, title, cut)
+        film = Film(recording.path, story, profile, ground, title, cut, sinking)
     except ValueError as error:
         raise InputError(f"{run}: {error}") from None
     began = told = time.monotonic()
@@ -88,18 +89,21 @@ def _about(run: Path, said: Mapping[str, str], story: "Story") -> dict[str, str]
     return {"robot": "phantomx_mk2"} | about
 
 
-def _ground(about: Mapping[str, str], story: "Story", profile: "RobotProfile", asked: str) -> "Ground | None":
+def _ground(
+    about: Mapping[str, str], story: "Story", profile: "RobotProfile", asked: str
+) -> tuple["Ground | None", "Sinking | None"]:
     """The true ground, or None where it is not known; then the robot is drawn where it believed to be, on its own map."""
     import numpy as np
 
     from deploy.video.ground import of_terrain
+    from deploy.video.sinking import Sinking
     from deploy.video.story import trail
     from services.simulator.terrain import build_terrain
     from shared.config import ConfigError
     from shared.scenario import load_scenario
 
     if not story.true:
-        return None
+        return None, None
     name = asked or about["scenario"]
     try:
         terrain = build_terrain(load_scenario(name), np.random.default_rng([int(about["seed"]), 0]))
@@ -113,9 +117,9 @@ def _ground(about: Mapping[str, str], story: "Story", profile: "RobotProfile", a
     if problem:
         complain(f"{problem}: drawn on the map that the robot made; --scenario FILE names another ground")
         story.draw_truth(False)
-        return None
+        return None, None
     steps = range(story.began_ns, story.ended_ns + 1, 500_000_000)
-    return of_terrain(terrain, trail(story, list(steps))[:, :2, 3])
+    return of_terrain(terrain, trail(story, list(steps))[:, :2, 3]), Sinking(terrain, story, profile.foot.radius)
 
 
 def _title(about: Mapping[str, str]) -> str:

@@ -14,6 +14,7 @@ from deploy.video import ground as grounds
 from deploy.video.ground import Ground
 from deploy.video.inset import FOOTHOLD, Inset
 from deploy.video.painter import Figure, Mark, Painter, View
+from deploy.video.sinking import Sinking
 from deploy.video.story import Maps, Moment, Story
 from deploy.video.view import FollowingCamera
 from deploy.video.words import Caption, lay_in
@@ -57,7 +58,16 @@ class Cut:
 class Film:
     """Pictures of a run, made in their order and several at a time."""
 
-    def __init__(self, path: Path, story: Story, profile: RobotProfile, ground: Ground | None, title: str, cut: Cut):
+    def __init__(
+        self,
+        path: Path,
+        story: Story,
+        profile: RobotProfile,
+        ground: Ground | None,
+        title: str,
+        cut: Cut,
+        sinking: Sinking | None = None,
+    ):
         """Make it.
 
         Args:
@@ -67,7 +77,9 @@ class Film:
             ground: The true ground; None to draw the robot on the maps that it made.
             title: Of what is shown.
             cut: Which part of it.
+            sinking: How what is weak of the ground gave way.
         """
+        self._sinking = sinking
         self._path, self._story, self._profile, self._cut = path, story, profile, cut
         self._ground = ground
         self.times_ns = cut.times_ns(story)
@@ -81,19 +93,20 @@ class Film:
         """The pictures (h, w, 3) R, G, B in their order, painted by so many threads; tell hears how many are done."""
         painters: SimpleQueue[Painter] = SimpleQueue()
         for _ in range(workers):
-            painter = Painter(self._profile, self._cut.size)
-            if self._ground is not None:
-                painter.stand_on(self._ground)
-            painters.put(painter)
+            painters.put(Painter(self._profile, self._cut.size))
         self._limits = self._limits_of_maps() if self._ground is None else self._limits_of(self._ground)
         maps = Maps(Recording(self._path))
         inset_size = max(round(_INSET * self._cut.size[1]), 1)
         inset = Inset(self._profile, inset_size, self._limits) if inset_size >= _SMALLEST else None
         coming: deque[Future[NDArray[np.uint8]]] = deque()
+        terrain, ground = None, self._ground or self._mapped(None)
         with ThreadPoolExecutor(workers) as pool:
             try:
                 for k, t_ns in enumerate(self.times_ns):
-                    coming.append(pool.submit(self._frame, painters, t_ns, maps.until(t_ns), inset))
+                    before, terrain = terrain, maps.until(t_ns)
+                    if self._ground is None and terrain is not before:
+                        ground = self._mapped(terrain)
+                    coming.append(pool.submit(self._frame, painters, t_ns, ground, terrain, inset))
                     if len(coming) > 2 * workers:
                         yield coming.popleft().result()
                         tell(k + 1 - len(coming))
@@ -105,14 +118,14 @@ class Film:
                     future.cancel()
 
     def _frame(
-        self, painters: "SimpleQueue[Painter]", t_ns: int, terrain: TerrainMap | None, inset: Inset | None
+        self, painters: "SimpleQueue[Painter]", t_ns: int, ground: Ground, terrain: TerrainMap | None, inset: Inset | None
     ) -> NDArray[np.uint8]:
         moment, view = self._story.moment(t_ns), self.camera.view(t_ns)
         painter = painters.get()
         try:
-            if self._ground is None:
-                painter.stand_on(self._mapped(terrain))
-            picture = self.paint(painter, moment, view)
+            painter.stand_on(ground)
+            sunk = None if self._sinking is None else self._sinking.at(t_ns)
+            picture = self.paint(painter, moment, view, sunk)
         finally:
             painters.put(painter)
         if inset is not None:
@@ -124,12 +137,12 @@ class Film:
         return picture
 
     @staticmethod
-    def paint(painter: Painter, moment: Moment, view: View) -> NDArray[np.uint8]:
+    def paint(painter: Painter, moment: Moment, view: View, sunk: Array | None = None) -> NDArray[np.uint8]:
         """The picture of a moment, without map and words."""
         marks = []
         for p in moment.footholds:
             marks += [Mark(p, _INNER, _OUTER, FOOTHOLD), Mark(p, 0.0, _CORE, FOOTHOLD)]
-        return painter.paint(Figure(moment.T_scene_body, moment.q, moment.carries), view, marks, _way(moment))
+        return painter.paint(Figure(moment.T_scene_body, moment.q, moment.carries, sunk), view, marks, _way(moment))
 
     def _mapped(self, terrain: TerrainMap | None) -> Ground:
         if terrain is None:

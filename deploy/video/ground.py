@@ -1,5 +1,6 @@
 """The ground as it is drawn: a scenario's true terrain, or, where none is known, the height map that the robot made."""
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -47,6 +48,8 @@ class Ground:
     low: float  # [m] {world} of the lowest colour
     high: float  # [m] {world}
     colors: tuple[tuple[int, tuple[float, float, float]], ...] = ()  # materials beside that by height: number, R, G, B
+    sinking: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 6, 4, 3)))  # (k, 6, 4, 3) faces of what gives way
+    sinking_materials: NDArray[np.uint8] = dataclasses.field(default_factory=lambda: np.zeros((0, 6), dtype=np.uint8))
 
     @property
     def around(self) -> NDArray[np.float32]:
@@ -74,6 +77,10 @@ def of_terrain(terrain: "Terrain", way: Array) -> Ground:
 
     if look is not None:
         materials[0] = np.repeat([painted(color) for color in look.boxes], 6).astype(np.uint8)
+    weak = np.zeros(len(boxes), dtype=bool)
+    weak[terrain.weak.box] = True
+    sinking, sinking_materials = corners[terrain.weak.box], materials[0].reshape(-1, 6)[terrain.weak.box]
+    faces[0], materials[0] = corners[~weak].reshape(-1, 4, 3), materials[0].reshape(-1, 6)[~weak].ravel()
     if terrain.plane is not None:
         faces.append(_rectangle(way.mean(axis=0) - _FAR, way.mean(axis=0) + _FAR, terrain.plane)[None])
         materials.append(np.array([painted(look.plane if look else None)], dtype=np.uint8))
@@ -92,7 +99,7 @@ def of_terrain(terrain: "Terrain", way: Array) -> Ground:
     bottom, top = _limits(heights)
     return Ground(
         np.concatenate(faces), np.concatenate(materials), field_, grid, field_material,
-        heights, (float(low[0]), float(low[1]), step), bottom, top, tuple(colors),
+        heights, (float(low[0]), float(low[1]), step), bottom, top, tuple(colors), sinking, sinking_materials,
     )  # fmt: skip
 
 
@@ -117,7 +124,7 @@ def _limits(heights: NDArray[np.float32]) -> tuple[float, float]:
     near = known[np.abs(known - middle) < 0.4]  # what an abyss shows is no part of the relief
     low, high = np.percentile(near, [1.0, 99.5]).tolist()
     spare = max(_NARROWEST - (high - low), 0.0) / 2
-    return low - spare, high + spare
+    return low - spare, max(high + spare, 2.0 * middle - low)  # what most of the ground is shall not look high
 
 
 def _rectangle(low: Array, high: Array, z: float) -> Array:

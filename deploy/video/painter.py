@@ -30,6 +30,7 @@ class Figure:
     T_world_body: Array  # (4, 4)
     q: Array  # (6, 3) [rad]
     carries: NDArray[np.bool_]  # (6,)
+    sunk: Array | None = None  # (k,) [m] what gives way of the ground, None for nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +68,7 @@ class Painter:
         self._sight = blank(width * finer, height * finer, (1.0, 1.0, 0.0, 0.0))
         self._linear = np.zeros((height * finer, width * finer, 3), dtype=np.float32)
         self._curve = np.round(255.0 * _encode(np.linspace(0.0, 1.0, _CURVE))).astype(np.uint8)
+        self._ground: Ground | None = None
         self._sun = _SUN / np.linalg.norm(_SUN)
         self._reach = _ROBOT_REACH * max(1.0, (profile.links.femur + profile.links.tibia + profile.links.coxa) / 0.25)
         side = round(2 * self._reach / _ROBOT_TEXEL)
@@ -74,6 +76,8 @@ class Painter:
 
     def stand_on(self, ground: Ground) -> None:
         """From now on paint this ground."""
+        if ground is self._ground:
+            return
         self._ground = ground
         self._around = Grid(ground.around, *ground.raster)
         self._ground_shadow = self._shadow_of(ground)
@@ -90,6 +94,8 @@ class Painter:
             way: (s, 2, 2) [m] {world} pieces of a line on the ground.
         """
         ground, sight = self._ground, self._sight
+        if ground is None:
+            raise ValueError("a ground to paint expected: call stand_on first")
         solids = robot_solids(self._profile, figure.T_world_body, figure.q, figure.carries)
         faces, face_materials, starts, ends, radii, limb_materials = solids.arrays()
         # 1. What is seen.
@@ -104,12 +110,18 @@ class Painter:
         draw_faces(sight, T, ground.faces, ground.materials)
         if ground.field.size:
             draw_field(sight, T, ground.field, ground.grid, ground.field_material)
-        # 2. The robot's shadow, and what it takes of the sky.
+        loose = ground.sinking.reshape(-1, 4, 3)
+        if figure.sunk is not None:
+            loose = loose - np.repeat(figure.sunk, 6)[:, None, None] * (0.0, 0.0, 1.0)
+        loose_materials = ground.sinking_materials.ravel()
+        draw_faces(sight, T, loose, loose_materials)
+        # 2. The shadow of the robot and of whatever else moves, and what it takes of the sky.
         T_lamp = self._lamp_at(figure.T_world_body[:3, 3])
         shadow = self._robot_shadow
         shadow.w.fill(0.0)
         draw_limbs(shadow, T_lamp, starts, ends, radii, limb_materials)
         draw_faces(shadow, T_lamp, faces, face_materials)
+        draw_faces(shadow, T_lamp, loose, loose_materials)
         # 3. Light.
         painted = [[*m.p, m.inner, m.outer, *_decode(np.array(m.color, dtype=np.float64))] for m in marks]
         scene = Scene(
@@ -117,7 +129,7 @@ class Painter:
             self._ground_shadow,
             Shadow(shadow, T_lamp, _SOFT / _ROBOT_TEXEL),
             self._around,
-            self._under(figure),
+            self._under(figure, ground),
             self._materials,
             self._relief,
             ground.low,
@@ -131,16 +143,16 @@ class Painter:
         resolve(self._linear, self._curve, out)
         return out
 
-    def _under(self, figure: Figure) -> Grid:
+    def _under(self, figure: Figure, ground: Ground) -> Grid:
         """The share of the sky that the robot takes from the ground below and beside it."""
         x, y = figure.T_world_body[:2, 3] - self._reach
         n = round(2 * self._reach / _UNDER_STEP)
-        x0, y0, step = self._ground.raster
-        heights = self._ground.heights
+        x0, y0, step = ground.raster
+        heights = ground.heights
         i = np.clip(np.round((x + _UNDER_STEP * np.arange(n) - x0) / step).astype(int), 0, heights.shape[0] - 1)
         j = np.clip(np.round((y + _UNDER_STEP * np.arange(n) - y0) / step).astype(int), 0, heights.shape[1] - 1)
         below = heights[np.ix_(i, j)]
-        below = np.where(np.isfinite(below), below, np.float32(self._ground.low))
+        below = np.where(np.isfinite(below), below, np.float32(ground.low))
         out = np.empty((n, n), dtype=np.float32)
         shade_under(below, x, y, _UNDER_STEP, occluders(self._profile, figure.T_world_body, figure.q), out)
         return Grid(out, float(x), float(y), _UNDER_STEP)

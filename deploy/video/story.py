@@ -224,9 +224,10 @@ class Story:
     def _legs(self, t_ns: int) -> tuple[Array, NDArray[np.bool_]]:
         track: Track[Any] = self.truth if self.true else self.actuator
         before, after, s = track.around(t_ns)
-        carries = np.asarray(before.contact).copy()
+        told = "bears" if self.true else "contact"
+        carries = np.array(getattr(before, told))
         for message in track.between(t_ns - _FOR_CONTACT_NS, t_ns + _FOR_CONTACT_NS):
-            carries |= message.contact
+            carries |= getattr(message, told)
         return (1.0 - s) * before.q + s * after.q, carries
 
     def _footholds(self, t_ns: int) -> tuple[Array, Array]:

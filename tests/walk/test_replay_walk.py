@@ -12,8 +12,11 @@ from deploy.attendance import about
 from deploy.lockstep_run import assemble
 from deploy.progress import Silent
 from deploy.replay_walk import Change, replay_recording
+from deploy.video.story import Story
 from services.console.recording.foxglove.translation import Foxglove
+from services.console.recording.reader import Recording
 from services.console.recording.writer import Recorder
+from services.simulator.terrain import build_terrain
 from shared.geometry import transform
 from shared.messages import BodyPose, Message, Scan
 from shared.robot import load_profile
@@ -129,3 +132,18 @@ def test_only_some_topics_are_fed_where_that_is_asked_for(recorded: Path, tmp_pa
     maps = replayed(recorded, tmp_path, as_it_was, ("mapper/terrain", "perception/pose", "actuator/state", "operator/velocity"))
     assert maps["maps"]["made"] == 0, "the recorded ones are fed"
     assert maps["plans"]["made"] > 0
+
+
+def test_in_a_film_of_it_feet_stand_on_the_ground_and_come_down_where_they_were_drawn_to(recorded: Path) -> None:
+    story, radius = Story.read(Recording(recorded)), load_profile(STEPS.robot).foot.radius
+    terrain = build_terrain(STEPS, np.random.default_rng([1000, 0]))
+    assert story.true
+    assert story.feet_off(terrain.height_at, radius) < 0.005
+    misses = []
+    for t_ns in range(story.began_ns, story.ended_ns - 2 * S, S // 5):
+        swings = [p for p in story.moment(t_ns).footholds if story.moment(t_ns).mode == "walk"]
+        feet = np.array([m.feet for m in story.truth.between(t_ns, t_ns + 2 * S)]).reshape(-1, 3)
+        misses += [float(np.linalg.norm(feet - p, axis=1).min()) for p in swings]
+    assert len(misses) > 50
+    assert np.median(misses) < 0.01
+    assert np.percentile(misses, 90) < 0.02
