@@ -50,7 +50,7 @@ class Cut:
         to_s = min(self.to_s, story.duration_s)
         count = round((to_s - self.from_s) * self.fps / self.times)
         if not self.from_s < to_s or count < 1:
-            asked = f"{self.from_s:g} to {min(self.to_s, 1e6):g} s"
+            asked = f"{self.from_s:g} s to {'the end' if self.to_s == float('inf') else f'{self.to_s:g} s'}"
             raise ValueError(f"a part of the {story.duration_s:.1f} s that were recorded expected, found {asked}")
         return [story.began_ns + round((self.from_s + k * self.times / self.fps) * 1e9) for k in range(count)]
 
