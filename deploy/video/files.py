@@ -12,7 +12,7 @@ from PIL import Image
 _VIDEOS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # encoders that OpenCV's wheels bring along
 _ANIMATED = (".webp", ".gif", ".png")
 SUFFIXES = (*_VIDEOS, *_ANIMATED)
-_WEBP: dict[str, Any] = {"quality": 68, "method": 4}
+_WEBP: dict[str, Any] = {"quality": 72, "method": 4}
 _COLORS = 200  # of a GIF
 
 

@@ -10,6 +10,8 @@ _BAR, _BAR_SHARE = (22, 26, 32), 0.72
 _PLAIN, _MUTED, _TROUBLE = (246, 247, 249), (168, 175, 184), (255, 190, 70)
 _GAP = "        "
 _MOST_LINES = 3
+_SHARE, _SHARE_OF_WIDTH = 0.031, 0.06  # [1] of the picture that a letter is high,
+_SMALLEST = 13  # [px] and as high at least, where the picture has the width for it
 
 
 class Caption:
@@ -24,7 +26,7 @@ class Caption:
             times: How much faster than the robot the picture moves.
         """
         self._width, self._height = size
-        self._pixels = max(round(0.031 * self._height), 10)
+        self._pixels = max(round(_SHARE * self._height), min(_SMALLEST, round(_SHARE_OF_WIDTH * self._width)))
         self._font = ImageFont.load_default(self._pixels)
         self._title = title if times == 1.0 else f"{title}{_GAP}{times:g}x"
 
