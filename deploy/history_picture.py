@@ -45,6 +45,7 @@ def draw(
     moment: Moment | None,
     color: str,
     told: Sequence[Complaint],
+    truth: bool = True,
 ) -> None:
     """Draw the strips into a part of a figure.
 
@@ -55,6 +56,7 @@ def draw(
         moment: Which decided it, marked through all strips.
         color: Of that mark.
         told: Complaints that are told in words elsewhere, numbered from 1.
+        truth: Whether what is called true is so, or what the robot measured.
     """
     left, bottom, width, height = box
     gap = 0.016 * 12 / figure.get_figheight()
@@ -65,6 +67,9 @@ def draw(
     rows = [figure.add_axes((left, bottom + k * (row + gap), width, row)) for k in reversed(range(_CURVES))]
     for axes, curve in zip(rows, (_height, _tilt, _margin, _torque, _pose_error), strict=True):
         curve(axes, trace)
+    if not truth:
+        for text in rows[0].get_legend().get_texts():
+            text.set_text(text.get_text().replace("true", "by the legs"))
     end = max(float(trace.t[-1]) if len(trace.t) else 1.0, 1e-3)
     for axes in (top, *rows):
         axes.set_xlim(0.0, end)
@@ -189,6 +194,7 @@ def _pose_error(axes: Any, trace: Trace) -> None:
     zoom(axes, [1000 * trace.pose_error], least=10.0, floor=0.0)
     axes.set_ylabel("pose\nerror [mm]", size=11)
     if not np.isfinite(trace.pose_error).any():
+        axes.set_yticks([])
         axes.text(0.5, 0.5, "not known", transform=axes.transAxes, ha="center", va="center", color=MUTED)
 
 

@@ -1,11 +1,13 @@
 """The foothold layers of one map as a picture, for people: height, Lotriet's score, Masri's evaluation function."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.walk_picture import LEG_COLORS
 from shared.geometry import Array
 from shared.messages import TerrainMap
 
@@ -37,8 +39,11 @@ def draw(path: Path, terrain: TerrainMap, T_world_way: Array | None = None) -> b
     return True
 
 
-def figure_of(terrain: TerrainMap, T_world_way: Array | None = None) -> Any:
-    """The same as a figure that is not saved yet; None where there is nothing to draw."""
+def figure_of(terrain: TerrainMap, T_world_way: Array | None = None, footholds: Sequence[Array] = ()) -> Any:
+    """The same as a figure that is not saved yet, for each leg with the places (k, 2 or 3) [m] {world} chosen for its foot.
+
+    None where there is nothing to draw.
+    """
     part = _known_part(terrain)
     if part is None:
         return None
@@ -72,6 +77,8 @@ def figure_of(terrain: TerrainMap, T_world_way: Array | None = None) -> Any:
             image = axes.imshow(layer.T, origin="lower", extent=extent, cmap=colors, interpolation="nearest", **scale)
             if T_world_way is not None and len(T_world_way):
                 axes.plot(T_world_way[:, 0, 3], T_world_way[:, 1, 3], color="#d01c8b", lw=1.4)
+            for places, color in zip(footholds, LEG_COLORS, strict=False):
+                axes.scatter(places[:, 0], places[:, 1], s=22, c=color, edgecolors="white", linewidths=0.6, zorder=3)
             axes.set_xlim(low[0], high[0])
             axes.set_ylim(low[1], high[1])
             axes.set_title(title, size=13)

@@ -12,6 +12,7 @@ from deploy.walk_metrics import Flags, runs
 from shared.geometry import Array
 from shared.robot import JOINTS, LEGS
 
+ENDED = "ended"  # of a run that nothing else decided
 MISSED = 0.02  # [m] from the foothold that was chosen, and more, is beside it
 _BEFORE = 4.0  # [s] before the moment that are looked through
 _LAST = 0.5  # [s] before the last step is over in which the planner may have begun to refuse the next
@@ -72,7 +73,7 @@ def decisive_moment(report: Report, trace: Trace) -> Moment | None:
     walked = np.flatnonzero(trace.walking)
     if len(walked) and trace.t[-1] - trace.t[walked[-1]] > _STILL:
         return _moment(trace, float(trace.t[walked[-1]]), "stopped")
-    return _moment(trace, float(trace.t[-1]), "ended")
+    return _moment(trace, float(trace.t[-1]), ENDED)
 
 
 def refusal(trace: Trace) -> Complaint | None:

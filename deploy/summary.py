@@ -13,7 +13,7 @@ from deploy import history_picture
 from deploy.history_picture import ESTIMATE, TRUE
 from deploy.layers_picture import UNSEEN, ground_colors
 from deploy.map_metrics import Mosaic
-from deploy.moment import MISSED, Moment, decisive_moment, missed_by, refusal, signs
+from deploy.moment import ENDED, MISSED, Moment, decisive_moment, missed_by, refusal, signs
 from deploy.relief import shaded
 from deploy.report import ARRIVED, Report
 from deploy.said import Complaint
@@ -34,6 +34,7 @@ _NO_FOOTHOLD, _HATCH = (0.70, 0.10, 0.08, 0.5), "#00000045"
 _SIDE = 0.62  # [m] least of the map shown to both sides of the line
 _BEFORE, _AFTER = 0.45, 0.45  # [m] of the map shown before the start and after the goal
 _AROUND = 0.42  # [m] to all sides of the body, shown of the moment that decided
+_OF_TRUTH = ("true", "misstep", "touchdowns raised", "falls", "pose error", "map error", "real-time")  # what only it can tell
 _LOOK_BACK = 3.0  # [s] before a fall in which the body has left what supported it
 
 
@@ -47,6 +48,13 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         report: What it came to.
         trace: How it went; may be empty.
     """
+    figure = figure_of(report, trace)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+
+
+def figure_of(report: Report, trace: Trace, truth: bool = True) -> Any:
+    """The same as a figure that is not saved yet; without the truth nothing is said of a goal, nor whether it was reached."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -59,6 +67,8 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         "hatch.color": _HATCH,
     }
     moment = decisive_moment(report, trace)
+    if moment is not None and not truth and moment.words == ENDED:  # as every recording does
+        moment = None
     low, high = extent_of(trace)
     share = float((high[1] - low[1]) / (high[0] - low[0]))
     wide = _WIDTH * (_RIGHT - _LEFT - _BAR)  # [in] for the map and the close-up, which is a square
@@ -66,7 +76,7 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
     map_height = float(np.clip(map_height, *_MAP))
     room = (wide if moment is None else wide - _GAP - map_height) / _WIDTH
     near = map_height / _WIDTH
-    lines = verdict(report, trace, moment)
+    lines = verdict(report, trace, moment) if truth else _without_verdict(report, trace, moment)
     above = head_height(lines)
     history = _HISTORY[moment is not None]
     tall = above + 0.25 + map_height + 0.5 + _LEGEND + 0.25 + history + 0.6
@@ -77,15 +87,15 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         bottom = 1 - (above + 0.25 + map_height) / tall
         ground = figure.add_axes((_LEFT, bottom, room, map_height / tall))
         told = history_picture.told_in_words(trace, moment)
-        _draw_map(figure, ground, report, trace, moment, told)
+        _draw_map(figure, ground, report, trace, moment, told, truth)
         if moment is not None:
             _draw_near(figure.add_axes((_RIGHT - near, bottom, near, map_height / tall)), report, trace, moment, (low, high))
-        _draw_legend(figure, report, trace, 1 - (above + 0.25 + map_height + 0.5) / tall)
+        _draw_legend(figure, report, trace, truth, 1 - (above + 0.25 + map_height + 0.5) / tall)
+        numbers = [row for row in _numbers(report) if truth or not row[0].startswith(_OF_TRUTH)]
         box = (0.085, 0.6 / tall, 0.565, history / tall)
-        history_picture.draw(figure, box, trace, moment, moment_color(report), told)
-        draw_words(figure, (0.685, 0.45 / tall, 0.30, (history + 0.30) / tall), trace, moment, told, _numbers(report))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
+        history_picture.draw(figure, box, trace, moment, moment_color(report), told, truth)
+        draw_words(figure, (0.685, 0.45 / tall, 0.30, (history + 0.30) / tall), trace, moment, told, numbers)
+    return figure
 
 
 def moment_color(report: Report) -> str:
@@ -118,6 +128,17 @@ def verdict(report: Report, trace: Trace, moment: Moment | None, most: int = 4) 
     walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {report.gait}" + (" · blind" if report.blind else "")
     found.append((walk, float(_FONT), "#5f6368"))
     return found
+
+
+def _without_verdict(report: Report, trace: Trace, moment: Moment | None) -> list[tuple[str, float, str]]:
+    """The lines at the top where nobody knows the truth: how far it believed to have come, and why it stood."""
+    words = f"Walked {report.distance_m:.2f} m" if trace.walking.any() else "Never walked"
+    found = [(f"{words}, by its own account", 20.0, "#222222")]
+    refused = refusal(trace) if moment is not None else None
+    if refused is not None:
+        words = f"The planner: {refused.words}"
+        found += [(line, 13.0, _AMBER) for line in textwrap.wrap(words, 142, max_lines=4, placeholder=" …")]
+    return [*found, (f"{report.robot} · {report.reason}", float(_FONT), "#5f6368")]
 
 
 def _whose(trace: Trace, moment: Moment) -> str:
@@ -201,14 +222,16 @@ def draw_words(
         y += 0.12
     fitting = min(len(numbers), int((room - y) / (1.25 * _LINE)))
     if fitting > 0:
-        taken = min(fitting * 0.36, room - y) / tall
+        taken = min(fitting * 0.42, room - y) / tall
         draw_table(figure.add_axes((left, bottom + height - y / tall - taken, width, taken)), numbers[:fitting])
 
 
 # -- the map
 
 
-def _draw_map(figure: Any, axes: Any, report: Report, trace: Trace, moment: Moment | None, told: Sequence[Complaint]) -> None:
+def _draw_map(
+    figure: Any, axes: Any, report: Report, trace: Trace, moment: Moment | None, told: Sequence[Complaint], truth: bool
+) -> None:
     low, high = extent_of(trace)
     axes.set_facecolor(UNSEEN)  # never seen
     axes.set_aspect("equal", anchor="W")
@@ -217,7 +240,8 @@ def _draw_map(figure: Any, axes: Any, report: Report, trace: Trace, moment: Mome
     if trace.mosaic is not None:
         draw_ground(figure, axes, trace.mosaic, low, high)
     draw_blocks(axes, trace)
-    draw_course(axes, trace)
+    if truth:
+        draw_course(axes, trace)
     draw_footholds(axes, trace)
     draw_paths(axes, trace, report)
     draw_flags(axes, trace, told)
@@ -226,9 +250,9 @@ def _draw_map(figure: Any, axes: Any, report: Report, trace: Trace, moment: Mome
     axes.set_ylabel("left [m]")
 
 
-def _draw_legend(figure: Any, report: Report, trace: Trace, top: float) -> None:
+def _draw_legend(figure: Any, report: Report, trace: Trace, truth: bool, top: float) -> None:
     figure.legend(
-        handles=_legend(report, trace),
+        handles=[handle for handle in _legend(report, trace) if truth or not str(handle.get_label()).startswith(_OF_TRUTH)],
         loc="upper left",
         bbox_to_anchor=(0.045, top),
         ncols=7,

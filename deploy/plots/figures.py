@@ -95,9 +95,7 @@ def _torque(runs: Runs) -> Any:
         if len(runs) == 1:
             axes.plot(trace.t - run.begin, trace.torque_worst, color=color, lw=0.5, alpha=0.45)
         axes.plot(trace.t - run.begin, _rms(trace.torque_worst, trace.t), color=color, lw=1.5, label=_label(run))
-    stall = runs[0].trace.profile.servo.stall_torque
-    _limit(axes, stall, "stall")
-    axes.set_ylim(0.0, 1.2 * stall)
+    _stall(axes, runs)
     return _in_time(figure, axes, runs, f"highest torque [N m],\nrms of {WINDOW_S:g} s")
 
 
@@ -124,11 +122,7 @@ def _pose(runs: Runs) -> Any:
         trace = run.trace
         path.plot(trace.p_true[:, 0], 100 * trace.p_true[:, 1], color=color, lw=2.5, alpha=0.35)
         path.plot(trace.p_estimate[:, 0], 100 * trace.p_estimate[:, 1], color=color, lw=1.0, label=_label(run))
-        inside = (trace.t_estimate >= run.begin) & (trace.t_estimate <= trace.t[-1])
-        t = trace.t_estimate[inside]
-        true = np.stack([np.interp(t, trace.t, trace.p_true[:, k]) for k in range(3)], axis=1)
-        off = np.linalg.norm(trace.p_estimate[inside] - true, axis=1)
-        error.plot(t - run.begin, 1000 * off, color=color, lw=1.2, label=_label(run))
+        error.plot(trace.t_estimate - run.begin, 1000 * trace.pose_error, color=color, lw=1.2, label=_label(run))
     path.set_xlabel("ahead [m]")
     path.set_ylabel("left [cm]\n(wide: true, thin: estimated)")
     path.locator_params(axis="y", nbins=_TICKS)
@@ -288,9 +282,7 @@ def _joints(runs: Runs) -> Any:
     axes.set_xticks(place, [joint for _ in LEGS for joint in JOINTS], size=9)
     for leg, (name, color) in enumerate(zip(LEGS, LEG_COLORS, strict=True)):
         axes.annotate(name, (float(place[3 * leg + 1]), 0), (0, -30), textcoords="offset points", ha="center", color=color)
-    stall = runs[0].trace.profile.servo.stall_torque
-    _limit(axes, stall, "stall")
-    axes.set_ylim(0.0, 1.2 * stall)
+    _stall(axes, runs)
     axes.set_ylabel("torque of a walk [N m]\n(bar: rms, dash: 95 %)")
     axes.locator_params(axis="y", nbins=_TICKS)
     axes.set_title(_title(walked[0]) if len(walked) == 1 else "", size=12)
@@ -306,9 +298,18 @@ def _layers(runs: Runs) -> Any:
     """Lotriet 2024, figures 6.7 and 6.9; Masri 2016, figure 4.10."""
     if len(runs) > 1 or runs[0].terrain is None:
         return None
-    way = np.tile(np.eye(4), (len(runs[0].trace.p_estimate), 1, 1))
-    way[:, :3, 3] = runs[0].trace.p_estimate
-    return layers_picture.figure_of(runs[0].terrain, way)
+    trace = runs[0].trace
+    way = np.tile(np.eye(4), (len(trace.p_estimate), 1, 1))
+    way[:, :3, 3] = trace.p_estimate
+    downs = trace.touchdowns
+    footholds = np.where(np.isfinite(downs.chosen), downs.chosen, downs.p)  # on the robot's own map, where it wanted them
+    return layers_picture.figure_of(runs[0].terrain, way, [footholds[downs.leg == leg] for leg in range(len(LEGS))])
+
+
+def _summary(runs: Runs) -> Any:
+    if len(runs) > 1:
+        return None
+    return summary.figure_of(runs[0].report, runs[0].trace, truth=not runs[0].own_words)
 
 
 def _passage(runs: Runs) -> Any:
@@ -334,6 +335,7 @@ def _table(runs: Runs) -> Any:
 
 FIGURES = MappingProxyType(
     {
+        "summary": Plot("the run on one page: verdict, what led to it, map, words; of one run", _summary),
         "height": Plot("body height over time, as Lotriet's figures 8.2, 8.4 and 8.7", _height),
         "tilt": Plot("roll and pitch over time, as there; of several runs how far they are off the command", _tilt),
         "foot": Plot("one foot's way from aside over the ground, as Lotriet's figures 8.2 and 8.4", _foot),
@@ -345,7 +347,7 @@ FIGURES = MappingProxyType(
         "footholds": Plot(
             "the traverse from above on the robot's map: path, footholds, missteps, after Masri's chapter 6", _footholds
         ),
-        "layers": Plot("the last map: height, Lotriet's score, Masri's evaluation function; of one run", _layers),
+        "layers": Plot("footholds on the last map: height, Lotriet's score, Masri's evaluation function; of one run", _layers),
         "passage": Plot("what was planned at each stop of a passage and how it was walked; of one run", _passage),
         "table": Plot("the runs in numbers", _table, least=2),
     }
@@ -395,6 +397,14 @@ def _in_time(figure: Any, axes: Any, runs: Runs, label: str) -> Any:
     else:
         axes.legend(loc="upper left", ncols=3, frameon=False, fontsize=10)
     return figure
+
+
+def _stall(axes: Any, runs: Runs) -> None:
+    """The stall torque of each robot, by its name where there are several."""
+    limits = {run.report.robot: run.trace.profile.servo.stall_torque for run in runs}
+    for robot, stall in limits.items():
+        _limit(axes, stall, "stall" if len(limits) == 1 else f"stall of {robot}")
+    axes.set_ylim(0.0, 1.2 * max(limits.values()))
 
 
 def _limit(axes: Any, value: float, word: str) -> None:

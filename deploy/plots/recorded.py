@@ -15,8 +15,6 @@ from deploy.plots.own_words import SEED, WORDS, Frame, ground_of, scenario_of, w
 from deploy.report import Report
 from deploy.scorer import Scorer
 from deploy.trace import Trace
-from deploy.walk import Walk
-from deploy.walk_metrics import stability_margin
 from services.console.recording.layout import RecordingError
 from services.console.recording.reader import Recording
 from shared import codec, topics
@@ -81,13 +79,15 @@ def recorded_run(path: Path, scenario: str = "") -> RecordedRun:
     verdict = {name: left[name] for name in ("success", "reason", "gait", "blind") if name in left}
     trace = scorer.trace
     if own_words:
-        trace = replace(trace, touchdowns=replace(trace.touchdowns, misstep=np.zeros_like(trace.touchdowns.misstep)))
+        downs = trace.touchdowns  # nor how far off the chosen place it was: by its load a foot is down before it is
+        downs = replace(downs, misstep=np.zeros_like(downs.misstep), chosen=np.full_like(downs.chosen, np.nan))
+        trace = replace(trace, touchdowns=downs, pose_error=np.full_like(trace.pose_error, np.nan))
     return RecordedRun(
         name=folder.resolve().name,
         report=replace(judged, **verdict),
         numbers=left or _table(judged, own_words),
         trace=trace,
-        margin=_margin(walk),
+        margin=np.where(walk.walking, walk.margin, np.nan),
         torque_rms=np.sqrt(np.mean(torque**2, axis=0)),
         torque_p95=np.percentile(torque, 95, axis=0),
         terrain=terrain,
@@ -169,10 +169,3 @@ def _left_behind(folder: Path) -> dict[str, Any]:
     if problems:
         raise RecordingError(f"{path}: not a report: {problems[0]}; leave it out, or make the run again")
     return dict(table)
-
-
-def _margin(walk: Walk) -> Array:
-    margin, walking = np.full(len(walk.t_ns), np.nan), walk.walking
-    if walking.any():
-        margin[walking] = stability_margin(walk.feet[walking, :, :2], walk.carrying[walking], walk.p[walking, :2])
-    return margin

@@ -51,10 +51,45 @@ def test_who_has_nothing_to_show_leaves_no_file(story, heard, good, tmp_path):
     stood = heard("stood", story(moved_leg=2), until_s=0.8)
     assert not stood.trace.walking.any()
     drawn = {name for name in FIGURES if figures.draw(name, [stood], tmp_path / f"{name}.svg")}
-    assert drawn == {"torque", "footholds", "layers"}
+    assert drawn == {"summary", "torque", "footholds", "layers"}
     assert {path.stem for path in tmp_path.iterdir()} == drawn
     assert not figures.draw("passage", [good], tmp_path / "passage.svg")
     assert not figures.draw("table", [good], tmp_path / "table.svg")
+
+
+def test_every_figure_that_is_listed_is_made_of_some_runs(story, heard, good, fallen, tmp_path):
+    crossed = replace(good, trace=replace(good.trace, sections=_sections(story)))
+    for name in FIGURES:
+        runs = {"passage": [crossed], "table": [good, fallen]}.get(name, [good])
+        assert figures.draw(name, runs, tmp_path / f"{name}.png"), name
+        assert cv2.imread(str(tmp_path / f"{name}.png")).std() > 5.0, name
+
+
+def _sections(story):
+    return story(sections=2).judged().trace.sections
+
+
+def test_the_page_of_a_run_says_what_is_known_of_it(story, heard, good, fallen, tmp_path):
+    robot = heard("robot", story(moved_leg=2), truth=False)
+    green, red = "#1a7f37", "#b3261e"
+    shares = {}
+    for run in (good, fallen, robot):
+        path = tmp_path / f"{run.name}.png"
+        assert figures.draw("summary", [run], path)
+        title = cv2.imread(str(path))[:75]
+        cv2.imwrite(str(path), title)
+        shares[run.name] = (_share(path, green) > 5e-3, _share(path, red) > 5e-3)
+    assert shares == {"good": (True, False), "fallen": (False, True), "robot": (False, False)}
+    assert not np.isfinite(robot.trace.pose_error).any(), "nobody knows it"
+
+
+def test_each_robot_has_its_own_limit(story, heard, good, tmp_path):
+    strong = replace(good.trace.profile, servo=replace(good.trace.profile.servo, stall_torque=3.0))
+    other = replace(good, report=replace(good.report, robot="other"), trace=replace(good.trace, profile=strong))
+    figure = FIGURES["torque"].draw([good, other])
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert texts == [f"stall of {good.report.robot}", "stall of other"]
+    assert figure.axes[0].get_ylim()[1] > 3.0
 
 
 def test_a_goal_is_shown_only_of_who_is_known_to_have_had_one(story, heard, good, tmp_path):
@@ -133,7 +168,7 @@ def test_the_command_lists_its_figures(capsys):
     [
         (["plot"], "a run's folder expected, found none"),
         (["plot", "nowhere.mcap"], "give the recording.mcap of a run's folder"),
-        (["plot", "nowhere", "--what", "heigth"], "no figure 'heigth'; known: height, tilt"),
+        (["plot", "nowhere", "--what", "heigth"], "no figure 'heigth'; known: summary, height"),
     ],
     ids=["none", "no such", "no figure"],
 )
