@@ -49,11 +49,13 @@ def video(arguments: argparse.Namespace) -> int:
     total = len(film.times_ns)
 
     def tell(done: int) -> None:
-        nonlocal told
+        nonlocal began, told
         now = time.monotonic()
-        if now - told >= _TOLD_EVERY_S:
+        if done == 1:  # before it everything was made ready
+            began = now
+        elif now - told >= _TOLD_EVERY_S:
             told = now
-            say(f"{done:6d} of {total} pictures, {(now - began) / done * (total - done):.0f} s to go")
+            say(f"{done:6d} of {total} pictures, {(now - began) / (done - 1) * (total - done):.0f} s to go")
 
     workers = min(os.cpu_count() or 1, 8)
     count = files.write(out, film.frames(workers, tell), cut.fps, cut.size)

@@ -13,7 +13,8 @@ _VIDEOS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # encoders that Ope
 _ANIMATED = (".webp", ".gif", ".png")
 SUFFIXES = (*_VIDEOS, *_ANIMATED)
 _WEBP: dict[str, Any] = {"quality": 72, "method": 4}
-_COLORS = 200  # of a GIF
+_COLORS, _VIVID = 256, 80  # of a GIF; and from which difference of R, G, B on a colour is one that must not be lost
+_TOLD_BY = 5  # every how many pixels of the others its colours are chosen by
 
 
 class FileError(OSError):
@@ -73,10 +74,21 @@ def _write_video(path: Path, suffix: str, frames: Iterable[NDArray[np.uint8]], f
 def _write_animated(path: Path, suffix: str, frames: Iterable[NDArray[np.uint8]], fps: float, size: tuple[int, int]) -> None:
     images = (Image.fromarray(frame) for frame in frames)
     if suffix == ".gif":
-        images = (image.quantize(_COLORS, dither=Image.Dither.NONE) for image in images)
+        images = (_few_colors(image) for image in images)
     first = next(images)
     options: dict[str, Any] = _WEBP if suffix == ".webp" else {}
     others = list(images) if suffix == ".png" else images  # which Pillow goes through twice
     with path.open("wb") as file:
         kind = suffix.removeprefix(".")
         first.save(file, kind, save_all=True, append_images=others, duration=1000.0 / fps, loop=0, **options)
+
+
+def _few_colors(image: Image.Image) -> Image.Image:
+    """A picture in the few colours of a GIF. What is small and vivid - feet, footholds, words - has its share of them."""
+    pixels = np.asarray(image).reshape(-1, 3)
+    vivid = pixels[np.ptp(pixels, axis=1) > _VIVID]
+    others = pixels[::_TOLD_BY]
+    times = max(len(others) // (2 * len(vivid)), 1) if len(vivid) else 0
+    telling = np.concatenate([others, *[vivid] * times])
+    palette = Image.fromarray(telling[None]).quantize(_COLORS, Image.Quantize.MEDIANCUT)
+    return image.quantize(palette=palette, dither=Image.Dither.NONE)

@@ -1,6 +1,6 @@
 """The loops that light what is seen: a sun with soft shadows, the sky, corners where little of it comes, the air between.
 
-Colours are linear R, G, B from 0 to 1 until `resolve` makes a picture of them.
+Colours are linear R, G, B from 0 to 1 until somebody makes a picture of them.
 """
 
 from typing import NamedTuple
@@ -18,9 +18,11 @@ _SKY, _EARTH = (0.36, 0.41, 0.48), (0.26, 0.23, 0.20)  # what comes from above a
 _ZENITH, _HORIZON = (0.40, 0.57, 0.80), (0.74, 0.81, 0.88)
 _DEEP = (0.050, 0.064, 0.090)  # what lies far below the course
 _HAZE_FROM, _HAZE_TO = 1.6, 7.0  # [m] beyond the middle of the picture, where the air begins to be seen, and alone is
+_WAY, _WAY_COLOR = 0.005, (0.05, 0.20, 0.70)  # [m] half the width of the way that is painted on the ground
 _GRID, _GRID_LINE = 0.10, 0.0011  # [m] lines on level ground, and half their width
 _BIAS = 0.0015  # [m] by which what is lit is nearer to the lamp than what the lamp sees there
 _CREASE = 0.0035  # kink of the inverse depth, as a share of it, that is an edge
+_EVEN = 0.02  # by which normals on an even face differ at most
 _LEVEL = 0.7  # z of a normal from which on a face is a floor, and no wall
 
 
@@ -60,9 +62,13 @@ class Scene(NamedTuple):
 
 @compiled
 def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.float32]) -> None:
-    """Light what is seen from a camera pose (4, 4) into a picture (h, w, 3)."""
+    """Light what is seen from a camera pose (4, 4) into a picture (h, w, 3), so many times coarser than what is seen.
+
+    Where a pixel shows a single even face it is lit once, elsewhere wherever it was looked at.
+    """
     T = T_world_camera
-    rows, columns = sight.w.shape
+    rows, columns, _ = out.shape
+    times = len(sight.w) // rows
     fx, fy, cx, cy = sight.lens
     w, sun, materials = sight.w, scene.sun, scene.materials
     # Taken out of their tuples here: for every pixel anew that would cost more than what is done with them.
@@ -76,72 +82,91 @@ def light(sight: Sight, T_world_camera: Array, scene: Scene, out: NDArray[np.flo
     sun_x, sun_y, sun_z = sun[0], sun[1], sun[2]
     color = np.empty(3)
     shades = len(heights) - 1
+    total = np.empty(3)
     for row in range(rows):
         for column in range(columns):
-            dx, dy = (column - cx) / fx, (row - cy) / fy
-            rx = T[0, 0] * dx + T[0, 1] * dy + T[0, 2]
-            ry = T[1, 0] * dx + T[1, 1] * dy + T[1, 2]
-            rz = T[2, 0] * dx + T[2, 1] * dy + T[2, 2]
-            long = np.sqrt(dx * dx + dy * dy + 1.0)
-            upward = min(max(2.2 * rz / long, 0.0), 1.0)
-            if w[row, column] <= 0.0:
-                for k in range(3):
-                    out[row, column, k] = _HORIZON[k] + upward * (_ZENITH[k] - _HORIZON[k])
-                continue
-            z = 1.0 / w[row, column]
-            px, py, pz = T[0, 3] + z * rx, T[1, 3] + z * ry, T[2, 3] + z * rz
-            nx, ny, nz = normals[row, column, 0], normals[row, column, 1], normals[row, column, 2]
-            material = seen_materials[row, column]
-            # 1. Its own colour.
-            ground = materials[material, 3] > 0.0
-            if materials[material, 3] > 1.0:
-                at = min(max((pz - low) / (high - low), 0.0), 1.0) * shades
-                i = min(int(at), shades - 1)
-                deep = min(max((low - 0.10 - pz) / 0.25, 0.0), 1.0)
-                for k in range(3):
-                    color[k] = heights[i, k] + (at - i) * (heights[i + 1, k] - heights[i, k])
-                    color[k] += deep * (_DEEP[k] - color[k])
-            else:
-                for k in range(3):
-                    color[k] = materials[material, k]
-            if ground:
-                if nz > _LEVEL:
-                    _draw_grid(color, px, py, z / fx)
-                    _draw_marks(color, px, py, pz, marks, way)
+            even, mean = True, 0.0
+            top, left = row * times, column * times
+            for y in range(top, top + times):
+                for x in range(left, left + times):
+                    mean += w[y, x]
+                    even = even and seen_materials[y, x] == seen_materials[top, left]
+                    for k in range(3):
+                        even = even and abs(normals[y, x, k] - normals[top, left, k]) < _EVEN
+                    even = even and (w[y, x] <= 0.0 or _crease(w, y, x) <= 0.0)
+            total[:] = 0.0
+            looks = 1 if even else times * times
+            wide = 1.25 * times if even else 1.0  # [px] what is painted is smoothed over; ground is seen aslant
+            for look in range(looks):
+                y, x = top + look // times, left + look % times
+                near = mean / (times * times) if even else np.float64(w[y, x])
+                aside = 0.5 * (times - 1) if even else 0.0
+                dx, dy = (x + aside - cx) / fx, (y + aside - cy) / fy
+                rx = T[0, 0] * dx + T[0, 1] * dy + T[0, 2]
+                ry = T[1, 0] * dx + T[1, 1] * dy + T[1, 2]
+                rz = T[2, 0] * dx + T[2, 1] * dy + T[2, 2]
+                long = np.sqrt(dx * dx + dy * dy + 1.0)
+                upward = min(max(2.2 * rz / long, 0.0), 1.0)
+                if near <= 0.0:
+                    for k in range(3):
+                        total[k] += _HORIZON[k] + upward * (_ZENITH[k] - _HORIZON[k])
+                    continue
+                z = 1.0 / near
+                px, py, pz = T[0, 3] + z * rx, T[1, 3] + z * ry, T[2, 3] + z * rz
+                nx, ny, nz = normals[y, x, 0], normals[y, x, 1], normals[y, x, 2]
+                material = seen_materials[y, x]
+                # 1. Its own colour.
+                ground = materials[material, 3] > 0.0
+                if materials[material, 3] > 1.0:
+                    at = min(max((pz - low) / (high - low), 0.0), 1.0) * shades
+                    i = min(int(at), shades - 1)
+                    deep = min(max((low - 0.10 - pz) / 0.25, 0.0), 1.0)
+                    for k in range(3):
+                        color[k] = heights[i, k] + (at - i) * (heights[i + 1, k] - heights[i, k])
+                        color[k] += deep * (_DEEP[k] - color[k])
                 else:
                     for k in range(3):
-                        color[k] *= 0.78
-            # 2. What light comes there.
-            cosine = nx * sun_x + ny * sun_y + nz * sun_z
-            lit = max(cosine, 0.0)
-            if lit > 0.0:
-                lit *= _shadow(ground_seen, T_ground, ground_lens, ground_reach, px, py, pz, nx, ny, nz)
-            if lit > 0.0:
-                lit *= _shadow(robot_seen, T_robot, robot_lens, robot_reach, px, py, pz, nx, ny, nz)
-            open_sky = 1.0
-            around = _at(around_values, around_x, around_y, around_step, px, py)
-            if np.isfinite(around):
-                open_sky = 1.0 - 0.6 * min(max((around - pz) / 0.045, 0.0), 1.0)
-            if ground:
-                under = _at(under_values, under_x, under_y, under_step, px, py)
-                if np.isfinite(under):
-                    open_sky *= 1.0 - under
-            half = 0.5 + 0.5 * nz
-            # 3. What of it goes to the eye, and the air between.
-            gloss = 0.0
-            if materials[material, 4] > 0.0:
-                hx, hy, hz = sun_x - rx / long, sun_y - ry / long, sun_z - rz / long
-                size = np.sqrt(hx * hx + hy * hy + hz * hz)
-                shine = max((nx * hx + ny * hy + nz * hz) / size, 0.0) ** 40
-                rim = (1.0 - max(-(nx * rx + ny * ry + nz * rz) / long, 0.0)) ** 4
-                gloss = materials[material, 4] * (shine * min(2.0 * lit, 1.0) + 0.35 * rim * half)
-            haze = min(max((z * long - middle - _HAZE_FROM) / (_HAZE_TO - _HAZE_FROM), 0.0), 1.0)
-            haze = haze * haze * (3.0 - 2.0 * haze)
-            edge = 1.0 if not ground else 1.0 - 0.38 * _crease(w, row, column) * (1.0 - haze)
+                        color[k] = materials[material, k]
+                if ground:
+                    if nz > _LEVEL:
+                        _draw_grid(color, px, py, wide * z / fx)
+                        _draw_marks(color, px, py, pz, wide * z / fx, marks, way)
+                    else:
+                        for k in range(3):
+                            color[k] *= 0.78
+                # 2. What light comes there.
+                cosine = nx * sun_x + ny * sun_y + nz * sun_z
+                lit = max(cosine, 0.0)
+                if lit > 0.0:
+                    lit *= _shadow(ground_seen, T_ground, ground_lens, ground_reach, px, py, pz, nx, ny, nz)
+                if lit > 0.0:
+                    lit *= _shadow(robot_seen, T_robot, robot_lens, robot_reach, px, py, pz, nx, ny, nz)
+                open_sky = 1.0
+                around = _at(around_values, around_x, around_y, around_step, px, py)
+                if np.isfinite(around):
+                    open_sky = 1.0 - 0.6 * min(max((around - pz) / 0.045, 0.0), 1.0)
+                if ground:
+                    under = _at(under_values, under_x, under_y, under_step, px, py)
+                    if np.isfinite(under):
+                        open_sky *= 1.0 - under
+                half = 0.5 + 0.5 * nz
+                # 3. What of it goes to the eye, and the air between.
+                gloss = 0.0
+                if materials[material, 4] > 0.0:
+                    hx, hy, hz = sun_x - rx / long, sun_y - ry / long, sun_z - rz / long
+                    size = np.sqrt(hx * hx + hy * hy + hz * hz)
+                    shine = max((nx * hx + ny * hy + nz * hz) / size, 0.0) ** 40
+                    rim = (1.0 - max(-(nx * rx + ny * ry + nz * rz) / long, 0.0)) ** 4
+                    gloss = materials[material, 4] * (shine * min(2.0 * lit, 1.0) + 0.35 * rim * half)
+                haze = min(max((z * long - middle - _HAZE_FROM) / (_HAZE_TO - _HAZE_FROM), 0.0), 1.0)
+                haze = haze * haze * (3.0 - 2.0 * haze)
+                edge = 1.0 if even or not ground else 1.0 - 0.38 * _crease(w, y, x) * (1.0 - haze)
+                for k in range(3):
+                    sky = _EARTH[k] + half * (_SKY[k] - _EARTH[k])
+                    seen = color[k] * (_SUN[k] * lit + sky * open_sky) + gloss
+                    total[k] += (1.0 - haze) * seen * edge + haze * _HORIZON[k]
             for k in range(3):
-                sky = _EARTH[k] + half * (_SKY[k] - _EARTH[k])
-                seen = color[k] * (_SUN[k] * lit + sky * open_sky) + gloss
-                out[row, column, k] = (1.0 - haze) * seen * edge + haze * _HORIZON[k]
+                out[row, column, k] = total[k] / looks
 
 
 @written_into
@@ -151,24 +176,28 @@ def _draw_grid(color: Array, x: float, y: float, pixel: float) -> None:
         off = abs(at - _GRID * np.round(at / _GRID))
         share = min(max((_GRID_LINE + 0.5 * pixel - off) / pixel, 0.0), 1.0) * min(2.0 * _GRID_LINE / pixel, 1.0)
         for k in range(3):
-            color[k] *= 1.0 - 0.22 * share
+            color[k] *= 1.0 - 0.34 * share
 
 
 @written_into
-def _draw_marks(color: Array, x: float, y: float, z: float, marks: Array, way: Array) -> None:
-    """What is painted on the ground: rings with a tinted middle, and the way."""
+def _draw_marks(color: Array, x: float, y: float, z: float, pixel: float, marks: Array, way: Array) -> None:
+    """What is painted on the ground: rings with a tinted middle, and the way; their rims are as soft as a pixel is wide."""
     for s in range(len(way)):
         ax, ay = way[s, 0, 0], way[s, 0, 1]
         bx, by = way[s, 1, 0] - ax, way[s, 1, 1] - ay
         size = bx * bx + by * by
         t = min(max(((x - ax) * bx + (y - ay) * by) / size, 0.0), 1.0) if size > 0.0 else 0.0
-        if (x - ax - t * bx) ** 2 + (y - ay - t * by) ** 2 < 0.005**2:
-            color[0], color[1], color[2] = 0.05, 0.20, 0.70
+        off = np.sqrt((x - ax - t * bx) ** 2 + (y - ay - t * by) ** 2)
+        share = min(max((_WAY - off) / pixel + 0.5, 0.0), 1.0)
+        for i in range(3):
+            color[i] += share * (_WAY_COLOR[i] - color[i])
     for k in range(len(marks)):
         mark = marks[k]
-        off = (x - mark[0]) ** 2 + (y - mark[1]) ** 2
-        if off < mark[4] ** 2 and abs(z - mark[2]) < 0.03:
-            share = 0.92 if off > mark[3] ** 2 else 0.30
+        dx, dy, reach = x - mark[0], y - mark[1], mark[4] + pixel
+        if dx * dx + dy * dy < reach * reach and abs(z - mark[2]) < 0.03:
+            off = np.sqrt(dx * dx + dy * dy)
+            rim = min(max((off - mark[3]) / pixel + 0.5, 0.0), 1.0) if mark[3] > 0.0 else 1.0
+            share = min(max((mark[4] - off) / pixel + 0.5, 0.0), 1.0) * (0.30 + 0.62 * rim)
             for i in range(3):
                 color[i] += share * (mark[5 + i] - color[i])
 
@@ -251,22 +280,6 @@ def _crease(w: NDArray[np.float32], row: int, column: int) -> float:
     along = w[row - 1, column] + w[row + 1, column] - 2.0 * here
     kink = max(abs(across), abs(along)) / here
     return float(min(max((kink - 0.4 * _CREASE) / (0.6 * _CREASE), 0.0), 1.0))
-
-
-@compiled
-def resolve(linear: NDArray[np.float32], curve: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
-    """The picture (h, w, 3), each pixel the mean of several linear ones; the curve says which byte a brightness is."""
-    rows, columns, _ = out.shape
-    times = len(linear) // rows
-    most = len(curve) - 1
-    for row in range(rows):
-        for column in range(columns):
-            for k in range(3):
-                total = 0.0
-                for i in range(times):
-                    for j in range(times):
-                        total += linear[row * times + i, column * times + j, k]
-                out[row, column, k] = curve[int(min(max(total / (times * times), 0.0), 1.0) * most)]
 
 
 @compiled

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.video.ground import RELIEF, Ground
-from deploy.video.light import Grid, Scene, Shadow, light, resolve, shade_under
+from deploy.video.light import Grid, Scene, Shadow, light, shade_under
 from deploy.video.raster import blank, draw_faces, draw_field, draw_limbs
 from deploy.video.robot_figure import COLORS, GROUND, occluders, robot_solids
 from shared.geometry import Array, inverse, transform
@@ -66,7 +66,7 @@ class Painter:
         self._profile, self.size, self._finer = profile, size, finer
         width, height = size
         self._sight = blank(width * finer, height * finer, (1.0, 1.0, 0.0, 0.0))
-        self._linear = np.zeros((height * finer, width * finer, 3), dtype=np.float32)
+        self._linear = np.zeros((height, width, 3), dtype=np.float32)
         self._curve = np.round(255.0 * _encode(np.linspace(0.0, 1.0, _CURVE))).astype(np.uint8)
         self._ground: Ground | None = None
         self._sun = _SUN / np.linalg.norm(_SUN)
@@ -139,9 +139,7 @@ class Painter:
             view.middle,
         )
         light(sight, np.ascontiguousarray(view.T_world_camera, dtype=np.float64), scene, self._linear)
-        out = np.empty((self.size[1], self.size[0], 3), dtype=np.uint8)
-        resolve(self._linear, self._curve, out)
-        return out
+        return np.asarray(self._curve[(np.clip(self._linear, 0.0, 1.0) * (_CURVE - 1)).astype(np.intp)])
 
     def _under(self, figure: Figure, ground: Ground) -> Grid:
         """The share of the sky that the robot takes from the ground below and beside it."""

@@ -423,6 +423,20 @@ def test_an_animated_picture_moves(tmp_path: Path, suffix: str) -> None:
             assert np.abs(np.asarray(image.convert("RGB")).mean(axis=(0, 1)) - shade[0, 0]).max() < 12
 
 
+def test_a_gif_keeps_the_color_of_what_is_small_and_vivid(tmp_path: Path) -> None:
+    path = tmp_path / "walk.gif"
+    y, x = np.mgrid[:192, :320]
+    picture = np.stack([60 + x // 3, 80 + y // 2, 90 + (x + y) // 6], axis=-1).astype(np.uint8)
+    picture[40:44, 50:54] = (219, 22, 102)
+    picture[90:94, 200:204] = (18, 158, 110)
+    assert files.write(path, [picture, picture[::-1]], 10.0, (320, 192)) == 2
+    with Image.open(path) as image:
+        found = np.asarray(image.convert("RGB")).astype(int)
+    assert np.abs(found - picture).max(axis=-1).mean() < 6
+    for spot in (np.s_[40:44, 50:54], np.s_[90:94, 200:204]):
+        assert np.abs(found[spot] - picture[spot]).max() < 12
+
+
 def test_nothing_is_left_of_a_film_that_broke_off(tmp_path: Path) -> None:
     def breaks_off() -> "object":
         yield np.zeros((96, 160, 3), dtype=np.uint8)
