@@ -21,6 +21,7 @@ _STILL = 2.0  # [s] of standing, after which a run has come to a stop before it 
 _OUTSIDE = 0.04  # [s] and longer the body is beside what supports it before that counts
 _SATURATED = 0.98  # [1] of the stall torque
 _PULLING = 0.1  # [s] and longer at that torque
+_LEANING = float(np.radians(10.0))  # [rad] off the command
 _SUNK = 0.02  # [m] lower than commanded
 _LOST = 0.03  # [m] error of the estimate
 _STALE = 1.0  # [s] after which an estimate says nothing any more
@@ -147,6 +148,10 @@ def _of_body(trace: Trace, t: float) -> list[Sign]:
     if outside is not None:
         least = float(trace.margin[outside].min())
         found.append(Sign(5, float(trace.t[outside.start]), f"the body left its support, by {-1000 * least:.0f} mm"))
+    leaning = _last_run(trace, trace.tilt > _LEANING, t)
+    if leaning is not None:
+        words = f"the body tilted by {np.degrees(_LEANING):.0f} deg and more off its command"
+        found.append(Sign(4, float(trace.t[leaning.start]), words))
     low = _last_run(trace, trace.height_reference - trace.p_true[:, 2] > _SUNK, t)
     if low is not None:
         found.append(Sign(2, float(trace.t[low.start]), f"the body sank {1000 * _SUNK:.0f} mm below its command"))

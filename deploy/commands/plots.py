@@ -9,7 +9,7 @@ from deploy.commands.common import FAILED, SUCCESS, InputError, complain, out_fo
 
 def plot(arguments: argparse.Namespace) -> int:
     """`sextant plot`: the figures of a run, or of several beside each other."""
-    from deploy.plots.figures import FIGURES, draw
+    from deploy.plots.figures import FIGURES, draw, misfit
 
     if arguments.list:
         width = max(map(len, FIGURES))
@@ -21,6 +21,9 @@ def plot(arguments: argparse.Namespace) -> int:
     paths = [Path(run) for run in arguments.run]
     if not paths:
         raise InputError("a run's folder expected, found none; `sextant plot --list` names the figures")
+    misfits = [words for name in arguments.what or () if (words := misfit(name, len(paths)))]
+    if misfits:
+        raise InputError(f"--what: {misfits[0]}")
     from deploy.plots.numbers import comparison, markdown
     from deploy.plots.recorded import recorded_run
 

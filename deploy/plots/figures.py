@@ -38,6 +38,7 @@ class Plot:
     shows: str  # in words
     draw: Callable[[Runs], Any]  # a figure, or None where these runs have nothing to show
     least: int = 1  # runs that it needs
+    most: int | None = None  # runs that it can show; None for any number
 
 
 def draw(name: str, runs: Runs, path: Path) -> bool:
@@ -55,13 +56,23 @@ def draw(name: str, runs: Runs, path: Path) -> bool:
 
     look: Any = {"font.size": 12, "axes.spines.top": False, "axes.spines.right": False, "svg.hashsalt": "sextant"}
     with rc_context(look):
-        figure = FIGURES[name].draw(runs) if len(runs) >= FIGURES[name].least else None
+        figure = None if misfit(name, len(runs)) else FIGURES[name].draw(runs)
         if figure is None:
             return False
         path.parent.mkdir(parents=True, exist_ok=True)
         undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(path.suffix[1:])
         figure.savefig(path, metadata=undated)
     return True
+
+
+def misfit(name: str, runs: int) -> str:
+    """Why a figure cannot be drawn of so many runs, in words; empty where it can."""
+    kind = FIGURES[name]
+    if runs < kind.least:
+        return f"{name} compares runs: at least {kind.least} expected, found {runs}"
+    if kind.most is not None and runs > kind.most:
+        return f"{name} is of one run: found {runs}; give them one by one"
+    return ""
 
 
 # -- over time
@@ -296,7 +307,7 @@ def _joints(runs: Runs) -> Any:
 
 def _layers(runs: Runs) -> Any:
     """Lotriet 2024, figures 6.7 and 6.9; Masri 2016, figure 4.10."""
-    if len(runs) > 1 or runs[0].terrain is None:
+    if runs[0].terrain is None:
         return None
     trace = runs[0].trace
     way = np.tile(np.eye(4), (len(trace.p_estimate), 1, 1))
@@ -307,14 +318,12 @@ def _layers(runs: Runs) -> Any:
 
 
 def _summary(runs: Runs) -> Any:
-    if len(runs) > 1:
-        return None
     return summary.figure_of(runs[0].report, runs[0].trace, truth=not runs[0].own_words)
 
 
 def _passage(runs: Runs) -> Any:
     """Masri 2016, chapter 6: what was planned at each stop, and how it was walked."""
-    if len(runs) > 1 or not runs[0].trace.sections:
+    if not runs[0].trace.sections:
         return None
     return passage_picture.figure_of(runs[0].report, runs[0].trace)
 
@@ -335,7 +344,7 @@ def _table(runs: Runs) -> Any:
 
 FIGURES = MappingProxyType(
     {
-        "summary": Plot("the run on one page: verdict, what led to it, map, words; of one run", _summary),
+        "summary": Plot("the run on one page: verdict, what led to it, map, words; of one run", _summary, most=1),
         "height": Plot("body height over time, as Lotriet's figures 8.2, 8.4 and 8.7", _height),
         "tilt": Plot("roll and pitch over time, as there; of several runs how far they are off the command", _tilt),
         "foot": Plot("one foot's way from aside over the ground, as Lotriet's figures 8.2 and 8.4", _foot),
@@ -347,8 +356,8 @@ FIGURES = MappingProxyType(
         "footholds": Plot(
             "the traverse from above on the robot's map: path, footholds, missteps, after Masri's chapter 6", _footholds
         ),
-        "layers": Plot("footholds on the last map: height, Lotriet's score, Masri's evaluation function; of one run", _layers),
-        "passage": Plot("what was planned at each stop of a passage and how it was walked; of one run", _passage),
+        "layers": Plot("footholds on the last map: height, Lotriet's score, Masri's evaluation; of one run", _layers, most=1),
+        "passage": Plot("what was planned at each stop of a passage and how it was walked; of one run", _passage, most=1),
         "table": Plot("the runs in numbers", _table, least=2),
     }
 )

@@ -18,6 +18,7 @@ from deploy.trace import Trace
 from services.console.recording.layout import RecordingError
 from services.console.recording.reader import Recording
 from shared import codec, topics
+from shared.config import ConfigError
 from shared.geometry import Array
 from shared.messages import GroundTruth, TerrainMap
 from shared.robot import load_profile
@@ -59,7 +60,7 @@ def recorded_run(path: Path, scenario: str = "") -> RecordedRun:
     Raises:
         RecordingError: There is no recording, or none of a walk, or of another scenario; or the report beside is none, or
             another version has written it.
-        ConfigError: Its scenario does not come with Sextant, and none is given.
+        ConfigError: There is no such scenario as is given.
     """
     recording = Recording(path)
     try:
@@ -149,7 +150,14 @@ def _as_it_came(recording: Recording) -> Iterator[Frame]:
 
 def _scorer(recording: Recording, scenario: str, truth: GroundTruth) -> Scorer:
     """Who judges the run that a first message of truth is of."""
-    walked = load_scenario(scenario or truth.scenario)
+    try:
+        walked = load_scenario(scenario or truth.scenario)
+    except ConfigError:
+        if scenario:
+            raise
+        raise RecordingError(
+            f"{recording.path}: a run of {truth.scenario!r}, which does not come with Sextant; give its file with --scenario"
+        ) from None
     if walked.name != truth.scenario:
         raise RecordingError(f"{recording.path}: a run of {truth.scenario}, not of {walked.name}; give what was walked")
     walked = replace(walked, robot=recording.about.get("robot", walked.robot))

@@ -92,6 +92,8 @@ def test_signs_lie_before_the_moment_in_order_and_say_which_leg(story):
     assert all(moment.t - 4.0 <= sign.t <= moment.t for sign in found)
     missteps = [sign for sign in found if "no foot is carried" in sign.words]
     assert [(sign.t, sign.leg) for sign in missteps] == [(trace.touchdowns.t[late], trace.touchdowns.leg[late])]
+    leans = [sign.t for sign in found if "tilted by 10 deg" in sign.words]
+    assert leans == pytest.approx([4.0 + np.radians(10.0)], abs=0.02)
     pulls = [sign for sign in found if "highest torque" in sign.words]
     assert [(sign.leg, sign.words) for sign in pulls] == [(4, "left rear tibia at its highest torque for 0.3 s")]
     assert pulls[0].t == pytest.approx(moment.t - 0.5, abs=0.02)

@@ -168,9 +168,11 @@ def test_the_command_lists_its_figures(capsys):
     [
         (["plot"], "a run's folder expected, found none"),
         (["plot", "nowhere.mcap"], "give the recording.mcap of a run's folder"),
+        (["plot", "nowhere", "--what", "table"], "table compares runs: at least 2 expected, found 1"),
+        (["plot", "nowhere", "anywhere", "--what", "summary"], "summary is of one run: found 2"),
         (["plot", "nowhere", "--what", "heigth"], "no figure 'heigth'; known: summary, height"),
     ],
-    ids=["none", "no such", "no figure"],
+    ids=["none", "no such", "one run", "two runs", "no figure"],
 )
 def test_wrong_input_is_refused_in_words(words, hint, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

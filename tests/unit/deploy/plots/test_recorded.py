@@ -98,8 +98,10 @@ def test_what_is_no_run_is_refused_with_what_would_be(story, kept, scenario, tmp
         recorder.write(topics.BODY_POSE, codec.encode(next(m for m in story().messages() if isinstance(m, BodyPose))), 0)
     with pytest.raises(RecordingError, match=r"no word of an actuator in it, .* give the folder of a `sextant run`"):
         recorded_run(tmp_path / "silent.mcap")
-    with pytest.raises(ConfigError, match="no scenario 'story'"):
+    with pytest.raises(RecordingError, match="'story', which does not come with Sextant; give its file with --scenario"):
         recorded_run(good)
+    with pytest.raises(ConfigError, match="no scenario 'nowhere'"):
+        recorded_run(good, "nowhere")
     with pytest.raises(RecordingError, match="a run of story, not of flat"):
         recorded_run(good, "flat")
     shutil.copytree(good, tmp_path / "bad")
