@@ -73,8 +73,8 @@ class RecorderService:
         yield self._state(tick.stamp_ns)
 
     def _obey(self, command: RecordCommand, now_ns: int) -> None:
-        if command.sequence == self._sequence:
-            return
+        if command.sequence <= self._sequence:
+            return  # a repetition, or one that was overtaken
         self._sequence = command.sequence
         if command.record and not self._wanted:
             self._begin(now_ns)

@@ -88,6 +88,7 @@ def test_an_order_counts_once_however_often_it_is_repeated(tmp_path: Path) -> No
         assert state.seconds == 1.0, "it did not begin anew"
         desk.beat(False, 2)
         assert not desk.beat(True, 2).recording
+        assert not desk.beat(True, 1).recording, "one that was overtaken"
         assert "recorded" in desk.recorder.doing()
 
 
