@@ -401,6 +401,7 @@ class Walker:
         self._plan = self._next = None
         self.swing, self.phase = np.zeros(6, dtype=bool), 1.0
         self._search = _Search(legs.copy(), _REACH + self._short)
+        self._stopped &= ~legs  # what stopped them was no ground: they are held there no longer
         self.trouble = f"no ground under the {_names(legs)} foot where it was expected; it reaches down"
 
     def _feel_down(self, dt: float, search: _Search, felt: Felt) -> None:
