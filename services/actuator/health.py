@@ -163,7 +163,9 @@ class Health:
             if not torque:
                 continue
             latch.since = now if latch.since is None else latch.since
-            latch.counted = [then for then in latch.counted if now - then < _WITHIN_S]
+            # By when it will have rested: what is decided of a shutdown stays so for as long as it lasts.
+            rested = latch.since + _REST_S
+            latch.counted = [then for then in latch.counted if rested - then < _WITHIN_S]
             broken = broken or f"{name} has shut down for its load"
             if now - latch.since < _REST_S:
                 continue

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from services.actuator.health import SILENT, Health, Verdict, Vitals
@@ -185,6 +185,7 @@ class Overloaded(Patient):
 
 
 @given(servos, st.lists(st.floats(0.5, 200.0), min_size=4, max_size=10))
+@example(servo=0, pauses=[1.0, 1.0, 93.5, 199.5, 1.0])  # the first reset is five minutes old while the fourth shutdown lasts
 @WILD
 def test_an_overloaded_servo_is_reset_at_most_three_times_in_five_minutes_and_then_it_sits(
     servo: int, pauses: list[float]
@@ -197,8 +198,8 @@ def test_an_overloaded_servo_is_reset_at_most_three_times_in_five_minutes_and_th
             assert patient.now - before == pytest.approx(1.0, abs=2.5 * PERIOD), "it rests first"
             assert verdict.sit == ""
         else:
-            recent = [then for then in patient.resets if patient.now - then < 300.0]
-            assert len(recent) == 3
+            rested = before + 1.0 + 2.5 * PERIOD
+            assert sum(rested - then < 300.0 + 5.0 * PERIOD for then in patient.resets) >= 3
             assert verdict.sit == f"{name(servo)} has shut down for its load 4 times in 5 minutes"
         assert patient.cycle().broken == ""
         assert patient.verdict.sit == ""
