@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say
+from deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say, warm_up
 
 
 def bench_accuracy(arguments: argparse.Namespace) -> int:
@@ -55,9 +55,10 @@ def bench_page(arguments: argparse.Namespace) -> int:
     """`sextant bench page`: what the operator's page costs, and how soon it stops the robot."""
     from deploy.bench import page
 
-    out = out_folder(arguments, "bench-page")
+    out, progress = out_folder(arguments, "bench-page"), open_progress(arguments.json)
+    warm_up(progress)
     try:
-        found = page.measure(arguments.rounds, open_progress(arguments.json).say)
+        found = page.measure(arguments.rounds, progress.say)
     except ImportError:
         raise InputError("Playwright is missing: pip install 'sextant[bench]'") from None
     except FileNotFoundError as error:
@@ -69,8 +70,9 @@ def bench_recording(arguments: argparse.Namespace) -> int:
     """`sextant bench recording`: what recording does to a walk, and what becomes of it when it breaks."""
     from deploy.bench import recording
 
-    out = out_folder(arguments, "bench-recording")
-    found = recording.measure(arguments.rounds, open_progress(arguments.json).say)
+    out, progress = out_folder(arguments, "bench-recording"), open_progress(arguments.json)
+    warm_up(progress)
+    found = recording.measure(arguments.rounds, progress.say)
     return _tell_bench(recording.in_words(found), recording.to_json(found), out / "recording.json", arguments.json)
 
 

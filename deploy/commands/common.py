@@ -49,6 +49,24 @@ def open_progress(as_json: bool) -> "Progress":
     return progress_for(sys.stderr if as_json else sys.stdout)
 
 
+def warm_up(progress: "Progress") -> None:
+    """Compile what services would else compile while they walk.
+
+    Raises:
+        InputError: It failed, in words.
+        KeyboardInterrupt: The operator has had enough.
+    """
+    from deploy.interrupts import Interrupts
+    from deploy.live_run import warm_up
+
+    with Interrupts() as interrupts:
+        problem = warm_up(progress, interrupts)
+    if interrupts.asked():
+        raise KeyboardInterrupt
+    if problem:
+        raise InputError(f"{problem}; `sextant doctor` checks what the services need")
+
+
 def asked_scenario(arguments: argparse.Namespace) -> "Scenario":
     """The scenario that is asked for, walked as is asked for."""
     from shared.scenario import load_scenario

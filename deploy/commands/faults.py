@@ -3,13 +3,8 @@
 import argparse
 import difflib
 import sys
-from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, SUCCESS, InputError, open_progress, out_folder, say
-from deploy.interrupts import Interrupts
-
-if TYPE_CHECKING:
-    from deploy.progress import Progress
+from deploy.commands.common import FAILED, SUCCESS, InputError, open_progress, out_folder, say, warm_up
 
 _PHASES, _LIVE_PHASES = 300, 30
 
@@ -40,7 +35,7 @@ def faults(arguments: argparse.Namespace) -> int:
 
     progress = open_progress(arguments.json)
     if live == {True}:
-        _warm_up(progress)
+        warm_up(progress)
     found = run_faults(cases, phases, jobs, out, progress.say)
     table = tables.rows(found)
     (out / "faults.json").write_text(tables.to_json(table), encoding="utf-8")
@@ -51,20 +46,3 @@ def faults(arguments: argparse.Namespace) -> int:
         say(tables.markdown(table))
         say(f"written to {out}: faults.md, faults.json, {FILE}")
     return SUCCESS if all(row.passed for row in table) else FAILED
-
-
-def _warm_up(progress: "Progress") -> None:
-    """Compile what services would else compile while they walk.
-
-    Raises:
-        InputError: It failed, in words.
-        KeyboardInterrupt: The operator has had enough.
-    """
-    from deploy.live_run import warm_up
-
-    with Interrupts() as interrupts:
-        problem = warm_up(progress, interrupts)
-    if interrupts.asked():
-        raise KeyboardInterrupt
-    if problem:
-        raise InputError(f"{problem}; `sextant doctor` checks what the services need")

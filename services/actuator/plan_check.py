@@ -118,6 +118,11 @@ class PlanCheck:
         return ""
 
 
+def reaches(profile: RobotProfile, feet: Array) -> bool:
+    """Whether all legs reach their feet (6, 3) [m] {body}, within what their servos may take."""
+    return bool(within_limits(profile, body_inverse(profile, feet)).all())
+
+
 def _malformed(plan: StepPlan) -> str:
     """Whether a pose of the plan is none."""
     for name, T in (("T_world_odom", plan.T_world_odom), ("body_goal", plan.body_goal)):

@@ -20,6 +20,7 @@ from services.actuator.joints import Joints
 from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward, sag_feed_forward
 from services.actuator.odometry import LegOdometry
+from services.actuator.plan_check import reaches
 from services.actuator.plumb import Plumb
 from services.actuator.stand_up import LieDown, StandUp
 from services.actuator.walker import Targets, Walker
@@ -272,7 +273,7 @@ class Actuator:
                     feet = body_forward(self._profile, self._q_wanted)
                     self._posing = LieDown(self._profile, feet, self._settings.stand_s)
                 case Act.SET_DOWN:
-                    self._walker.set_down()
+                    self._walker.set_down(lambda feet: reaches(self._profile, feet))
                 case Act.FREEZE:
                     self._limits.forget()
                     self._posing, self._still = None, True

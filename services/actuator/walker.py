@@ -11,6 +11,7 @@ a path that joins the last step's speed; they take up their load again. What is 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,6 +55,8 @@ _BACK_S = 1.4  # [s] in which a step is taken back
 _SOON_S = 0.30  # [s] in which feet in the air are on the ground, once the robot has to stand
 _FASTER = 2.0  # times as fast as planned that they may go on to where they are going for that
 _NEARLY_BACK = 0.015  # [m] over where it stood, below which a foot that goes back may meet ground: to turn round feels like it
+_SPAN = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # what squares of m and rad count for in the length of a body's way: 0.14 m
+_PLACES = 11  # at which a body that has to stop may come to rest, from where it can to where it was going
 _LOW = 0.010  # [m] clearance of feet that go back to where they have just come from
 
 
@@ -183,10 +186,7 @@ class Walker:
         """Body (4, 4) and feet (6, 3) [m], both {odom}, when the running step is over; at rest where they should be now."""
         if self._plan is None:
             return self.body_ref, self.feet_odom
-        T_odom_world = inverse(self._plan.T_world_odom)
-        landed = apply(T_odom_world, self._plan.touchdown)
-        landed[self._stopped] = apply(self._T_odom_cmd, self._met[self._stopped])
-        return T_odom_world @ self._plan.body_goal, np.where(self._plan.swing[:, None], landed, self.feet_odom)
+        return inverse(self._plan.T_world_odom) @ self._plan.body_goal, self._feet_at_end(self._plan)
 
     def accept(self, plan: StepPlan) -> None:
         """Take over a plan that the guard has passed: new touchdowns of the running step, or the next step."""
@@ -267,10 +267,14 @@ class Walker:
         """Whether a step of a plan is running, and none of its own."""
         return self._plan is not None and self._plan.stamp_ns >= 0
 
-    def set_down(self) -> None:
+    def set_down(self, reaches: Callable[[Array], bool]) -> None:
         """Stand as soon as can be: feet in the air go on to where they are going, or back, whichever is sooner.
 
-        Both are places that were found good to stand on. Nothing is lifted any more, and a body over six feet stops.
+        Both are places that were found good to stand on. Nothing is lifted any more, and the body brakes at once, unless from
+        there its legs would not reach.
+
+        Args:
+            reaches: Whether the legs reach feet (6, 3) [m] {body}.
         """
         self._next = None
         plan = self._plan
@@ -284,20 +288,44 @@ class Walker:
         back = self._way_back
         on_s, back_s = min(left, max(_SOON_S, left / _FASTER)), min(since, _SOON_S) + self._settings.load_s
         if back is None or on_s <= back_s:
-            self._come_to_rest(plan, max(self._hurry, left / on_s))
+            self._come_to_rest(plan, max(self._hurry, left / on_s), reaches)
             return
         duration = self._settings.unload_s + back_s
         again = replace(back, step=self.step, clearance=np.full(6, _LOW), duration=duration)
-        self._begin(replace(again, T_world_odom=inverse(self._T_odom_cmd)))
-        self._elapsed = self._start_elapsed = self._settings.unload_s  # they carry nothing
+        again = replace(again, T_world_odom=inverse(self._T_odom_cmd))
+        self._begin(again)
+        self._elapsed = self._settings.unload_s  # they carry nothing
+        self._come_to_rest(again, self._hurry, reaches)
         self._returning = True
         self.trouble = "the step is taken back"
 
-    def _come_to_rest(self, plan: StepPlan, hurry: float) -> None:
-        """End the running step so many times as fast as planned; the body comes to rest with it, from the speed that it has."""
-        self._plan = replace(plan, stop=True)
+    def _come_to_rest(self, plan: StepPlan, hurry: float, reaches: Callable[[Array], bool]) -> None:
+        """End the running step so many times as fast as planned; the body goes on only as far as it must."""
+        left_s = (plan.duration - self._elapsed) / hurry
+        goal, velocity = self._goal(plan), self._hurry * self._velocity
+        soon = self._ref + left_s / 3.0 * velocity  # it brakes all the while, and ever more gently
+        if (goal - self._ref) @ (_SPAN * velocity) > 0.0 > (goal - soon) @ (_SPAN * velocity):
+            soon = goal
+        feet = apply(inverse(self._T_odom_cmd), self._feet_at_end(plan))
+        for share in np.linspace(0.0, 1.0, _PLACES):
+            T_cmd_rest = _pose(soon + share * (goal - soon))
+            if reaches(apply(inverse(T_cmd_rest), feet)):
+                break
+        self._plan = replace(plan, stop=True, body_goal=plan.T_world_odom @ self._T_odom_cmd @ T_cmd_rest)
         self._start_ref, self._start_velocity = self._ref.copy(), self._velocity * (self._hurry / hurry)
         self._start_elapsed, self._hurry = self._elapsed, hurry
+
+    def _feet_at_end(self, plan: StepPlan) -> Array:
+        """Feet (6, 3) [m] {odom} when a step that is running is over."""
+        landed = apply(inverse(plan.T_world_odom), plan.touchdown)
+        landed[self._stopped] = apply(self._T_odom_cmd, self._met[self._stopped])
+        return np.where(plan.swing[:, None], landed, self.feet_odom)
+
+    def _goal(self, plan: StepPlan) -> Array:
+        """Where a step brings the body {cmd}, by angles (6,) that are none of a full turn away from those of now."""
+        goal = _coordinates(inverse(plan.T_world_odom @ self._T_odom_cmd) @ plan.body_goal)
+        goal[3:] = self._start_ref[3:] + _wrapped(goal[3:] - self._start_ref[3:])
+        return goal
 
     def _begin(self, plan: StepPlan) -> None:
         self._plan, self._next = plan, None
@@ -312,8 +340,7 @@ class Walker:
         self._elapsed = min(before + self._hurry * dt, plan.duration)
         self.phase = self._elapsed / plan.duration
         T_cmd_world = inverse(plan.T_world_odom @ self._T_odom_cmd)
-        goal = _coordinates(T_cmd_world @ plan.body_goal)
-        goal[3:] = self._start_ref[3:] + _wrapped(goal[3:] - self._start_ref[3:])
+        goal = self._goal(plan)
         whole = plan.duration - self._start_elapsed
         end_velocity = np.zeros(6) if plan.stop else (goal - self._start_ref) / whole
         way = (self._start_ref, self._start_velocity, goal, end_velocity)

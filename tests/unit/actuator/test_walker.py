@@ -1,5 +1,6 @@
 """The walk as the legs are told it: smooth in the body's frame, through the plans' goals, at rest in the end."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from services.actuator import plan_check
 from services.actuator.config import Settings
 from services.actuator.feeler import Felt
 from services.actuator.walker import Targets, Walker
@@ -53,6 +55,10 @@ def plan_to(number: int, goal: Array, ahead: float = 0.03, **changes: Any) -> St
 
 def new_walker() -> Walker:
     return Walker(SETTINGS, REST.copy(), START)
+
+
+def reaches(feet: Array) -> bool:
+    return plan_check.reaches(PROFILE, feet)
 
 
 def cycle(walker: Walker, dt: float = DT) -> Targets:
@@ -152,8 +158,8 @@ def test_set_down_stands_soon_on_places_that_were_found_good(at: float, duration
     while walker.phase < at:
         targets.append(cycle(walker))
     flying = walker.phase * duration > SETTINGS.unload_s + DT
-    walker.set_down()
-    walker.set_down()  # once is enough
+    walker.set_down(reaches)
+    walker.set_down(reaches)  # once is enough
     took = 0
     while not walker.resting:
         targets.append(cycle(walker))
@@ -172,23 +178,55 @@ def test_set_down_stands_soon_on_places_that_were_found_good(at: float, duration
 
 @given(st.floats(0.1, 0.9), st.sampled_from([0.6, 0.8, 1.1]))
 @settings(max_examples=25)
-def test_the_body_comes_to_rest_with_feet_that_are_set_down(at: float, duration: float) -> None:
+def test_the_body_comes_to_rest_before_feet_that_are_set_down(at: float, duration: float) -> None:
     walker, places = new_walker(), []
-    walk(walker, [plan_to(1, body_at(0.06), duration=duration)])
-    walker.accept(plan_to(2, body_at(0.12), duration=duration))
+    walk(walker, [plan_to(1, body_at(0.04), ahead=0.02, duration=duration)])
+    walker.accept(plan_to(2, body_at(0.08), ahead=0.02, duration=duration))
     while walker.phase < at or walker.step == 1:
         cycle(walker)
         places.append(walker.body_ref[0, 3])
-    walker.set_down()
+    stop_at = len(places)
+    walker.set_down(reaches)
     while not walker.resting:
         cycle(walker)
         places.append(walker.body_ref[0, 3])
     speeds = np.diff(places) / DT
-    assert abs(speeds[-1]) < 0.1, "the last cycle but one"
-    assert np.abs(np.diff(speeds)).max() < 0.1, "it neither starts nor stops with a jerk"
+    assert abs(speeds[-1]) < 0.01, "the last cycle but one"
+    assert np.abs(np.diff(speeds)).max() < 0.05, "it neither starts nor stops with a jerk"
+    after = speeds[stop_at:]
+    assert after.max() <= speeds[stop_at - 1] + 0.01, "it does not hurry with the feet"
+    assert np.abs(after[round(0.2 / DT) :]).max(initial=0.0) < 0.02, "it all but rests before they are down"
     for _ in range(10):
         cycle(walker)
     assert walker.body_ref[0, 3] == pytest.approx(places[-1], abs=0.003)
+
+
+def test_a_body_goes_on_until_its_legs_reach_where_they_come_down() -> None:
+    walker, goal = new_walker(), body_at(0.08)
+    plan = plan_to(1, goal, ahead=0.05)
+    walker.accept(plan)
+    cycle(walker)
+    while walker.phase < 0.6:
+        cycle(walker)
+    asked: list[float] = []
+
+    def reach_from(x: float) -> Callable[[Array], bool]:
+        def near(feet: Array) -> bool:
+            asked.append(plan.touchdown[0, 0] - feet[0, 0])  # where the body would be
+            np.testing.assert_allclose(apply(body_at(asked[-1]), feet)[TRIPOD], plan.touchdown[TRIPOD], atol=1e-9)
+            np.testing.assert_allclose(apply(body_at(asked[-1]), feet)[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)
+            return asked[-1] > x
+
+        return near
+
+    walker.set_down(reach_from(0.07))
+    while not walker.resting:
+        cycle(walker)
+    assert len(asked) > 1
+    assert asked == sorted(asked)
+    assert asked[-2] <= 0.07 < asked[-1]
+    assert walker.body_ref[0, 3] == pytest.approx(asked[-1], abs=1e-3)
+    np.testing.assert_allclose(walker.feet_odom[TRIPOD], plan.touchdown[TRIPOD], atol=1e-3)
 
 
 @pytest.mark.parametrize("at", [0.2, 0.22])
@@ -200,7 +238,7 @@ def test_feet_that_turn_round_in_mid_air_take_that_for_no_ground(at: float) -> N
     while walker.phase < at:
         cycle(walker)
     assert (walker.feet_odom[TRIPOD, 2] - stood[TRIPOD, 2] > 0.0155).any()
-    walker.set_down()
+    walker.set_down(reaches)
     while not walker.resting:
         high = walker.feet_odom[:, 2] - stood[:, 2] > 0.0155
         walker.update(DT, walker.body_ref, Felt(TRIPOD & high, ALL, walker.feet_odom))
@@ -209,12 +247,12 @@ def test_feet_that_turn_round_in_mid_air_take_that_for_no_ground(at: float) -> N
 
 def test_set_down_leaves_alone_what_is_no_plan() -> None:
     walker = new_walker()
-    walker.set_down()
+    walker.set_down(reaches)
     assert walker.resting
     walker.accept(plan_to(1, body_at(0.03), swing=np.zeros(6, dtype=bool)))
     for _ in range(20):
         cycle(walker)
-    walker.set_down()
+    walker.set_down(reaches)
     assert walker.resting, "a body over six feet stops"
     before = walker.body_ref[0, 3]
     for _ in range(50):
@@ -223,7 +261,7 @@ def test_set_down_leaves_alone_what_is_no_plan() -> None:
     walker.lower(TRIPOD, -0.01)
     for _ in range(10):
         cycle(walker)
-    walker.set_down()
+    walker.set_down(reaches)
     assert not walker.resting, "feet that come down by themselves go on"
 
 
