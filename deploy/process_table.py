@@ -117,7 +117,7 @@ TABLE: tuple[Process, ...] = (
     Process("perception", "services.perception", "robot", 3, _perception, nice=2),
     Process("mapper", "services.mapper", "either", 3, _mapper, nice=5),
     Process("planner", "services.planner", "either", 3, _planner, nice=2),
-    Process("console", "services.console", "page", 3, _console, nice=3),
+    Process("console", "services.console", "page", 3, _console),  # what stops the robot waits for no map
     Process("recorder", "services.console.recorder", "page", 3, _recorder, nice=3),
 )
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deploy.bench.browser import DESKTOP, Hand, browser, frozen
 from deploy.bench.page_robot import PageRobot
@@ -66,6 +67,15 @@ class Measured:
     cost: Cost
 
 
+@dataclass(frozen=True, slots=True)
+class _Stop:
+    """How soon [s] after the operator's hand, or his browser, it came about."""
+
+    ordered_s: float
+    body_s: float
+    feet_s: float
+
+
 def measure(rounds: int, say: Callable[[str], object]) -> Measured:
     """Lead a robot over the field of `steps`, let go, freeze, turn off.
 
@@ -91,13 +101,19 @@ def measure(rounds: int, say: Callable[[str], object]) -> Measured:
         say(f"page: {rounds} times off")
     cost = _cost(say)
     delays = (
-        Delay("pad let go: the body rests", RELEASE_S, tuple(body for body, _ in released)),
-        Delay("pad let go: all feet are down and still", math.nan, tuple(feet for _, feet in released)),
-        Delay("browser frozen: the body rests", FROZEN_S, tuple(body for body, _ in stopped)),
-        Delay("browser frozen: all feet are down and still", math.nan, tuple(feet for _, feet in stopped)),
+        *_delays("pad let go", RELEASE_S, released),
+        *_delays("browser frozen", FROZEN_S, stopped),
         Delay("torque off", OFF_S, tuple(off)),
     )
     return Measured(delays, cost)
+
+
+def _delays(what: str, limit_s: float, stops: Sequence[_Stop]) -> tuple[Delay, ...]:
+    return (
+        Delay(f"{what}: the console orders to stop", math.nan, tuple(stop.ordered_s for stop in stops)),
+        Delay(f"{what}: the body rests", limit_s, tuple(stop.body_s for stop in stops)),
+        Delay(f"{what}: all feet are down and still", math.nan, tuple(stop.feet_s for stop in stops)),
+    )
 
 
 def _walk(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> None:
@@ -115,22 +131,26 @@ def _walk(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> None:
     robot.pass_time(_WALK_S + _MORE_S * rng.random())
 
 
-def _release(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> tuple[float, float]:
+def _stop(robot: PageRobot, since_s: float, swing: NDArray[np.bool_]) -> _Stop:
+    return _Stop(robot.stop_ordered_after(since_s), robot.stands_after(since_s, swing), robot.still_after(since_s))
+
+
+def _release(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> _Stop:
     _walk(robot, hand, rng)
     swing, since = robot.swinging(), time.monotonic()
     hand.release()
     robot.pass_time(_SETTLE_S)
-    return robot.stands_after(since, swing), robot.still_after(since)
+    return _stop(robot, since, swing)
 
 
-def _freeze(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> tuple[float, float]:
+def _freeze(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> _Stop:
     _walk(robot, hand, rng)
     since = time.monotonic()
     with frozen():
         robot.pass_time(DEAD_MAN_NS * 1e-9)
         swing = robot.swinging()
         robot.pass_time(_SETTLE_S)
-        took = robot.stands_after(since, swing), robot.still_after(since)
+        took = _stop(robot, since, swing)
     robot.pass_time(_SETTLE_S)
     if robot.is_in(Mode.WALK):
         raise TimeoutError("the robot walked again as soon as the browser was let go on")

@@ -17,7 +17,7 @@ from services.actuator.latch import Latch
 from shared import codec, topics
 from shared import dynamixel as dxl
 from shared.kinematics import body_forward
-from shared.messages import ActuatorState, BodyPose, Health, Mode
+from shared.messages import ActuatorState, BodyPose, Health, Mode, ModeCommand
 from shared.robot import load_profile
 from shared.service import AnyTopic
 from shared.transport import Endpoints, ZenohLink
@@ -44,6 +44,7 @@ class PageRobot:
         self.state: ActuatorState | None = None
         self.pose: BodyPose | None = None
         self._up: set[str] = set()  # services that were heard
+        self._stops_s: list[float] = []  # times [s] of orders to stop
         self.said: deque[str] = deque(maxlen=200)
         self.page_port = free_port()
         self._endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="page")
@@ -64,7 +65,7 @@ class PageRobot:
             stack.callback(self._launcher.stop)
             self._launcher.__enter__()
             self._link = stack.enter_context(ZenohLink(self._endpoints))
-            for topic in (topics.ACTUATOR_STATE, topics.BODY_POSE, topics.HEALTH):
+            for topic in (topics.ACTUATOR_STATE, topics.BODY_POSE, topics.HEALTH, topics.MODE):
                 self._link.subscribe(topic, self._hear)
             self.until(lambda: "console" in self._up, what="the console")
             self._stack = stack.pop_all()
@@ -126,6 +127,10 @@ class PageRobot:
         way = np.linalg.norm(body[_WINDOW:] - body[:-_WINDOW], axis=-1)
         return _last(t[:-_WINDOW][way > _STILL_M_S * (t[_WINDOW:] - t[:-_WINDOW])], t, since_s)
 
+    def stop_ordered_after(self, since_s: float) -> float:
+        """How long [s] after a time the console ordered to stop; infinite where it did not."""
+        return next((at_s - since_s for at_s in list(self._stops_s) if at_s >= since_s), np.inf)
+
     def torque_off_after(self, since_s: float) -> float:
         """How long [s] after a time torque off was on the wire; NaN where it was not."""
         for switch in list(self.recorder.switches):
@@ -170,6 +175,8 @@ class PageRobot:
             self.pose = message
         elif isinstance(message, Health):
             self._up.add(message.service)
+        elif isinstance(message, ModeCommand) and message.mode == "stop":
+            self._stops_s.append(time.monotonic())
 
     def _hear_line(self, name: str, line: str) -> None:
         if name != "tap" or not line.startswith(("open ", "sent ")):
