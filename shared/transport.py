@@ -22,6 +22,11 @@ LEASE_MS = 1000  # a frozen process is noticed after this
 # three frames on a busy machine lost one in 500: the sending thread had not had its turn within the millisecond of grace.
 QUEUE_SIZES = {"real_time": 16, "data": 8}
 _RX_BYTES = 1 << 20  # read at once: a map comes in 14 pieces of 64 kB, Zenoh's own choice
+_ATTEMPT_MS, _RETRY_MS = (
+    500,
+    100,
+)  # a router that is cut off from another tries again soon: SYNs of the kernel's own wait for seconds
+_SEND_BUFFER = 64 * 1024  # [bytes] of bulk over a radio: what waits in the kernel is late already
 _KEPT = 256  # frames of an EVERY topic that may wait to be taken
 
 
@@ -70,6 +75,25 @@ def _config(
     return config
 
 
+def _router_config(listen: tuple[str, ...], upstream: tuple[str, ...]) -> dict[str, Any]:
+    """Of a router: two links to each that it is chained to, so that bulk which fills the radio delays no command."""
+    config = _config("router", _lanes(upstream), listen, scouting=False, namespace=None)
+    config["transport"]["unicast"] = {
+        "max_links": len(Lane),
+        "open_timeout": _ATTEMPT_MS,
+    }
+    retry = {"period_init_ms": _RETRY_MS, "period_max_ms": 2 * _RETRY_MS, "period_increase_factor": 1.5}
+    config["connect"] |= {"timeout_ms": -1, "exit_on_failure": False, "retry": retry}
+    return config
+
+
+def _lanes(endpoints: tuple[str, ...]) -> tuple[str, ...]:
+    """Each endpoint twice, once for the priorities of each lane."""
+    return tuple(
+        lane for one in endpoints for lane in (f"{one}?prio=0-3", f"{one}?prio=4-7#so_sndbuf={_SEND_BUFFER}")
+    )  # of the priorities, REAL_TIME is 1 and DATA 5
+
+
 class TransportError(RuntimeError):
     """The network could not be opened, with what was tried and what to do."""
 
@@ -99,8 +123,14 @@ def _close(sessions: list[zenoh.Session]) -> None:
 class Router:
     """Hosts the router in this process, so that no zenohd binary is needed; a context manager."""
 
-    def __init__(self, listen: tuple[str, ...]):
-        self._config = _config(mode="router", connect=(), listen=listen, scouting=False, namespace=None)
+    def __init__(self, listen: tuple[str, ...], upstream: tuple[str, ...] = ()):
+        """Prepare.
+
+        Args:
+            listen: Endpoints to listen on, e.g. tcp/127.0.0.1:7447.
+            upstream: Endpoints of routers that this one is chained to, whenever they are there.
+        """
+        self._config = _router_config(listen, upstream)
 
     def __enter__(self) -> Self:
         self._session = _open(self._config)

@@ -1,5 +1,6 @@
 """Frames over Zenoh on this machine's loopback, with the router in this process."""
 
+import contextlib
 import json
 import socket
 import threading
@@ -310,3 +311,43 @@ def test_what_is_collected_waits_until_it_is_fetched(endpoint: str) -> None:
         assert len(found) == 256, "of events some hundred; who does not fetch holds nobody up"
         assert found[-1] == b"operator/mode 299"
         assert come[MODE]() == come[VELOCITY]() == []
+
+
+@pytest.mark.parametrize("first", ["robot", "base"])
+def test_chained_routers_pass_on_both_ways_whichever_is_there_first(first: str) -> None:
+    robot, base = free_endpoint(), free_endpoint()
+    routers = {"robot": Router((robot,)), "base": Router((base,), upstream=(robot,))}
+    with contextlib.ExitStack() as stack:
+        for name in sorted(routers, key=lambda name: name != first):
+            stack.enter_context(routers[name])
+        onboard = stack.enter_context(ZenohLink(Endpoints((robot,))))
+        offboard = stack.enter_context(ZenohLink(Endpoints((base,))))
+        for sender, reader, topic in ((onboard, offboard, DEPTH), (offboard, onboard, MODE)):
+            got = Receiver(b"over the radio")
+            reader.subscribe(topic, got)
+            wait_until_wanted(sender, topic)
+            sender.send(topic, b"over the radio")
+            assert got.done.wait(PATIENCE_S)
+
+
+def test_a_robot_that_was_away_is_met_again() -> None:
+    robot, base = free_endpoint(), free_endpoint()
+    with Router((base,), upstream=(robot,)), ZenohLink(Endpoints((base,))) as offboard:
+        for word in (b"first", b"and again"):
+            with Router((robot,)), ZenohLink(Endpoints((robot,))) as onboard:
+                got = Receiver(word)
+                onboard.subscribe(MODE, got)
+                wait_until_wanted(offboard, MODE)
+                offboard.send(MODE, word)
+                assert got.done.wait(PATIENCE_S)
+
+
+def test_commands_and_bulk_take_a_link_each_between_routers() -> None:
+    upstream = transport._router_config(("tcp/127.0.0.1:1",), ("tls/robot.local:7447",))
+    assert upstream["transport"]["unicast"]["max_links"] == 2
+    commands, bulk = (endpoint.partition("?")[2] for endpoint in upstream["connect"]["endpoints"])
+    low, high = (int(n) for n in commands.removeprefix("prio=").split("-"))
+    assert low <= int(zenoh.Priority.REAL_TIME) <= high < int(zenoh.Priority.DATA)
+    low, high = (int(n) for n in bulk.partition("#")[0].removeprefix("prio=").split("-"))
+    assert int(zenoh.Priority.REAL_TIME) < low <= int(zenoh.Priority.DATA) <= high
+    assert upstream["connect"]["exit_on_failure"] is False, "it may be there later"
