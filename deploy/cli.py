@@ -318,8 +318,12 @@ def _add_robots(add: Any) -> None:
         "--camera", default="", metavar="DEVICE", help="openni2, realsense, none, or a recorded folder, over the profile"
     )
     one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
-    one.add_argument("--listen", default="tcp/127.0.0.1:7447", help="where to host the router (default %(default)s)")
-    one.add_argument("--connect", action="append", help="use the router there, and host none")
+    words = "run these processes here, too: names of the table, e.g. mapper,planner"
+    one.add_argument("--with", dest="also", action="append", default=[], metavar="NAMES", help=words)
+    one.add_argument("--without", action="append", default=[], metavar="NAMES", help="leave these out: they run elsewhere")
+    one.add_argument("--listen", metavar="ENDPOINT", help="where to host this machine's router (default tcp/127.0.0.1:7447)")
+    words = "router of another machine that this one is chained to, whenever that is there: tcp/robot.local:7447"
+    one.add_argument("--connect", action="append", metavar="ENDPOINT", help=words)
     one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
     one.add_argument("--set", action="append", default=[], metavar="SERVICE.KEY=VALUE", help="a setting of one service")
 

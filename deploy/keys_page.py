@@ -126,6 +126,7 @@ def _writers_and_readers() -> tuple[dict[str, list[str]], dict[str, list[str]]]:
                 if name not in names:
                     names.append(name)
     written[topics.HEALTH.key] = ["every process"]
+    written[topics.PRESENCE.key] = read[topics.PRESENCE.key] = ["`sextant up`"]
     return written, read
 
 

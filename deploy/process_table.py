@@ -1,7 +1,8 @@
 """The processes of Sextant as a table, and the commands that start them; launcher and compose.yaml are made from it."""
 
+import difflib
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -122,6 +123,9 @@ TABLE: tuple[Process, ...] = (
 )
 
 
+ON_ROBOT = frozenset(p.name for p in TABLE if p.side == "device" or p.name in ("actuator", "stop"))  # wherever the rest is
+
+
 @dataclass(frozen=True, slots=True)
 class Command:
     """How one process is started."""
@@ -169,8 +173,44 @@ def rows(role: Role, simulated: bool, page: bool = False) -> tuple[Process, ...]
     return tuple(p for p in TABLE if p.side in sides)
 
 
+def rearranged(usual: Sequence[Process], also: Sequence[str], without: Sequence[str], role: Role) -> tuple[Process, ...]:
+    """The processes of a role with some more and without some, in the table's order.
+
+    Args:
+        usual: Those of the role.
+        also: Names of those that run here, too.
+        without: Names of those that run elsewhere, or not at all.
+        role: For what is said.
+
+    Raises:
+        ValueError: A name that is none, or a process that cannot run there.
+    """
+    known = {p.name: p for p in TABLE}
+    names = {p.name for p in usual}
+    for name in (*also, *without):
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            raise ValueError(f"no process {name!r}; {f'did you mean {near[0]!r}?' if near else ', '.join(known)}")
+    for name in also:
+        if role == "offboard" and name in ON_ROBOT:
+            raise ValueError(
+                f"{name} stays on the robot, beside its servos and its camera: `sextant up onboard` starts it there"
+            )
+        if known[name].side == "simulation" and name not in names:
+            raise ValueError(f"{name}: what is simulated is started by --scenario")
+    for name in without:
+        if name not in names:
+            raise ValueError(f"{name} is not started by the role {role}, which starts {', '.join(p.name for p in usual)}")
+    names = (names | set(also)) - set(without)
+    return tuple(p for p in TABLE if p.name in names)
+
+
 def commands(
-    processes: Iterable[Process], chosen: Choices, endpoints: Endpoints, extra: Mapping[str, tuple[str, ...]] | None = None
+    processes: Iterable[Process],
+    chosen: Choices,
+    endpoints: Endpoints,
+    extra: Mapping[str, tuple[str, ...]] | None = None,
+    elsewhere: bool = False,
 ) -> tuple[Command, ...]:
     """How to start processes so that they meet at `endpoints`.
 
@@ -179,14 +219,16 @@ def commands(
         chosen: What this run is about.
         endpoints: Where they meet.
         extra: Process name -> assignments `key=value` that go before the table's; the last one of a key counts.
+        elsewhere: Whether this is another machine than the robot's.
     """
     processes = tuple(processes)
     started = {p.name for p in processes}
+    away = ("--elsewhere",) if elsewhere else ()
     return tuple(
         Command(
             name=p.name,
             arguments=(
-                *("-m", _module(p, chosen), "--robot", chosen.robot, *_meeting(endpoints), *_giving_way(p)),
+                *("-m", _module(p, chosen), "--robot", chosen.robot, *_meeting(endpoints), *_giving_way(p), *away),
                 *_set([assignment(key, value) for key, value in p.settings(chosen).items()]),
                 *_set((extra or {}).get(p.name, ())),
             ),

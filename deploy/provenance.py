@@ -43,7 +43,7 @@ def commit() -> str:
         head = _git(_ROOT, "rev-parse", "--short=7", "HEAD")
         changed = _git(_ROOT, "status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.CalledProcessError):  # no git, or no checkout
-        return _version()
+        return f"version {version()}" if version() else ""
     return head + ("+" if changed else "")
 
 
@@ -84,8 +84,9 @@ def _git(root: Path, *words: str) -> str:
     return subprocess.run(["git", "-C", str(root), *words], capture_output=True, text=True, check=True).stdout.strip()
 
 
-def _version() -> str:
+def version() -> str:
+    """Of Sextant as it is installed, or nothing."""
     try:
-        return f"version {importlib.metadata.version('sextant')}"
+        return importlib.metadata.version("sextant")
     except importlib.metadata.PackageNotFoundError:
         return ""

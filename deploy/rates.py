@@ -17,7 +17,7 @@ from shared.topics import Lane
 _SIDES = {"robot": "onboard", "device": "onboard", "either": "offboard", "page": "offboard", "simulation": "simulation"}
 # The first word of a key is the process that writes it, but for these.
 _WRITTEN_BY: Mapping[str, str] = MappingProxyType(
-    {"operator": "operators", "imu": "onboard", "passage": "offboard", "health": "all"}
+    {"operator": "operators", "imu": "onboard", "passage": "offboard", "health": "all", "machine": "all"}
 )
 _TOTAL = "{:<20} {:<8} {:>16} {:>11}"
 _LINE = _TOTAL + " {:>9} {:>9} {:>12} {:>18}"

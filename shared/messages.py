@@ -475,6 +475,20 @@ class Health(Message):
     stages: tuple[str, ...]  # names of the timed stages and streams
     stage_p50_ms: Annotated[NDArray[np.float64], Dims("stage")]
     stage_p99_ms: Annotated[NDArray[np.float64], Dims("stage")]
+    robot_ahead_s: float = 0.0  # [s] the robot's clock is ahead of its machine's; 0 on the robot
+
+
+@dataclass(frozen=True, slots=True)
+class Presence(Message):
+    """What one machine of a robot runs, once a second; whoever starts processes on it -> the same on the others."""
+
+    machine: str  # unlike any other, also of an earlier start
+    role: str
+    version: str  # of Sextant
+    up_s: float  # [s] since it started
+    services: tuple[str, ...]  # that it has started
+    keys: tuple[str, ...]  # of its topic table
+    schemas: tuple[str, ...]  # of their messages, in the same order
 
 
 FieldSchema: TypeAlias = tuple[str, Any, Any]

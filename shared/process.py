@@ -13,17 +13,20 @@ import os
 import signal
 import sys
 import threading
+import time
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
-from shared import config
+from shared import clock, codec, config, topics
 from shared.host import end_with, go_first, keep_memory
 from shared.robot import RobotProfile, load_profile
 from shared.service import Service, run_live
 from shared.transport import Endpoints, TransportError, ZenohLink
 from shared.watchdog import Watchdog
+
+_LOOK_S = 0.1  # [s] between two looks whether the robot is there
 
 S = TypeVar("S")
 
@@ -64,6 +67,7 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
             endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace)
             watchdog = stack.enter_context(Watchdog(os.environ))
             link = stack.enter_context(ZenohLink(endpoints))
+            ahead_s = _follow_robot(link, stop, watchdog.beat) if arguments.elsewhere else lambda: 0.0
             service = make(profile, settings)
             if isinstance(service, contextlib.AbstractContextManager):
                 stack.enter_context(service)  # ports and servers are closed on the way out
@@ -73,8 +77,31 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
         except OSError as error:  # a device or port that is not there; unlike the above it may come back
             logging.error("%s", error)
             return 1
-        run_live(service, link, stop, watchdog.beat)  # a ValueError in here is a bug, and ends in a traceback
+        try:
+            run_live(service, link, stop, watchdog.beat, ahead_s)  # a ValueError in here is a bug, and ends in a traceback
+        except clock.ClockError as error:
+            logging.error("%s", error)
+            return 1
     return 0
+
+
+def _follow_robot(link: ZenohLink, stop: threading.Event, alive: Callable[[int], object]) -> Callable[[], float]:
+    """Let this process go by the robot's clock, once the robot is heard; what says by how much [s] that is ahead."""
+    robot = clock.RobotClock()
+
+    def hear(_topic: object, frame: bytes) -> None:
+        with contextlib.suppress(codec.DecodeError):  # refused, counted and named where it is read
+            robot.heard(codec.label(frame).timing.sent_ns)
+
+    link.subscribe(topics.ACTUATOR_STATE, hear)
+    told = False
+    while not robot.known and not stop.wait(_LOOK_S):
+        alive(time.monotonic_ns())
+        if not told:
+            logging.info("waiting for the robot: nothing has come on %s", topics.ACTUATOR_STATE.key)
+            told = True
+    clock.go_by(robot)
+    return lambda: robot.ahead_s
 
 
 def load_settings(schema: type[S], path: str | None, assignments: Sequence[str]) -> S:
@@ -138,6 +165,7 @@ def _parser(name: str, package: str, schema: type[Any]) -> argparse.ArgumentPars
     parser.add_argument("--namespace", default="sextant", help="prefix of every key; runs with different ones do not meet")
     parser.add_argument("--config", help="TOML file with settings")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one setting of: {known}")
+    parser.add_argument("--elsewhere", action="store_true", help="this is not the robot's machine: go by the robot's clock")
     parser.add_argument("--nice", type=int, default=0, help="how far to give way to others where cores are short, 0 to 19")
     parser.add_argument("--urgent", action="store_true", help="go before others where cores are short, if this user may")
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")

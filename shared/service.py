@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 import numpy as np
 
 from shared import codec, topics
+from shared.clock import now_ns
 from shared.messages import Health, Message, Tick
 from shared.topics import Delivery, Topic
 
@@ -259,8 +260,10 @@ class Worker:
         clock: Callable[[], int],
         wanted: Callable[[AnyTopic], bool] = lambda _: True,
         decode: Decode = codec.decode,
+        ahead_s: Callable[[], float] = lambda: 0.0,
     ):
         self.service = service
+        self._ahead_s = ahead_s
         self.reads = tuple(
             dict.fromkeys([*([] if isinstance(service.paced_by, Every) else [service.paced_by]), *service.reads])
         )
@@ -313,6 +316,7 @@ class Worker:
             stages=tuple(timings),
             stage_p50_ms=np.array([p50 for p50, _ in timings.values()], dtype=np.float64),
             stage_p99_ms=np.array([p99 for _, p99 in timings.values()], dtype=np.float64),
+            robot_ahead_s=self._ahead_s(),
         )
         self._send(topics.HEALTH, codec.encode(health, codec.Timing(now_ns, self._clock())), now_ns)
 
@@ -354,15 +358,20 @@ class Listening(Protocol):
 
 
 def run_live(
-    service: Service, link: Link, stop: threading.Event, alive: Callable[[int], object] = lambda _now_ns: None
+    service: Service,
+    link: Link,
+    stop: threading.Event,
+    alive: Callable[[int], object] = lambda _now_ns: None,
+    ahead_s: Callable[[], float] = lambda: 0.0,
 ) -> None:
-    """Run one service in this process at real time until `stop` is set; stamps are this machine's monotonic clock.
+    """Run one service in this process at real time until `stop` is set; stamps are the robot's time (`shared.clock`).
 
-    `alive` is told the time [ns] at least every 0.2 s, as long as no step hangs and no beat is rarer.
+    `alive` is told this machine's monotonic time [ns] at least every 0.2 s, as long as no step hangs and no beat is rarer.
+    `ahead_s` says by how much [s] the robot's clock is ahead of this machine's.
     """
-    clock = time.monotonic_ns
+    clock = now_ns
     arrived = threading.Event()
-    worker = Worker(service, lambda topic, frame, _: link.send(topic, frame), clock, link.wanted)
+    worker = Worker(service, lambda topic, frame, _: link.send(topic, frame), clock, link.wanted, ahead_s=ahead_s)
     pace = service.paced_by
 
     def receive(topic: AnyTopic, frame: bytes) -> None:
@@ -380,7 +389,7 @@ def run_live(
         service.meet(link)
     beats = Beats(pace, clock) if isinstance(pace, Every) else None
     while not stop.is_set():
-        alive(clock())
+        alive(time.monotonic_ns())
         if beats is not None:
             service.stages.add("cycle", beats.next(_waiting(pace, stop)) * 1e-6)
             worker.tick()

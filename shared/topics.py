@@ -71,6 +71,7 @@ RECORDER_STATE = Topic("recorder/state", m.RecorderState, 2.0, Delivery.LATEST, 
 FAULT = Topic("simulator/fault", m.FaultCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 TRUTH = Topic("simulator/truth", m.GroundTruth, 50.0, Delivery.EVERY, Lane.BULK, 8 * _KIB, 0.009)
 HEALTH = Topic("health", m.Health, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003)
+PRESENCE = Topic("machine/presence", m.Presence, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003)
 
 TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
     DEPTH,
@@ -96,5 +97,6 @@ TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
     FAULT,
     TRUTH,
     HEALTH,
+    PRESENCE,
 )
 OF_TYPE = {topic.type: topic for topic in TOPICS}  # a message type belongs to one topic

@@ -4,6 +4,7 @@ import contextlib
 import os
 import shutil
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -47,12 +48,31 @@ def browser() -> Iterator[Any]:
             made.close()
 
 
+_NOTE_INPUT = """for (const name of ["pointerdown", "pointerup"])
+    addEventListener(name, (event) => { window.newestInput = event.timeStamp; }, true);"""
+_LOOKS = 20  # at the page's clock, of which the quickest counts
+
+
 class Hand:
-    """A mouse on one page."""
+    """A mouse on one page, to be made before the page is gone to."""
 
     def __init__(self, page: Any):
         """Of Playwright's page."""
         self.page = page
+        page.add_init_script(_NOTE_INPUT)
+
+    def newest_input_s(self) -> float:
+        """When the browser had the newest press or release, by this process's monotonic clock [s].
+
+        What a script takes to move a mouse, through some processes, is not the page's: no hand does it that way.
+        """
+        looks = []
+        for _ in range(_LOOKS):
+            began = time.monotonic()
+            at_ms = self.page.evaluate("performance.now()")
+            ended = time.monotonic()
+            looks.append((ended - began, 0.5 * (began + ended) - 1e-3 * at_ms))
+        return float(min(looks)[1] + 1e-3 * self.page.evaluate("window.newestInput"))
 
     def press_at(self, selector: str, x: float = 0.5, y: float = 0.5) -> None:
         """Move to a place on an element, shares of its size, and press."""

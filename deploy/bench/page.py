@@ -1,8 +1,8 @@
 """What the operator's page costs and how soon it stops the robot: a real browser leads a simulated one, live.
 
-Times are from the browser's input to what comes over the servos' wire: from the release of the pad, or from when all of the
-browser is stopped (SIGSTOP) while it holds the pad, to the last goals that move the body on over the legs that stand, and to
-when the feet in the air are down, too; from the press of the button to torque off.
+Times are from when the browser has the input to what comes over the servos' wire: from the release of the pad, or from when
+all of the browser is stopped (SIGSTOP) while it holds the pad, to the last goals that move the body on over the legs that
+stand, and to when the feet in the air are down, too; from the press of the button to torque off.
 """
 
 import json
@@ -137,10 +137,10 @@ def _stop(robot: PageRobot, since_s: float, swing: NDArray[np.bool_]) -> _Stop:
 
 def _release(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> _Stop:
     _walk(robot, hand, rng)
-    swing, since = robot.swinging(), time.monotonic()
+    swing = robot.swinging()
     hand.release()
     robot.pass_time(_SETTLE_S)
-    return _stop(robot, since, swing)
+    return _stop(robot, hand.newest_input_s(), swing)
 
 
 def _freeze(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> _Stop:
@@ -165,11 +165,12 @@ def _off(robot: PageRobot, hand: Hand, rng: np.random.Generator) -> float:
     since = time.monotonic()
     hand.page.mouse.down()
     robot.until(lambda: np.isfinite(robot.torque_off_after(since)), what="torque off on the wire")
-    hand.page.mouse.up()
     robot.until(lambda: robot.is_in(Mode.OFF), what="the mode off")
     robot.pass_time(0.5)
+    took = robot.torque_off_after(hand.newest_input_s())
+    hand.page.mouse.up()
     robot.stand(lambda: hand.click('[data-order="stand"]'))
-    return robot.torque_off_after(since)
+    return took
 
 
 def _cost(say: Callable[[str], object]) -> Cost:

@@ -2,7 +2,10 @@
 
 import argparse
 import difflib
+import os
 import re
+import socket
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,9 +24,11 @@ def up(arguments: argparse.Namespace) -> int:
     from deploy import process_table
     from deploy.interrupts import Interrupts
     from deploy.launcher import Launcher
-    from shared.transport import Endpoints, Router
+    from deploy.meeting import Meeting
+    from deploy.provenance import version
+    from shared.transport import Endpoints, Router, ZenohLink
 
-    rows = process_table.rows(arguments.role, simulated=arguments.scenario is not None, page=not arguments.no_page)
+    rows = _rows(arguments)
     chosen = _choices(arguments)
     device = _camera(arguments.camera, chosen.robot, rows)
     if device == "none":
@@ -36,21 +41,24 @@ def up(arguments: argparse.Namespace) -> int:
     process_table.new_robot(chosen)
     with contextlib.ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
-        if arguments.connect:
-            endpoints = Endpoints(tuple(arguments.connect), namespace=arguments.namespace)
-        else:
-            stack.enter_context(Router((arguments.listen,)))
-            endpoints = Endpoints(
-                (re.sub(r"/(0\.0\.0\.0|\[::\]):", "/127.0.0.1:", arguments.listen),), namespace=arguments.namespace
-            )
-            say(
-                f"router on {arguments.listen}; others join with --connect {arguments.listen} --namespace {arguments.namespace}"
-            )
-        launcher = stack.enter_context(Launcher(process_table.commands(rows, chosen, endpoints, extra), hear=_pass_on))
-        say(f"starting {', '.join(row.name for row in rows)}; Ctrl-C ends them")
+        listen, upstream = _listen(arguments), tuple(arguments.connect or ())
+        stack.enter_context(Router((listen,), upstream))
+        endpoints = Endpoints((_near(listen),), namespace=arguments.namespace)
+        chained = f", chained to {', '.join(upstream)}" if upstream else ""
+        say(f"router on {listen}{chained}; others join with --connect {listen} --namespace {arguments.namespace}")
+        commands = process_table.commands(rows, chosen, endpoints, extra, elsewhere=arguments.role == "offboard")
+        link = stack.enter_context(ZenohLink(endpoints))
+        names, machine = [row.name for row in rows], f"{socket.gethostname()}-{os.getpid()}"
+        meeting = Meeting(link, machine, arguments.role, version(), names, time.monotonic_ns, complain)
+        launcher = stack.enter_context(Launcher(commands, hear=_pass_on))
+        say(f"starting {', '.join(names)}; Ctrl-C ends them")
         if any(row.name == "console" for row in rows):
             say(f"the operator's page: http://127.0.0.1:{chosen.console_port}/")
         while not interrupts.asked():
+            meeting.beat()
+            if meeting.refused:
+                complain(f"sextant up: {meeting.refused}")
+                return FAILED
             for ended in launcher.wait(0.2):
                 complain(str(ended))
                 if not ended.restarted:
@@ -59,6 +67,38 @@ def up(arguments: argparse.Namespace) -> int:
         for name in launcher.stop(interrupts.insisted):
             complain(f"{name} did not end when asked and was killed")
     return INTERRUPTED
+
+
+def _rows(arguments: argparse.Namespace) -> "tuple[Process, ...]":
+    """The processes that are asked for: those of the role, with some more and without some."""
+    from deploy import process_table
+
+    usual = process_table.rows(arguments.role, simulated=arguments.scenario is not None, page=not arguments.no_page)
+    try:
+        return process_table.rearranged(usual, _names(arguments.also), _names(arguments.without), arguments.role)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def _names(words: Sequence[str]) -> tuple[str, ...]:
+    return tuple(name for word in words for name in word.split(",") if name)
+
+
+def _listen(arguments: argparse.Namespace) -> str:
+    """Where the router of this machine listens: as it is asked for, else where it usually does, else on a free port."""
+    from deploy.launcher import free_port, port_taken
+    from deploy.process_table import ROUTER_ENDPOINT
+
+    if arguments.listen:
+        return str(arguments.listen)
+    if not (arguments.connect and port_taken(int(ROUTER_ENDPOINT.rpartition(":")[2]))):
+        return ROUTER_ENDPOINT
+    return f"tcp/127.0.0.1:{free_port()}"  # beside another machine's half, on one machine
+
+
+def _near(listen: str) -> str:
+    """How processes of this machine reach a router that listens everywhere."""
+    return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/127.0.0.1:", listen)
 
 
 def _choices(arguments: argparse.Namespace) -> "Choices":
@@ -75,7 +115,7 @@ def _choices(arguments: argparse.Namespace) -> "Choices":
     chosen = choices(load_scenario(source), source, arguments.seed)
     chosen = replace(chosen, robot=robot) if robot else chosen
     # Where both ends of the simulated servo bus start here any free port will do, so two sets on one machine do not clash.
-    return replace(chosen, bus_port=free_port()) if arguments.role == "all" else chosen
+    return replace(chosen, bus_port=free_port()) if arguments.role in ("all", "onboard") else chosen
 
 
 def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:

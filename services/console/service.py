@@ -1,6 +1,5 @@
 """The console: what the services say, shown to the pages that are open; what operators ask for, passed on."""
 
-import time
 from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Any, Self
@@ -13,6 +12,7 @@ from services.console.diary import KEPT, Diary
 from services.console.requests import Record, Request, Watch
 from services.console.server import Event, PageServer
 from shared import topics
+from shared.clock import now_ns
 from shared.messages import ActuatorState, CameraState, Health, Message, PlannerStatus, TerrainMap, Tick
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
@@ -44,7 +44,7 @@ class Console:
     )
     writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.GOAL, topics.MODE, topics.RECORD)
 
-    def __init__(self, profile: RobotProfile, settings: Settings, clock: Callable[[], int] = time.monotonic_ns):
+    def __init__(self, profile: RobotProfile, settings: Settings, clock: Callable[[], int] = now_ns):
         """Listen for pages.
 
         Args:

@@ -145,6 +145,7 @@ def health(services: Mapping[str, tuple[Health, int]], now_ns: int) -> dict[str,
                 "silent_s": round((now_ns - at_ns) * 1e-9, 1),
                 "refused": word.refused,
                 "dropped": word.dropped,
+                "robot_ahead_s": round(word.robot_ahead_s, 3),
                 "stages": {stage: round(float(p99), 1) for stage, p99 in zip(word.stages, word.stage_p99_ms, strict=True)},
             }
             for name, (word, at_ns) in sorted(services.items())

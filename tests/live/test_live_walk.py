@@ -219,6 +219,26 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
     assert report_in(out)["success"] is True
 
 
+def test_two_machines_walk_together_whichever_is_there_first(tmp_path: Path) -> None:
+    """The off-board half has a router of its own, and waits for the robot."""
+    course, out = str(write_course(tmp_path, "split", 0.3)), tmp_path / "out"
+    robot, base = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    meet = ("--namespace", "split")
+    with Command("up", "offboard", "--listen", base, "--connect", robot, *meet, cwd=tmp_path) as offboard:
+        offboard.wait_for(lambda: "waiting for the robot" in offboard.text(), "a base that waits")
+        with Command("up", "onboard", "--scenario", course, "--listen", robot, *meet, cwd=tmp_path) as onboard:
+            for one, other in ((offboard, "onboard"), (onboard, "offboard")):
+                one.wait_for(lambda one=one, other=other: f"({other}) is here: " in one.text(), f"the {other} half")
+            with Command("run", course, "--connect", base, *meet, "--out", str(out), cwd=tmp_path) as run:
+                assert run.status() == 0, run.text()
+            with Command("up", "offboard", "--connect", robot, "--with", "perception", *meet, cwd=tmp_path) as second:
+                assert second.status() == 1
+                assert re.search(r"has started perception.* already|has started mapper, planner.* already", second.text())
+            assert offboard.running()
+            assert onboard.running()
+    assert report_in(out)["success"] is True
+
+
 def test_what_compose_yaml_starts_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     skip_where_taken(ROUTER_PORT, BUS_PORT)
     commands = commands_of((Path(deploy.__file__).parent / "compose.yaml").read_text(encoding="utf-8"))

@@ -2,7 +2,6 @@
 
 import logging
 import shutil
-import time
 from collections.abc import Callable, Iterator
 from datetime import datetime
 from pathlib import Path
@@ -14,7 +13,7 @@ from services.console.recording.foxglove.translation import Foxglove
 from services.console.recording.live import LiveRecorder
 from services.console.recording.rotation import Rotation
 from services.console.recording.writer import LEFT_OUT, Recorder
-from shared import topics
+from shared import clock, topics
 from shared.messages import Message, RecordCommand, RecorderState, Tick
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Link, Stages
@@ -97,7 +96,7 @@ class RecorderService:
             return
         self._recording = LiveRecorder(self._files)
         self._recording.start()
-        self._recording.listen(self._link, time.monotonic_ns)
+        self._recording.listen(self._link, clock.now_ns)
         self._wanted, self._began_ns = True, now_ns
 
     def _end(self, now_ns: int) -> None:

@@ -259,7 +259,8 @@ def test_services_and_passages_are_told_of(rig: Rig) -> None:
     rig.hear(PassagePlan(1, 1, "no way", words, np.zeros(2), *numbers, steps, points, points, edges, points[:1]))
     told = page.until("health", lambda told: told["services"])
     assert told["services"][0] | {"silent_s": 0} == {
-        "name": "mapper", "doing": "mapping", "silent_s": 0, "refused": 2, "dropped": 3, "stages": {"map": 2.5},
+        "name": "mapper", "doing": "mapping", "silent_s": 0, "refused": 2, "dropped": 3,
+        "robot_ahead_s": 0.0, "stages": {"map": 2.5},
     }  # fmt: skip
     passage = page.until("passage")
     assert (passage["state"], passage["legs"], passage["footholds"]) == ("no way", [2], [1.0, 1.0, 1.0])

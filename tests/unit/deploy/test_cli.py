@@ -3,7 +3,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -48,6 +48,10 @@ def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
         (["up", "onboard", "--camera", "nowhere"], "a folder with depth.txt expected, found 'nowhere'"),
         (["up", "all", "--scenario", "flat", "--camera", "realsense"], "leave --scenario out"),
         (["up", "onboard", "--set", "planner.blind=true"], "no service 'planner'"),
+        (["up", "offboard", "--with", "actuator"], "actuator stays on the robot, beside its servos and its camera"),
+        (["up", "offboard", "--with", "simulator"], "what is simulated is started by --scenario"),
+        (["up", "offboard", "--with", "plannar"], "did you mean 'planner'?"),
+        (["up", "onboard", "--without", "mapper"], "mapper is not started by the role onboard"),
         (["up", "onboard", "--camera", "none", "--set", "actuator.port=/dev/nowhere"], "no servo port /dev/nowhere; plug in"),
         (["up", "all", "--scenario", "flat", "--robot", "nobody"], "no profile 'nobody'"),
         (["replay", "nowhere.mcap"], "recording.mcap of a run"),
@@ -91,6 +95,17 @@ def test_arguments_that_make_no_sense_are_refused(words: list[str], capsys: pyte
     assert "usage: sextant" in capsys.readouterr().err
 
 
+class NoLink:
+    """Nobody else is there."""
+
+    def send(self, *_: object) -> None:
+        """Into the void."""
+
+    def collect(self, _: object) -> Callable[[], list[bytes]]:
+        """Nothing comes."""
+        return list
+
+
 @pytest.mark.parametrize(
     ("words", "robot"), [([], "phantomx_mk2"), (["--robot", "lotriet_rx64"], "lotriet_rx64")], ids=["its own", "another"]
 )
@@ -107,7 +122,8 @@ def test_what_is_up_is_the_robot_that_is_asked_for(
             raise KeyboardInterrupt
 
     monkeypatch.setattr(launcher, "Launcher", Launcher)
-    monkeypatch.setattr(transport, "Router", lambda _: contextlib.nullcontext())
+    monkeypatch.setattr(transport, "Router", lambda *_: contextlib.nullcontext())
+    monkeypatch.setattr(transport, "ZenohLink", lambda _: contextlib.nullcontext(NoLink()))
     assert cli.main(["up", "all", "--scenario", "flat", *words]) == 130
     capsys.readouterr()
     assert len(started) == 8

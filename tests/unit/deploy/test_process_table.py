@@ -133,3 +133,23 @@ def test_any_text_survives_the_command_line(text: str) -> None:
 @given(st.sampled_from([Path("/tmp/a b/c.toml"), Path("/x/true"), Path("/é.toml")]))
 def test_a_path_is_passed_as_it_is(path: Path) -> None:
     assert assignment("key", str(path)) == f"key={path}"
+
+
+def test_any_process_that_may_runs_on_either_side() -> None:
+    onboard, offboard = (process_table.rows(role, simulated=False, page=True) for role in ("onboard", "offboard"))
+    robot = process_table.rearranged(onboard, ("mapper", "planner"), (), "onboard")
+    base = process_table.rearranged(offboard, (), ("mapper", "planner"), "offboard")
+    assert [p.name for p in robot] == ["actuator", "stop", "camera", "perception", "mapper", "planner"]
+    assert [p.name for p in base] == ["console", "recorder"]
+    moved = process_table.rearranged(offboard, ("perception",), (), "offboard")
+    assert [p.name for p in moved] == ["perception", "mapper", "planner", "console", "recorder"], "in the table's order"
+    for name in process_table.ON_ROBOT:
+        with pytest.raises(ValueError, match=f"{name} stays on the robot"):
+            process_table.rearranged(offboard, (name,), (), "offboard")
+
+
+def test_only_another_machine_than_the_robot_goes_by_its_clock() -> None:
+    rows = process_table.rows("offboard", simulated=False)
+    here, away = (process_table.commands(rows, Choices(), ENDPOINTS, elsewhere=elsewhere) for elsewhere in (False, True))
+    assert not any("--elsewhere" in command.arguments for command in here)
+    assert all("--elsewhere" in command.arguments for command in away)

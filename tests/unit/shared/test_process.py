@@ -231,7 +231,7 @@ def test_a_signal_while_waiting_never_deadlocks(monkeypatch: pytest.MonkeyPatch)
 
     handled: list[bool] = []
 
-    def run_live(_service: object, _link: object, stop: threading.Event, _alive: object) -> None:
+    def run_live(_service: object, _link: object, stop: threading.Event, *_: object) -> None:
         handler: Any = signal.getsignal(signal.SIGTERM)
         thread = threading.Thread(target=handler, args=(signal.SIGTERM, None), daemon=True)
         with stop._cond:  # type: ignore[attr-defined]  # as inside stop.wait()

@@ -126,7 +126,8 @@ export class Panels {
       const silent = service.silent_s > 3;
       words.textContent = silent ? `silent for ${service.silent_s.toFixed(0)} s` : service.doing;
       line.className = silent ? "silent" : "";
-      line.title = Object.entries(service.stages).map(([stage, p99]) => `${stage}: p99 ${p99} ms`).join("\n");
+      const clock = service.robot_ahead_s ? [`another machine; the robot's clock is ${service.robot_ahead_s} s ahead of its own`] : [];
+      line.title = [...clock, ...Object.entries(service.stages).map(([stage, p99]) => `${stage}: p99 ${p99} ms`)].join("\n");
       line.append(name, words);
       return line;
     }));

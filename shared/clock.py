@@ -1,0 +1,86 @@
+"""What time it is: [ns] of the robot's monotonic clock, on whichever machine a process runs.
+
+Every stamp is in the robot's time. On the robot that is this machine's monotonic clock; elsewhere a process follows the
+robot's, by what the robot's own messages say of when they were sent. Of what has come within the last seconds, the one that was
+under way for the shortest time says it best, so what is followed is late by that way (some milliseconds) and never early: a
+plan seems older by it to the robot, and none seems newer than it is.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+
+_WINDOW_NS = 10_000_000_000  # over which the shortest way is looked for, and up to twice that: clocks drift by 0.1 ms in it
+_REBOOT_NS = 10_000_000_000  # by which what is said of the robot's time goes back only where its clock began anew
+
+
+class ClockError(RuntimeError):
+    """The robot's clock began anew: whatever remembers times of it must begin anew, too."""
+
+
+class RobotClock:
+    """The robot's monotonic clock as another machine knows it; safe for threads, and it never goes back."""
+
+    def __init__(self, own: Callable[[], int] = time.monotonic_ns):
+        """Begin with nothing heard.
+
+        Args:
+            own: [ns] this machine's monotonic clock.
+        """
+        self._own = own
+        self._lock = threading.Lock()
+        self._ahead_ns: list[int] = []  # the most by which the robot's was ahead, in this window and the last
+        self._window_ends_ns = 0
+        self._newest_ns = 0  # that the robot has said
+        self._told_ns = 0  # that this clock has told
+        self._began_anew = False
+
+    def heard(self, sent_ns: int) -> None:
+        """Something came just now that the robot sent at a time [ns] of its clock."""
+        with self._lock:
+            own_ns = self._own()
+            self._began_anew |= sent_ns < self._newest_ns - _REBOOT_NS
+            self._newest_ns = max(self._newest_ns, sent_ns)
+            ahead_ns = sent_ns - own_ns
+            if not self._ahead_ns:
+                self._ahead_ns, self._window_ends_ns = [ahead_ns], own_ns + _WINDOW_NS
+            elif own_ns >= self._window_ends_ns:
+                self._ahead_ns, self._window_ends_ns = [ahead_ns, self._ahead_ns[0]], own_ns + _WINDOW_NS
+            else:
+                self._ahead_ns[0] = max(self._ahead_ns[0], ahead_ns)
+
+    @property
+    def known(self) -> bool:
+        """Whether the robot has been heard."""
+        return bool(self._ahead_ns)
+
+    @property
+    def ahead_s(self) -> float:
+        """[s] by which the robot's clock is ahead of this machine's; 0 where nothing was heard."""
+        with self._lock:
+            return max(self._ahead_ns, default=0) * 1e-9
+
+    def __call__(self) -> int:
+        """[ns] now.
+
+        Raises:
+            ClockError: The robot's clock began anew, as after a reboot.
+        """
+        with self._lock:
+            if self._began_anew:
+                raise ClockError("the robot's clock began anew: it was switched off, or another robot answers by its name")
+            self._told_ns = max(self._told_ns, self._own() + max(self._ahead_ns, default=0))
+            return self._told_ns
+
+
+_clock: list[Callable[[], int]] = [time.monotonic_ns]
+
+
+def now_ns() -> int:
+    """The robot's time [ns], by the clock that this process goes by."""
+    return _clock[0]()
+
+
+def go_by(clock: Callable[[], int]) -> None:
+    """Let this process go by a clock; done once, before anything asks for the time."""
+    _clock[0] = clock
