@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from deploy.commands import servos
+from deploy.commands import keys, servos
 from deploy.commands.benches import (
     bench_accuracy,
     bench_bus,
@@ -39,6 +39,7 @@ from deploy.commands.walks import DEMOS, demo, run
 
 _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "shared.transport": "TransportError",
+    "shared.access": "AccessError",
     "services.console.recording.layout": "RecordingError",
     "deploy.video.story": "StoryError",
     "deploy.video.files": "FileError",
@@ -180,6 +181,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_plot(add)
 
     _add_benches(add, commands.add_parser("bench", help="what the stages are worth"))
+    _add_certificates(add, commands.add_parser("keys", help="certificates: who may meet the robot, and what each may do"))
     _add_topics(add, commands.add_parser("topics", help="what travels on the wire"))
     _add_servos(add, commands.add_parser("servos", help="from a box of servos to a robot: find, name, calibrate, test them"))
 
@@ -266,6 +268,7 @@ def _add_walks(add: Any) -> None:
     one.add_argument("--record-depth", metavar="DIR", help="also write the depth frames for `sextant replay` (with --lockstep)")
     one.add_argument("--connect", action="append", help="use services that already run, met here, e.g. tcp/127.0.0.1:7447")
     one.add_argument("--namespace", default="sextant", help="of those services (default %(default)s)")
+    _add_keys(one)
     one.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # a launcher's id, as every process of the table has it
     _add_seed_and_out(one)
 
@@ -321,9 +324,12 @@ def _add_robots(add: Any) -> None:
     words = "run these processes here, too: names of the table, e.g. mapper,planner"
     one.add_argument("--with", dest="also", action="append", default=[], metavar="NAMES", help=words)
     one.add_argument("--without", action="append", default=[], metavar="NAMES", help="leave these out: they run elsewhere")
-    one.add_argument("--listen", metavar="ENDPOINT", help="where to host this machine's router (default tcp/127.0.0.1:7447)")
-    words = "router of another machine that this one is chained to, whenever that is there: tcp/robot.local:7447"
+    words = "where to host this machine's router (default tcp/127.0.0.1:7447, with --keys also tls/0.0.0.0:7448)"
+    one.add_argument("--listen", action="append", metavar="ENDPOINT", help=words)
+    words = "router of another machine that this one is chained to, whenever that is there: tls/robot.local:7448"
     one.add_argument("--connect", action="append", metavar="ENDPOINT", help=words)
+    _add_keys(one)
+    one.add_argument("--open", action="store_true", help="let anybody in where the router listens; warns as long as it runs")
     one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
     one.add_argument("--set", action="append", default=[], metavar="SERVICE.KEY=VALUE", help="a setting of one service")
 
@@ -343,10 +349,24 @@ def _add_robots(add: Any) -> None:
     one.add_argument("--ros-connect", action="append", metavar="ENDPOINT", help=words)
     one.add_argument("--connect", action="append", default=None, help="router of the robot (default: tcp/127.0.0.1:7447)")
     one.add_argument("--namespace", default="sextant", help="prefix of every key of the robot (default %(default)s)")
+    _add_keys(one)
     one.add_argument("--robot", default="phantomx_mk2", help="profile by name, or path of a TOML file (default %(default)s)")
     words = "in which Twists walk (default %(default)s)"
     one.add_argument("--gait", default="tripod", choices=("tripod", "ripple", "wave"), help=words)
     one.add_argument("--pictures", action="store_true", help="also pass the camera's small pictures on")
+
+
+def _add_certificates(add: Any, parser: argparse.ArgumentParser) -> None:
+    group = parser.add_subparsers(required=True, metavar="WHAT")
+    one = add("new", keys.new, "make an authority and a folder of keys for each role", group)
+    one.set_defaults(name="keys new")
+    one.add_argument("folder", metavar="DIR", help="to make them in; what is there is not overwritten")
+    words = "at which the robot is reached, as often as it has some, e.g. hexapod.local or 192.168.1.20"
+    one.add_argument("--robot-address", action="append", default=[], metavar="NAME_OR_IP", help=words)
+    one.add_argument("--days", type=_positive, default=365, metavar="N", help="for which they are good (default %(default)s)")
+    one = add("show", keys.show, "say of each certificate its role, and when it ends", group)
+    one.set_defaults(name="keys show")
+    one.add_argument("folder", metavar="DIR", help="of `sextant keys new`, or one role's")
 
 
 def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
@@ -480,6 +500,12 @@ def _add_meeting(parser: argparse.ArgumentParser) -> None:
     words = "router of the robot (default: tcp/127.0.0.1:7447)"
     parser.add_argument("--connect", action="append", default=None, help=words)
     parser.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
+    _add_keys(parser)
+
+
+def _add_keys(parser: argparse.ArgumentParser) -> None:
+    words = "this machine's folder of `sextant keys new`, for endpoints of tls"
+    parser.add_argument("--keys", dest="key_folder", metavar="DIR", help=words)
 
 
 def _add_robot_and_gait(parser: argparse.ArgumentParser) -> None:

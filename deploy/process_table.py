@@ -266,15 +266,16 @@ def assignment(key: str, value: Value) -> str:
     return f'{key}="{escaped}"'
 
 
-def router_command(listen: str) -> Command:
-    """How to start the router as a process of its own, where no launcher hosts it."""
+def router_command(listen: str, more: tuple[str, ...] = ()) -> Command:
+    """How to start the router as a process of its own, where no launcher hosts it; `more` are further arguments."""
     port = int(listen.rpartition(":")[2])
-    return Command("router", ("-m", "deploy.router", "--listen", listen), ENVIRONMENT, restarts=3, ready_port=port)
+    return Command("router", ("-m", "deploy.router", *(more or ("--listen", listen))), ENVIRONMENT, restarts=3, ready_port=port)
 
 
 def _meeting(endpoints: Endpoints) -> tuple[str, ...]:
     found = tuple(word for endpoint in endpoints.connect for word in ("--connect", endpoint))
-    return (*found, *(("--scouting",) if endpoints.scouting else ()), "--namespace", endpoints.namespace)
+    keys = ("--keys", str(endpoints.keys.folder)) if endpoints.keys is not None else ()
+    return (*found, *(("--scouting",) if endpoints.scouting else ()), "--namespace", endpoints.namespace, *keys)
 
 
 def _set(assignments: Iterable[str]) -> tuple[str, ...]:

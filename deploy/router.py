@@ -4,19 +4,30 @@ import argparse
 import logging
 import signal
 import sys
+import time
 from collections.abc import Sequence
 
+from deploy import gate
 from deploy.process_table import ROUTER_ENDPOINT
+from shared.access import AccessError
 from shared.host import end_with
 from shared.transport import Router, TransportError
 
 _ENDS = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
+_WARN_S = 30.0  # between two warnings that it is open to anybody
+_LOOK_S = 1.0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Host the router until told to stop; 0 then, 2 when the address cannot be listened on."""
+    """Host the router until told to stop; 0 then, 2 when the address cannot be listened on or nobody should be let in."""
     parser = argparse.ArgumentParser(prog="python -m deploy.router", description="The router that the services meet at.")
-    parser.add_argument("--listen", action="append", help=f"endpoint to listen on (default {ROUTER_ENDPOINT})")
+    words = f"endpoint to listen on, as often as wanted (default {ROUTER_ENDPOINT}, with --keys also {gate.SECURE_ENDPOINT})"
+    parser.add_argument("--listen", action="append", default=[], help=words)
+    words = "router of another machine that this one is chained to, as often as wanted"
+    parser.add_argument("--connect", action="append", default=[], help=words)
+    parser.add_argument("--keys", metavar="DIR", help="let in by certificates: the folder with this machine's")
+    parser.add_argument("--open", action="store_true", help="let anybody in")
+    parser.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     arguments = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="router: %(message)s")
@@ -24,13 +35,29 @@ def main(argv: Sequence[str] | None = None) -> int:
         end_with(arguments.parent)
     signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)  # before the router's threads, which inherit it
     try:
-        with Router(tuple(arguments.listen or (ROUTER_ENDPOINT,))):
-            logging.info("listening on %s", ", ".join(arguments.listen or (ROUTER_ENDPOINT,)))
-            signal.sigwait(_ENDS)
-    except TransportError as error:
+        given, upstream = arguments.listen, tuple(arguments.connect)
+        gated = gate.of_arguments(given, arguments.keys, arguments.open, arguments.namespace, ROUTER_ENDPOINT, upstream)
+        with Router(gated.listen, gated.upstream, gated.configuration()):
+            logging.info("listening on %s", ", ".join(gated.listen))
+            _keep(gated.warning())
+    except (TransportError, AccessError) as error:
         logging.error("%s", error)
         return 2
     return 0
+
+
+def _keep(warning: str) -> None:
+    """Wait to be told to end, and warn now and then."""
+    if not warning:
+        signal.sigwait(_ENDS)
+        return
+    due_s = 0.0
+    while True:
+        if time.monotonic() >= due_s:
+            logging.warning("%s", warning)
+            due_s = time.monotonic() + _WARN_S
+        if signal.sigtimedwait(_ENDS, _LOOK_S) is not None:
+            return
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from shared import clock, codec, config, topics
+from shared.access import Keys
 from shared.host import end_with, go_first, keep_memory
 from shared.robot import RobotProfile, load_profile
 from shared.service import Service, run_live
@@ -64,7 +65,8 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
         try:
             profile = load_profile(arguments.robot)
             settings = load_settings(schema, arguments.config, arguments.set)
-            endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace)
+            keys = Keys.load(Path(arguments.keys)) if arguments.keys else None
+            endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace, keys)
             watchdog = stack.enter_context(Watchdog(os.environ))
             link = stack.enter_context(ZenohLink(endpoints))
             ahead_s = _follow_robot(link, stop, watchdog.beat) if arguments.elsewhere else lambda: 0.0
@@ -163,6 +165,7 @@ def _parser(name: str, package: str, schema: type[Any]) -> argparse.ArgumentPars
     parser.add_argument("--connect", action="append", default=[], help="endpoint to connect to, e.g. tcp/127.0.0.1:7447")
     parser.add_argument("--scouting", action="store_true", help="find the others by multicast instead")
     parser.add_argument("--namespace", default="sextant", help="prefix of every key; runs with different ones do not meet")
+    parser.add_argument("--keys", metavar="DIR", help="certificate of this machine, for endpoints of tls")
     parser.add_argument("--config", help="TOML file with settings")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one setting of: {known}")
     parser.add_argument("--elsewhere", action="store_true", help="this is not the robot's machine: go by the robot's clock")

@@ -7,13 +7,15 @@ a frozen peer would block for seconds. Sessions are closed under all circumstanc
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
 import zenoh
 
+from shared.access import Keys
+from shared.handshake import refusal
 from shared.topics import Delivery, Lane, Topic
 
 CLOSE_TIMEOUT_S = 1.5  # closing waits for peers, a frozen one would hold it for 13 s
@@ -41,10 +43,14 @@ class Endpoints:
     connect: tuple[str, ...] = ()  # e.g. tcp/127.0.0.1:7447
     scouting: bool = False
     namespace: str = "sextant"
+    keys: Keys | None = None  # of this machine, for endpoints of tls
 
     def __post_init__(self) -> None:
         if not self.scouting and not self.connect:
             raise ValueError("with scouting off an endpoint to connect to is needed, e.g. tcp/127.0.0.1:7447")
+        secure = [endpoint for endpoint in self.connect if endpoint.startswith("tls/")]
+        if secure and self.keys is None:
+            raise ValueError(f"{', '.join(secure)} asks for a certificate: give the folder of this machine's with --keys DIR")
 
     def zenoh_config(self) -> dict[str, Any]:
         """The Zenoh configuration, complete: defaults would listen everywhere and scout."""
@@ -54,11 +60,17 @@ class Endpoints:
             listen=("tcp/0.0.0.0:0",) if self.scouting else (),
             scouting=self.scouting,
             namespace=self.namespace,
+            access=self.keys.connecting() if self.keys is not None else {},
         )
 
 
 def _config(
-    mode: str, connect: tuple[str, ...], listen: tuple[str, ...], scouting: bool, namespace: str | None
+    mode: str,
+    connect: tuple[str, ...],
+    listen: tuple[str, ...],
+    scouting: bool,
+    namespace: str | None,
+    access: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     config: dict[str, Any] = {
         "mode": mode,
@@ -72,7 +84,16 @@ def _config(
     }
     if namespace is not None:
         config["namespace"] = namespace
-    return config
+    return _merged(config, access or {})
+
+
+def _merged(config: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration with more in it, tables within tables likewise."""
+    made = dict(config)
+    for key, value in more.items():
+        there = made.get(key)
+        made[key] = _merged(there, value) if isinstance(there, dict) and isinstance(value, dict) else value
+    return made
 
 
 def _router_config(listen: tuple[str, ...], upstream: tuple[str, ...]) -> dict[str, Any]:
@@ -123,14 +144,15 @@ def _close(sessions: list[zenoh.Session]) -> None:
 class Router:
     """Hosts the router in this process, so that no zenohd binary is needed; a context manager."""
 
-    def __init__(self, listen: tuple[str, ...], upstream: tuple[str, ...] = ()):
+    def __init__(self, listen: tuple[str, ...], upstream: tuple[str, ...] = (), access: Mapping[str, Any] | None = None):
         """Prepare.
 
         Args:
             listen: Endpoints to listen on, e.g. tcp/127.0.0.1:7447.
             upstream: Endpoints of routers that this one is chained to, whenever they are there.
+            access: Configuration that says who may do what (`shared.access`).
         """
-        self._config = _router_config(listen, upstream)
+        self._config = _merged(_router_config(listen, upstream), access or {})
 
     def __enter__(self) -> Self:
         self._session = _open(self._config)
@@ -221,6 +243,7 @@ class ZenohLink:
 
     def __enter__(self) -> Self:
         config = self._endpoints.zenoh_config()
+        self._see_whether_let_in()
         try:
             for lane in Lane:
                 self._sessions[lane] = _open(config)
@@ -231,6 +254,13 @@ class ZenohLink:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         _close(list(self._sessions.values()))
+
+    def _see_whether_let_in(self) -> None:
+        """Say why at once, where opening would only say after its timeout that it could not be."""
+        keys, endpoints = self._endpoints.keys, self._endpoints.connect
+        refusals = [refusal(endpoint, keys) if keys and endpoint.startswith("tls/") else "" for endpoint in endpoints]
+        if refusals and all(refusals):
+            raise TransportError("; ".join(refusals))
 
     def send(self, topic: Topic[Any], frame: bytes) -> None:
         """Publish a frame; under congestion it is dropped, never waited for."""

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from deploy.progress import Progress
     from shared.scenario import Scenario
+    from shared.transport import Endpoints
 
+ROUTER = "tcp/127.0.0.1:7447"  # of the robot, where no other is named
 SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -29,6 +31,23 @@ def complain(text: str) -> None:
     """Print a line of what went wrong."""
     sys.stderr.write(text + "\n")
     sys.stderr.flush()
+
+
+def met(arguments: argparse.Namespace) -> "Endpoints":
+    """Where the robot is met, by the keys that are given.
+
+    Raises:
+        AccessError: The keys are wrong.
+        InputError: An endpoint needs keys, and there are none.
+    """
+    from shared.access import Keys
+    from shared.transport import Endpoints
+
+    keys = Keys.load(Path(arguments.key_folder)) if arguments.key_folder else None
+    try:
+        return Endpoints(tuple(arguments.connect or [ROUTER]), namespace=arguments.namespace, keys=keys)
+    except ValueError as error:
+        raise InputError(str(error)) from None
 
 
 def out_folder(arguments: argparse.Namespace, name: str) -> Path:

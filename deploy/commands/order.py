@@ -2,10 +2,9 @@
 
 import argparse
 
-from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, complain, say
+from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, met, say
 
 _LOOK_S = 0.05
-_ROUTER = "tcp/127.0.0.1:7447"
 
 
 def order(arguments: argparse.Namespace) -> int:
@@ -17,12 +16,14 @@ def order(arguments: argparse.Namespace) -> int:
     from deploy.order import Order
     from shared import codec, topics
     from shared.service import run_live
-    from shared.transport import Endpoints, ZenohLink
+    from shared.transport import ZenohLink
 
     given = Order(arguments.what, arguments.holder, arguments.take)
-    met = Endpoints(tuple(arguments.connect or [_ROUTER]), namespace=arguments.namespace)
+    endpoints = met(arguments)
+    if endpoints.keys is not None and (refused := endpoints.keys.refusal(given.writes)):
+        raise InputError(refused)
     stop, told = threading.Event(), ""
-    with Interrupts() as interrupts, ZenohLink(met) as link:
+    with Interrupts() as interrupts, ZenohLink(endpoints) as link:
         running = threading.Thread(target=run_live, args=(given, link, stop), name="order")
         running.start()
         try:

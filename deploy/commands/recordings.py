@@ -5,12 +5,11 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say
+from deploy.commands.common import FAILED, SUCCESS, InputError, complain, met, open_progress, out_folder, say
 
 if TYPE_CHECKING:
     from services.console.recording.live import LiveRecorder, Sink
 
-_ROUTER = "tcp/127.0.0.1:7447"
 _LOOK_S = 0.2
 _SHOW_S = 5.0
 _SILENCE_S = 3.0  # without a message, after which that is said
@@ -69,10 +68,10 @@ def _listen(arguments: argparse.Namespace, sink: "Sink", seconds: float | None =
 
     from deploy.interrupts import Interrupts
     from services.console.recording.live import LiveRecorder
-    from shared.transport import Endpoints, ZenohLink
+    from shared.transport import ZenohLink
 
-    met = Endpoints(tuple(arguments.connect or [_ROUTER]), namespace=arguments.namespace)
-    with Interrupts() as interrupts, ZenohLink(met) as link, LiveRecorder(sink) as recording:
+    endpoints = met(arguments)
+    with Interrupts() as interrupts, ZenohLink(endpoints) as link, LiveRecorder(sink) as recording:
         recording.listen(link, time.monotonic_ns)
         began = shown = time.monotonic()
         while not interrupts.asked() and not recording.problem:
@@ -81,7 +80,7 @@ def _listen(arguments: argparse.Namespace, sink: "Sink", seconds: float | None =
                 break
             if now - shown >= (_SHOW_S if recording.taken else _SILENCE_S):
                 shown = now
-                say(_progress(recording, now - began, met.connect[0]))
+                say(_progress(recording, now - began, endpoints.connect[0]))
             time.sleep(_LOOK_S)
     return recording
 

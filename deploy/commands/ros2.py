@@ -2,9 +2,8 @@
 
 import argparse
 
-from deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, say
+from deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, met, say
 
-_ROUTER = "tcp/127.0.0.1:7447"
 _LOOK_S = 0.1
 
 
@@ -23,14 +22,19 @@ def ros2(arguments: argparse.Namespace) -> int:
     from shared import codec, topics
     from shared.robot import load_profile
     from shared.service import run_live
-    from shared.transport import Endpoints, ForeignLink, ZenohLink
+    from shared.transport import ForeignLink, ZenohLink
 
     profile = load_profile(arguments.robot)
-    connect = tuple(arguments.connect or [_ROUTER])
     lead = Lead(Walk(profile.stance.max_speed, profile.stance.body_height, gait=arguments.gait))
-    met = Endpoints(connect, namespace=arguments.namespace)
+    endpoints = met(arguments)
+    if endpoints.keys is not None and not arguments.ros_connect:
+        raise InputError("nodes of ROS have no certificates: name their router, on this machine, with --ros-connect")
     stop = threading.Event()
-    with Interrupts() as interrupts, ZenohLink(met) as link, ForeignLink(tuple(arguments.ros_connect or connect)) as wire:
+    with (
+        Interrupts() as interrupts,
+        ZenohLink(endpoints) as link,
+        ForeignLink(tuple(arguments.ros_connect or endpoints.connect)) as wire,
+    ):
         try:
             node = Node(arguments.domain, wire.id, "sextant", arguments.ros_namespace)
         except ValueError as error:

@@ -7,13 +7,12 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
+from deploy.commands.common import FAILED, INTERRUPTED, ROUTER, SUCCESS, InputError, complain, met, say
 
 if TYPE_CHECKING:
     from deploy.overheard import Heard
     from shared.service import AnyTopic
 
-_ROUTER = "tcp/127.0.0.1:7447"
 _LOOK_S = 0.1
 
 
@@ -48,11 +47,11 @@ def echo(arguments: argparse.Namespace) -> int:
     """`sextant topics echo`: messages one at a time, until Ctrl-C or as many as are asked for."""
     from deploy.interrupts import Interrupts
     from deploy.overheard import Mailbox, listen
-    from shared.transport import Endpoints, ZenohLink
+    from shared.transport import ZenohLink
 
     wanted, told = _wanted(arguments), 0
-    mailbox, met = Mailbox(), Endpoints(tuple(arguments.connect or [_ROUTER]), namespace=arguments.namespace)
-    with Interrupts() as interrupts, ZenohLink(met) as link:
+    mailbox, endpoints = Mailbox(), met(arguments)
+    with Interrupts() as interrupts, ZenohLink(endpoints) as link:
         listen(link, wanted, mailbox.take, time.monotonic_ns)
         patience_ns = time.monotonic_ns() + round(arguments.within * 1e9)
         while not interrupts.asked():
@@ -89,11 +88,11 @@ def hz(arguments: argparse.Namespace) -> int:
     from deploy import rates
     from deploy.interrupts import Interrupts
     from deploy.overheard import listen
-    from shared.transport import Endpoints, ZenohLink
+    from shared.transport import ZenohLink
 
     wanted = _wanted(arguments)
-    counted, met = rates.Rates(wanted), Endpoints(tuple(arguments.connect or [_ROUTER]), namespace=arguments.namespace)
-    with Interrupts() as interrupts, ZenohLink(met) as link:
+    counted, endpoints = rates.Rates(wanted), met(arguments)
+    with Interrupts() as interrupts, ZenohLink(endpoints) as link:
         began_ns = time.monotonic_ns()
         listen(link, wanted, counted.take, time.monotonic_ns)
         duration_s = _wait(arguments.seconds, began_ns, interrupts.asked)
@@ -124,7 +123,7 @@ def _wanted(arguments: argparse.Namespace) -> "tuple[AnyTopic, ...]":
 
 
 def _silent(wanted: "tuple[AnyTopic, ...]", arguments: argparse.Namespace) -> int:
-    where = ", ".join(arguments.connect or [_ROUTER])
+    where = ", ".join(arguments.connect or [ROUTER])
     what = wanted[0].key if len(wanted) == 1 else f"any of {len(wanted)} topics"
     complain(
         f"sextant {arguments.name}: nothing was heard of {what} within {arguments.within:.3g} s at {where}, namespace "

@@ -14,6 +14,10 @@ from typing import TYPE_CHECKING
 from deploy.commands.common import FAILED, INTERRUPTED, InputError, asked_robot, complain, say
 
 if TYPE_CHECKING:
+    import contextlib
+
+    from deploy.gate import Gate
+    from deploy.launcher import Launcher
     from deploy.process_table import Choices, Process
 
 
@@ -26,7 +30,7 @@ def up(arguments: argparse.Namespace) -> int:
     from deploy.launcher import Launcher
     from deploy.meeting import Meeting
     from deploy.provenance import version
-    from shared.transport import Endpoints, Router, ZenohLink
+    from shared.transport import Endpoints, ZenohLink
 
     rows = _rows(arguments)
     chosen = _choices(arguments)
@@ -41,11 +45,13 @@ def up(arguments: argparse.Namespace) -> int:
     process_table.new_robot(chosen)
     with contextlib.ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
-        listen, upstream = _listen(arguments), tuple(arguments.connect or ())
-        stack.enter_context(Router((listen,), upstream))
-        endpoints = Endpoints((_near(listen),), namespace=arguments.namespace)
-        chained = f", chained to {', '.join(upstream)}" if upstream else ""
-        say(f"router on {listen}{chained}; others join with --connect {listen} --namespace {arguments.namespace}")
+        gated = _gate(arguments, rows)
+        near = _near(gated.listen[0])
+        router = _host(gated, near, stack)
+        endpoints = Endpoints((near,), namespace=arguments.namespace)
+        chained = f", chained to {', '.join(gated.upstream)}" if gated.upstream else ""
+        joined = f"--connect {gated.listen[-1]} --namespace {arguments.namespace}{' --keys DIR' if gated.keys else ''}"
+        say(f"router on {', '.join(gated.listen)}{chained}; others join with {joined}")
         commands = process_table.commands(rows, chosen, endpoints, extra, elsewhere=arguments.role == "offboard")
         link = stack.enter_context(ZenohLink(endpoints))
         names, machine = [row.name for row in rows], f"{socket.gethostname()}-{os.getpid()}"
@@ -59,7 +65,7 @@ def up(arguments: argparse.Namespace) -> int:
             if meeting.refused:
                 complain(f"sextant up: {meeting.refused}")
                 return FAILED
-            for ended in launcher.wait(0.2):
+            for ended in (*launcher.wait(0.2), *(router.poll() if router is not None else ())):
                 complain(str(ended))
                 if not ended.restarted:
                     complain("stopping the others; `sextant doctor` checks what a process needs")
@@ -84,13 +90,27 @@ def _names(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for word in words for name in word.split(",") if name)
 
 
-def _listen(arguments: argparse.Namespace) -> str:
-    """Where the router of this machine listens: as it is asked for, else where it usually does, else on a free port."""
+def _gate(arguments: argparse.Namespace, rows: "Sequence[Process]") -> "Gate":
+    """Where this machine's router listens, to which it is chained, and whom it lets in.
+
+    Raises:
+        AccessError: Anybody would be let in, and it was not said that they should; or the keys are wrong.
+    """
+    from deploy import gate
+
+    keys, upstream = arguments.key_folder, tuple(arguments.connect or ())
+    gated = gate.of_arguments(arguments.listen or [], keys, arguments.open, arguments.namespace, _usual(arguments), upstream)
+    gated.configuration()  # what is wrong with the keys is told before anything starts
+    if misplaced := gated.misplaced([row.name for row in rows]):
+        raise InputError(misplaced)
+    return gated
+
+
+def _usual(arguments: argparse.Namespace) -> str:
+    """Where processes of this machine meet: as usual, or on a free port."""
     from deploy.launcher import free_port, port_taken
     from deploy.process_table import ROUTER_ENDPOINT
 
-    if arguments.listen:
-        return str(arguments.listen)
     if not (arguments.connect and port_taken(int(ROUTER_ENDPOINT.rpartition(":")[2]))):
         return ROUTER_ENDPOINT
     return f"tcp/127.0.0.1:{free_port()}"  # beside another machine's half, on one machine
@@ -99,6 +119,27 @@ def _listen(arguments: argparse.Namespace) -> str:
 def _near(listen: str) -> str:
     """How processes of this machine reach a router that listens everywhere."""
     return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/127.0.0.1:", listen)
+
+
+def _host(gated: "Gate", near: str, stack: "contextlib.ExitStack") -> "Launcher | None":
+    """Host the router: in this process, or where somebody may be refused in one of its own, which hears whom.
+
+    Raises:
+        TransportError: It did not come up.
+    """
+    from deploy import process_table
+    from deploy.launcher import Launcher, port_taken
+    from shared.transport import Router, TransportError
+
+    if not gated.guarded:
+        stack.enter_context(Router(gated.listen, gated.upstream))
+        return None
+    launcher = stack.enter_context(Launcher((process_table.router_command(near, gated.words()),), hear=_pass_on))
+    while not port_taken(int(near.rpartition(":")[2])):
+        for ended in launcher.wait(0.05):
+            if not ended.restarted:
+                raise TransportError(f"the router did not come up: {ended}")
+    return launcher
 
 
 def _choices(arguments: argparse.Namespace) -> "Choices":

@@ -14,6 +14,7 @@ from deploy.commands.common import (
     InputError,
     asked_scenario,
     complain,
+    met,
     open_progress,
     out_folder,
     say,
@@ -141,6 +142,4 @@ def _tell(report: "Report", out: Path, as_json: bool) -> int:
 def _attach(arguments: argparse.Namespace) -> "Endpoints | None":
     if not arguments.connect:
         return None
-    from shared.transport import Endpoints
-
-    return Endpoints(tuple(arguments.connect), namespace=arguments.namespace)
+    return met(arguments)

@@ -1,0 +1,52 @@
+"""`sextant keys`: certificates of a robot and of those that may meet it."""
+
+import argparse
+from datetime import UTC, datetime
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from deploy.commands.common import SUCCESS, InputError, say
+
+if TYPE_CHECKING:
+    from deploy.authority import Held
+
+
+def new(arguments: argparse.Namespace) -> int:
+    """`sextant keys new`: an authority, and a folder of keys for each role."""
+    authority = _authority()
+    folder = Path(arguments.folder)
+    try:
+        made: tuple[Held, ...] = authority.new(folder, arguments.robot_address, arguments.days)
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror}; name another folder") from None
+    say(f"{folder / 'ca'}: the authority; keep it where nobody else is, it is needed by no machine that runs")
+    for one in made:
+        say(f"{one.file.parent}: for {_what(one.role)}; until {one.ends:%Y-%m-%d}")
+    if not arguments.robot_address:
+        say("the robot listens on this machine's loopback alone by these names; give --robot-address NAME_OR_IP for others")
+    say("copy to each machine the folder of its role, and start it with --keys FOLDER")
+    return SUCCESS
+
+
+def show(arguments: argparse.Namespace) -> int:
+    """`sextant keys show`: of each certificate its role, and when it ends."""
+    for one in _authority().held(Path(arguments.folder)):
+        days = (one.ends - datetime.now(UTC)).total_seconds() / 86400.0
+        ends = f"in {days:.0f} days" if days > 0 else f"{-days:.0f} days ago"
+        say(f"{one.role:<8} until {one.ends:%Y-%m-%d %H:%M} UTC, {ends}: {one.file}")
+    return SUCCESS
+
+
+def _what(role: str) -> str:
+    from shared.access import ROLE_NAMED
+
+    return ROLE_NAMED[role].what
+
+
+def _authority() -> ModuleType:
+    try:
+        from deploy import authority
+    except ImportError as error:
+        raise InputError(f"{error}; certificates are made with cryptography: pip install 'sextant[access]'") from None
+    return authority
