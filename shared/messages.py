@@ -243,6 +243,11 @@ class Scan(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class ScanReceipt(Message):
+    """That a scan has come, by its stamp; mapper -> perception, which sends no more than the link carries."""
+
+
+@dataclass(frozen=True, slots=True)
 class TerrainMap(Message):
     """Terrain around the robot; mapper -> planner, console. Cell (i, j) is centred at origin + resolution * (i, j)."""
 

@@ -57,6 +57,7 @@ ODOMETRY = Topic("actuator/odometry", m.Odometry, 50.0, Delivery.EVERY, Lane.CON
 ACTUATOR_STATE = Topic("actuator/state", m.ActuatorState, 25.0, Delivery.LATEST, Lane.CONTROL, 64 * _KIB, 0.015)
 BODY_POSE = Topic("perception/pose", m.BodyPose, 15.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.010)
 SCAN = Topic("perception/scan", m.Scan, 15.0, Delivery.LATEST, Lane.BULK, 128 * _KIB, 0.012)
+SCAN_RECEIPT = Topic("mapper/receipt", m.ScanReceipt, 15.0, Delivery.LATEST, Lane.CONTROL, 1 * _KIB, 0.004)
 TERRAIN = Topic("mapper/terrain", m.TerrainMap, 7.5, Delivery.LATEST, Lane.BULK, 8192 * _KIB, 0.039)
 PASSAGE_REQUEST = Topic("passage/request", m.PassageRequest, 2.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
 PASSAGE = Topic("mapper/passage", m.PassageMap, 2.0, Delivery.LATEST, Lane.BULK, 2048 * _KIB, 0.090)
@@ -83,6 +84,7 @@ TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
     ACTUATOR_STATE,
     BODY_POSE,
     SCAN,
+    SCAN_RECEIPT,
     TERRAIN,
     PASSAGE_REQUEST,
     PASSAGE,

@@ -21,13 +21,14 @@ from services.mapper.touch import TouchWatch
 from shared import topics
 from shared.color import from_codes
 from shared.geometry import Array, apply, is_rigid
-from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, TerrainMap
+from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, ScanReceipt, TerrainMap
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
 
 # What is unknown may be the edge of a block seen from below, so a foot keeps as far from it as from an edge.
 _WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 
+_SLACK_NS = 10_000_000  # [ns] by which scans may come unevenly
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a scan that was overtaken may be late
 _FROM_BODY = 1.0  # [m] from the body to the camera, beyond which pose and scan have nothing to do with each other
 _FROM_CAMERA = 1.0  # [m] from the camera to the origin of its scan, which is a corner of the cell that the camera is in
@@ -47,7 +48,7 @@ class Mapper:
     name = "mapper"
     paced_by: AnyTopic = topics.SCAN
     reads: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.ACTUATOR_STATE, topics.PASSAGE_REQUEST)
-    writes: tuple[AnyTopic, ...] = (topics.TERRAIN, topics.PASSAGE)
+    writes: tuple[AnyTopic, ...] = (topics.SCAN_RECEIPT, topics.TERRAIN, topics.PASSAGE)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Begin with an unknown world."""
@@ -69,6 +70,7 @@ class Mapper:
         self._scans = 0
         self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest scan that was mapped
         self._refused = ""  # why the newest scan was not, in words
+        self._unpublished, self._published_ns = 0, -1  # scans since the newest map, and its stamp
         self._known = 0.0  # share of the cells
         self._survey: Survey | None = None
         self._surveyed = 0  # scans since the survey of this strip began
@@ -83,7 +85,8 @@ class Mapper:
         return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{risen}{surveying}"
 
     def step(self, scan: Scan, inbox: Inbox) -> Iterator[Message]:
-        """Fuse one scan; every few of them score and publish the map."""
+        """Fuse one scan; every few of them, or in the time of those where a link lets fewer pass, score and publish the map."""
+        yield ScanReceipt(scan.stamp_ns)
         pose, legs = inbox.latest(topics.BODY_POSE), inbox.latest(topics.ACTUATOR_STATE)
         centre = scan.p_world_camera if pose is None else pose.T_world_body[:3, 3]
         self._refused = self._objection(scan, pose, centre)
@@ -116,7 +119,11 @@ class Mapper:
             with self.stages("terrain type"):
                 self._learn(scan, pose, legs)
         self._scans += 1
-        if self._scans % self._settings.publish_every == 0:
+        self._unpublished += 1
+        usual_ns = round(1e9 * self._settings.publish_every / topics.SCAN.rate_hz) + _SLACK_NS
+        late = 0 <= self._published_ns <= scan.stamp_ns - usual_ns
+        if late or self._unpublished >= self._settings.publish_every:
+            self._unpublished, self._published_ns = 0, scan.stamp_ns
             yield self._terrain(scan.stamp_ns, pose)
         request = inbox.fresh(topics.PASSAGE_REQUEST)
         if request is None:

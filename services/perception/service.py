@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from services.perception.cameras.watch import EMPTY, is_noise, measured_share
 from services.perception.coloring import Coloring
 from services.perception.config import Settings
+from services.perception.link_care import LinkCare
 from services.perception.motion import Motion, OdometryHistory
 from services.perception.preview import preview
 from services.perception.reduction import reduce_scan
@@ -37,7 +38,7 @@ class Perception:
 
     name = "perception"
     paced_by: AnyTopic = topics.DEPTH
-    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.COLOR)
+    reads: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE, topics.COLOR, topics.SCAN_RECEIPT)
     writes: tuple[AnyTopic, ...] = (topics.BODY_POSE, topics.SCAN, topics.PREVIEW)
 
     def __init__(self, profile: RobotProfile, settings: Settings):
@@ -67,16 +68,24 @@ class Perception:
         self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest frame
         self._every = settings.frames_per_scan(profile.camera.sensor.rate_hz)
         self._picture: tuple[NDArray[np.uint16], int, Motion | None] | None = None  # a sample, since when, and where
+        self._link = LinkCare()
         self._words = "waiting for the first frame"
 
     def doing(self) -> str:
-        """How the registration fares."""
-        return self._words
+        """How the registration fares, and the link to the map."""
+        allowed = self._link.allowance
+        if self._link.share == 1.0:
+            return self._words
+        carries = f"the link to the map carries {allowed.scans:.0%} of the scans, and {allowed.points:.0%} of their points"
+        return f"{self._words}; {carries}"
 
     def step(self, image: DepthImage, inbox: Inbox) -> Iterator[Message]:
         """Find the pose of every few frames, and pass them on as scans; between them the legs' odometry carries the pose."""
         for message in inbox.drain(topics.ODOMETRY):
             self._odometry.add(message)
+        for receipt in inbox.drain(topics.SCAN_RECEIPT):
+            self._link.received(receipt.stamp_ns, inbox.now_ns)
+        self._link.look(inbox.now_ns)
         self._frames += 1
         used = self._frames % self._every == 0
         if self._coloring is not None and not used:
@@ -120,8 +129,11 @@ class Perception:
         yield self._pose(found, motion)
         if useless or not (found.ok or self._sees_nothing_yet(image, motion)):
             return  # what lies who knows where is no ground: the map is left to grow old, and whoever walks by it stops
+        if not self._link.wants():
+            return
         with self.stages("reduction"):
             scan = self._scan(image, found)
+        self._link.sent(scan.stamp_ns, inbox.now_ns)
         if self._coloring is not None:
             self._coloring.keep(image.stamp_ns, image.depth, np.array(found.T_world_camera))
             scan = self._colored(scan, inbox.latest(topics.COLOR), self._coloring)
@@ -242,7 +254,7 @@ class Perception:
             found.T_world_camera,
             resolution=settings.scan_resolution,
             max_range=settings.scan_range,
-            max_points=settings.scan_points,
+            max_points=max(1, round(self._link.allowance.points * settings.scan_points)),
             ceiling=settings.scan_ceiling,
         )
         return Scan(

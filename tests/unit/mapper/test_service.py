@@ -1,5 +1,6 @@
 """The mapper as a service: what it assumes, what it measures, when it speaks."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from services.planner.terrain import Terrain
 from shared import codec, topics
 from shared.color import codes, ycocg_from_rgb
 from shared.geometry import Array, apply, from_xyz_rpy
-from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, TerrainMap
+from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, ScanReceipt, TerrainMap
 from shared.robot import load_profile
 from shared.service import Inbox
 from tests.support.states import actuator_state
@@ -44,6 +45,12 @@ def ground_scan(stamp_ns: int, height: float, x: tuple[float, float] = (0.5, 1.0
         p_world_camera=np.array([0.1, 0.0, 0.25]),
         pose_covariance=np.eye(6) * 1e-6,
     )
+
+
+def without_receipt(made: Iterable[Message]) -> list[Message]:
+    receipt, *rest = made
+    assert isinstance(receipt, ScanReceipt)
+    return rest
 
 
 class Rig:
@@ -154,6 +161,23 @@ def test_feet_in_the_air_are_no_ground() -> None:
     np.testing.assert_allclose(Terrain(map_).heights(np.array([[0.0, 0.0], [0.2, 0.1]])), 0.0, atol=1e-6)
 
 
+def test_where_a_link_lets_few_scans_pass_each_of_them_makes_a_map() -> None:
+    rig = Rig(replace(SETTINGS, publish_every=2))
+    rig.stand(at())
+    maps = [len(rig.scan()) for _ in range(4)]
+    for _ in range(4):
+        rig.now_ns += 150 * MS
+        maps.append(len(rig.scan()))
+    assert maps == [0, 1, 0, 1, 1, 1, 1, 1]
+
+
+def test_every_scan_is_said_to_have_come_before_it_is_mapped() -> None:
+    rig = Rig()
+    rig.stand(at())
+    scan = ground_scan(rig.now_ns, 0.0)
+    assert next(iter(rig.mapper.step(scan, rig.inbox))) == ScanReceipt(scan.stamp_ns)
+
+
 @pytest.mark.parametrize("every", [1, 2, 4])
 def test_every_so_many_scans_make_a_map_with_the_stamp_of_the_newest(every: int) -> None:
     rig = Rig(replace(SETTINGS, publish_every=every))
@@ -199,7 +223,7 @@ def surveyed(
         rig.hear(legs(swing))
         rig.now_ns += 66 * MS
         rig.inbox.now_ns = rig.now_ns
-        made = list(rig.mapper.step(ground_scan(rig.now_ns, height, x), rig.inbox))
+        made = without_receipt(rig.mapper.step(ground_scan(rig.now_ns, height, x), rig.inbox))
         told += [codec.decode(codec.encode(m), PassageMap)[0] for m in made if isinstance(m, PassageMap)]
     return told
 
@@ -216,7 +240,7 @@ def test_a_passage_is_told_of_while_somebody_asks_and_only_then() -> None:
     assert "surveying" in rig.mapper.doing()
     rig.now_ns += 1600 * MS
     rig.inbox.now_ns = rig.now_ns
-    made = list(rig.mapper.step(ground_scan(rig.now_ns, 0.0), rig.inbox))
+    made = without_receipt(rig.mapper.step(ground_scan(rig.now_ns, 0.0), rig.inbox))
     assert [type(m) for m in made] == [TerrainMap]
     assert "surveying" not in rig.mapper.doing()
 
@@ -397,7 +421,7 @@ def test_feet_far_from_the_map_tell_nothing_of_the_ground(lifted: float) -> None
         rig.hear(replace(legs(swing), stamp_ns=rig.now_ns, step=step, phase=phase))
         seen = ground_scan(rig.now_ns, 0.0, x=(-0.4, 0.4))
         colored = replace(seen, color=codes(np.full((len(seen.points_mm), 3), 120, dtype=np.uint8)))
-        (made,) = rig.mapper.step(colored, rig.inbox)
+        (made,) = without_receipt(rig.mapper.step(colored, rig.inbox))
         assert isinstance(made, TerrainMap)
         confidence.append(made.confidence)
     np.testing.assert_array_equal(confidence[2], confidence[1])
@@ -408,7 +432,7 @@ def test_a_scan_in_colour_is_mapped_without_it_for_a_robot_that_has_none() -> No
     rig.hear(legs(np.zeros(6, dtype=np.bool_)))
     seen = ground_scan(rig.now_ns, 0.0, x=(-0.4, 0.4))
     colored = replace(seen, color=codes(np.full((len(seen.points_mm), 3), 120, dtype=np.uint8)))
-    (made,) = rig.mapper.step(colored, rig.inbox)
+    (made,) = without_receipt(rig.mapper.step(colored, rig.inbox))
     assert isinstance(made, TerrainMap)
     assert np.isfinite(made.elevation).any()
     assert made.color.size == 0
