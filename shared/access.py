@@ -48,20 +48,20 @@ _SEEN = (  # what a page shows, and what is small
     *(t.CAMERA_STATE, t.TERRAIN, t.PREVIEW, t.HEALTH, t.RECORDER_STATE, t.VELOCITY, t.GOAL, t.MODE, t.RECORD, t.PRESENCE),
 )
 _EVERYBODY = (t.HEALTH, t.PRESENCE)  # how its processes fare, and which they are
-_PLANNED = (t.TERRAIN, t.PASSAGE, t.PASSAGE_REQUEST, t.PASSAGE_PLAN, t.STEP_PLAN, t.PLANNER_STATUS)
+_PLANNED = (t.SCAN_RECEIPT, t.TERRAIN, t.PASSAGE, t.PASSAGE_REQUEST, t.PASSAGE_PLAN, t.STEP_PLAN, t.PLANNER_STATUS)
 _LED = (t.VELOCITY, t.GOAL, t.MODE, t.RECORD)
 ROLES: tuple[Role, ...] = (
     Role(
         "robot",
         "the robot's computer: actuator, stop, camera, perception",
         (t.DEPTH, t.COLOR, t.CAMERA_STATE, t.PREVIEW, t.ODOMETRY, t.ACTUATOR_STATE, t.BODY_POSE, t.SCAN, *_EVERYBODY),
-        (t.STEP_PLAN, t.MODE, t.DEPTH, t.COLOR, t.ODOMETRY, t.ACTUATOR_STATE, t.IMU, t.PRESENCE),
+        (t.STEP_PLAN, t.MODE, t.DEPTH, t.COLOR, t.ODOMETRY, t.ACTUATOR_STATE, t.IMU, t.SCAN_RECEIPT, t.PRESENCE),
     ),
     Role(
         "base",
         "a computer beside the robot: mapper, planner, console, recorder",
         (*_PLANNED, *_LED, t.RECORDER_STATE, *_EVERYBODY),
-        (*_SEEN, t.SCAN, t.PASSAGE, t.IMU),
+        (*_SEEN, t.SCAN, t.SCAN_RECEIPT, t.PASSAGE, t.IMU),
     ),
     Role("console", "an operator's computer: commands and looks, but plans nothing", (*_LED, *_EVERYBODY), _SEEN),
     Role("viewer", "somebody's computer that looks on, and may stop", (), _SEEN),
