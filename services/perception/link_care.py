@@ -1,8 +1,7 @@
 """How many scans cross the link to the map, and how large: as much as it carries before they grow late.
 
 The mapper says of every scan that it has come. What a scan takes beyond the shortest time that one has taken lately is spent
-in a queue; when that grows, less is sent, and after some time without it a little more (additive increase, multiplicative
-decrease; Chiu and Jain 1989). Every other scan goes first, since a map is made of two; then points far from the camera;
+in a queue; when that grows, less is sent, and as long as there is none a little more. Every other scan goes first, since a map is made of two; then points far from the camera;
 then more scans, down to what a fresh map needs.
 """
 
@@ -10,7 +9,9 @@ from collections import deque
 from dataclasses import dataclass
 
 _LATE_NS, _SOON_NS = 100_000_000, 50_000_000  # beyond the shortest time: a queue grows; none does
-_LESS, _MORE = 0.7, 0.05  # factor, and share of all, by which what is sent changes
+_IN_A_ROW = 3  # receipts of which the soonest counts: a mapper that is busy for a moment is no queue
+_SILENT_NS = 300_000_000  # beyond the shortest time, without a receipt
+_LESS, _MORE = 0.7, 1.07  # factors by which what is sent changes
 _CHANGE_NS = 250_000_000  # between two changes: what is on its way was sent before the last one
 _WINDOW_NS = 60_000_000_000  # over which the shortest time is looked for, and up to twice that
 _FEWER, _SMALLER, _LEAST = 0.5, 0.125, 0.067  # shares of all: down to these scans, points, and again scans are left out
@@ -34,6 +35,7 @@ class LinkCare:
         self._sent: deque[tuple[int, int]] = deque(maxlen=_KEPT)  # stamp and time [ns] of scans without a receipt
         self._shortest_ns: list[int] = []  # of this window and the last
         self._window_ends_ns = 0
+        self._took_ns: deque[int] = deque(maxlen=_IN_A_ROW)  # by the newest receipts
         self._changed_ns = 0
         self._credit = 1.0
 
@@ -68,14 +70,15 @@ class LinkCare:
             self._shortest_ns, self._window_ends_ns = [took_ns, self._shortest_ns[0]], now_ns + _WINDOW_NS
         else:
             self._shortest_ns[0] = min(self._shortest_ns[0], took_ns)
-        self._judge(took_ns - min(self._shortest_ns), now_ns)
+        self._took_ns.append(took_ns)
+        self._judge(min(self._took_ns) - min(self._shortest_ns), now_ns)
 
     def look(self, now_ns: int) -> None:
         """See whether a scan is late of which nothing has been heard."""
         if not (self._shortest_ns and self._sent):
             return
         waits_ns = now_ns - self._sent[0][1] - min(self._shortest_ns)
-        if waits_ns > _LATE_NS:
+        if waits_ns > _SILENT_NS:
             self._judge(waits_ns, now_ns)
 
     def _judge(self, queued_ns: int, now_ns: int) -> None:
@@ -85,4 +88,4 @@ class LinkCare:
         elif queued_ns > _SOON_NS:
             return  # enough is sent
         elif self.share < 1.0 and since_ns >= _CHANGE_NS:
-            self.share, self._changed_ns = min(self.share + _MORE, 1.0), now_ns
+            self.share, self._changed_ns = min(_MORE * self.share, 1.0), now_ns

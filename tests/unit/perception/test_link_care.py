@@ -68,7 +68,7 @@ def test_it_takes_what_it_can_once_there_is_more() -> None:
     link.run(20.0)
     assert link.care.share < 0.3
     link.rate = 20e6 / 8
-    link.run(20.0)
+    link.run(30.0)
     assert link.care.share == 1.0
 
 
@@ -82,6 +82,16 @@ def test_a_cut_says_nothing_of_what_the_link_carries() -> None:
     assert max(link.latencies_ms) < 60.0
     link.run(5.0)
     assert link.care.share == 1.0
+
+
+def test_a_mapper_that_is_busy_for_a_moment_is_no_narrow_link() -> None:
+    care, now_ns = LinkCare(), 0
+    for k in range(300):
+        now_ns += FRAME_NS
+        care.look(now_ns)
+        care.sent(now_ns, now_ns)
+        care.received(now_ns, now_ns + (180 if k % 5 in (3, 4) else 10) * MS)
+    assert care.share == 1.0
 
 
 def test_without_anybody_who_answers_all_is_sent() -> None:
