@@ -1,5 +1,6 @@
 """What a router is started with, by how it is to be met: on loopback alone, by certificates, or by anybody."""
 
+import re
 import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -62,6 +63,16 @@ class Gate:
     def guarded(self) -> bool:
         """Whether somebody may be refused here."""
         return self.open or self.keys is not None
+
+    @property
+    def own(self) -> str:
+        """Where processes of this machine meet it."""
+        return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/127.0.0.1:", self.listen[0])
+
+    @property
+    def name(self) -> str:
+        """Of the router, among the services of all machines."""
+        return f"router of {Keys.load(self.keys).role.name}" if self.keys is not None else "router"
 
     def configuration(self) -> Mapping[str, Any]:
         """Zenoh configuration of who is let in.

@@ -4,13 +4,15 @@ from collections.abc import Iterator
 from typing import Literal, TypeAlias
 
 from shared import topics
-from shared.messages import ActuatorState, Message, Mode, ModeCommand, Tick
+from shared.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 What: TypeAlias = Literal["off", "stop", "ready", "stand", "walk", "sit"]
+_KEPT_BACK = f" may not put {topics.MODE.key}"  # as a router says it (`deploy.refusals`)
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the order
 _UNHEARD_NS = 5_000_000_000  # [ns] patience for the first word of the actuator
 _PATIENCE_NS = 15_000_000_000  # [ns] patience for what is ordered
+STOPS: tuple[What, ...] = ("off", "stop")  # that anybody may give
 _SETTLED: dict[What, tuple[Mode, ...]] = {
     "off": (Mode.OFF,),
     "stop": (Mode.OFF, Mode.READY, Mode.HOLD, Mode.FAULT),
@@ -25,26 +27,28 @@ class Order:
     """Gives an order until the actuator has done it, or says why not; `walk` is given for as long as it is wanted."""
 
     name = "order"
-    reads: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE,)
-    writes: tuple[AnyTopic, ...] = (topics.MODE,)
+    reads: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE, topics.HEALTH)
+    writes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP)
 
-    def __init__(self, what: What, holder: str, take: bool = False):
-        """Order as a holder of the lease.
+    def __init__(self, what: What, holder: str, take: bool = False, leads: bool = True):
+        """Order as a holder of the lease, or stop without leading.
 
         Args:
             what: Is ordered.
             holder: Who orders.
             take: Take over from whoever may move the legs now.
+            leads: Whether this machine may lead; else it may only stop.
         """
         self.paced_by = Every.hz(20.0)
         self.stages = Stages()
         self.finished = False
         self.failed = ""  # why it was in vain, in words
         self.words = "waiting for the actuator"
-        self._what, self._holder, self._take = what, holder, take
+        self._what, self._holder, self._take, self._leads = what, holder, take, leads
         self._begun_ns = -1
         self._due_ns = 0
         self._heard: ActuatorState | None = None  # before the order
+        self._refused: dict[str, int] = {}  # by each service when it was first heard
 
     def doing(self) -> str:
         """How far it is, in words."""
@@ -59,12 +63,24 @@ class Order:
         now = tick.stamp_ns
         self._begun_ns = now if self._begun_ns < 0 else self._begun_ns
         state = inbox.latest(topics.ACTUATOR_STATE)
+        self._watch_routers(inbox, state)
         if state is not None and self._heard is None:
             self._heard = state
         if now >= self._due_ns:
             self._due_ns = now + _REPEAT_NS
-            yield ModeCommand(now, self._what, self._begun_ns + 1, self._holder, self._take)
+            if self._leads:
+                yield ModeCommand(now, self._what, self._begun_ns + 1, self._holder, self._take)
+            if self._what in STOPS:  # also where this machine's router is chained to one that lets it only stop
+                yield StopOrder(now, "off" if self._what == "off" else "stop", self._begun_ns + 1, self._holder)
         self._see(state, now - self._begun_ns)
+
+    def _watch_routers(self, inbox: Inbox, state: ActuatorState | None) -> None:
+        """Whether a router on the way has begun to keep such orders back: whoever puts them is told nothing by the network."""
+        for word in inbox.drain(topics.HEALTH):
+            before = self._refused.setdefault(word.service, word.refused)
+            leads = self._what in STOPS or (state is not None and state.lease == self._holder)
+            if word.refused > before and word.last_refusal.endswith(_KEPT_BACK) and not leads:
+                self._end(f"the {word.service} {word.last_refusal}; use the keys of another role (docs/access.md)")
 
     def _see(self, state: ActuatorState | None, since_ns: int) -> None:
         if self._heard is None or state is None:

@@ -7,15 +7,16 @@ import sys
 import time
 from collections.abc import Sequence
 
-from deploy import gate
+from deploy import gate, refusals
+from deploy.gatekeeper import CaughtOutput, Gatekeeper, link_to, publish
 from deploy.process_table import ROUTER_ENDPOINT
 from shared.access import AccessError
 from shared.host import end_with
-from shared.transport import Router, TransportError
+from shared.transport import Router, TransportError, log_to_stdout
 
 _ENDS = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 _WARN_S = 30.0  # between two warnings that it is open to anybody
-_LOOK_S = 1.0
+_LOOK_S = 0.1
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,27 +38,33 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         given, upstream = arguments.listen, tuple(arguments.connect)
         gated = gate.of_arguments(given, arguments.keys, arguments.open, arguments.namespace, ROUTER_ENDPOINT, upstream)
-        with Router(gated.listen, gated.upstream, gated.configuration()):
-            logging.info("listening on %s", ", ".join(gated.listen))
-            _keep(gated.warning())
+        if gated.guarded:
+            _guard(gated)
+        else:
+            with Router(gated.listen, gated.upstream):
+                logging.info("listening on %s", ", ".join(gated.listen))
+                signal.sigwait(_ENDS)
     except (TransportError, AccessError) as error:
         logging.error("%s", error)
         return 2
     return 0
 
 
-def _keep(warning: str) -> None:
-    """Wait to be told to end, and warn now and then."""
-    if not warning:
-        signal.sigwait(_ENDS)
-        return
-    due_s = 0.0
-    while True:
-        if time.monotonic() >= due_s:
-            logging.warning("%s", warning)
-            due_s = time.monotonic() + _WARN_S
-        if signal.sigtimedwait(_ENDS, _LOOK_S) is not None:
-            return
+def _guard(gated: gate.Gate) -> None:
+    """Host a router that may refuse somebody, say whom, and warn for as long as it refuses nobody."""
+    configuration, warning, due_s = gated.configuration(), gated.warning(), 0.0
+    doing = f"listening on {', '.join(gated.listen)}" + (f"; {warning}" if warning else "")
+    with CaughtOutput() as caught:
+        log_to_stdout(refusals.LEVELS)
+        with Router(gated.listen, gated.upstream, configuration), link_to(gated.own, gated.namespace) as link:
+            keeper = Gatekeeper(caught.take, publish(link), gated.name, gated.namespace, doing, sys.stderr)
+            logging.info("listening on %s", ", ".join(gated.listen))
+            while signal.sigtimedwait(_ENDS, _LOOK_S) is None:
+                if told := keeper.look(time.monotonic_ns()):
+                    logging.warning("%s", told)
+                if warning and time.monotonic() >= due_s:
+                    logging.warning("%s", warning)
+                    due_s = time.monotonic() + _WARN_S
 
 
 if __name__ == "__main__":

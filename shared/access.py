@@ -45,17 +45,18 @@ class Role:
 
 _SEEN = (  # what a page shows, and what is small
     *(t.ACTUATOR_STATE, t.BODY_POSE, t.ODOMETRY, t.STEP_PLAN, t.PLANNER_STATUS, t.PASSAGE_PLAN, t.PASSAGE_REQUEST),
-    *(t.CAMERA_STATE, t.TERRAIN, t.PREVIEW, t.HEALTH, t.RECORDER_STATE, t.VELOCITY, t.GOAL, t.MODE, t.RECORD, t.PRESENCE),
+    *(t.CAMERA_STATE, t.TERRAIN, t.PREVIEW, t.RECORDER_STATE),
+    *(t.VELOCITY, t.GOAL, t.MODE, t.STOP, t.RECORD, t.HEALTH, t.PRESENCE),
 )
 _EVERYBODY = (t.HEALTH, t.PRESENCE)  # how its processes fare, and which they are
 _PLANNED = (t.SCAN_RECEIPT, t.TERRAIN, t.PASSAGE, t.PASSAGE_REQUEST, t.PASSAGE_PLAN, t.STEP_PLAN, t.PLANNER_STATUS)
-_LED = (t.VELOCITY, t.GOAL, t.MODE, t.RECORD)
+_LED = (t.VELOCITY, t.GOAL, t.MODE, t.STOP, t.RECORD)
 ROLES: tuple[Role, ...] = (
     Role(
         "robot",
         "the robot's computer: actuator, stop, camera, perception",
         (t.DEPTH, t.COLOR, t.CAMERA_STATE, t.PREVIEW, t.ODOMETRY, t.ACTUATOR_STATE, t.BODY_POSE, t.SCAN, *_EVERYBODY),
-        (t.STEP_PLAN, t.MODE, t.DEPTH, t.COLOR, t.ODOMETRY, t.ACTUATOR_STATE, t.IMU, t.SCAN_RECEIPT, t.PRESENCE),
+        (t.STEP_PLAN, t.MODE, t.STOP, t.DEPTH, t.COLOR, t.ODOMETRY, t.ACTUATOR_STATE, t.IMU, t.SCAN_RECEIPT, t.PRESENCE),
     ),
     Role(
         "base",
@@ -64,7 +65,7 @@ ROLES: tuple[Role, ...] = (
         (*_SEEN, t.SCAN, t.SCAN_RECEIPT, t.PASSAGE, t.IMU),
     ),
     Role("console", "an operator's computer: commands and looks, but plans nothing", (*_LED, *_EVERYBODY), _SEEN),
-    Role("viewer", "somebody's computer that looks on, and may stop", (), _SEEN),
+    Role("viewer", "somebody's computer that looks on, and may stop", (t.STOP,), _SEEN),
 )
 ROLE_NAMED: Mapping[str, Role] = {role.name: role for role in ROLES}
 

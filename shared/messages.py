@@ -406,6 +406,15 @@ class ModeCommand(Message):
 
 
 @dataclass(frozen=True, slots=True)
+class StopOrder(Message):
+    """That the legs are to stop or to let go; whoever is there -> actuator. For those who may not lead it is the only key."""
+
+    mode: Literal["off", "stop"]
+    sequence: int  # an order counts once, however often it is repeated: another number is another order
+    holder: str = "operator"  # who orders
+
+
+@dataclass(frozen=True, slots=True)
 class RecordCommand(Message):
     """What the operator wants of the recorder; console -> recorder."""
 

@@ -67,6 +67,7 @@ PLANNER_STATUS = Topic("planner/status", m.PlannerStatus, 10.0, Delivery.LATEST,
 VELOCITY = Topic("operator/velocity", m.VelocityCommand, 20.0, Delivery.LATEST, Lane.CONTROL, 2 * _KIB, 0.004)
 GOAL = Topic("operator/goal", m.Goal, 5.0, Delivery.LATEST, Lane.CONTROL, 4 * _KIB, 0.004)
 MODE = Topic("operator/mode", m.ModeCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
+STOP = Topic("operator/stop", m.StopOrder, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 RECORD = Topic("operator/record", m.RecordCommand, 1.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 RECORDER_STATE = Topic("recorder/state", m.RecorderState, 2.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.003)
 FAULT = Topic("simulator/fault", m.FaultCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
@@ -94,6 +95,7 @@ TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
     VELOCITY,
     GOAL,
     MODE,
+    STOP,
     RECORD,
     RECORDER_STATE,
     FAULT,

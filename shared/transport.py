@@ -141,6 +141,11 @@ def _close(sessions: list[zenoh.Session]) -> None:
     closing.join(CLOSE_TIMEOUT_S)
 
 
+def log_to_stdout(levels: str) -> None:
+    """Have Zenoh log to this process's standard output, once and for all; `levels` as RUST_LOG has them, which goes first."""
+    zenoh.init_log_from_env_or(levels)
+
+
 class Router:
     """Hosts the router in this process, so that no zenohd binary is needed; a context manager."""
 

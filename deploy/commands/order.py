@@ -13,15 +13,16 @@ def order(arguments: argparse.Namespace) -> int:
     import time
 
     from deploy.interrupts import Interrupts
-    from deploy.order import Order
+    from deploy.order import STOPS, Order
     from shared import codec, topics
     from shared.service import run_live
     from shared.transport import ZenohLink
 
-    given = Order(arguments.what, arguments.holder, arguments.take)
     endpoints = met(arguments)
-    if endpoints.keys is not None and (refused := endpoints.keys.refusal(given.writes)):
+    refused = endpoints.keys.refusal([topics.MODE]) if endpoints.keys is not None else ""
+    if refused and arguments.what not in STOPS:
         raise InputError(refused)
+    given = Order(arguments.what, arguments.holder, arguments.take, leads=not refused)
     stop, told = threading.Event(), ""
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:
         running = threading.Thread(target=run_live, args=(given, link, stop), name="order")

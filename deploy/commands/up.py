@@ -46,9 +46,8 @@ def up(arguments: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
         gated = _gate(arguments, rows)
-        near = _near(gated.listen[0])
-        router = _host(gated, near, stack)
-        endpoints = Endpoints((near,), namespace=arguments.namespace)
+        router = _host(gated, stack)
+        endpoints = Endpoints((gated.own,), namespace=arguments.namespace)
         chained = f", chained to {', '.join(gated.upstream)}" if gated.upstream else ""
         joined = f"--connect {gated.listen[-1]} --namespace {arguments.namespace}{' --keys DIR' if gated.keys else ''}"
         say(f"router on {', '.join(gated.listen)}{chained}; others join with {joined}")
@@ -116,12 +115,7 @@ def _usual(arguments: argparse.Namespace) -> str:
     return f"tcp/127.0.0.1:{free_port()}"  # beside another machine's half, on one machine
 
 
-def _near(listen: str) -> str:
-    """How processes of this machine reach a router that listens everywhere."""
-    return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/127.0.0.1:", listen)
-
-
-def _host(gated: "Gate", near: str, stack: "contextlib.ExitStack") -> "Launcher | None":
+def _host(gated: "Gate", stack: "contextlib.ExitStack") -> "Launcher | None":
     """Host the router: in this process, or where somebody may be refused in one of its own, which hears whom.
 
     Raises:
@@ -134,8 +128,8 @@ def _host(gated: "Gate", near: str, stack: "contextlib.ExitStack") -> "Launcher 
     if not gated.guarded:
         stack.enter_context(Router(gated.listen, gated.upstream))
         return None
-    launcher = stack.enter_context(Launcher((process_table.router_command(near, gated.words()),), hear=_pass_on))
-    while not port_taken(int(near.rpartition(":")[2])):
+    launcher = stack.enter_context(Launcher((process_table.router_command(gated.own, gated.words()),), hear=_pass_on))
+    while not port_taken(int(gated.own.rpartition(":")[2])):
         for ended in launcher.wait(0.05):
             if not ended.restarted:
                 raise TransportError(f"the router did not come up: {ended}")

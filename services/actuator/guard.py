@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from services.actuator.health import Verdict
 from services.actuator.plan_check import PlanCheck
 from shared.geometry import Array
-from shared.messages import Mode, ModeCommand, StepPlan
+from shared.messages import Mode, ModeCommand, StepPlan, StopOrder
 from shared.robot import RobotProfile
 
 DEADLINE_NS = 180_000_000  # [ns] that a walk goes on without a new plan
@@ -72,6 +72,7 @@ class Guard:
         self.objection = ""  # why the newest order was not obeyed, in words
         self._check = PlanCheck(profile, plan_age_s, epoch)
         self._sequences: dict[str, int] = {}  # newest order of each holder
+        self._stops: dict[str, int] = {}  # newest of those who stop without leading
         self._holder, self._heard_ns = "", 0
         self._may_walk = False
         self._accepted_ns = 0  # when the newest plan was
@@ -121,6 +122,14 @@ class Guard:
         if order.holder == self._holder:
             self._heard_ns = now_ns
         return self._obey(order.mode)
+
+    def hear_stop(self, order: StopOrder) -> tuple[Act, ...]:
+        """Obey whoever orders to stop or to let go; it takes no lease, and nobody who does is remembered for longer for it."""
+        known = self._stops.pop(order.holder, None)
+        self._stops[order.holder] = order.sequence
+        if len(self._stops) > _HOLDERS:
+            del self._stops[next(iter(self._stops))]
+        return self._obey(order.mode) if order.sequence != known else ()
 
     def _claim(self, order: ModeCommand, now_ns: int, stranger: bool) -> str:
         """Give the lease to who orders; why it is refused, in words, or nothing."""

@@ -41,7 +41,7 @@ class Actuator:
     """Owns the servos. Every cycle: read, see where the body is, take plans through the guard, move on, write."""
 
     name = "actuator"
-    reads: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.MODE, topics.IMU)
+    reads: tuple[AnyTopic, ...] = (topics.STEP_PLAN, topics.MODE, topics.STOP, topics.IMU)
     writes: tuple[AnyTopic, ...] = (topics.ODOMETRY, topics.ACTUATOR_STATE)
 
     def __init__(
@@ -127,6 +127,8 @@ class Actuator:
             self._perform(self._guard.hear(off, tick.stamp_ns))
         for order in inbox.drain(topics.MODE):
             self._perform(self._guard.hear(order, tick.stamp_ns))
+        for stop in inbox.drain(topics.STOP):
+            self._perform(self._guard.hear_stop(stop))
         self._level(dt, tick.stamp_ns, inbox)
         for plan in inbox.drain(topics.STEP_PLAN):
             if self._guard.consider(plan, tick.stamp_ns, self._legs()):

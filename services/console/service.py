@@ -13,7 +13,7 @@ from services.console.requests import Record, Request, Watch
 from services.console.server import Event, PageServer
 from shared import topics
 from shared.clock import now_ns
-from shared.messages import ActuatorState, CameraState, Health, Message, PlannerStatus, TerrainMap, Tick
+from shared.messages import ActuatorState, CameraState, Health, Message, ModeCommand, PlannerStatus, StopOrder, TerrainMap, Tick
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
@@ -42,7 +42,7 @@ class Console:
         topics.HEALTH,
         topics.RECORDER_STATE,
     )
-    writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.GOAL, topics.MODE, topics.RECORD)
+    writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.GOAL, topics.MODE, topics.STOP, topics.RECORD)
 
     def __init__(self, profile: RobotProfile, settings: Settings, clock: Callable[[], int] = now_ns):
         """Listen for pages.
@@ -94,7 +94,10 @@ class Console:
         if due:
             self._legs = inbox.fresh(topics.ACTUATOR_STATE, _STATE_S)
             self._status = inbox.fresh(topics.PLANNER_STATUS, _STATE_S)
-        yield from self._desk.beat(now, self._legs, self._status)
+        for message in self._desk.beat(now, self._legs, self._status):
+            yield message
+            if isinstance(message, ModeCommand) and (stop := _stop_of(message)) is not None:
+                yield stop
         if due:
             yield from self._clerk.beat(now, inbox.fresh(topics.RECORDER_STATE))
         for words in self._desk.drain_words():
@@ -105,8 +108,6 @@ class Console:
             self._see(now, inbox)
         if now - self._told_ns >= _HEALTH_NS:
             self._told_ns = now
-            self._health |= {word.service: (word, now) for word in inbox.drain(topics.HEALTH)}
-            self._diary.services(now, self._health)
             if self._watched:
                 self._tell("health", view.health(self._health, now))
         self.server.flush()
@@ -174,6 +175,8 @@ class Console:
 
     def _hear_news(self, now: int, inbox: Inbox) -> None:
         """What comes about now and then."""
+        self._health |= {word.service: (word, now) for word in inbox.drain(topics.HEALTH)}
+        self._diary.services(now, self._health)
         self._camera = inbox.latest(topics.CAMERA_STATE)
         self._diary.camera(now, self._camera)
         for plan in inbox.drain(topics.PASSAGE_PLAN):
@@ -206,3 +209,10 @@ class Console:
     def _tell(self, kind: str, message: dict[str, Any], page: int | None = None) -> None:
         """Have a message sent to a page, or to all that are there."""
         self.server.post(kind, view.text(message), self._watched if page is None else [page])
+
+
+def _stop_of(order: ModeCommand) -> StopOrder | None:
+    """The same as who may only stop says it, for a machine that may not lead; taking over the lease is leading."""
+    if order.take or order.mode not in ("off", "stop"):
+        return None
+    return StopOrder(order.stamp_ns, "off" if order.mode == "off" else "stop", order.sequence, order.holder)

@@ -5,10 +5,11 @@ from collections.abc import Iterator
 from services.actuator.latch import Latch
 from services.actuator.stop.config import Settings
 from shared import topics
-from shared.messages import Message, ModeCommand
+from shared.messages import Message, ModeCommand, StopOrder, Tick
 from shared.robot import RobotProfile
-from shared.service import AnyTopic, Inbox, Stages
+from shared.service import AnyTopic, Every, Inbox, Stages
 
+_BEAT_HZ = 25.0  # between two looks at what was ordered
 _HOLDERS = 64  # whose newest orders are remembered
 
 
@@ -16,28 +17,36 @@ class Stop:
     """Closes the latch at each new order to let go; the actuator alone opens it."""
 
     name = "stop"
-    paced_by: AnyTopic = topics.MODE
-    reads: tuple[AnyTopic, ...] = ()
+    reads: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP)
     writes: tuple[AnyTopic, ...] = ()
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Watch over the robot behind a port."""
+        self.paced_by = Every.hz(_BEAT_HZ)
         self.stages = Stages()
         self._latch = Latch.of_port(settings.port)
         self._newest: dict[str, int] = {}
+        self._stops: dict[str, int] = {}
 
     def doing(self) -> str:
         """Whether the latch is closed."""
         return "torque is latched off" if self._latch.closed else "listening for the order to let go"
 
-    def step(self, order: ModeCommand, inbox: Inbox) -> Iterator[Message]:
-        """Hear one order."""
-        newest = self._newest.get(order.holder)
-        if newest is None or order.sequence > newest:
-            self._newest.pop(order.holder, None)
-            self._newest[order.holder] = order.sequence
-            if len(self._newest) > _HOLDERS:
-                del self._newest[next(iter(self._newest))]
-            if order.mode == "off":
-                self._latch.close()
+    def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
+        """Hear what was ordered."""
+        for order in inbox.drain(topics.MODE):
+            newest = self._newest.get(order.holder)
+            if newest is None or order.sequence > newest:
+                self._hear(self._newest, order)
+        for stop in inbox.drain(topics.STOP):
+            if stop.sequence != self._stops.get(stop.holder):
+                self._hear(self._stops, stop)
         yield from ()
+
+    def _hear(self, newest: dict[str, int], order: ModeCommand | StopOrder) -> None:
+        newest.pop(order.holder, None)
+        newest[order.holder] = order.sequence
+        if len(newest) > _HOLDERS:
+            del newest[next(iter(newest))]
+        if order.mode == "off":
+            self._latch.close()

@@ -4,7 +4,7 @@ import pytest
 
 from services.actuator.guard import LEASE_NS, Act, Guard
 from services.actuator.health import Verdict
-from shared.messages import Mode, ModeCommand
+from shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import BROKEN, CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode, rested
 
 MODES = list(Mode)
@@ -402,3 +402,32 @@ def test_a_walk_that_is_ordered_to_stop_says_so_when_it_stands() -> None:
     robot.order("stop", "b")
     rested(robot)
     assert (robot.mode, robot.guard.reason) == (Mode.HOLD, "ordered to stop")
+
+
+# ------------------------------------------------------------------------------------------------- those who may only stop
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_who_may_only_stop_does_so_from_anywhere_and_takes_nothing(mode: Mode) -> None:
+    robot = in_mode(mode)
+    lease, leading = robot.guard.lease(robot.now), in_mode(mode)
+    leading.order("stop", "viewer")
+    robot.guard.hear_stop(StopOrder(0, "stop", 5, "viewer"))
+    assert robot.guard.lease(robot.now) == lease
+    assert robot.mode is leading.mode, "as anybody's stop"
+    assert robot.guard.hear_stop(StopOrder(0, "off", 6, "viewer")) == (Act.LET_GO,)
+    assert robot.mode is Mode.OFF
+
+
+def test_an_order_to_stop_counts_once_and_does_not_shut_out_who_leads() -> None:
+    robot = in_mode(Mode.WALK)
+    for k in range(1000):
+        robot.guard.hear_stop(StopOrder(0, "stop", k, f"stranger {k}"))
+    old = StopOrder(0, "stop", 999, "stranger 999")
+    robot = in_mode(Mode.HOLD)
+    robot.guard.hear_stop(old)
+    robot.order("walk")
+    assert robot.guard.hear_stop(old) == ()
+    assert robot.guard.objection == ""
+    assert robot.consider(robot.plan()), robot.guard.refused
+    assert robot.guard.hear_stop(StopOrder(0, "stop", 1, "stranger 999")) == (Act.SET_DOWN,), "whose machine began anew"

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from services.actuator.latch import Latch
 from services.actuator.stop.config import Settings
 from services.actuator.stop.service import Stop
-from shared.messages import ModeCommand
+from shared import codec, topics
+from shared.messages import ModeCommand, StopOrder, Tick
 from shared.robot import load_profile
 from shared.service import Inbox
 
@@ -25,8 +26,13 @@ def latch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Latch:
 
 
 def say(stop: Stop, mode: str, sequence: int, holder: str = "operator") -> None:
-    order = ModeCommand(0, mode, sequence, holder)  # type: ignore[arg-type]
-    assert list(stop.step(order, Inbox([stop.paced_by], stop.stages))) == []
+    hear(stop, ModeCommand(0, mode, sequence, holder))  # type: ignore[arg-type]
+
+
+def hear(stop: Stop, order: ModeCommand | StopOrder) -> None:
+    inbox = Inbox(stop.reads, stop.stages)
+    inbox.receive(topics.OF_TYPE[type(order)], codec.encode(order), 0)
+    assert list(stop.step(Tick(0), inbox)) == []
 
 
 def test_each_new_order_to_let_go_is_latched_once(latch: Latch) -> None:
@@ -42,6 +48,22 @@ def test_each_new_order_to_let_go_is_latched_once(latch: Latch) -> None:
     assert not latch.closed, "an order counts once"
     say(stop, "off", 1, "another")
     assert latch.closed
+
+
+def test_those_who_may_not_lead_let_go_by_a_key_of_their_own(latch: Latch) -> None:
+    stop = Stop(PROFILE, Settings(PORT))
+    hear(stop, StopOrder(0, "stop", 7, "viewer"))
+    assert not latch.closed
+    hear(stop, StopOrder(0, "off", 8, "viewer"))
+    assert latch.closed
+    latch.open()
+    hear(stop, StopOrder(0, "off", 8, "viewer"))
+    assert not latch.closed, "an order counts once"
+    hear(stop, StopOrder(0, "off", 3, "viewer"))
+    assert latch.closed, "a viewer whose machine began anew counts anew"
+    for k in range(1000):
+        hear(stop, StopOrder(0, "off", k, f"viewer {k}"))
+    assert len(stop._stops) <= 64
 
 
 def test_no_order_opens_it(latch: Latch) -> None:

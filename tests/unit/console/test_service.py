@@ -29,6 +29,7 @@ from shared.messages import (
     RecordCommand,
     RecorderState,
     StepPlan,
+    StopOrder,
     Tick,
     VelocityCommand,
 )
@@ -223,6 +224,8 @@ def test_what_is_pressed_goes_out_and_what_is_refused_is_told(rig: Rig) -> None:
     while not any(isinstance(m, ModeCommand) and m.mode == "off" for m in sent):
         assert time.monotonic() < limit
         sent += rig.beat()
+    (off,) = [m for m in sent if isinstance(m, StopOrder)][:1]
+    assert (off.mode, off.holder) == ("off", "console 2"), "by the key of those who may not lead, too"
     page.close()
     other.close()
 

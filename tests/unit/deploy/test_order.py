@@ -3,11 +3,12 @@
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from deploy.order import Order
 from shared import codec, topics
-from shared.messages import ActuatorState, Mode, ModeCommand, Tick
+from shared.messages import ActuatorState, Health, Mode, ModeCommand, StopOrder, Tick
 from shared.robot import load_profile
 from shared.service import Inbox
 from tests.support.states import actuator_state
@@ -96,3 +97,39 @@ def test_silence_and_what_does_not_come_about_end_it_in_words() -> None:
     desk = Desk(Order("sit", "me"), mode=Mode.WALK, reason="walking")
     desk.beats(320)
     assert desk.order.failed == "15 s after the order the mode is walk: walking"
+
+
+@pytest.mark.parametrize("leads", [True, False])
+@pytest.mark.parametrize("what", ["off", "stop"])
+def test_a_stop_goes_by_the_key_of_those_who_may_not_lead_too(what: Any, leads: bool) -> None:
+    order = Order(what, "me", leads=leads)
+    made = list(order.step(Tick(1), Inbox(order.reads, order.stages)))
+    assert [m.mode for m in made if isinstance(m, StopOrder)] == [what]
+    assert len([m for m in made if isinstance(m, ModeCommand)]) == leads
+    walk = Order("walk", "me")
+    assert [type(m) for m in walk.step(Tick(1), Inbox(walk.reads, walk.stages))] == [ModeCommand]
+
+
+def router_says(desk: Desk, refused: int, last: str) -> None:
+    nothing = np.zeros(0)
+    word = Health(desk.now_ns, "router of robot", "listening", 0, refused, 0, last, (), nothing, nothing)
+    desk.inbox.receive(topics.HEALTH, codec.encode(word), desk.now_ns)
+
+
+def test_whom_a_router_on_the_way_keeps_back_is_told_by_its_word() -> None:
+    desk = Desk(Order("stand", "me"), mode=Mode.OFF, reason="torque is off")
+    router_says(desk, 3, "refused: viewer may not put operator/mode")
+    desk.beats(1)
+    assert not desk.order.finished, "that was somebody else, before"
+    router_says(desk, 4, "refused: viewer may not put operator/mode")
+    desk.beats(1)
+    assert desk.order.failed.startswith("the router of robot refused: viewer may not put operator/mode; use the keys")
+
+
+def test_who_leads_takes_no_notice_of_others_being_kept_back() -> None:
+    desk = Desk(Order("stand", "me"), mode=Mode.OFF, reason="torque is off")
+    router_says(desk, 3, "")
+    desk.beats(2, mode=Mode.STAND, reason="standing up", lease="me")
+    router_says(desk, 4, "refused: viewer may not put operator/mode")
+    desk.beats(1, mode=Mode.STAND, reason="standing up", lease="me")
+    assert not desk.order.finished

@@ -1,0 +1,108 @@
+"""Whom a router refuses, and why: read from Zenoh's log, for it tells nobody else. Pure: lines come in.
+
+What is not let in at all is named by what is wrong with its certificate, what a client may not do by the certificate's role and
+the key. How often each happened is counted; a line that says nothing of the kind is passed on as it is.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+
+LEVELS = (  # of Zenoh's log, as RUST_LOG has them
+    "warn,zenoh::net::routing::interceptor=trace,zenoh::net::routing::interceptor::authorization=error,"
+    "zenoh::net::runtime::orchestrator=error,zenoh::net::routing::hat=off"
+)
+_KINDS = 64  # that are told apart: who puts to a thousand keys is told of in one line
+_CLIENTS = 256  # whose certificates are remembered
+_OTHERS = "more than can be named"
+_COLOR = re.compile(r"\x1b\[[0-9;]*m")
+_TLS = re.compile(r"WARN .*?zenoh_link_tls::unicast: (?P<why>.*?)(?: Hint: .*)?$")
+_MESSAGE = re.compile(r" (?:TRACE|DEBUG|INFO)\s+(?:(?P<thread>.*?) )?zenoh::\S+: (?P<words>.*)$")
+_WHO = re.compile(r"^(?P<zid>[0-9a-f]+) on .*?(?:CertCommonName\((?P<who>[^)]*)\)|Transport\((?P<link>\w+)\))")
+_DENIED = re.compile(r"(?P<zid>[0-9a-f]+)(?: on \S+)? is unauthorized to (?P<what>.+?) \((?P<flow>\w+)\) on (?P<key>\S+)")
+_THINNED = re.compile(r"Message dropped by the downsampling interceptor: Push\((?P<key>[^)]*)\) from:\S*?/(?P<zid>[0-9a-f]+)")
+_INTERCEPTED = "Msg intercepted!"
+_FULL = re.compile(r"[Dd]efragmentation")
+_CERTIFICATES = (  # what the log says, and what it means
+    ("certificate expired", "an expired certificate"),
+    ("not valid yet", "a certificate that is not valid yet; do the clocks agree?"),
+    ("UnknownIssuer", "a certificate of a foreign authority"),
+    ("BadSignature", "a certificate of a foreign authority"),
+    ("sent no certificates", "a client without a certificate"),
+    ("fatal alert", "a client that does not take this robot's certificate"),
+    ("corrupt message", "a client that does not speak TLS"),
+    ("InvalidContentType", "a client that does not speak TLS"),
+    ("eof", "a client that hung up"),
+    ("reset by peer", "a client that hung up"),
+)
+_WORDS = {  # what a client did, as the log has it
+    "Put": "put",
+    "Delete": "delete",
+    "Declare Subscriber": "read",
+    "Query": "ask for",
+}
+_QUIET = ("machine/presence", "health")  # what the processes of any machine say of themselves: that it ends here is no news
+
+
+class Refusals:
+    """What was refused so far."""
+
+    def __init__(self, namespace: str):
+        """Nothing yet; `namespace` is left out where keys are named."""
+        self._prefix = f"{namespace}/"
+        self.count: Counter[str] = Counter()  # kind, in words -> how often
+        self.newest = ""  # kind
+        self._before: dict[str, str] = {}  # thread -> its last line
+        self._who: dict[str, str] = {}  # id of a session -> by whose certificate
+
+    def read(self, text: str) -> Iterator[str]:
+        """Take in some lines of the log; those that are about something else are passed on."""
+        for line in text.splitlines():
+            if not line.isascii() or "\x1b" in line:
+                line = _COLOR.sub("", line)
+            kind = self._kind(line)
+            if kind is None:
+                yield line
+            elif kind:
+                self._add(kind)
+
+    def words(self) -> str:
+        """What was refused how often, the most frequent first."""
+        return ", ".join(f"{kind}: {number} times" for kind, number in self.count.most_common())
+
+    def _add(self, kind: str) -> None:
+        if kind not in self.count and len(self.count) >= _KINDS:
+            kind = _OTHERS
+        self.count[kind] += 1
+        self.newest = kind
+
+    def _kind(self, line: str) -> str | None:
+        """What a line tells, in words; empty for what is no refusal, None for what is something else altogether."""
+        message = _MESSAGE.search(line)
+        if message is not None:
+            return self._of_message(message["thread"] or "", message["words"])
+        found = _TLS.search(line)
+        if found is None:
+            return "a message that is larger than any may be" if _FULL.search(line) else None
+        return next((words for sign, words in _CERTIFICATES if sign in found["why"]), f"a connection: {found['why']}")
+
+    def _of_message(self, thread: str, words: str) -> str:
+        """Whether a message was kept back; why, the line before of the same thread says, which may be a look at the rules."""
+        if words == _INTERCEPTED:
+            return self._why(self._before.pop(thread, ""))
+        self._before[thread] = words
+        if (known := _WHO.match(words)) is not None:
+            self._who[known["zid"]] = known["who"] or f"somebody without a certificate ({known['link'].lower()})"
+            if len(self._who) > _CLIENTS:
+                del self._who[next(iter(self._who))]
+        return ""
+
+    def _why(self, words: str) -> str:
+        if (denied := _DENIED.search(words)) is not None and denied["flow"] == "ingress":
+            key = denied["key"].removeprefix(self._prefix)
+            who = self._who.get(denied["zid"], "somebody")
+            return "" if key in _QUIET else f"{who} may not {_WORDS.get(denied['what'], denied['what'].lower())} {key}"
+        if (thinned := _THINNED.search(words)) is not None:
+            who = next((name for zid, name in self._who.items() if zid.startswith(thinned["zid"])), "somebody")
+            return f"{thinned['key'].removeprefix(self._prefix)} comes too often from {who}"
+        return ""
