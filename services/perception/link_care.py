@@ -12,6 +12,7 @@ _LATE_NS, _SOON_NS = 100_000_000, 50_000_000  # beyond the shortest time: a queu
 _IN_A_ROW = 3  # receipts of which the soonest counts: a mapper that is busy for a moment is no queue
 _SILENT_NS = 300_000_000  # beyond the shortest time, without a receipt
 _LESS, _MORE = 0.7, 1.07  # factors by which what is sent changes
+_ANEW = 1.3  # likewise after a silence, until a queue grows
 _CHANGE_NS = 250_000_000  # between two changes: what is on its way was sent before the last one
 _WINDOW_NS = 60_000_000_000  # over which the shortest time is looked for, and up to twice that
 _FEWER, _SMALLER, _LEAST = 0.5, 0.125, 0.067  # shares of all: down to these scans, points, and again scans are left out
@@ -37,6 +38,7 @@ class LinkCare:
         self._window_ends_ns = 0
         self._took_ns: deque[int] = deque(maxlen=_IN_A_ROW)  # by the newest receipts
         self._changed_ns = 0
+        self._anew = False  # whether it carries again after a silence
         self._credit = 1.0
 
     @property
@@ -80,12 +82,13 @@ class LinkCare:
         waits_ns = now_ns - self._sent[0][1] - min(self._shortest_ns)
         if waits_ns > _SILENT_NS:
             self._judge(waits_ns, now_ns)
+            self._anew = True  # it may have been cut, which says nothing of how much it carries
 
     def _judge(self, queued_ns: int, now_ns: int) -> None:
         since_ns = now_ns - self._changed_ns
         if queued_ns > _LATE_NS and since_ns >= _CHANGE_NS:
-            self.share, self._changed_ns = max(_LESS * self.share, _LEAST), now_ns
+            self.share, self._changed_ns, self._anew = max(_LESS * self.share, _LEAST), now_ns, False
         elif queued_ns > _SOON_NS:
             return  # enough is sent
         elif self.share < 1.0 and since_ns >= _CHANGE_NS:
-            self.share, self._changed_ns = min(_MORE * self.share, 1.0), now_ns
+            self.share, self._changed_ns = min((_ANEW if self._anew else _MORE) * self.share, 1.0), now_ns
