@@ -1,8 +1,8 @@
 """How many scans cross the link to the map, and how large: as much as it carries before they grow late.
 
 The mapper says of every scan that it has come. What a scan takes beyond the shortest time that one has taken lately is spent
-in a queue; when that grows, less is sent, and as long as there is none a little more. Every other scan goes first, since a map is made of two; then points far from the camera;
-then more scans, down to what a fresh map needs.
+in a queue; when that grows, less is sent, and as long as there is none a little more. Every other scan goes first, since a map
+is made of two; then points far from the camera; then more scans, down to what a fresh map needs.
 """
 
 from collections import deque
