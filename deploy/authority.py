@@ -10,7 +10,7 @@ from pathlib import Path
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE, ROLES, AccessError
@@ -57,6 +57,17 @@ class Authority:
             .add_extension(usage, critical=True)
             .sign(self._key, hashes.SHA256())
         )
+
+    @classmethod
+    def load(cls, folder: Path) -> "Authority":
+        """The authority that `write` has written to a folder."""
+        made = cls.__new__(cls)
+        made.certificate = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
+        key = load_pem_private_key((folder / KEY).read_bytes(), password=None)
+        if not isinstance(key, ec.EllipticCurvePrivateKey):
+            raise AccessError(f"{folder / KEY}: a key of an elliptic curve expected, found {type(key).__name__}")
+        made._key, made._from, made.ends = key, datetime.now(UTC) - _BEFORE, made.certificate.not_valid_after_utc
+        return made
 
     def write(self, folder: Path) -> None:
         """Write the authority: its certificate, and the private key that signs others."""

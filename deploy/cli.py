@@ -188,6 +188,10 @@ def _parser() -> argparse.ArgumentParser:
     one = add("doctor", doctor, "check that this machine has what the services need")
     one.add_argument("--port", help="also check this servo port, e.g. /dev/ttyUSB0")
     one.add_argument("--camera", default="", metavar="DEVICE", help="also check this camera: openni2, realsense, or a folder")
+    words = "instead try to get in there without being asked in, e.g. tls/hexapod.local:7448; nothing is put"
+    one.add_argument("--stranger", metavar="ENDPOINT", help=words)
+    words = "folder of `sextant keys new` with its ca/, for --stranger to try a certificate that has expired, too"
+    one.add_argument("--keys", dest="key_folder", metavar="DIR", help=words)
     one.add_argument("--robot", default="phantomx_mk2", help="whose servos and camera are looked for (default %(default)s)")
     one.add_argument("--json", action="store_true", help="as JSON")
 

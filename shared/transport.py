@@ -7,6 +7,8 @@ a frozen peer would block for seconds. Sessions are closed under all circumstanc
 
 import json
 import threading
+import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
@@ -309,3 +311,42 @@ class ZenohLink:
                 express=topic.lane is Lane.CONTROL,
             )
         return publisher
+
+
+def overhear(endpoint: str, seconds: float) -> dict[str, int]:
+    """What somebody hears who connects to an endpoint without keys and asks for everything: key -> messages.
+
+    Raises:
+        TransportError: Nobody is let in there.
+    """
+    config = _config("client", (endpoint,), (), scouting=False, namespace=None)
+    config["connect"]["timeout_ms"] = round(1e3 * seconds)
+    heard: Counter[str] = Counter()
+    session = _open(config)
+    try:
+        everything: Any = session.declare_subscriber("**", zenoh.handlers.RingChannel(_KEPT))
+        _look_for(seconds, everything, lambda sample: heard.update([str(sample.key_expr)]))
+    finally:
+        _close([session])
+    return heard
+
+
+def scout(seconds: float) -> list[str]:
+    """Endpoints of routers and peers that answer to scouting by multicast."""
+    config = _config("client", (), (), scouting=True, namespace=None)
+    found: set[str] = set()
+    answers: Any = zenoh.scout(zenoh.handlers.RingChannel(_KEPT), "router|peer", zenoh.Config.from_json5(json.dumps(config)))
+    try:
+        _look_for(seconds, answers, lambda hello: found.update(str(locator) for locator in hello.locators))
+    finally:
+        answers.stop()
+    return sorted(found)
+
+
+def _look_for(seconds: float, source: Any, take: Callable[[Any], object]) -> None:
+    """Take what comes for some time [s]."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        time.sleep(0.02)
+        while (item := source.try_recv()) is not None:
+            take(item)

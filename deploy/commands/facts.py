@@ -2,8 +2,13 @@
 
 import argparse
 import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, SUCCESS, say
+from deploy.commands.common import FAILED, SUCCESS, InputError, say
+
+if TYPE_CHECKING:
+    from deploy.checks import Check
 
 
 def doctor(arguments: argparse.Namespace) -> int:
@@ -11,9 +16,24 @@ def doctor(arguments: argparse.Namespace) -> int:
     from deploy import doctor as checks
     from deploy.checks import Level
 
-    found = checks.examine(arguments.port, arguments.robot, arguments.camera)
+    if arguments.stranger:
+        found = _strange(arguments.stranger, arguments.key_folder)
+    else:
+        found = checks.examine(arguments.port, arguments.robot, arguments.camera)
     say(checks.to_json(found) if arguments.json else checks.in_words(found))
     return FAILED if any(check.level is Level.FAIL for check in found) else SUCCESS
+
+
+def _strange(endpoint: str, keys: str | None) -> "list[Check]":
+    """Try to get in at an endpoint as a stranger."""
+    try:
+        from deploy.stranger import examine
+    except ImportError as error:
+        raise InputError(f"{error}; their certificates are made with it: pip install 'sextant[access]'") from None
+    try:
+        return examine(endpoint, Path(keys) if keys else None)
+    except ValueError as error:
+        raise InputError(f"--stranger: {error}") from None
 
 
 def compose(arguments: argparse.Namespace) -> int:
