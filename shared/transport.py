@@ -111,9 +111,13 @@ def _router_config(listen: tuple[str, ...], upstream: tuple[str, ...]) -> dict[s
 
 
 def _lanes(endpoints: tuple[str, ...]) -> tuple[str, ...]:
-    """Each endpoint twice, once for the priorities of each lane."""
+    """Each endpoint twice, once for the priorities of each lane.
+
+    What routers tell each other of themselves (priority 0) is in neither, so it stays on the link that was first: where it
+    could change to the other in between, its first words were overtaken now and then, and the routers never met.
+    """
     return tuple(
-        lane for one in endpoints for lane in (f"{one}?prio=0-3", f"{one}?prio=4-7#so_sndbuf={_SEND_BUFFER}")
+        lane for one in endpoints for lane in (f"{one}?prio=1-3", f"{one}?prio=4-7#so_sndbuf={_SEND_BUFFER}")
     )  # of the priorities, REAL_TIME is 1 and DATA 5
 
 
