@@ -516,6 +516,8 @@ def _add_robot_and_gait(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", default="", help="profile by name, or path of a TOML file, in place of the scenario's")
     gaits = ("tripod", "ripple", "wave")
     parser.add_argument("--gait", default="", choices=gaits, help="in place of the scenario's, with more time for slower ones")
+    words = "radio between robot and base in lockstep: MS,MBIT,LOSS, e.g. 20,20,0.05 (one way, together, share of packets)"
+    parser.add_argument("--link", default="", metavar="MS,MBIT,LOSS", help=words)
 
 
 def _add_seed_and_out(parser: argparse.ArgumentParser) -> None:

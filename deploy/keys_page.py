@@ -10,7 +10,7 @@ import io
 import json
 import re
 import tokenize
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -49,7 +49,8 @@ address), with scouting off. A key of this page stands behind the namespace of t
 - A frame that is larger than its topic allows, or not as declared here, is refused by its reader, counted and named in
   `health`; the last good one stays.
 - A stamp is the time [ns] at which the world was as described, by the robot's monotonic clock (`CLOCK_MONOTONIC`) and not the
-  time of day. Who reads judges freshness by the time of arrival: a message is stale three periods after it came.
+  time of day. Who reads judges freshness by the time of arrival: a message is stale three periods after it came. Processes on
+  another machine go by the robot's clock, too, which they follow by what `actuator/state` says of when it was sent.
 - Whoever orders takes the lease, by the `holder` of a `ModeCommand`: one at a time may move the legs, everybody may stop them.
 - Transforms `T_a_b` are 4 × 4 and take coordinates of frame b to frame a: {{world}} is fixed where the robot started, z up,
   {{odom}} is what the legs alone believe, {{body}} moves along, x forward, y left, z up.
@@ -93,8 +94,8 @@ def page() -> str:
 def _table(written: Mapping[str, list[str]], read: Mapping[str, list[str]]) -> Iterator[str]:
     yield "## The keys"
     yield ""
-    yield "| key | message | rate, Hz | delivery | lane | at most, KiB | written by | read by |"
-    yield "|---|---|---|---|---|---|---|---|"
+    yield "| key | message | rate, Hz | delivery | lane | at most, KiB | written by | read by | over the radio |"
+    yield "|---|---|---|---|---|---|---|---|---|"
     for topic in topics.TOPICS:
         name = topic.type.__name__
         cells = (
@@ -106,9 +107,21 @@ def _table(written: Mapping[str, list[str]], read: Mapping[str, list[str]]) -> I
             f"{topic.max_bytes / 1024:g}",
             ", ".join(written.get(topic.key, ["whoever has one"])),
             ", ".join(read.get(topic.key, ["whoever wants to know"])),
+            _over_the_radio(written.get(topic.key, []), read.get(topic.key, [])),
         )
         yield f"| {' | '.join(cells)} |"
     yield ""
+
+
+def _over_the_radio(writers: Iterable[str], readers: Iterable[str]) -> str:
+    """Which way a topic crosses the link between a robot and its base, each process being where it usually is."""
+    sides = {p.name: "robot" if p.side in ("robot", "device", "simulation") else "base" for p in TABLE}
+    ways = {(sides[a], sides[b]) for a in writers for b in readers if a in sides and b in sides and sides[a] != sides[b]}
+    if any("every process" in word for word in writers):
+        ways |= {("robot", "base")}
+    if any("sextant up" in word for word in writers):
+        ways |= {("robot", "base"), ("base", "robot")}
+    return "both ways" if len(ways) > 1 else "".join(f"to the {there}" for _, there in ways)
 
 
 def _writers_and_readers() -> tuple[dict[str, list[str]], dict[str, list[str]]]:

@@ -13,6 +13,7 @@ from deploy.attendance import Attendance, about
 from deploy.passage_warm_up import plan_passage
 from deploy.pose_error import MODELS, Erring
 from deploy.progress import Progress, Silent
+from deploy.radio import Radio
 from deploy.report import Report
 from services.actuator.config import Settings as ActuatorSettings
 from services.actuator.latch import Latch
@@ -87,8 +88,9 @@ class LockstepRun:
         for name, wrap in (around or {}).items():
             makers[name] = lambda make=makers[name], wrap=wrap: wrap(make())  # type: ignore[misc]
         spare_collector()
+        radio = Radio(scenario.link, seed) if scenario.link.exists else None
         outages = [_outage(fault) for fault in scenario.faults if not fault.of_camera]
-        self._lockstep = Lockstep(makers, tap, outages=outages, busy_until={"actuator": self._busy_until})
+        self._lockstep = Lockstep(makers, tap, outages=outages, busy_until={"actuator": self._busy_until}, radio=radio)
 
     def now_ns(self) -> int:
         """Simulated time [ns]."""

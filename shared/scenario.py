@@ -493,6 +493,25 @@ class Fault:
 
 
 @dataclass(frozen=True, slots=True)
+class Link:
+    """The radio between the robot and the computer that maps and plans; without numbers both are one machine. In lockstep."""
+
+    delay_ms: float = 0.0  # [ms] one way
+    mbit: float = 0.0  # [Mbit/s] both ways together; 0: no limit
+    loss: float = 0.0  # share of the packets
+
+    def __post_init__(self) -> None:
+        _expect(0.0 <= self.delay_ms <= 1000.0, "delay_ms from 0 to 1000", self.delay_ms)
+        _expect(self.mbit == 0.0 or 0.1 <= self.mbit <= 1e5, "mbit of 0.1 or more, or 0 for no limit", self.mbit)
+        _expect(0.0 <= self.loss <= 0.5, "a loss from 0 to 0.5", self.loss)
+
+    @property
+    def exists(self) -> bool:
+        """Whether there is one."""
+        return self != Link()
+
+
+@dataclass(frozen=True, slots=True)
 class Scenario:
     """One course and the way to walk it."""
 
@@ -509,6 +528,7 @@ class Scenario:
     bridge: bool = False  # the servo bus is spoken by a microcontroller, to which the actuator sends its goals
     faults: tuple[Fault, ...] = ()
     bus_faults: tuple[BusFault, ...] = ()  # of the simulated servos and their bus
+    link: Link = field(default_factory=Link)
     time_limit_s: float = 90.0  # [s] simulated
     folder: str = "."  # where files named in the scenario are looked for; set on loading
 

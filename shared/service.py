@@ -429,6 +429,18 @@ class Outage:
     kill: bool
 
 
+class Radio(Protocol):
+    """What is between two machines."""
+
+    def crosses(self, sender: str, reader: str, /) -> bool:
+        """Whether what one service says reaches another by it."""
+        ...
+
+    def arrival_ns(self, topic: AnyTopic, sender: str, size: int, now_ns: int, /) -> int | None:
+        """When a message of some bytes arrives that is sent now [ns], or None where it is dropped."""
+        ...
+
+
 class Lockstep:
     """A set of services in one process on simulated time, deterministic and as fast as the machine allows.
 
@@ -443,6 +455,7 @@ class Lockstep:
         latency_s: Mapping[str, float] | None = None,
         outages: Sequence[Outage] = (),
         busy_until: Mapping[str, Callable[[], int]] | None = None,
+        radio: Radio | None = None,
     ):
         """Make the services.
 
@@ -452,6 +465,7 @@ class Lockstep:
             latency_s: Topic key -> delay [s], for topics whose delay differs from the table's.
             outages: What goes away, and when.
             busy_until: Name -> until when [ns] a service is busy: what takes it longer than a beat costs it the next ones.
+            radio: What is between services that are on two machines.
 
         Raises:
             ValueError: An outage of a service that is not there, or a latency of a topic that is not.
@@ -468,6 +482,7 @@ class Lockstep:
         self._latency_ns = {t.key: round(1e9 * (latency_s or {}).get(t.key, t.latency_s)) for t in topics.TOPICS}
         self._outages: dict[str, list[Outage]] = {name: [] for name in makers}
         self._busy_until = busy_until or {}
+        self._radio = radio
         self._decode = _DecodedOnce()
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
         self._sequence = 0
@@ -493,7 +508,8 @@ class Lockstep:
 
     def say(self, message: Message) -> None:
         """Send a message now, as somebody who is none of the services."""
-        self._send(topics.OF_TYPE[type(message)], codec.encode(message, codec.Timing(self.now_ns, self.now_ns)), self.now_ns)
+        frame = codec.encode(message, codec.Timing(self.now_ns, self.now_ns))
+        self._send("", topics.OF_TYPE[type(message)], frame)
 
     def run(self, until_ns: int) -> None:
         """Let simulated time pass up to and including an instant."""
@@ -505,7 +521,9 @@ class Lockstep:
 
     def _start(self, name: str) -> None:
         service = self._makers[name]()
-        worker = Worker(service, self._send, lambda: self.now_ns, self._wanted, self._decode)
+        worker = Worker(
+            service, lambda topic, frame, _: self._send(name, topic, frame), lambda: self.now_ns, self._wanted, self._decode
+        )
         self._workers[name] = worker
         for topic in worker.reads:
             readers = self._readers.setdefault(topic.key, [])
@@ -535,14 +553,23 @@ class Lockstep:
 
         self._schedule(0, order, beat)
 
-    def _send(self, topic: AnyTopic, frame: bytes, began_ns: int) -> None:
+    def _send(self, sender: str, topic: AnyTopic, frame: bytes) -> None:
         self._tap(topic, frame, self.now_ns)
         readers = self._readers.get(topic.key)
-        if readers:
-            self._schedule(self.now_ns + self._latency_ns[topic.key], -1, lambda: self._deliver(topic, frame))
+        if not readers:
+            return
+        at_ns = self.now_ns + self._latency_ns[topic.key]
+        far = [] if self._radio is None else [reader for reader in readers if self._radio.crosses(sender, reader)]
+        if len(far) < len(readers):
+            self._schedule(at_ns, -1, lambda: self._deliver(topic, frame, [name for name in readers if name not in far]))
+        if self._radio is None or not far:
+            return
+        there_ns = self._radio.arrival_ns(topic, sender, len(frame), at_ns)
+        if there_ns is not None:
+            self._schedule(there_ns, -1, lambda: self._deliver(topic, frame, far))
 
-    def _deliver(self, topic: AnyTopic, frame: bytes) -> None:
-        for name in self._readers[topic.key]:
+    def _deliver(self, topic: AnyTopic, frame: bytes, readers: Iterable[str]) -> None:
+        for name in readers:
             outage = self._outage(name)
             if outage is not None and outage.kill:
                 continue

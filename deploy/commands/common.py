@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from deploy.progress import Progress
-    from shared.scenario import Scenario
+    from shared.scenario import Link, Scenario
     from shared.transport import Endpoints
 
 ROUTER = "tcp/127.0.0.1:7447"  # of the robot, where no other is named
@@ -97,11 +97,13 @@ def as_asked(arguments: argparse.Namespace) -> Callable[["Scenario"], "Scenario"
     """Makes of a scenario what is walked in its place: by the robot and in the gait that are asked for."""
     from services.planner.gait import GAITS
 
-    robot = asked_robot(arguments)
+    robot, link = asked_robot(arguments), _asked_link(getattr(arguments, "link", ""))
 
     def asked(scenario: "Scenario") -> "Scenario":
         if robot:
             scenario = replace(scenario, robot=robot)
+        if link.exists:
+            scenario = replace(scenario, link=link)
         if getattr(arguments, "bridge", False):
             scenario = replace(scenario, bridge=True)
         if arguments.gait:
@@ -111,6 +113,18 @@ def as_asked(arguments: argparse.Namespace) -> Callable[["Scenario"], "Scenario"
         return scenario
 
     return asked
+
+
+def _asked_link(text: str) -> "Link":
+    from shared.scenario import Link
+
+    if not text:
+        return Link()
+    try:
+        delay_ms, mbit, loss = (float(word) for word in text.split(","))
+        return Link(delay_ms, mbit, loss)
+    except ValueError as error:
+        raise InputError(f"--link: MS,MBIT,LOSS expected, for example 20,20,0.05, found {text!r}: {error}") from None
 
 
 def asked_robot(arguments: argparse.Namespace) -> str:
