@@ -45,6 +45,7 @@ RUN_BY = {
     "export": "tests/unit/deploy/test_viewers.py::test_a_recording_is_written_for_rerun",
     "plot": "tests/unit/deploy/plots/test_figures.py::test_the_command_draws_what_is_asked_for_and_compares",
     "up --camera": "tests/live/test_camera.py::test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none",
+    "up --connect": "tests/live/test_live_walk.py::test_two_machines_walk_together_whichever_is_there_first",
     "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "order": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",

@@ -55,7 +55,8 @@ def test_the_words_are_those_of_the_declarations(key: str, row: str) -> None:
 
 
 def test_who_writes_and_reads_is_what_the_services_say() -> None:
-    rows = {cells[1].strip(" `"): cells[7:9] for cells in (row.split("|") for row in PAGE.splitlines()) if len(cells) == 10}
+    cells = [row.split("|") for row in PAGE.splitlines()]
+    rows = {row[1].strip(" `"): row[7:9] for row in cells if len(row) == 11}
     assert [text.strip() for text in rows["operator/mode"]] == [
         "console, `sextant run`, `sextant order`, `sextant ros2`",
         "actuator, stop",
@@ -63,6 +64,11 @@ def test_who_writes_and_reads_is_what_the_services_say() -> None:
     assert "perception" in rows["camera/color"][1]
     assert rows["perception/scan"][0].strip() == "perception"
     assert rows.keys() >= {topic.key for topic in TOPICS}
+    over = {
+        cells[1].strip(" `"): cells[9].strip() for cells in (row.split("|") for row in PAGE.splitlines()) if len(cells) == 11
+    }
+    assert (over["perception/scan"], over["planner/step"], over["camera/depth"]) == ("to the base", "to the robot", "")
+    assert over["machine/presence"] == "both ways"
     assert all(f"| `{mode.value}` |" in PAGE for mode in Mode)
 
 
