@@ -13,6 +13,7 @@ from typing import Any
 
 from deploy.commands import keys, servos
 from deploy.commands.benches import (
+    bench_access,
     bench_accuracy,
     bench_bus,
     bench_page,
@@ -387,6 +388,9 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     one = add("passage", bench_passage, "time the passage planner beside its peers, and check its plans", group)
     _add_bench(one)
 
+    one = add("access", bench_access, "put what may not be put through a guarded router: what comes through", group)
+    one.add_argument("--messages", type=_positive, default=10_000, metavar="N", help="of each kind (default %(default)s)")
+    _add_out_and_json(one)
     one = add("bus", bench_bus, "break the emulated servo bus in many ways: what the driver loses, doubts and believes", group)
     words = "asked in each case, at least (default %(default)s)"
     one.add_argument("--questions", type=_positive, default=20_000, metavar="N", help=words)

@@ -51,6 +51,15 @@ def bench_passage(arguments: argparse.Namespace) -> int:
     return _tell_bench(words, text, out / "passage.json", arguments.json)
 
 
+def bench_access(arguments: argparse.Namespace) -> int:
+    """`sextant bench access`: what comes through a guarded router of those who may not."""
+    from deploy.bench import access
+
+    out = out_folder(arguments, "bench-access")
+    rows = access.measure(arguments.messages, open_progress(arguments.json).say)
+    return _tell_bench(access.in_words(rows), access.to_json(rows), out / "access.json", arguments.json)
+
+
 def bench_page(arguments: argparse.Namespace) -> int:
     """`sextant bench page`: what the operator's page costs, and how soon it stops the robot."""
     from deploy.bench import page

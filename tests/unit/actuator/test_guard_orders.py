@@ -431,3 +431,34 @@ def test_an_order_to_stop_counts_once_and_does_not_shut_out_who_leads() -> None:
     assert robot.guard.objection == ""
     assert robot.consider(robot.plan()), robot.guard.refused
     assert robot.guard.hear_stop(StopOrder(0, "stop", 1, "stranger 999")) == (Act.SET_DOWN,), "whose machine began anew"
+
+
+def test_what_was_recorded_and_is_put_again_moves_nothing() -> None:
+    robot = in_mode(Mode.OFF)
+    said: list[ModeCommand] = []
+    for mode in ("stand", "walk", "sit", "stand", "walk", "off"):
+        robot.number += 1
+        said.append(ModeCommand(robot.now, mode, robot.number, "a"))  # type: ignore[arg-type]
+        robot.hear(said[-1])
+        robot.cycle()
+    assert robot.mode is Mode.OFF
+    robot.now += 10 * LEASE_NS  # nobody leads by now
+    refused = 0
+    for again in said[:-1] * 200:
+        assert robot.hear(again) == ()
+        refused += robot.guard.objection.endswith("it is older than their newest order")
+    assert refused == 1000
+    assert robot.mode is Mode.OFF
+    assert robot.guard.lease(robot.now) == ""
+
+
+def test_plans_that_were_recorded_and_are_put_again_are_refused() -> None:
+    robot = in_mode(Mode.WALK)
+    old = [robot.plan(step=step, stamp_ns=robot.now) for step in range(1, 201)]
+    robot.now += 10 * LEASE_NS
+    robot.order("walk")
+    refused = 0
+    for plan in old:
+        assert not robot.consider(plan)
+        refused += "old" in robot.guard.refused
+    assert refused == 200

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from deploy import access_page
 from deploy.authority import Authority
 from deploy.keys_page import _service
 from deploy.process_table import TABLE, rows
@@ -186,3 +187,9 @@ def test_where_anybody_is_let_in_limits_hold_and_the_simulator_is_out_of_reach()
     said = str([rule for rule in opened["access_control"]["rules"] if rule["id"] != "everything"])
     assert "here/operator/mode" in said
     assert "simulator" not in said
+
+
+def test_the_tables_of_the_page_are_the_rules() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "access.md").read_text(encoding="utf-8")
+    for table in (access_page.roles(), access_page.keys()):
+        assert "\n".join(table) in page, "made anew: the lines of deploy/access_page.py"

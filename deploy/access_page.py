@@ -1,0 +1,28 @@
+"""The tables of docs/access.md, out of the rules themselves."""
+
+from collections.abc import Iterator
+
+from shared.access import ROLES, most_hz
+from shared.topics import TOPICS
+
+
+def roles() -> Iterator[str]:
+    """Who holds which certificate."""
+    yield "| role | who holds it | may lead | may stop |"
+    yield "|---|---|---|---|"
+    for role in ROLES:
+        keys = {topic.key for topic in role.puts}
+        may = ("yes" if key in keys else "no" for key in ("operator/mode", "operator/stop"))
+        yield f"| `{role.name}` | {role.what} | {' | '.join(may)} |"
+
+
+def keys() -> Iterator[str]:
+    """What each role may do with each key, and how much of it is let in."""
+    yield f"| key | {' | '.join(f'`{role.name}`' for role in ROLES)} | at most, Hz | at most, KiB |"
+    yield f"|---|{'---|' * len(ROLES)}---|---|"
+    for topic in TOPICS:
+        may = (
+            ", ".join(word for word, allowed in (("puts", role.puts), ("reads", role.reads)) if topic in allowed) or "–"
+            for role in ROLES
+        )
+        yield f"| `{topic.key}` | {' | '.join(may)} | {most_hz(topic):g} | {topic.max_bytes / 1024:g} |"

@@ -1,0 +1,168 @@
+"""How many messages of those who may not come through a guarded router, and what it does with too many and too large ones.
+
+Everything is on loopback, with keys that are made for it. What gets through is counted by a process of the robot's own machine;
+after each kind somebody who may puts a last word on the same link or another, so that all that came before has been judged.
+"""
+
+import dataclasses
+import json
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from deploy.authority import Authority
+from deploy.gate import Gate
+from deploy.launcher import free_port
+from shared import codec, topics
+from shared.access import ROLES, AccessError, Keys
+from shared.messages import ModeCommand, VelocityCommand
+from shared.service import AnyTopic
+from shared.transport import Endpoints, Router, TransportError, ZenohLink
+
+_NAMESPACE = "bench"
+_PATIENCE_S = 20.0
+_REPEAT_S = 0.02
+_WORD = b"a last word: "
+_TRIES = 20  # at opening, of those who are not let in: each takes a handshake
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One kind of what should not come through."""
+
+    what: str
+    tried: int
+    through: int
+    note: str = ""
+
+
+class _Inside:
+    """Counts what comes through."""
+
+    def __init__(self, link: ZenohLink):
+        self.count = 0
+        self._last = b""
+        self._news = threading.Condition()
+        for topic in (topics.STEP_PLAN, topics.MODE, topics.VELOCITY):
+            link.subscribe(topic, self._take)
+
+    def _take(self, _topic: AnyTopic, frame: bytes) -> None:
+        with self._news:
+            self.count += not frame.startswith(_WORD)
+            self._last = frame
+            self._news.notify_all()
+
+    def settle(self, link: ZenohLink, what: str) -> int:
+        """How many have come until a last word by `link`, which does not count."""
+        words, until = _WORD + what.encode(), time.monotonic() + _PATIENCE_S
+        with self._news:
+            while self._last != words:
+                if time.monotonic() > until:
+                    raise TransportError("the last word did not come through: is this machine very busy?")
+                link.send(topics.MODE, words)
+                self._news.wait(_REPEAT_S)
+        with self._news:
+            count, self.count = self.count, 0
+            return count
+
+
+@contextmanager
+def _robot(folder: Path) -> Iterator[tuple[str, str]]:
+    """A guarded router with keys of every role, an expired and a foreign one; where it listens."""
+    authority, other = Authority(days=1), Authority(days=1)
+    for role in ROLES:
+        authority.issue(folder / role.name, role.name)
+    authority.issue(folder / "expired", "console", ends=datetime.now(UTC) - timedelta(hours=1))
+    other.issue(folder / "foreign", "console")
+    plain, secure = f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
+    gate = Gate((plain, secure), _NAMESPACE, folder / "robot")
+    with Router(gate.listen, access=gate.configuration()):
+        yield plain, secure
+
+
+def measure(messages: int, say: Callable[[str], None] = lambda _: None) -> tuple[Row, ...]:
+    """Try all kinds, with so many messages of each."""
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as name, _robot(Path(name)) as (plain, secure):
+        folder = Path(name)
+
+        def link(role: str) -> ZenohLink:
+            return ZenohLink(Endpoints((secure,), namespace=_NAMESPACE, keys=Keys.load(folder / role)))
+
+        with ZenohLink(Endpoints((plain,), namespace=_NAMESPACE)) as own, link("base") as base:
+            inside = _Inside(own)
+            for row in (*_refused(folder, secure), *_kept_back(inside, base, link, messages)):
+                say(f"{row.what}: {row.through} of {row.tried}")
+                rows.append(row)
+    return tuple(rows)
+
+
+def _refused(folder: Path, secure: str) -> Iterator[Row]:
+    """Those who are not let in at all."""
+    known = Keys.load(folder / "console")
+    for what, keys in (
+        ("certificate that has expired", dataclasses.replace(known, folder=folder / "expired")),
+        ("certificate of a foreign authority", dataclasses.replace(known, folder=folder / "foreign")),
+        ("no certificate", None),
+    ):
+        opened, took_s, why = 0, [], ""
+        for _ in range(_TRIES):
+            began = time.perf_counter()
+            try:
+                endpoints = Endpoints((secure,), namespace=_NAMESPACE, keys=keys)
+                with ZenohLink(endpoints):
+                    opened += 1
+            except (TransportError, AccessError, ValueError) as error:
+                why = str(error)
+            took_s.append(time.perf_counter() - began)
+        yield Row(what, _TRIES, opened, f"told within {1e3 * max(took_s):.0f} ms: {why.partition('; ')[0]}")
+
+
+def _kept_back(inside: _Inside, base: ZenohLink, link: Callable[[str], ZenohLink], messages: int) -> Iterator[Row]:
+    """Those who are let in, and do what they may not."""
+    frame = codec.encode(ModeCommand(1, "walk", 1, "bench"))
+    for role, topic in (("console", topics.STEP_PLAN), ("viewer", topics.MODE), ("viewer", topics.VELOCITY)):
+        with link(role) as client:
+            inside.settle(base, "before")
+            for number in range(messages):
+                client.send(topic, frame)
+                if number % 50 == 49:
+                    time.sleep(0.005)  # slower than its queue, so that the router and not the client drops it
+            time.sleep(0.3)
+            yield Row(f"{role} puts {topic.key}", messages, inside.settle(base, f"after {role} {topic.key}"))
+    with link("console") as client:
+        inside.settle(client, "before the flood")
+        began = time.perf_counter()
+        for number in range(messages):
+            client.send(topics.MODE, frame)
+            wait = began + number * 1e-4 - time.perf_counter()
+            if wait > 0.0:
+                time.sleep(wait)
+        took = time.perf_counter() - began
+        time.sleep(0.3)
+        through = inside.settle(base, "after the flood")
+        note = f"{messages / took:.0f} Hz for {took:.1f} s, let through at {through / took:.0f} Hz"
+        yield Row("flood on operator/mode, by who may", messages, through, note)
+        large = codec.encode(VelocityCommand(1, np.zeros(2), 0.0, 0.1, 0.04)) + bytes(10_000_000)
+        for _ in range(10):
+            client.send(topics.VELOCITY, large)
+        time.sleep(0.5)
+        yield Row("10 MB on operator/velocity, by who may", 10, inside.settle(base, "after the large"))
+
+
+def in_words(rows: tuple[Row, ...]) -> str:
+    """A table."""
+    lines = ["| what | tried | came through | |", "|---|---|---|---|"]
+    return "\n".join([*lines, *(f"| {row.what} | {row.tried} | {row.through} | {row.note} |" for row in rows)])
+
+
+def to_json(rows: tuple[Row, ...]) -> str:
+    """The rows as JSON."""
+    return json.dumps([dataclasses.asdict(row) for row in rows], indent=1)

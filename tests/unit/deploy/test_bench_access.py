@@ -1,0 +1,18 @@
+"""The bench of access: nothing of what may not be put comes through, and every kind is in the table."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+
+
+def test_the_access_command_leaves_its_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "access", "--messages", "300", "--out", str(tmp_path)]) == 0
+    assert "| what | tried | came through | |" in capsys.readouterr().out
+    rows = {row["what"]: row for row in json.loads((tmp_path / "access.json").read_text())}
+    flood = rows.pop("flood on operator/mode, by who may")
+    assert flood["through"] < 300
+    assert {row["through"] for row in rows.values()} == {0}
+    assert [row["tried"] for row in rows.values()] == [20, 20, 20, 300, 300, 300, 10]
