@@ -9,6 +9,7 @@ from typing import Any
 
 from shared import access, topics
 from shared.access import AccessError, Keys
+from shared.handshake import refusal
 
 SECURE_ENDPOINT = "tls/0.0.0.0:7448"
 WARNING = (
@@ -72,7 +73,7 @@ class Gate:
     @property
     def name(self) -> str:
         """Of the router, among the services of all machines."""
-        return f"router of {Keys.load(self.keys).role.name}" if self.keys is not None else "router"
+        return f"{access.ROUTER_OF}{Keys.load(self.keys).role.name}" if self.keys is not None else "router"
 
     def configuration(self) -> Mapping[str, Any]:
         """Zenoh configuration of who is let in.
@@ -81,10 +82,17 @@ class Gate:
             AccessError: The keys are wrong.
         """
         if self.keys is not None:
-            return Keys.load(self.keys).hosting(self.namespace)
+            lets_in = any(endpoint.startswith("tls/") for endpoint in self.listen)
+            return Keys.load(self.keys).hosting(self.namespace, limited=lets_in)
         if self.open:
             return access.opened(self.namespace, [name for _, name in socket.if_nameindex() if name != "lo"])
         return {}
+
+    def knock(self) -> str:
+        """Why another machine's router does not let this one in, in words, or nothing."""
+        keys = Keys.load(self.keys) if self.keys is not None else None
+        refused = (refusal(one, keys) for one in self.upstream if keys is not None and one.startswith("tls/"))
+        return "; ".join(filter(None, refused))
 
     def misplaced(self, processes: Sequence[str]) -> str:
         """That what is started here will not be heard by the machine that this one is chained to, in words, or nothing."""

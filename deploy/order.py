@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Literal, TypeAlias
 
 from shared import topics
+from shared.access import barred
 from shared.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
 from shared.service import AnyTopic, Every, Inbox, Stages
 
@@ -77,6 +78,8 @@ class Order:
     def _watch_routers(self, inbox: Inbox, state: ActuatorState | None) -> None:
         """Whether a router on the way has begun to keep such orders back: whoever puts them is told nothing by the network."""
         for word in inbox.drain(topics.HEALTH):
+            if self._what not in STOPS and (why := barred([word.service], [topics.MODE])):
+                self._end(why)
             before = self._refused.setdefault(word.service, word.refused)
             leads = self._what in STOPS or (state is not None and state.lease == self._holder)
             if word.refused > before and word.last_refusal.endswith(_KEPT_BACK) and not leads:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from deploy import gate, refusals
 from deploy.gatekeeper import CaughtOutput, Gatekeeper, link_to, publish
+from deploy.knocking import Knocking
 from deploy.process_table import ROUTER_ENDPOINT
 from shared.access import AccessError
 from shared.host import end_with
@@ -50,13 +51,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
+def _tell(words: str) -> None:
+    logging.warning("%s", words)
+
+
 def _guard(gated: gate.Gate) -> None:
     """Host a router that may refuse somebody, say whom, and warn for as long as it refuses nobody."""
     configuration, warning, due_s = gated.configuration(), gated.warning(), 0.0
     doing = f"listening on {', '.join(gated.listen)}" + (f"; {warning}" if warning else "")
     with CaughtOutput() as caught:
         log_to_stdout(refusals.LEVELS)
-        with Router(gated.listen, gated.upstream, configuration), link_to(gated.own, gated.namespace) as link:
+        router = Router(gated.listen, gated.upstream, configuration)
+        with router, link_to(gated.own, gated.namespace) as link, Knocking(gated.knock, lambda: router.chained, _tell):
             keeper = Gatekeeper(caught.take, publish(link), gated.name, gated.namespace, doing, sys.stderr)
             logging.info("listening on %s", ", ".join(gated.listen))
             while signal.sigtimedwait(_ENDS, _LOOK_S) is None:

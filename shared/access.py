@@ -17,6 +17,7 @@ from shared import topics as t
 
 AnyTopic: TypeAlias = t.Topic[Any]
 CERTIFICATE, KEY, AUTHORITY, ROLE = "certificate.pem", "key.pem", "ca.pem", "role.toml"  # files of a folder of keys
+ROUTER_OF = "router of "  # a role: name of a router among the services
 PLAIN = ("tcp",)  # links without certificates, on loopback alone
 SECURE = ("tls",)
 _SLACK = 10.0  # times the rate of a topic that a client may put at
@@ -41,6 +42,18 @@ class Role:
     what: str  # who holds it, in words
     puts: tuple[AnyTopic, ...]
     reads: tuple[AnyTopic, ...]
+
+    def refusal(self, written: Sequence[AnyTopic]) -> str:
+        """Why what is to be put will not be let through, in words, or nothing."""
+        barred = [topic.key for topic in written if topic not in self.puts]
+        if not barred:
+            return ""
+        others = ", ".join(role.name for role in ROLES if all(topic in role.puts for topic in written))
+        may = ", ".join(topic.key for topic in self.puts) or "nothing"
+        return (
+            f"this certificate ({self.name}: {self.what}) may not send {', '.join(barred)}, only {may}; "
+            f"use the keys of another role: {others or 'none may'}"
+        )
 
 
 _SEEN = (  # what a page shows, and what is small
@@ -109,28 +122,22 @@ class Keys:
 
     def refusal(self, written: Sequence[AnyTopic]) -> str:
         """Why what is to be put will not be let through, in words, or nothing."""
-        barred = [topic.key for topic in written if topic not in self.role.puts]
-        if not barred:
-            return ""
-        others = ", ".join(role.name for role in ROLES if all(topic in role.puts for topic in written))
-        may = ", ".join(topic.key for topic in self.role.puts) or "nothing"
-        return (
-            f"this certificate ({self.role.name}: {self.role.what}) may not send {', '.join(barred)}, only {may}; "
-            f"use the keys of another role: {others or 'none may'}"
-        )
+        return self.role.refusal(written)
 
     def connecting(self) -> dict[str, Any]:
         """Zenoh configuration of who connects."""
         return {"transport": {"link": {"tls": self._tls("connect")}}}
 
-    def hosting(self, namespace: str) -> dict[str, Any]:
+    def hosting(self, namespace: str, limited: bool = True) -> dict[str, Any]:
         """Zenoh configuration of a router: mutual TLS to both sides, and each certificate that comes held to its role.
+
+        What comes is `limited` in rate and size, but where it comes from the one router alone that this one has chosen.
 
         Links without certificates must be on loopback (`plain_elsewhere`): who is on this machine may do everything.
         """
         limits = _limits(namespace, {"link_protocols": list(SECURE)})
         transport = {"link": {"tls": self._tls("connect", "listen"), "rx": limits.pop("rx")}}
-        return {"transport": transport, "access_control": _control(namespace), **limits}
+        return {"transport": transport, "access_control": _control(namespace), **(limits if limited else {})}
 
     def _tls(self, *sides: str) -> dict[str, Any]:
         own = {f"{side}_private_key": self._file(KEY) for side in sides}
@@ -140,6 +147,19 @@ class Keys:
 
     def _file(self, name: str) -> str:
         return str(self.folder / name)
+
+
+def barred(services: Iterable[str], written: Sequence[AnyTopic]) -> str:
+    """Why what this machine puts ends at its own router, by the services that are heard of here; or nothing.
+
+    A router that holds the certificate of a role which may lead or plan is heard of on other machines, too, and so is the
+    robot's; the others' word stays on their machine.
+    """
+    for name in services:
+        role = ROLE_NAMED.get(name.removeprefix(ROUTER_OF)) if name.startswith(ROUTER_OF) else None
+        if role is not None and t.HEALTH not in role.puts and (refused := role.refusal(written)):
+            return refused
+    return ""
 
 
 def plain_elsewhere(endpoints: Iterable[str]) -> tuple[str, ...]:

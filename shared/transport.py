@@ -172,6 +172,11 @@ class Router:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         _close([self._session])
 
+    @property
+    def chained(self) -> bool:
+        """Whether it is connected to any other router."""
+        return bool(list(self._session.info.routers_zid()))
+
 
 class ForeignPublisher:
     """Puts payloads on one key that is somebody else's."""

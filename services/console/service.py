@@ -9,9 +9,10 @@ from services.console.clerk import Clerk
 from services.console.config import Settings
 from services.console.desk import Desk
 from services.console.diary import KEPT, Diary
-from services.console.requests import Record, Request, Watch
+from services.console.requests import Command, Drive, GoTo, Record, Request, TakeOver, Watch
 from services.console.server import Event, PageServer
 from shared import topics
+from shared.access import barred
 from shared.clock import now_ns
 from shared.messages import ActuatorState, CameraState, Health, Message, ModeCommand, PlannerStatus, StopOrder, TerrainMap, Tick
 from shared.robot import RobotProfile
@@ -148,9 +149,22 @@ class Console:
             self.server.show("map", frames.map_frame(self._map, self._watched[page].layer), [page])
 
     def _ask(self, page: int, request: Request, now: int) -> None:
-        refused = self._clerk.want(request.on, now) if isinstance(request, Record) else self._desk.ask(page, request, now)
+        refused = self._barred(request)
+        if not refused:
+            refused = self._clerk.want(request.on, now) if isinstance(request, Record) else self._desk.ask(page, request, now)
         if refused:
             self._tell("refused", view.answer(refused), page)
+
+    def _barred(self, request: Request) -> str:
+        """Why a request comes to nothing on this machine, whoever leads: by its certificate it may only stop."""
+        match request:
+            case Record():
+                return barred(self._health, [topics.RECORD])
+            case Command(order="off" | "stop"):
+                return ""
+            case Command() | Drive() | GoTo() | TakeOver():
+                return barred(self._health, [topics.MODE])
+        return ""
 
     # ------------------------------------------------------------------------------------------------------------ to pages
 

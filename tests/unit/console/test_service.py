@@ -224,10 +224,28 @@ def test_what_is_pressed_goes_out_and_what_is_refused_is_told(rig: Rig) -> None:
     while not any(isinstance(m, ModeCommand) and m.mode == "off" for m in sent):
         assert time.monotonic() < limit
         sent += rig.beat()
-    (off,) = [m for m in sent if isinstance(m, StopOrder)][:1]
-    assert (off.mode, off.holder) == ("off", "console 2"), "by the key of those who may not lead, too"
+    off = next(m for m in sent if isinstance(m, StopOrder) and m.mode == "off")
+    assert off.holder == "console 2", "by the key of those who may not lead, too"
     page.close()
     other.close()
+
+
+def test_on_a_machine_that_may_only_stop_the_page_says_so(rig: Rig) -> None:
+    page = rig.page()
+    page.until("state", lambda told: len(told["seats"]) == 1)
+    rig.legs()
+    nothing = np.zeros(0)
+    rig.hear(Health(1, "router of viewer", "listening", 0, 0, 0, "", (), nothing, nothing))
+    rig.beat(300.0)
+    page.ask("order", order="stand")
+    assert "this certificate (viewer: " in page.until("refused")["words"]
+    page.ask("order", order="off")
+    sent: list[Message] = []
+    limit = time.monotonic() + PATIENCE_S
+    while not any(isinstance(m, StopOrder) for m in sent):
+        assert time.monotonic() < limit
+        sent += rig.beat()
+    page.close()
 
 
 def test_who_is_there_is_told_and_who_goes_is_no_more(rig: Rig) -> None:

@@ -110,9 +110,9 @@ def test_a_stop_goes_by_the_key_of_those_who_may_not_lead_too(what: Any, leads: 
     assert [type(m) for m in walk.step(Tick(1), Inbox(walk.reads, walk.stages))] == [ModeCommand]
 
 
-def router_says(desk: Desk, refused: int, last: str) -> None:
+def router_says(desk: Desk, refused: int, last: str, name: str = "router of robot") -> None:
     nothing = np.zeros(0)
-    word = Health(desk.now_ns, "router of robot", "listening", 0, refused, 0, last, (), nothing, nothing)
+    word = Health(desk.now_ns, name, "listening", 0, refused, 0, last, (), nothing, nothing)
     desk.inbox.receive(topics.HEALTH, codec.encode(word), desk.now_ns)
 
 
@@ -133,3 +133,16 @@ def test_who_leads_takes_no_notice_of_others_being_kept_back() -> None:
     router_says(desk, 4, "refused: viewer may not put operator/mode")
     desk.beats(1, mode=Mode.STAND, reason="standing up", lease="me")
     assert not desk.order.finished
+
+
+def test_on_a_machine_that_may_only_stop_its_own_router_says_so() -> None:
+    desk = Desk(Order("stand", "me"), mode=Mode.OFF, reason="torque is off")
+    router_says(desk, 0, "", "router of viewer")
+    desk.beats(1)
+    assert "this certificate (viewer: " in desk.order.failed
+    assert "may not send operator/mode, only operator/stop; use the keys of another role: base, console" in desk.order.failed
+    for what, name in (("off", "router of viewer"), ("stand", "router of console"), ("stand", "router of robot")):
+        desk = Desk(Order(what, "me"), mode=Mode.READY, reason="torque is on")
+        router_says(desk, 0, "", name)
+        desk.beats(1)
+        assert not desk.order.failed
