@@ -188,7 +188,7 @@ def _of_services(trace: Trace) -> list[Sign]:
     found = []
     for who in SPEAKERS:
         own = [spell for spell in trace.spells if spell.who == who]
-        following = [spell.begin for spell in own[1:]] + [float(trace.t[-1])]
+        following = [spell.begin for spell in own[1:]] + [float(trace.t[-1])] * bool(own)  # nobody is silent who never spoke
         found += [
             Sign(5, spell.end, f"{who} fell silent")
             for spell, begin in zip(own, following, strict=True)

@@ -124,3 +124,10 @@ def test_states_follow_each_other_without_a_gap_and_are_those_that_were_said(sto
 def test_what_differs_in_figures_and_legs_is_one_complaint():
     assert kind_of("slipping: left front, right rear and left rear by 3.2 mm") == kind_of("slipping: right middle by -12 mm")
     assert kind_of("no foothold") != kind_of("no pose")
+
+
+def test_who_never_spoke_has_not_fallen_silent(story):
+    scorer = story(sink_s=4.0).judged()
+    moment, trace = _moment(scorer), scorer.trace
+    unheard = replace(trace, spells=tuple(spell for spell in trace.spells if spell.who != "planner"))
+    assert not [sign for sign in signs(unheard, moment) if sign.words.startswith("planner")]
