@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from deploy.commands import keys, servos
+from deploy.commands import keys, service, servos
 from deploy.commands.benches import (
     bench_access,
     bench_accuracy,
@@ -45,6 +45,7 @@ _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "deploy.video.story": "StoryError",
     "deploy.video.files": "FileError",
     "deploy.kept": "KeptError",
+    "deploy.units": "UnitError",
     "deploy.trials": "ChangedError",
     "deploy.replay_error": "ReplayError",
     "services.actuator.line": "BusGone",
@@ -183,6 +184,7 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_benches(add, commands.add_parser("bench", help="what the stages are worth"))
     _add_certificates(add, commands.add_parser("keys", help="certificates: who may meet the robot, and what each may do"))
+    _add_services(add, commands.add_parser("service", help="the processes of a role as services of systemd"))
     _add_topics(add, commands.add_parser("topics", help="what travels on the wire"))
     _add_servos(add, commands.add_parser("servos", help="from a box of servos to a robot: find, name, calibrate, test them"))
 
@@ -199,6 +201,7 @@ def _parser() -> argparse.ArgumentParser:
     one = add("compose", compose, "print a compose.yaml that starts the services in containers of their own")
     one.add_argument("--scenario", default="steps", help="name of the scenario (default %(default)s)")
     one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
+    one.add_argument("--offboard", action="store_true", help="in place of it, what runs beside a robot, by certificates")
     return parser
 
 
@@ -313,6 +316,33 @@ def _add_campaigns(add: Any) -> None:
 
 def _add_robots(add: Any) -> None:
     one = add("up", up, "start the processes of a role and keep them until Ctrl-C")
+    _add_role(one)
+
+    one = add("order", order, "order the legs of a robot that is up: stand, walk, stop, sit, or let go")
+    words = "off: let go; stop: set the feet down; ready: torque on; stand: rise; walk: let the planner walk; sit: lie down"
+    one.add_argument("what", choices=("off", "stop", "ready", "stand", "walk", "sit"), help=words)
+    _add_meeting(one)
+    one.add_argument("--holder", default="operator", help="who orders: one at a time may move the legs (default %(default)s)")
+    one.add_argument("--take", action="store_true", help="take over from whoever may move them now")
+
+    one = add("ros2", ros2, "make the robot a node of ROS 2 over rmw_zenoh, without ROS, see docs/ros2.md")
+    words = "of ROS (default: ROS_DOMAIN_ID, or 0)"
+    one.add_argument("--domain", type=_natural, default=os.environ.get("ROS_DOMAIN_ID") or "0", metavar="N", help=words)
+    words = "of the node and its topics, for several robots in one graph (default %(default)s)"
+    one.add_argument("--ros-namespace", default="/", metavar="/NAME", help=words)
+    words = "router of the ROS nodes, `ros2 run rmw_zenoh_cpp rmw_zenohd` (default: that of the robot)"
+    one.add_argument("--ros-connect", action="append", metavar="ENDPOINT", help=words)
+    one.add_argument("--connect", action="append", default=None, help="router of the robot (default: tcp/127.0.0.1:7447)")
+    one.add_argument("--namespace", default="sextant", help="prefix of every key of the robot (default %(default)s)")
+    _add_keys(one)
+    one.add_argument("--robot", default="phantomx_mk2", help="profile by name, or path of a TOML file (default %(default)s)")
+    words = "in which Twists walk (default %(default)s)"
+    one.add_argument("--gait", default="tripod", choices=("tripod", "ripple", "wave"), help=words)
+    one.add_argument("--pictures", action="store_true", help="also pass the camera's small pictures on")
+
+
+def _add_role(one: argparse.ArgumentParser) -> None:
+    """What says which processes are started, and how they meet others."""
     one.add_argument(
         "role",
         choices=("all", "onboard", "offboard", "sim"),
@@ -338,27 +368,19 @@ def _add_robots(add: Any) -> None:
     one.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
     one.add_argument("--set", action="append", default=[], metavar="SERVICE.KEY=VALUE", help="a setting of one service")
 
-    one = add("order", order, "order the legs of a robot that is up: stand, walk, stop, sit, or let go")
-    words = "off: let go; stop: set the feet down; ready: torque on; stand: rise; walk: let the planner walk; sit: lie down"
-    one.add_argument("what", choices=("off", "stop", "ready", "stand", "walk", "sit"), help=words)
-    _add_meeting(one)
-    one.add_argument("--holder", default="operator", help="who orders: one at a time may move the legs (default %(default)s)")
-    one.add_argument("--take", action="store_true", help="take over from whoever may move them now")
 
-    one = add("ros2", ros2, "make the robot a node of ROS 2 over rmw_zenoh, without ROS, see docs/ros2.md")
-    words = "of ROS (default: ROS_DOMAIN_ID, or 0)"
-    one.add_argument("--domain", type=_natural, default=os.environ.get("ROS_DOMAIN_ID") or "0", metavar="N", help=words)
-    words = "of the node and its topics, for several robots in one graph (default %(default)s)"
-    one.add_argument("--ros-namespace", default="/", metavar="/NAME", help=words)
-    words = "router of the ROS nodes, `ros2 run rmw_zenoh_cpp rmw_zenohd` (default: that of the robot)"
-    one.add_argument("--ros-connect", action="append", metavar="ENDPOINT", help=words)
-    one.add_argument("--connect", action="append", default=None, help="router of the robot (default: tcp/127.0.0.1:7447)")
-    one.add_argument("--namespace", default="sextant", help="prefix of every key of the robot (default %(default)s)")
-    _add_keys(one)
-    one.add_argument("--robot", default="phantomx_mk2", help="profile by name, or path of a TOML file (default %(default)s)")
-    words = "in which Twists walk (default %(default)s)"
-    one.add_argument("--gait", default="tripod", choices=("tripod", "ripple", "wave"), help=words)
-    one.add_argument("--pictures", action="store_true", help="also pass the camera's small pictures on")
+def _add_services(add: Any, parser: argparse.ArgumentParser) -> None:
+    group = parser.add_subparsers(required=True, metavar="WHAT")
+    one = add("install", service.install, "write a unit for each process of a role, and sextant.target for all", group)
+    _add_role(one)
+    one.add_argument("--dry-run", action="store_true", help="print them, write nothing")
+    other = add("uninstall", service.uninstall, "remove what `install` wrote, and nothing else", group)
+    for each in (one, other):
+        each.set_defaults(name=f"service {'install' if each is one else 'uninstall'}")
+        words = "for the machine's service manager, not your own: /etc/systemd/system"
+        each.add_argument("--system", action="store_true", help=words)
+        each.add_argument("--as", dest="run_as", default="", metavar="USER", help="whom --system runs them as (default: you)")
+        each.add_argument("--folder", metavar="DIR", help="to have the units in, in place of the usual one")
 
 
 def _add_certificates(add: Any, parser: argparse.ArgumentParser) -> None:

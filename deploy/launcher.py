@@ -4,7 +4,6 @@ import contextlib
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
+from deploy.ports import port_taken as port_taken
 from deploy.process_table import Command
 from deploy.pulses import LOOK_S, Pulses, unwatched
 from shared.transport import Endpoints, Router, TransportError
@@ -26,17 +26,6 @@ _TAIL = 60  # lines kept of what a process said
 _ROUTER_ATTEMPTS = 5
 # Below the ports that the kernel gives to outgoing connections (32768 on), so that none of them is taken meanwhile.
 _PORTS = range(20_000, 32_000)
-
-
-def port_taken(port: int) -> bool:
-    """Whether somebody listens on a TCP port of 127.0.0.1; found out without connecting, for a servo bus has one client."""
-    with contextlib.closing(socket.socket()) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # closed connections that linger do not count
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError:
-            return True
-    return False
 
 
 def free_port() -> int:

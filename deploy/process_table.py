@@ -63,6 +63,7 @@ class Process:
     # How long [s] its loop may be silent, once it has begun, before it counts as hung. A step in which something is compiled
     # for the first time takes long and is no hang.
     watchdog_s: float = 120.0
+    memory_mb: int = 512  # [MB] beyond which something has gone wrong with it: several times what it took when it was measured
 
 
 def _simulator(choices: Choices) -> dict[str, Value]:
@@ -111,15 +112,25 @@ def _actuator(choices: Choices) -> dict[str, Value]:
 
 # A dead simulator takes its world with it, so that run has failed; every other process finds its way back from the wire.
 TABLE: tuple[Process, ...] = (
-    Process("simulator", "services.simulator", "simulation", 0, _simulator, ready_port=lambda choices: choices.bus_port),
-    Process("actuator", "services.actuator", "robot", 3, _actuator, urgent=True, after=("simulator",), watchdog_s=1.5),
-    Process("stop", "services.actuator.stop", "robot", 3, _servo_port, watchdog_s=1.5),
+    Process(
+        "simulator",
+        "services.simulator",
+        "simulation",
+        0,
+        _simulator,
+        ready_port=lambda choices: choices.bus_port,
+        memory_mb=1024,
+    ),
+    Process(
+        "actuator", "services.actuator", "robot", 3, _actuator, urgent=True, after=("simulator",), watchdog_s=1.5, memory_mb=256
+    ),
+    Process("stop", "services.actuator.stop", "robot", 3, _servo_port, watchdog_s=1.5, memory_mb=256),
     Process("camera", "services.perception.cameras", "device", 3, _camera, watchdog_s=10.0),
-    Process("perception", "services.perception", "robot", 3, _perception, nice=2),
-    Process("mapper", "services.mapper", "either", 3, _mapper, nice=5),
-    Process("planner", "services.planner", "either", 3, _planner, nice=2),
-    Process("console", "services.console", "page", 3, _console),  # what stops the robot waits for no map
-    Process("recorder", "services.console.recorder", "page", 3, _recorder, nice=3),
+    Process("perception", "services.perception", "robot", 3, _perception, nice=2, memory_mb=1024),
+    Process("mapper", "services.mapper", "either", 3, _mapper, nice=5, memory_mb=1024),
+    Process("planner", "services.planner", "either", 3, _planner, nice=2, memory_mb=768),
+    Process("console", "services.console", "page", 3, _console, memory_mb=256),  # what stops the robot waits for no map
+    Process("recorder", "services.console.recorder", "page", 3, _recorder, nice=3, memory_mb=512),
 )
 
 
@@ -137,6 +148,7 @@ class Command:
     after: tuple[str, ...] = ()  # processes that must be ready before this one starts
     ready_port: int = 0  # TCP port of 127.0.0.1 that it listens on once it is ready; 0: ready at once
     watchdog_s: float = 0.0  # [s] without a sign of life after which it is ended as hung; 0: it gives none
+    memory_mb: int = 0  # [MB] that containers and units let it have; 0: what there is
 
 
 def choices(scenario: Scenario, source: str, seed: int, bus_port: int = BUS_PORT) -> Choices:
@@ -237,6 +249,7 @@ def commands(
             after=tuple(name for name in p.after if name in started),
             ready_port=p.ready_port(chosen),
             watchdog_s=p.watchdog_s,
+            memory_mb=p.memory_mb,
         )
         for p in processes
     )
@@ -269,7 +282,8 @@ def assignment(key: str, value: Value) -> str:
 def router_command(listen: str, more: tuple[str, ...] = ()) -> Command:
     """How to start the router as a process of its own, where no launcher hosts it; `more` are further arguments."""
     port = int(listen.rpartition(":")[2])
-    return Command("router", ("-m", "deploy.router", *(more or ("--listen", listen))), ENVIRONMENT, restarts=3, ready_port=port)
+    words = ("-m", "deploy.router", *(more or ("--listen", listen)))
+    return Command("router", words, ENVIRONMENT, restarts=3, ready_port=port, memory_mb=256)
 
 
 def _meeting(endpoints: Endpoints) -> tuple[str, ...]:

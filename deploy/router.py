@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+import os
 import signal
 import sys
 import time
@@ -14,6 +15,7 @@ from deploy.process_table import ROUTER_ENDPOINT
 from shared.access import AccessError
 from shared.host import end_with
 from shared.transport import Router, TransportError, log_to_stdout
+from shared.watchdog import Watchdog
 
 _ENDS = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 _WARN_S = 30.0  # between two warnings that it is open to anybody
@@ -43,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             _guard(gated)
         else:
             with Router(gated.listen, gated.upstream):
-                logging.info("listening on %s", ", ".join(gated.listen))
+                _listening(gated)
                 signal.sigwait(_ENDS)
     except (TransportError, AccessError) as error:
         logging.error("%s", error)
@@ -64,13 +66,20 @@ def _guard(gated: gate.Gate) -> None:
         router = Router(gated.listen, gated.upstream, configuration)
         with router, link_to(gated.own, gated.namespace) as link, Knocking(gated.knock, lambda: router.chained, _tell):
             keeper = Gatekeeper(caught.take, publish(link), gated.name, gated.namespace, doing, sys.stderr)
-            logging.info("listening on %s", ", ".join(gated.listen))
+            _listening(gated)
             while signal.sigtimedwait(_ENDS, _LOOK_S) is None:
                 if told := keeper.look(time.monotonic_ns()):
                     logging.warning("%s", told)
                 if warning and time.monotonic() >= due_s:
                     logging.warning("%s", warning)
                     due_s = time.monotonic() + _WARN_S
+
+
+def _listening(gated: gate.Gate) -> None:
+    """Say so, to people and to a service manager that starts others once this is ready."""
+    logging.info("listening on %s", ", ".join(gated.listen))
+    with Watchdog(os.environ) as watchdog:
+        watchdog.beat(time.monotonic_ns())
 
 
 if __name__ == "__main__":

@@ -58,6 +58,7 @@ RUN_BY = {
     "bench passage": "tests/unit/deploy/test_bench.py::test_the_passage_command_leaves_its_table",
     "bench stages": "tests/unit/deploy/test_bench.py::test_the_stages_command_leaves_timings_and_a_picture",
     "compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
+    "service": "tests/unit/deploy/test_units.py::test_the_command_writes_prints_what_is_next_and_removes",
     "faults": "tests/walk/test_faults_command.py::test_faults_are_injected_held_to_their_limits_and_not_done_again",
     "faults --live": "tests/live/test_live_faults.py::"
     "test_an_actuator_that_is_killed_in_mid_walk_is_back_and_holds_without_a_jump",

@@ -37,8 +37,8 @@ def _strange(endpoint: str, keys: str | None) -> "list[Check]":
 
 
 def compose(arguments: argparse.Namespace) -> int:
-    """`sextant compose`: compose.yaml of a local launch."""
-    from deploy.compose import compose_yaml
+    """`sextant compose`: compose.yaml of a local launch, or of what runs beside a robot."""
+    from deploy.compose import compose_yaml, offboard_yaml
 
-    sys.stdout.write(compose_yaml(arguments.scenario, arguments.seed))
+    sys.stdout.write(offboard_yaml() if arguments.offboard else compose_yaml(arguments.scenario, arguments.seed))
     return SUCCESS

@@ -32,12 +32,7 @@ def up(arguments: argparse.Namespace) -> int:
     from deploy.provenance import version
     from shared.transport import Endpoints, ZenohLink
 
-    rows = _rows(arguments)
-    chosen = _choices(arguments)
-    device = _camera(arguments.camera, chosen.robot, rows)
-    if device == "none":
-        rows = tuple(row for row in rows if row.side != "device")
-    chosen, extra = replace(chosen, camera=arguments.camera and device), _extra(arguments.set, rows)
+    rows, chosen, extra = asked(arguments)
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
         _see_servo_port(extra.get("actuator", ()))
     if any(row.name == "console" for row in rows):
@@ -45,7 +40,7 @@ def up(arguments: argparse.Namespace) -> int:
     process_table.new_robot(chosen)
     with contextlib.ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
-        gated = _gate(arguments, rows)
+        gated = gate_of(arguments, rows, _usual(arguments))
         router = _host(gated, stack)
         endpoints = Endpoints((gated.own,), namespace=arguments.namespace)
         chained = f", chained to {', '.join(gated.upstream)}" if gated.upstream else ""
@@ -74,6 +69,15 @@ def up(arguments: argparse.Namespace) -> int:
     return INTERRUPTED
 
 
+def asked(arguments: argparse.Namespace) -> "tuple[tuple[Process, ...], Choices, dict[str, tuple[str, ...]]]":
+    """The processes that are asked for, what they are told, and by their names further settings."""
+    rows, chosen = _rows(arguments), _choices(arguments)
+    device = _camera(arguments.camera, chosen.robot, rows)
+    if device == "none":
+        rows = tuple(row for row in rows if row.side != "device")
+    return rows, replace(chosen, camera=arguments.camera and device), _extra(arguments.set, rows)
+
+
 def _rows(arguments: argparse.Namespace) -> "tuple[Process, ...]":
     """The processes that are asked for: those of the role, with some more and without some."""
     from deploy import process_table
@@ -89,8 +93,8 @@ def _names(words: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for word in words for name in word.split(",") if name)
 
 
-def _gate(arguments: argparse.Namespace, rows: "Sequence[Process]") -> "Gate":
-    """Where this machine's router listens, to which it is chained, and whom it lets in.
+def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str) -> "Gate":
+    """Where this machine's router listens, `usual` where nothing is said, to which it is chained, and whom it lets in.
 
     Raises:
         AccessError: Anybody would be let in, and it was not said that they should; or the keys are wrong.
@@ -98,7 +102,7 @@ def _gate(arguments: argparse.Namespace, rows: "Sequence[Process]") -> "Gate":
     from deploy import gate
 
     keys, upstream = arguments.key_folder, tuple(arguments.connect or ())
-    gated = gate.of_arguments(arguments.listen or [], keys, arguments.open, arguments.namespace, _usual(arguments), upstream)
+    gated = gate.of_arguments(arguments.listen or [], keys, arguments.open, arguments.namespace, usual, upstream)
     gated.configuration()  # what is wrong with the keys is told before anything starts
     if misplaced := gated.misplaced([row.name for row in rows]):
         raise InputError(misplaced)

@@ -9,13 +9,16 @@ import sys
 import time
 import urllib.request
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import deploy
+from deploy.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_UP
 from deploy.launcher import Launcher, free_port, port_taken
 from deploy.process_table import BUS_PORT
+from deploy.process_table import Command as LaunchedCommand
 from deploy.report import check
 from services.console.recording.reader import Recording
 from shared import topics
@@ -28,6 +31,7 @@ pytestmark = pytest.mark.live
 
 ENDS_WITHIN_S = 2.0  # after Ctrl-C
 ROUTER_PORT = 7447
+PAGE_PORT = 8080
 
 
 def report_in(out: Path) -> dict[str, object]:
@@ -239,9 +243,15 @@ def test_two_machines_walk_together_whichever_is_there_first(tmp_path: Path) -> 
     assert report_in(out)["success"] is True
 
 
+def composed(file: str, mounts: dict[str, str], **variables: str) -> tuple[LaunchedCommand, ...]:
+    """The commands of a compose file, without its warm-up: what is compiled here is compiled already."""
+    found = commands_of((Path(deploy.__file__).parent / file).read_text(encoding="utf-8"), variables, mounts)
+    return tuple(replace(c, after=tuple(n for n in c.after if n != WARM_UP)) for c in found if c.name != WARM_UP)
+
+
 def test_what_compose_yaml_starts_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     skip_where_taken(ROUTER_PORT, BUS_PORT)
-    commands = commands_of((Path(deploy.__file__).parent / "compose.yaml").read_text(encoding="utf-8"))
+    commands = composed("compose.yaml", {NOTIFY_SOCKET: str(tmp_path / "NAME.notify")})
     monkeypatch.chdir(tmp_path)
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
@@ -258,3 +268,31 @@ def test_what_compose_yaml_starts_walks(tmp_path: Path, monkeypatch: pytest.Monk
     report = report_in(tmp_path / "runs" / "compose")
     assert report["success"] is True
     assert report["scenario"] == "steps"
+
+
+def test_what_compose_offboard_yaml_starts_walks_a_robot_by_certificates_and_each_of_its_services_is_healthy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    skip_where_taken(ROUTER_PORT, PAGE_PORT)
+    keys, course = tmp_path / "keys", str(write_course(tmp_path, "beside", 0.3))
+    with Command("keys", "new", str(keys), "--robot-address", "127.0.0.1", cwd=tmp_path) as new:
+        assert new.status() == 0
+    near, robot = (f"{kind}/127.0.0.1:{free_port()}" for kind in ("tcp", "tls"))
+    seen = {KEYS: str(keys / "base"), RECORDINGS: str(tmp_path / "recordings"), NOTIFY_SOCKET: str(tmp_path / "NAME.notify")}
+    commands = composed("compose.offboard.yaml", seen, SEXTANT_ROBOT=robot, SEXTANT_KEYS=str(keys / "base"))
+    monkeypatch.chdir(tmp_path)
+    for name, value in environment().items():
+        monkeypatch.setenv(name, value)
+    said: list[str] = []
+    words = ("--scenario", course, "--listen", near, "--listen", robot, "--keys", str(keys / "robot"))
+    with Launcher(commands, hear=lambda name, line: said.append(f"{name}: {line}")) as launcher:
+        eventually(lambda: launcher.poll() or len(launcher.names()) == len(commands), "the start of all")
+        with Command("up", "onboard", *words, cwd=tmp_path) as onboard:
+            onboard.wait_for(lambda: onboard.service("perception"), "the robot")
+            walk_by_the_client_of_the_docs(f"tcp/127.0.0.1:{ROUTER_PORT}")
+            assert launcher.poll() == [], "\n".join(said[-30:])
+            for command in commands:
+                check = [sys.executable, "-m", "deploy.healthy", *(("--port", str(ROUTER_PORT)) if command.ready_port else ())]
+                around = {**os.environ, **command.environment}
+                done = subprocess.run(check, env=around, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+                assert done.returncode == 0, f"{command.name}: {done.stderr}"

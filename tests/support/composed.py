@@ -1,28 +1,70 @@
-"""compose.yaml read back as the launcher's commands, so that a test can start exactly what it says without containers."""
+"""A compose file read back as the launcher's commands, so that a test can start exactly what it says without containers."""
 
 import re
+from collections.abc import Mapping
+from typing import Any
 
 import yaml
 
 from deploy.process_table import Command
 
+_FOR_EVER = 99
 
-def commands_of(text: str) -> tuple[Command, ...]:
-    """The commands, environments, restarts and dependencies of a compose file."""
+
+def services_of(text: str, variables: Mapping[str, str] | None = None) -> dict[str, Any]:
+    """The services of a compose file by name, variables put in as compose does."""
+    services = yaml.safe_load(_interpolated(text, variables or {}))["services"]
+    assert isinstance(services, dict)
+    return services
+
+
+def commands_of(
+    text: str, variables: Mapping[str, str] | None = None, mounts: Mapping[str, str] | None = None
+) -> tuple[Command, ...]:
+    """The commands, environments, restarts and dependencies of a compose file.
+
+    Args:
+        text: Of the file.
+        variables: Of the shell that starts compose.
+        mounts: Path as a container sees it -> this machine's; `NAME` in the latter is the service's name.
+    """
     found = []
-    for name, service in yaml.safe_load(text)["services"].items():
+    for name, service in services_of(text, variables).items():
+
+        def seen(word: str, name: str = name) -> str:
+            for inside, outside in (mounts or {}).items():
+                word = word.replace(inside, outside.replace("NAME", name))
+            return word
+
         interpreter, *arguments = service["command"]
         assert interpreter == "python"
         restarts = re.fullmatch(r"on-failure:(\d+)", service["restart"])
-        probe = re.search(r"port_taken\((\d+)\)", " ".join(service.get("healthcheck", {}).get("test", [])))
+        probe = re.search(r"--port (\d+)", " ".join(service.get("healthcheck", {}).get("test", [])))
         found.append(
             Command(
                 name,
-                tuple(arguments),
-                service["environment"],
-                restarts=int(restarts[1]) if restarts else 0,
+                tuple(seen(word) for word in arguments),
+                {key: seen(value) for key, value in service["environment"].items()},
+                restarts=int(restarts[1]) if restarts else _FOR_EVER if service["restart"] == "unless-stopped" else 0,
                 after=tuple(service.get("depends_on", {})),
                 ready_port=int(probe[1]) if probe else 0,
+                memory_mb=int(service["mem_limit"].removesuffix("m")),
             )
         )
     return tuple(found)
+
+
+def _interpolated(text: str, variables: Mapping[str, str]) -> str:
+    """${NAME:-default} and ${NAME:?what is missing}; without a value the latter is an error, as it is to compose."""
+
+    def value(found: re.Match[str]) -> str:
+        name, kind, rest = found.groups()
+        if kind == ":?" and name not in variables:
+            raise KeyError(f"{name}: {rest}")
+        return variables.get(name, rest)
+
+    return re.sub(r"\$\{(\w+)(:[-?])([^}]*)\}", value, "\n".join(_code(line) for line in text.splitlines()))
+
+
+def _code(line: str) -> str:
+    return "" if line.startswith("#") else line

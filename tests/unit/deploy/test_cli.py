@@ -30,7 +30,7 @@ def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
     loaded = set(done.stdout.split())
     assert "deploy.cli" in loaded, done.stderr
     assert not loaded & {"numpy", "zenoh", "cv2", "numba", "mujoco", "mcap"}
-    for command in ("demo", "run", "trials", "up", "replay", "topics", "doctor", "compose"):
+    for command in ("demo", "run", "trials", "up", "replay", "topics", "doctor", "compose", "service"):
         assert command in loaded, f"{command} is not offered"
 
 
@@ -141,6 +141,8 @@ def test_topics_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
 def test_compose_prints_the_committed_file(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["compose"]) == 0
     assert capsys.readouterr().out == (ROOT / "deploy" / "compose.yaml").read_text()
+    assert cli.main(["compose", "--offboard"]) == 0
+    assert capsys.readouterr().out == (ROOT / "deploy" / "compose.offboard.yaml").read_text()
 
 
 def test_the_doctor_fails_when_a_check_does(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

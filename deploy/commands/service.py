@@ -1,0 +1,86 @@
+"""`sextant service`: the processes of a role as services of systemd."""
+
+import argparse
+import getpass
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deploy.commands.common import SUCCESS, InputError, say
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from deploy.units import Manager
+
+
+def install(arguments: argparse.Namespace) -> int:
+    """`sextant service install`: a unit for each process of a role, and a target for all."""
+    from deploy import units
+
+    manager = _manager(arguments)
+    made = _made(arguments, manager)
+    if arguments.dry_run:
+        say("\n".join(f"# {name}\n{text}" for name, text in made.items()).rstrip())
+        return SUCCESS
+    folder = Path(arguments.folder) if arguments.folder else manager.usual_folder
+    try:
+        written = units.install(made, folder)
+    except OSError as error:
+        hint = "; as root, by sudo, or leave --system out" if manager.system else ""
+        raise InputError(f"cannot write units to {folder}: {error.strerror}{hint}") from None
+    for path in written:
+        say(str(path))
+    if not manager.system:
+        say("they run while you are logged in; `loginctl enable-linger` has them run from the machine's start")
+    say(f"next: {manager.systemctl} daemon-reload && {manager.systemctl} enable --now {units.TARGET}")
+    return SUCCESS
+
+
+def uninstall(arguments: argparse.Namespace) -> int:
+    """`sextant service uninstall`: remove what `install` wrote, and nothing else."""
+    from deploy import units
+
+    manager = _manager(arguments)
+    folder = Path(arguments.folder) if arguments.folder else manager.usual_folder
+    try:
+        removed, left = units.uninstall(folder, manager.systemctl)
+    except OSError as error:
+        raise InputError(f"cannot remove units from {folder}: {error.strerror}") from None
+    for path in removed:
+        say(f"removed {path}")
+    for path in left:
+        say(f"left {path}: not as `sextant service install` left it")
+    say(f"next: {manager.systemctl} daemon-reload" if removed else f"nothing of ours is in {folder}")
+    return SUCCESS
+
+
+def _manager(arguments: argparse.Namespace) -> "Manager":
+    from deploy.units import Manager
+
+    if not arguments.system:
+        return Manager(sys.executable)
+    user = arguments.run_as or os.environ.get("SUDO_USER") or getpass.getuser()
+    return Manager(sys.executable, user)
+
+
+def _made(arguments: argparse.Namespace, manager: "Manager") -> "Mapping[str, str]":
+    """The units that are asked for, all paths in them whole.
+
+    Raises:
+        AccessError: Anybody would be let in, and it was not said that they should; or the keys are wrong.
+    """
+    from deploy import process_table, units
+    from deploy.commands.up import asked, gate_of
+    from shared.transport import Endpoints
+
+    rows, chosen, extra = asked(arguments)
+    if chosen.scenario:
+        chosen = replace(chosen, bus_port=process_table.BUS_PORT)
+    gated = gate_of(arguments, rows, process_table.ROUTER_ENDPOINT)
+    router = process_table.router_command(gated.own, gated.words())
+    endpoints = Endpoints((gated.own,), namespace=arguments.namespace)
+    processes = process_table.commands(rows, chosen, endpoints, extra, elsewhere=arguments.role == "offboard")
+    return units.units(router, processes, manager)

@@ -1,0 +1,90 @@
+"""Whether a process of this container is well, for its health check: python -m deploy.healthy [--port N] [--end-hung].
+
+A process gives its signs of life at the socket that NOTIFY_SOCKET names, as it does under systemd (`shared.watchdog`); here
+this program sits at the other end, for as long as it takes to hear one. Nothing else has to run, and no file goes stale: a sign
+comes from the loop that does the work, now. It imports nothing that takes long, for it is run again and again.
+"""
+
+import argparse
+import contextlib
+import os
+import signal
+import socket
+import struct
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from deploy.ports import port_taken
+
+_CREDENTIALS = struct.Struct("3i")  # Linux' struct ucred: process, user, group
+_PATIENCE_S = 5.0  # where WATCHDOG_USEC says nothing
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """0 where all is well, else 1, and why in words."""
+    parser = argparse.ArgumentParser(prog="python -m deploy.healthy", description="Whether a process gives signs of life.")
+    parser.add_argument("--port", type=int, default=0, help="TCP port of 127.0.0.1 that somebody must listen on")
+    parser.add_argument("--end-hung", action="store_true", help="kill what has given signs and gives none any more")
+    arguments = parser.parse_args(argv)
+    problem = f"nobody listens on port {arguments.port}" if arguments.port and not port_taken(arguments.port) else ""
+    if not problem and os.environ.get("NOTIFY_SOCKET"):
+        problem = silence(os.environ, arguments.end_hung)
+    if problem:
+        sys.stderr.write(f"{problem}\n")
+    return 1 if problem else 0
+
+
+def silence(environment: Mapping[str, str], end_hung: bool = False) -> str:
+    """Wait for a sign of life; why none came, in words, or nothing.
+
+    Args:
+        environment: As the process was started with: NOTIFY_SOCKET, a path in a folder of this container's own, and
+            WATCHDOG_USEC, how long to wait [us].
+        end_hung: Whether to kill the process that an earlier call has heard and this one does not. What has given no sign
+            yet is starting, and is left alone.
+    """
+    path = Path(environment["NOTIFY_SOCKET"])
+    patience_s = int(environment.get("WATCHDOG_USEC") or 0) * 1e-6 or _PATIENCE_S
+    heard = path.with_name(f"{path.name}.heard")  # holds the id of the process that gave the last sign
+    pid = _next_sign(path, patience_s)
+    if pid:
+        heard.write_text(f"{pid}\n", encoding="ascii")
+        return ""
+    known = int(heard.read_text(encoding="ascii")) if heard.exists() else 0
+    if not known:
+        return f"no sign of life within {patience_s:g} s: it is starting"
+    ended = "; killed" if end_hung and _end(known, path) else ""
+    return f"process {known} hangs: no sign of life within {patience_s:g} s{ended}"
+
+
+def _next_sign(path: Path, within_s: float) -> int:
+    """The id of the next process that gives a sign, 0 if none does in time."""
+    with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+        path.unlink(missing_ok=True)  # of an earlier call that was cut short
+        listener.bind(str(path))
+        listener.settimeout(within_s)
+        try:
+            _, ancillary, _, _ = listener.recvmsg(4096, socket.CMSG_SPACE(_CREDENTIALS.size))
+        except TimeoutError:
+            return 0
+        finally:
+            path.unlink(missing_ok=True)
+    return next((_CREDENTIALS.unpack(data)[0] for _, kind, data in ancillary if kind == socket.SCM_CREDENTIALS), 0)
+
+
+def _end(pid: int, path: Path) -> bool:
+    """Kill a process, if it is still the one that was told to give its signs here."""
+    try:
+        around = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+    except OSError:  # it has gone
+        return False
+    if f"NOTIFY_SOCKET={path}".encode() not in around:
+        return False
+    os.kill(pid, signal.SIGKILL)
+    return True
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,208 @@
+"""Units of systemd for a robot's computer, made from the process table: a service per process, and a target for all of them.
+
+A process alone in its unit is started again alone. Signs of life go to systemd by the same protocol as to the launcher, so that
+`WatchdogSec=` is the table's.
+"""
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from deploy.process_table import Command
+
+TARGET = "sextant.target"
+_PREFIX = "sextant-"
+_MARK = "# Made by `sextant service install`; change it by `systemctl edit`. "
+_START_S = 120  # that a process may take until its loop runs
+_STOP_S = 5
+_AGAIN_S = 1  # from a failure to the next start
+_WITHIN_S = 60  # that the table's restarts are counted in
+_TASKS = 128
+_PRIORITY = 10  # of real time that an urgent process gives itself
+# What every process does without. None keeps a serial port or a camera away, as PrivateDevices= and ProtectClock= would,
+# or compiled loops from running, as MemoryDenyWriteExecute= would.
+_HARDENED = (
+    "NoNewPrivileges=yes",
+    "LockPersonality=yes",
+    "SystemCallArchitectures=native",
+    "RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK",
+)
+_HARDENED_SYSTEM = (  # that a user's own service manager may not do
+    "CapabilityBoundingSet=",
+    "ProtectSystem=strict",
+    "ProtectHome=read-only",
+    "PrivateTmp=yes",
+    "ProtectKernelTunables=yes",
+    "ProtectKernelModules=yes",
+    "ProtectKernelLogs=yes",
+    "ProtectControlGroups=yes",
+    "ProtectHostname=yes",
+    "RestrictNamespaces=yes",
+    "RestrictSUIDSGID=yes",
+    "SupplementaryGroups=dialout video plugdev",
+    # The order to let go is a file that all share, and outlives them.
+    "RuntimeDirectory=sextant",
+    "RuntimeDirectoryPreserve=yes",
+    "CacheDirectory=sextant",
+)
+_SYSTEM_ENVIRONMENT = {"XDG_RUNTIME_DIR": "%t/sextant", "NUMBA_CACHE_DIR": "%C/sextant"}
+
+
+@dataclass(frozen=True, slots=True)
+class Manager:
+    """Which service manager is to start the units."""
+
+    python: str  # interpreter, by its whole path
+    user: str = ""  # whom the machine's own manager runs them as; empty: a user's own manager
+
+    @property
+    def system(self) -> bool:
+        """Whether it is the machine's own."""
+        return bool(self.user)
+
+    @property
+    def systemctl(self) -> str:
+        """The command that asks it."""
+        return "sudo systemctl" if self.system else "systemctl --user"
+
+    @property
+    def usual_folder(self) -> Path:
+        """Where it looks for units."""
+        return Path("/etc/systemd/system") if self.system else Path.home() / ".config" / "systemd" / "user"
+
+
+class UnitError(ValueError):
+    """A unit that is somebody else's, with what to do."""
+
+
+def units(router: Command, processes: Sequence[Command], manager: Manager) -> Mapping[str, str]:
+    """The text of each unit by its file's name.
+
+    Args:
+        router: How the router is started.
+        processes: How the others are, all of which wait for it.
+        manager: Who starts them.
+    """
+    waiting = [replace(command, after=(router.name, *command.after)) for command in processes]
+    made = {_file(command.name): _service(command, manager) for command in (router, *waiting)}
+    return {**{name: _marked(text) for name, text in made.items()}, TARGET: _marked(_target(list(made), manager))}
+
+
+def install(made: Mapping[str, str], folder: Path) -> list[Path]:
+    """Write units, and remove those of an earlier installation that are no longer among them.
+
+    Returns:
+        What was written.
+
+    Raises:
+        UnitError: A file of that name is somebody else's, or was changed by hand; nothing was written.
+    """
+    if foreign := [name for name in made if (folder / name).exists() and not _ours(folder / name)]:
+        raise UnitError(
+            f"{', '.join(str(folder / name) for name in foreign)}: not as `sextant service install` left it; move it away, and "
+            "put changes of your own into a drop-in (`systemctl edit`)"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in installed(folder):
+        if path.name not in made:
+            path.unlink()
+    for name, text in made.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in made]
+
+
+def uninstall(folder: Path, systemctl: str) -> tuple[list[Path], list[Path]]:
+    """Remove exactly what `install` wrote.
+
+    Returns:
+        What was removed, and what is left because somebody has changed it or it is somebody else's.
+
+    Raises:
+        UnitError: The target is still started with the machine.
+    """
+    if links := sorted(folder.glob(f"*.wants/{TARGET}")):
+        raise UnitError(f"{links[0]}: it is still enabled; `{systemctl} disable --now {TARGET}` first")
+    removed = installed(folder)
+    for path in removed:
+        path.unlink()
+    left = [*folder.glob(f"{_PREFIX}*.service"), *folder.glob(TARGET)]
+    return removed, sorted(left)
+
+
+def installed(folder: Path) -> list[Path]:
+    """Units in a folder that are as `install` left them."""
+    return sorted(path for path in (*folder.glob(f"{_PREFIX}*.service"), *folder.glob(TARGET)) if _ours(path))
+
+
+def _file(name: str) -> str:
+    return f"{_PREFIX}{name}.service"
+
+
+def _marked(text: str) -> str:
+    return f"{_MARK}{_digest(text)}\n{text}"
+
+
+def _ours(path: Path) -> bool:
+    first, _, text = path.read_text(encoding="utf-8").partition("\n")
+    return first == f"{_MARK}{_digest(text)}"
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2s(text.encode()).hexdigest()[:16]
+
+
+def _service(command: Command, manager: Manager) -> str:
+    after = " ".join(_file(name) for name in command.after)
+    environment = {**command.environment, **(_SYSTEM_ENVIRONMENT if manager.system else {})}
+    words = (manager.python, *command.arguments)
+    lines = [
+        "[Unit]",
+        f"Description=Sextant, {command.name}",
+        f"PartOf={TARGET}",
+        *([f"After={after}", f"Wants={_file(command.after[0])}"] if after else ["After=network.target"]),
+        f"StartLimitIntervalSec={_WITHIN_S}",
+        f"StartLimitBurst={command.restarts + 1}",
+        "",
+        "[Service]",
+        "Type=notify",
+        f"ExecStart={' '.join(_quoted(word) for word in words)}",
+        *(f"Environment={_quoted(f'{key}={value}', specifiers=True)}" for key, value in environment.items()),
+        "StateDirectory=sextant",
+        "WorkingDirectory=%S/sextant",
+        f"Restart={'on-failure' if command.restarts else 'no'}",
+        f"RestartSec={_AGAIN_S}",
+        "RestartPreventExitStatus=2",  # it was started wrongly, and would be again
+        f"TimeoutStartSec={_START_S}",
+        f"TimeoutStopSec={_STOP_S}",
+        *([f"WatchdogSec={round(command.watchdog_s * 1e3)}ms"] if command.watchdog_s else []),
+        "LimitCORE=0",  # a process that hangs is ended by SIGABRT, and says where it hung
+        *([f"LimitRTPRIO={_PRIORITY}"] if "--urgent" in command.arguments else ["RestrictRealtime=yes"]),
+        *([f"MemoryMax={command.memory_mb}M"] if command.memory_mb else []),
+        f"TasksMax={_TASKS}",
+        *_HARDENED,
+        *((f"User={manager.user}", *_HARDENED_SYSTEM) if manager.system else ()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _target(services: Sequence[str], manager: Manager) -> str:
+    lines = [
+        "[Unit]",
+        "Description=Sextant, all that runs on this machine",
+        f"Wants={' '.join(services)}",
+        "",
+        "[Install]",
+        f"WantedBy={'multi-user.target' if manager.system else 'default.target'}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(word: str, specifiers: bool = False) -> str:
+    """A word as systemd reads it back: nothing in it is a variable or, unless it is to be, a specifier."""
+    word = word if specifiers else word.replace("%", "%%").replace("$", "$$")
+    if re.fullmatch(r"[\w%$@:,./=+-]+", word):
+        return word
+    escaped = word.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\t", "\\t")
+    return f'"{escaped}"'
