@@ -13,6 +13,12 @@ from pathlib import Path
 from deploy.process_table import Command
 
 TARGET = "sextant.target"
+DEVICE_GROUPS = (
+    "dialout",
+    "uucp",
+    "video",
+    "plugdev",
+)  # that serial ports and cameras belong to, on one distribution or another
 _PREFIX = "sextant-"
 _MARK = "# Made by `sextant service install`; change it by `systemctl edit`. "
 _START_S = 120  # that a process may take until its loop runs
@@ -41,7 +47,6 @@ _HARDENED_SYSTEM = (  # that a user's own service manager may not do
     "ProtectHostname=yes",
     "RestrictNamespaces=yes",
     "RestrictSUIDSGID=yes",
-    "SupplementaryGroups=dialout video plugdev",
     # The order to let go is a file that all share, and outlives them.
     "RuntimeDirectory=sextant",
     "RuntimeDirectoryPreserve=yes",
@@ -56,6 +61,7 @@ class Manager:
 
     python: str  # interpreter, by its whole path
     user: str = ""  # whom the machine's own manager runs them as; empty: a user's own manager
+    groups: tuple[str, ...] = ()  # that the machine's own manager gives them beside the user's; each must be there
 
     @property
     def system(self) -> bool:
@@ -183,6 +189,7 @@ def _service(command: Command, manager: Manager) -> str:
         f"TasksMax={_TASKS}",
         *_HARDENED,
         *((f"User={manager.user}", *_HARDENED_SYSTEM) if manager.system else ()),
+        *([f"SupplementaryGroups={' '.join(manager.groups)}"] if manager.groups else []),
     ]
     return "\n".join(lines) + "\n"
 

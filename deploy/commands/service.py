@@ -2,6 +2,7 @@
 
 import argparse
 import getpass
+import grp
 import os
 import sys
 from dataclasses import replace
@@ -58,12 +59,13 @@ def uninstall(arguments: argparse.Namespace) -> int:
 
 
 def _manager(arguments: argparse.Namespace) -> "Manager":
-    from deploy.units import Manager
+    from deploy.units import DEVICE_GROUPS, Manager
 
     if not arguments.system:
         return Manager(sys.executable)
     user = arguments.run_as or os.environ.get("SUDO_USER") or getpass.getuser()
-    return Manager(sys.executable, user)
+    there = {group.gr_name for group in grp.getgrall()}  # systemd starts nothing with a group that is not there
+    return Manager(sys.executable, user, tuple(group for group in DEVICE_GROUPS if group in there))
 
 
 def _made(arguments: argparse.Namespace, manager: "Manager") -> "Mapping[str, str]":

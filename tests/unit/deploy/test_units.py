@@ -1,3 +1,5 @@
+import grp
+import re
 import shutil
 import subprocess
 from collections.abc import Mapping
@@ -120,6 +122,14 @@ def test_the_command_writes_prints_what_is_next_and_removes(tmp_path: Path, caps
     assert said.splitlines()[-1] == ("next: systemctl --user daemon-reload && systemctl --user enable --now sextant.target")
     assert cli.main(["service", "uninstall", "--folder", str(tmp_path)]) == 0
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_machines_own_manager_gives_the_groups_of_devices_that_there_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["service", "install", "onboard", "--camera", "none", "--system", "--as", "root", "--dry-run"]) == 0
+    found = re.findall(r"^SupplementaryGroups=(.+)$", capsys.readouterr().out, re.MULTILINE)
+    there = {group.gr_name for group in grp.getgrall()}
+    assert all(set(groups.split()) == set(units.DEVICE_GROUPS) & there for groups in found)
+    assert len(found) == (4 if there & set(units.DEVICE_GROUPS) else 0)
 
 
 def test_what_is_wrong_is_said_before_anything_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
