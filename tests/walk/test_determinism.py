@@ -20,6 +20,7 @@ WALKING = (
     topics.CAMERA_STATE,
     topics.BODY_POSE,
     topics.SCAN,
+    topics.SCAN_RECEIPT,
     topics.TERRAIN,
     topics.STEP_PLAN,
     topics.PLANNER_STATUS,
