@@ -118,6 +118,7 @@ TABLE: tuple[Process, ...] = (
         "simulation",
         0,
         _simulator,
+        urgent=True,  # the world waits for nobody, and its servos answer within milliseconds
         ready_port=lambda choices: choices.bus_port,
         memory_mb=1024,
     ),

@@ -41,7 +41,6 @@ def commands(
         chosen = replace(chosen, console_port=page_port, lift=0.025, recordings=recordings)
     tapped = (process_table.assignment("port", port(listen)),)
     rows = process_table.rows("all", simulated=True, page=page_port is not None)
-    rows = tuple(replace(row, urgent=True) if row.side == "simulation" else row for row in rows)  # the world waits for nobody
     services = process_table.commands(rows, chosen, endpoints, {"actuator": tapped, "stop": tapped})
     needs = {"actuator": ("tap",)}
     return [

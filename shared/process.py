@@ -21,7 +21,7 @@ from typing import Any, NoReturn, TypeVar
 
 from shared import clock, codec, config, topics
 from shared.access import Keys
-from shared.host import end_with, go_first, keep_memory
+from shared.host import end_with, go_first, keep_memory, switch_often
 from shared.robot import RobotProfile, load_profile
 from shared.service import Service, run_live
 from shared.transport import Endpoints, TransportError, ZenohLink
@@ -57,6 +57,7 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
     if arguments.urgent and (refused := go_first()):
         logging.warning(refused)
     keep_memory()
+    switch_often()
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         # Not stop.set() itself: the signal may come while this thread holds the lock inside stop.wait(), and set() takes it.

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Point3_pb2 import Point3
@@ -15,6 +14,8 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from shared.geometry import Array, quaternion_from_rotation
 
 Rgba = tuple[float, float, float, float]
+
+_ORIGIN = (0.0, 0.0, 0.0)
 
 
 def time(stamp_ns: int) -> Timestamp:
@@ -29,6 +30,11 @@ def pose(T: Array) -> Pose:
     return Pose(position=vector(T[:3, 3]), orientation=Quaternion(x=x, y=y, z=z, w=w))
 
 
+def place(p: Sequence[float] | Array) -> Pose:
+    """A point (3,), as a transform that turns nothing."""
+    return Pose(position=vector(p), orientation=Quaternion(w=1.0))
+
+
 def vector(v: Sequence[float] | Array) -> Vector3:
     """Three numbers."""
     return Vector3(x=float(v[0]), y=float(v[1]), z=float(v[2]))
@@ -41,12 +47,10 @@ def color(rgba: Rgba) -> Color:
 
 def ball(p: Array, diameter: float, rgba: Rgba) -> SpherePrimitive:
     """A ball [m] at a point (3,)."""
-    T = np.eye(4)
-    T[:3, 3] = p
-    return SpherePrimitive(pose=pose(T), size=vector((diameter, diameter, diameter)), color=color(rgba))
+    return SpherePrimitive(pose=place(p), size=vector((diameter, diameter, diameter)), color=color(rgba))
 
 
 def lines(kind: LinePrimitive.Type.ValueType, corners: Array, rgba: Rgba, width: float) -> LinePrimitive:
     """Lines of a width [m] through points (n, 3)."""
     ends = [Point3(x=x, y=y, z=z) for x, y, z in corners.tolist()]
-    return LinePrimitive(type=kind, pose=pose(np.eye(4)), thickness=width, points=ends, color=color(rgba))
+    return LinePrimitive(type=kind, pose=place(_ORIGIN), thickness=width, points=ends, color=color(rgba))

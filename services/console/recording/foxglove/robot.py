@@ -60,7 +60,7 @@ def drawn(state: ActuatorState, profile: RobotProfile) -> SceneUpdate:
     entity = _entity(state.stamp_ns, "body", "robot", legs[:, 3], colors, 2.0 * radius)
     entity.frame_locked = True
     size = parts.vector(profile.body.size)
-    entity.cubes.append(CubePrimitive(pose=parts.pose(np.eye(4)), size=size, color=parts.color(_BODY)))
+    entity.cubes.append(CubePrimitive(pose=parts.place((0.0, 0.0, 0.0)), size=size, color=parts.color(_BODY)))
     entity.lines.append(parts.lines(LinePrimitive.LINE_LIST, links, _LEG, _LEG_WIDTH))
     standing = legs[~state.swing, 3]
     if len(standing) >= 3:
