@@ -14,13 +14,16 @@ LEVELS = (  # of Zenoh's log, as RUST_LOG has them
 )
 _KINDS = 64  # that are told apart: who puts to a thousand keys is told of in one line
 _CLIENTS = 256  # whose certificates are remembered
+_BURST = 100  # messages a second that may come too soon behind another: a stream that stalled comes all at once
 _OTHERS = "more than can be named"
 _COLOR = re.compile(r"\x1b\[[0-9;]*m")
 _TLS = re.compile(r"WARN .*?zenoh_link_tls::unicast: (?P<why>.*?)(?: Hint: .*)?$")
+_SECOND = re.compile(r"^(\S+)\.\d+Z? ")
 _MESSAGE = re.compile(r" (?:TRACE|DEBUG|INFO)\s+(?:(?P<thread>.*?) )?zenoh::\S+: (?P<words>.*)$")
 _WHO = re.compile(r"^(?P<zid>[0-9a-f]+) on .*?(?:CertCommonName\((?P<who>[^)]*)\)|Transport\((?P<link>\w+)\))")
 _DENIED = re.compile(r"(?P<zid>[0-9a-f]+)(?: on \S+)? is unauthorized to (?P<what>.+?) \((?P<flow>\w+)\) on (?P<key>\S+)")
 _THINNED = re.compile(r"Message dropped by the downsampling interceptor: Push\((?P<key>[^)]*)\) from:\S*?/(?P<zid>[0-9a-f]+)")
+_TOO_OFTEN = re.compile(r" comes too often from ")
 _INTERCEPTED = "Msg intercepted!"
 _FULL = re.compile(r"[Dd]efragmentation")
 _CERTIFICATES = (  # what the log says, and what it means
@@ -52,6 +55,7 @@ class Refusals:
         self._prefix = f"{namespace}/"
         self.count: Counter[str] = Counter()  # kind, in words -> how often
         self.newest = ""  # kind
+        self._soon: dict[str, tuple[str, int]] = {}  # of a key and who put it: the second of the log, messages too soon in it
         self._before: dict[str, str] = {}  # thread -> its last line
         self._who: dict[str, str] = {}  # id of a session -> by whose certificate
 
@@ -63,17 +67,30 @@ class Refusals:
             kind = self._kind(line)
             if kind is None:
                 yield line
-            elif kind:
-                self._add(kind)
+            elif kind and (number := self._weight(kind, line)):
+                self._add(kind, number)
 
     def words(self) -> str:
         """What was refused how often, the most frequent first."""
         return ", ".join(f"{kind}: {number} times" for kind, number in self.count.most_common())
 
-    def _add(self, kind: str) -> None:
+    def _weight(self, kind: str, line: str) -> int:
+        """How many refusals a line stands for: none while what comes too often may be a burst, all of it once it is more."""
+        if not _TOO_OFTEN.search(kind):
+            return 1
+        stamp = _SECOND.match(line)
+        second = stamp[1] if stamp is not None else ""
+        before, number = self._soon.get(kind, (second, 0))
+        number = number + 1 if before == second else 1
+        self._soon[kind] = second, number
+        if len(self._soon) > _KINDS:
+            del self._soon[next(iter(self._soon))]
+        return 0 if number <= _BURST else _BURST + 1 if number == _BURST + 1 else 1
+
+    def _add(self, kind: str, number: int) -> None:
         if kind not in self.count and len(self.count) >= _KINDS:
             kind = _OTHERS
-        self.count[kind] += 1
+        self.count[kind] += number
         self.newest = kind
 
     def _kind(self, line: str) -> str | None:

@@ -48,15 +48,6 @@ TLS = "2026-11-23T03:44:56.627114Z  WARN acc-0 ThreadId(04) zenoh_link_tls::unic
             + KEPT,
             "viewer may not read camera/depth",
         ),
-        (
-            logged(f"{VIEWER} on {ON}+{VIEWER} is authorized to Put (ingress) on here/operator/stop")
-            + logged(
-                "Message dropped by the downsampling interceptor: Push(here/operator/stop) from:south:0:client/5e8de63f:3",
-                target="downsampling",
-            )
-            + KEPT,
-            "operator/stop comes too often from viewer",
-        ),
         (TLS.format("invalid peer certificate: UnknownIssuer."), "a certificate of a foreign authority"),
         (TLS.format("invalid peer certificate: BadSignature."), "a certificate of a foreign authority"),
         (TLS.format("invalid peer certificate: certificate expired: verification time 1795405498"), "an expired certificate"),
@@ -73,6 +64,23 @@ def test_each_kind_has_a_name_and_is_counted(log: str, kind: str) -> None:
     assert refusals.count == {kind: 2}
     assert refusals.newest == kind
     assert refusals.words() == f"{kind}: 2 times"
+
+
+def test_a_flood_is_counted_and_what_comes_all_at_once_behind_a_stall_is_not() -> None:
+    too_soon = (
+        logged(f"{VIEWER} on {ON}+{VIEWER} is authorized to Put (ingress) on here/operator/stop")
+        + logged(
+            "Message dropped by the downsampling interceptor: Push(here/operator/stop) from:south:0:client/5e8de63f:3",
+            target="downsampling",
+        )
+        + KEPT
+    )
+    refusals = Refusals("here")
+    for second in range(10, 20):
+        assert list(refusals.read(60 * too_soon.replace("04:24:58", f"04:24:{second}"))) == []
+    assert refusals.count.total() == 0
+    assert list(refusals.read(1000 * too_soon)) == []
+    assert refusals.count == {"operator/stop comes too often from viewer": 1000}
 
 
 @pytest.mark.parametrize(
