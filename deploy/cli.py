@@ -16,6 +16,7 @@ from deploy.commands.benches import (
     bench_access,
     bench_accuracy,
     bench_bus,
+    bench_link,
     bench_page,
     bench_passage,
     bench_recording,
@@ -136,6 +137,10 @@ def _number(text: str, lowest: float, highest: float, what: str) -> float:
     if not lowest <= found <= highest:
         raise argparse.ArgumentTypeError(f"{what} from {lowest:g} to {highest:g} expected, found {text!r}")
     return found
+
+
+def _longest_cut(text: str) -> float:
+    return _number(text, 0.1, 600.0, "seconds")
 
 
 def _times(text: str) -> float:
@@ -423,6 +428,16 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     one.add_argument("--rounds", type=_positive, default=300, metavar="N", help="of each job (default %(default)s)")
     _add_out_and_json(one)
 
+    one = add("link", bench_link, "walk a robot whose map and planner are behind a radio that loses, or is cut", group)
+    one.add_argument("--walks", type=_positive, default=5, metavar="N", help="over each link (default %(default)s)")
+    one.add_argument("--scenario", default="steps", help="of the walks (default %(default)s)")
+    one.add_argument("--cuts", type=_natural, default=0, metavar="N", help="instead cut the radio so many times in one walk")
+    words = "[s] of the longest cut; the shortest takes 0.1 s (default %(default)s)"
+    one.add_argument("--longest", type=_longest_cut, default=30.0, metavar="S", help=words)
+    one.add_argument(
+        "--seed", type=_natural, default=0, help="first seed of the walks, or that of the cuts (default %(default)s)"
+    )
+    _add_out_and_json(one)
     one = add("page", bench_page, "time how soon the operator's page stops the robot, by a real browser, and its cost", group)
     one.add_argument("--rounds", type=_positive, default=30, metavar="N", help="of each (default %(default)s)")
     _add_out_and_json(one)

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from deploy.commands.common import SUCCESS, InputError, open_progress, out_folder, say, warm_up
+from deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say, warm_up
 
 
 def bench_accuracy(arguments: argparse.Namespace) -> int:
@@ -58,6 +58,25 @@ def bench_access(arguments: argparse.Namespace) -> int:
     out = out_folder(arguments, "bench-access")
     rows = access.measure(arguments.messages, open_progress(arguments.json).say)
     return _tell_bench(access.in_words(rows), access.to_json(rows), out / "access.json", arguments.json)
+
+
+def bench_link(arguments: argparse.Namespace) -> int:
+    """`sextant bench link`: a robot whose map and planner are behind a radio, live."""
+    from deploy.bed.namespace import BedError
+    from deploy.bench import link
+
+    out, progress = out_folder(arguments, "bench-link"), open_progress(arguments.json)
+    warm_up(progress)
+    try:
+        if arguments.cuts:
+            cut = link.cuts(arguments.cuts, arguments.seed, arguments.longest, progress.say)
+            return _tell_bench(link.cuts_in_words(cut), link.to_json("cuts", cut), out / "cuts.json", arguments.json)
+        seeds = range(arguments.seed, arguments.seed + arguments.walks)
+        walked = link.walks(arguments.scenario, seeds, link.LINKS, progress.say)
+    except (BedError, TimeoutError) as error:
+        complain(f"sextant bench link: {error}")
+        return FAILED
+    return _tell_bench(link.walks_in_words(walked), link.to_json("walks", walked), out / "walks.json", arguments.json)
 
 
 def bench_page(arguments: argparse.Namespace) -> int:

@@ -1,0 +1,73 @@
+"""What becomes of packets between two machines: they wait for the air, are under way for a while, and some are lost. Pure."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.scenario import Link
+
+QUEUE_BYTES = 150_000  # [bytes] that wait for the air; what comes then is dropped, as the buffer of a radio does
+_DRAWS = 4096  # random numbers that are made at once
+
+
+@dataclass(slots=True)
+class _UnderWay:
+    due_ns: int
+    packet: bytes
+
+
+class Way:
+    """One direction of a radio."""
+
+    def __init__(self, link: Link, seed: int):
+        """Of a link.
+
+        Args:
+            link: What it is like; its rate is this direction's own.
+            seed: Of what is lost.
+        """
+        self.dropped = 0  # packets that were lost, found no room or came while it was cut
+        self.carried = 0  # [bytes] that came through
+        self.cut = False
+        self._delay_ns = round(link.delay_ms * 1e6)
+        self._ns_per_byte = 8e3 / link.mbit if link.mbit else 0.0
+        self._loss = link.loss
+        self._rng = np.random.default_rng(seed)
+        self._draws: list[float] = []
+        self._free_ns = 0.0  # when the air is free
+        self._under_way: deque[_UnderWay] = deque()
+
+    def send(self, packet: bytes, now_ns: int) -> None:
+        """Take a packet at a time [ns]."""
+        waits_ns = max(self._free_ns - now_ns, 0.0)
+        if self.cut or waits_ns > QUEUE_BYTES * self._ns_per_byte > 0.0:
+            self.dropped += 1
+            return
+        self._free_ns = max(self._free_ns, now_ns) + len(packet) * self._ns_per_byte
+        if self._loss and self._draw() < self._loss:  # it has taken the air all the same
+            self.dropped += 1
+            return
+        self._under_way.append(_UnderWay(round(self._free_ns) + self._delay_ns, packet))
+
+    def arrived(self, now_ns: int) -> list[bytes]:
+        """The packets that are there by a time [ns], in their order."""
+        there: list[bytes] = []
+        while self._under_way and self._under_way[0].due_ns <= now_ns:
+            packet = self._under_way.popleft().packet
+            if self.cut:
+                self.dropped += 1
+            else:
+                self.carried += len(packet)
+                there.append(packet)
+        return there
+
+    @property
+    def due_ns(self) -> int | None:
+        """When the next packet arrives [ns], if one is under way."""
+        return self._under_way[0].due_ns if self._under_way else None
+
+    def _draw(self) -> float:
+        if not self._draws:
+            self._draws = self._rng.random(_DRAWS).tolist()
+        return self._draws.pop()

@@ -1,0 +1,75 @@
+"""Hears the actuator on the robot's machine, and says what changes: `python -m deploy.bed.ear ENDPOINT NAMESPACE`.
+
+A line a change on standard output, as JSON; it ends when its standard input is closed.
+"""
+
+import json
+import sys
+import threading
+import time
+from dataclasses import asdict, dataclass
+
+from shared import codec, topics
+from shared.messages import ActuatorState, Mode
+from shared.service import AnyTopic
+from shared.transport import Endpoints, ZenohLink
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What the actuator said, when that was something new."""
+
+    at_ns: int  # of this computer's monotonic clock
+    mode: Mode
+    reason: str
+    step: int
+    plan_ns: int  # stamp of the plan that is walked, -1 before the first
+
+    @classmethod
+    def of(cls, line: str) -> "Heard":
+        """As it was said by `line`."""
+        found = json.loads(line)
+        return cls(found["at_ns"], Mode(found["mode"]), found["reason"], found["step"], found["plan_ns"])
+
+    def line(self) -> str:
+        """On one line."""
+        return json.dumps(asdict(self))
+
+    @property
+    def walks(self) -> bool:
+        """Whether it does as planned: feet that are set down for want of a plan are none of that."""
+        return self.mode is Mode.WALK and self.reason == "walking"
+
+
+class _Ear:
+    def __init__(self) -> None:
+        self._before: tuple[object, ...] = ()
+
+    def hear(self, _topic: AnyTopic, frame: bytes) -> None:
+        at_ns = time.monotonic_ns()
+        state, _ = codec.decode(frame, ActuatorState, topics.ACTUATOR_STATE.max_bytes)
+        now = (state.mode, state.reason, state.step, state.plan_ns)
+        if now != self._before:
+            self._before = now
+            sys.stdout.write(Heard(at_ns, *now).line() + "\n")
+            sys.stdout.flush()
+
+
+def main() -> int:
+    """Listen until standard input ends."""
+    endpoint, namespace = sys.argv[1:]
+    stop = threading.Event()
+
+    def wait() -> None:
+        sys.stdin.read()
+        stop.set()
+
+    threading.Thread(target=wait, daemon=True).start()
+    with ZenohLink(Endpoints((endpoint,), namespace=namespace)) as link:
+        link.subscribe(topics.ACTUATOR_STATE, _Ear().hear)
+        stop.wait()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

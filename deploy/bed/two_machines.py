@@ -1,0 +1,122 @@
+"""A simulated robot on one machine, its map and planner on another, and only the bed's radio between them."""
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from deploy.bed.bed import Bed
+from deploy.bed.ear import Heard
+from deploy.launcher import Launcher
+from deploy.process_table import ENVIRONMENT, ROUTER_ENDPOINT, Command
+
+_CLI = ("-m", "deploy.cli")
+_TLS_PORT = 7448
+
+
+class TwoMachines:
+    """Both halves, as the two commands of docs/two_machines.md start them; a context manager."""
+
+    def __init__(self, bed: Bed, keys: Path | None, scenario: str, seed: int, namespace: str = "sextant"):
+        """Prepare.
+
+        Args:
+            bed: Where they are; entered by the caller.
+            keys: Folder that `sextant keys new` made, for the address that the robot has in the bed; None lets everybody in.
+            scenario: Course by name or path.
+            seed: Of the simulator.
+            namespace: Prefix of every key.
+        """
+        self.said: list[str] = []
+        self.heard: list[Heard] = []  # in order
+        self._bed = bed
+        self._namespace = namespace
+        common = ("--namespace", namespace, "--no-page")
+        course = ("--scenario", scenario, "--seed", str(seed))
+        port = ROUTER_ENDPOINT.rpartition(":")[2]
+        if keys is None:
+            near: tuple[str, ...] = ("--listen", f"tcp/0.0.0.0:{port}", "--open")
+            far: tuple[str, ...] = ("--connect", f"tcp/{bed.robot_address}:{port}", "--open")
+        else:
+            near = ("--keys", str(keys / "robot"))
+            far = ("--keys", str(keys / "base"), "--connect", f"tls/{bed.robot_address}:{_TLS_PORT}")
+        robot, base = ("up", "onboard", *near, *course, *common), ("up", "offboard", *far, *common)
+        halves = {"robot": bed.on_robot(*_python(*_CLI, *robot)), "base": bed.on_base(*_python(*_CLI, *base))}
+        self._launcher = Launcher(
+            [Command(name, tuple(words[1:]), ENVIRONMENT, restarts=0) for name, words in halves.items()], hear=self._hear
+        )
+
+    def __enter__(self) -> Self:
+        self._launcher.__enter__()
+        words = self._bed.on_robot(*_python("-m", "deploy.bed.ear", ROUTER_ENDPOINT, self._namespace))
+        self._words = words
+        self._ear: subprocess.Popen[str] | None = None
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._ear is not None:
+            assert self._ear.stdin is not None
+            self._ear.stdin.close()
+            self._ear.wait()
+            self._reader.join()
+        self._launcher.__exit__(kind, error, trace)
+        if error is not None:
+            error.add_note("they said:\n" + "\n".join(self.said[-30:]))
+
+    def meet(self, within_s: float) -> None:
+        """Wait until both have met, and the actuator is heard.
+
+        Raises:
+            TimeoutError: It did not come to that; what they said is noted.
+        """
+        self.until(lambda: any("(onboard) is here" in line for line in self.said), within_s, "that the base meets the robot")
+        self._ear = subprocess.Popen(self._words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._reader = threading.Thread(target=self._listen, daemon=True)
+        self._reader.start()
+        self.until(lambda: bool(self.heard), within_s, "a word of the actuator")
+
+    def until(self, holds: Callable[[], bool], within_s: float, what: str) -> None:
+        """Wait for something.
+
+        Raises:
+            TimeoutError: It did not come, or one of the halves has ended.
+        """
+        until = time.monotonic() + within_s
+        while not holds():
+            if ended := self._launcher.wait(0.02):
+                raise TimeoutError(f"{ended[0]} while waiting for {what}")
+            if time.monotonic() > until:
+                raise TimeoutError(f"{what}: not within {within_s:g} s")
+
+    def pass_time(self, seconds: float) -> None:
+        """Let some time pass.
+
+        Raises:
+            TimeoutError: One of the halves has ended.
+        """
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0.0:
+            if ended := self._launcher.wait(min(left, 0.2)):
+                raise TimeoutError(str(ended[0]))
+
+    def on_base(self, *words: str) -> list[str]:
+        """A `sextant` command, as it is given on the base."""
+        return self._bed.on_base(*_python(*_CLI, *words))
+
+    def _hear(self, name: str, line: str) -> None:
+        self.said.append(f"{name}: {line}")
+
+    def _listen(self) -> None:
+        assert self._ear is not None
+        assert self._ear.stdout is not None
+        with self._ear.stdout:
+            for line in self._ear.stdout:
+                self.heard.append(Heard.of(line))
+
+
+def _python(*words: str) -> tuple[str, ...]:
+    return (sys.executable, *words)

@@ -1,0 +1,199 @@
+"""Walks of a robot whose map and planner are behind a radio, live: over links of several kinds, and while the radio is cut."""
+
+import json
+import math
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deploy.bed.bed import Bed
+from deploy.bed.cuts import BACK_S, HOLD_S, Cut, judge
+from deploy.bed.two_machines import TwoMachines
+from deploy.bench.timing import machine
+from deploy.process_table import ROUTER_ENDPOINT
+from deploy.statistics import wilson
+from shared.scenario import Link
+
+LINKS = (Link(20.0, 20.0, 0.0), Link(20.0, 20.0, 0.05), Link(20.0, 2.0, 0.0))  # of the walks
+CUT_LINK = LINKS[0]
+CUT_S = (0.1, 30.0)  # shortest and longest cut; their logarithms are evenly spread
+_BETWEEN_S = (1.0, 4.0)  # of walking between two cuts
+_MEET_S, _WALK_S, _PATIENCE_S = 90.0, 60.0, 40.0
+_COURSE = 'name = "{name}"\ntime_limit_s = {limit:.0f}.0\n[goal]\ndistance = {far:.1f}\n[[terrain]]\nkind = "plane"\n'
+_SPEED = 0.1  # [m/s] at most
+
+
+@dataclass(frozen=True, slots=True)
+class Walks:
+    """Walks over one link."""
+
+    link: Link
+    reports: tuple[dict[str, Any], ...]  # report.json of each
+    up_mbit: float  # from the robot, mean
+    lost: float  # share of the packets from the robot
+
+
+def walks(scenario: str, seeds: Sequence[int], links: Sequence[Link], say: Callable[[str], object]) -> tuple[Walks, ...]:
+    """Walk a scenario over each link, once a seed.
+
+    Raises:
+        BedError: There are no two machines here.
+        TimeoutError: The halves did not meet, or one has ended.
+    """
+    found: list[Walks] = []
+    for link in links:
+        reports, carried, lost, seconds = [], 0, 0, 0.0
+        for seed in seeds:
+            with Bed(link, seed) as bed, TwoMachines(bed, None, scenario, seed) as halves, _folder() as folder:
+                halves.meet(_MEET_S)
+                began = bed.carried()
+                _operator(halves, scenario, seed, folder).wait()
+                ended = bed.carried()
+                reports.append(json.loads((folder / "report.json").read_text(encoding="utf-8")))
+            carried += ended.from_robot - began.from_robot
+            lost += ended.lost_from_robot - began.lost_from_robot
+            seconds += (ended.at_ns - began.at_ns) * 1e-9
+            say(f"{_words(link)}: seed {seed}: {reports[-1]['reason']}")
+        packets = carried / 1400 + lost
+        found.append(Walks(link, tuple(reports), 8e-6 * carried / seconds, lost / packets))
+    return tuple(found)
+
+
+def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) -> tuple[Cut, ...]:
+    """Cut the radio at random phases of a walk over level ground, each for a random time.
+
+    Args:
+        count: How many times.
+        seed: Of phases, times and what the radio loses.
+        longest_s: [s] the longest cut.
+        say: Is told what came of each.
+
+    Raises:
+        BedError: There are no two machines here.
+        TimeoutError: The halves did not meet, one has ended, or the robot did not walk.
+    """
+    rng = np.random.default_rng(seed)
+    lasts_s = np.exp(rng.uniform(math.log(CUT_S[0]), math.log(longest_s), count))
+    walks_s = rng.uniform(*_BETWEEN_S, count)
+    limit_s = _WALK_S + float(lasts_s.sum() + walks_s.sum()) + count * _PATIENCE_S
+    found: list[Cut] = []
+    with _folder() as folder:
+        course = folder / "long.toml"
+        course.write_text(_COURSE.format(name="long", limit=limit_s, far=_SPEED * limit_s), encoding="utf-8")
+        with Bed(CUT_LINK, seed) as bed, TwoMachines(bed, None, str(course), seed) as halves:
+            halves.meet(_MEET_S)
+            operator = _operator(halves, str(course), seed, folder)
+            try:
+                for lasts, walked in zip(lasts_s, walks_s, strict=True):
+                    found.append(_cut(bed, halves, operator, float(lasts), float(walked)))
+                    say(f"cut {len(found)} of {count}: {_told(found[-1])}")
+            finally:
+                operator.terminate()
+                operator.wait()
+    return tuple(found)
+
+
+def _cut(bed: Bed, halves: TwoMachines, operator: "subprocess.Popen[bytes]", lasts_s: float, walks_s: float) -> Cut:
+    """Let the robot walk for a while, cut the radio for a while, and see what comes of it until it walks again."""
+
+    def alive() -> bool:
+        if operator.poll() is not None:
+            raise TimeoutError(f"the operator's command has ended, exit status {operator.returncode}")
+        return True
+
+    halves.until(lambda: alive() and halves.heard[-1].walks, _WALK_S, "a walk")
+    halves.pass_time(walks_s)
+    halves.until(lambda: alive() and halves.heard[-1].walks, _WALK_S, "a walk")
+    cut = bed.cut()
+    halves.pass_time(lasts_s)
+    mended = bed.mend()
+    since = len(halves.heard)
+
+    def back() -> bool:
+        newest = halves.heard[-1]
+        return alive() and newest.walks and (len(halves.heard) > since or newest.at_ns > mended.at_ns)
+
+    try:
+        halves.until(back, _PATIENCE_S, "the walk that goes on")
+    except TimeoutError:
+        if operator.poll() is not None:
+            raise
+    return judge(cut.at_ns, mended.at_ns, list(halves.heard))
+
+
+def _operator(halves: TwoMachines, scenario: str, seed: int, folder: Path) -> "subprocess.Popen[bytes]":
+    """`sextant run` on the base, which leads the robot and judges the walk."""
+    words = ("run", scenario, "--seed", str(seed), "--connect", ROUTER_ENDPOINT, "--namespace", "sextant", "--out", str(folder))
+    log = (folder / "run.log").open("wb")
+    with log:
+        return subprocess.Popen(halves.on_base(*words), stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)
+
+
+class _folder(tempfile.TemporaryDirectory[str]):  # noqa: N801 - a folder for a while, as a path
+    def __enter__(self) -> Path:  # type: ignore[override]
+        return Path(super().__enter__())
+
+
+def walks_in_words(found: Sequence[Walks]) -> str:
+    """A table."""
+    lines = [
+        "| link | success | 95 % interval | duration p50, s | falls | from the robot, Mbit/s | lost |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for one in found:
+        rate = wilson(sum(r["success"] for r in one.reports), len(one.reports))
+        took = [r["duration_s"] for r in one.reports if r["success"]]
+        p50 = f"{np.median(took):.1f}" if took else ""
+        lines.append(
+            f"| {_words(one.link)} | {rate.successes} of {rate.n} | {100 * rate.low:.0f} to {100 * rate.high:.0f} % | {p50} "
+            f"| {sum(r['falls'] for r in one.reports)} | {one.up_mbit:.2f} | {100 * one.lost:.1f} % |"
+        )
+    return "\n".join(lines)
+
+
+def cuts_in_words(found: Sequence[Cut]) -> str:
+    """A table, and each cut in which something was not as it must be."""
+    held = [one for one in found if one.must_hold]
+    oldest = max((one.oldest_s for one in found), default=0.0)
+    lines = [
+        "| after | times | p50, s | worst, s | wanted, s |",
+        "|---|---|---|---|---|",
+        _row("the cut: it holds", [one.held_s for one in held], f"{HOLD_S:.2f}"),
+        _row("the cut: all feet on the ground", [one.rested_s for one in held], ""),
+        _row("the radio's return: it walks", [one.back_s for one in found], f"{BACK_S:.1f}"),
+        "",
+        f"{len(found)} cuts of {min(one.lasted_s for one in found):.1f} to {max(one.lasted_s for one in found):.1f} s, "
+        f"{sum(not one.problems for one in found)} as they must be; the oldest plan that was taken was {oldest:.2f} s old.",
+        *(f"- a cut of {one.lasted_s:.2f} s: {', '.join(one.problems)}" for one in found if one.problems),
+    ]
+    return "\n".join(lines)
+
+
+def to_json(what: str, found: Sequence[Walks] | Sequence[Cut]) -> str:
+    """For scripts."""
+    return json.dumps({"machine": machine(), "bed": Bed.words(), what: [asdict(one) for one in found]}, indent=1, default=str)
+
+
+def _row(what: str, seconds: Sequence[float | None], wanted: str) -> str:
+    known = [s for s in seconds if s is not None]
+    never = len(seconds) - len(known)
+    worst = f"never, {never} times" if never else f"{max(known, default=0.0):.2f}"
+    return f"| {what} | {len(seconds)} | {np.median(known) if known else math.nan:.2f} | {worst} | {wanted} |"
+
+
+def _words(link: Link) -> str:
+    return f"{link.delay_ms:.0f} ms, {link.mbit:.0f} Mbit/s, {100 * link.loss:.0f} % lost"
+
+
+def _told(cut: Cut) -> str:
+    what = "; ".join(cut.problems) or "as it must be"
+    numbers = ", ".join(
+        f"{name} {'never' if s is None else f'{s:.2f} s'}"
+        for name, s in (("held", cut.held_s), ("rested", cut.rested_s), ("back", cut.back_s))
+    )
+    return f"{cut.lasted_s:.2f} s: {numbers}: {what}"
