@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -20,6 +20,7 @@ _WRITTEN_BY: Mapping[str, str] = MappingProxyType(
     {"operator": "operators", "imu": "onboard", "passage": "offboard", "health": "all", "machine": "all"}
 )
 _TOTAL = "{:<20} {:<8} {:>16} {:>11}"
+_BUDGET = _TOTAL + " {:>11}"
 _LINE = _TOTAL + " {:>9} {:>9} {:>12} {:>18}"
 
 
@@ -53,6 +54,7 @@ class Row:
     frames: int
     rate_hz: float
     bytes_per_s: float
+    budget: float  # [bytes/s] that its rate and largest size allow
     mean_bytes: float
     largest_bytes: int
     gap_ms: float | None  # the longest between two frames; None of fewer than two
@@ -106,6 +108,7 @@ def _row(topic: AnyTopic, count: _Count, duration_s: float) -> Row:
         frames=count.frames,
         rate_hz=count.frames / duration_s,
         bytes_per_s=count.bytes / duration_s,
+        budget=topic.rate_hz * topic.max_bytes,
         mean_bytes=count.bytes / count.frames if count.frames else 0.0,
         largest_bytes=count.largest,
         gap_ms=count.gap_ns * 1e-6 if count.frames > 1 else None,
@@ -115,13 +118,24 @@ def _row(topic: AnyTopic, count: _Count, duration_s: float) -> Row:
     )
 
 
-def totals(rows: Iterable[Row]) -> dict[tuple[str, Lane], tuple[float, float]]:
-    """(side, lane) -> messages and bytes a second; the side `sum` has all of a lane."""
-    found: dict[tuple[str, Lane], tuple[float, float]] = {}
+@dataclass(frozen=True, slots=True)
+class Total:
+    """What a side says on a lane."""
+
+    rate_hz: float = 0.0
+    bytes_per_s: float = 0.0
+    budget: float = 0.0  # [bytes/s] of all its topics, also of those that are silent
+
+
+def totals(rows: Iterable[Row]) -> dict[tuple[str, Lane], Total]:
+    """(side, lane) -> what it says; the side `sum` has all of a lane."""
+    found: dict[tuple[str, Lane], Total] = {}
     for row in rows:
         for who in (row.side, "sum"):
-            rate, volume = found.get((who, row.lane), (0.0, 0.0))
-            found[who, row.lane] = rate + row.rate_hz, volume + row.bytes_per_s
+            before = found.get((who, row.lane), Total())
+            found[who, row.lane] = Total(
+                before.rate_hz + row.rate_hz, before.bytes_per_s + row.bytes_per_s, before.budget + row.budget
+            )
     return found
 
 
@@ -135,10 +149,12 @@ def in_words(rows: list[Row]) -> str:
             age = f"{row.age_ms[0]:.1f} ({row.age_ms[1]:.1f}) ms" if row.age_ms is not None else "another clock"
             sizes = (_size(row.bytes_per_s), _size(row.mean_bytes), _size(row.largest_bytes))
             lines.append(_LINE.format(row.key, row.lane.value, beside, *sizes, gap, age))
-    lines += ["", _TOTAL.format("who says it", "lane", "messages", "per second")]
-    for (who, lane), (rate, volume) in sorted(totals(rows).items(), key=lambda item: (item[0][0] == "sum", item[0][0])):
-        if rate:
-            lines.append(_TOTAL.format(who, lane.value, f"{rate:.1f} Hz", _size(volume)))
+    lines += ["", _BUDGET.format("who says it", "lane", "messages", "per second", "at most")]
+    for (who, lane), total in sorted(totals(rows).items(), key=lambda item: (item[0][0] == "sum", item[0][0])):
+        if total.rate_hz:
+            lines.append(
+                _BUDGET.format(who, lane.value, f"{total.rate_hz:.1f} Hz", _size(total.bytes_per_s), _size(total.budget))
+            )
     silent = [row.key for row in rows if not row.frames]
     lines += [f"\nsilent: {', '.join(silent)}"] if silent else []
     lines += [f"{row.key}: {row.refused} of {row.frames} cannot be decoded: {row.refusal}" for row in rows if row.refused]
@@ -147,7 +163,18 @@ def in_words(rows: list[Row]) -> str:
 
 def for_scripts(rows: list[Row], duration_s: float) -> dict[str, Any]:
     """The same as what JSON holds."""
-    names = ("key", "side", "expected_hz", "frames", "rate_hz", "bytes_per_s", "mean_bytes", "largest_bytes", "gap_ms")
+    names = (
+        "key",
+        "side",
+        "expected_hz",
+        "frames",
+        "rate_hz",
+        "bytes_per_s",
+        "budget",
+        "mean_bytes",
+        "largest_bytes",
+        "gap_ms",
+    )
     return {
         "duration_s": duration_s,
         "topics": [
@@ -160,10 +187,7 @@ def for_scripts(rows: list[Row], duration_s: float) -> dict[str, Any]:
             }
             for row in rows
         ],
-        "totals": [
-            {"side": who, "lane": lane.value, "rate_hz": rate, "bytes_per_s": volume}
-            for (who, lane), (rate, volume) in totals(rows).items()
-        ],
+        "totals": [{"side": who, "lane": lane.value, **asdict(total)} for (who, lane), total in totals(rows).items()],
     }
 
 

@@ -157,8 +157,10 @@ def test_rates_sizes_gaps_and_ages_are_those_of_the_frames() -> None:
     assert (map_.gap_ms, map_.age_ms, map_.lane) == (None, None, Lane.BULK)
     assert imu.frames == 0
     found = rates.totals([odometry, map_, imu])
-    assert found["onboard", Lane.CONTROL] == found["sum", Lane.CONTROL] == (2.0, odometry.bytes_per_s)
-    assert found["offboard", Lane.BULK] == (0.5, map_.bytes_per_s)
+    assert found["onboard", Lane.CONTROL] == found["sum", Lane.CONTROL]
+    budget = 50.0 * topics.ODOMETRY.max_bytes + 100.0 * topics.IMU.max_bytes
+    assert found["onboard", Lane.CONTROL] == rates.Total(2.0, odometry.bytes_per_s, budget)
+    assert found["offboard", Lane.BULK] == rates.Total(0.5, map_.bytes_per_s, 7.5 * topics.TERRAIN.max_bytes)
     words = rates.in_words([odometry, map_, imu])
     assert "2.0, 50 Hz" in words
     assert "another clock" in words
