@@ -203,10 +203,12 @@ class ForeignLink:
     def __enter__(self) -> Self:
         self._session = _open(self._config)
         self._tokens: list[Any] = []
+        self._pumps: list[_Pump] = []
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         _close([self._session])
+        _join(self._pumps)
 
     @property
     def id(self) -> str:
@@ -225,28 +227,40 @@ class ForeignLink:
     def subscribe(self, key: str, receive: Callable[[bytes], None]) -> None:
         """Hand every payload of a key to `receive` from a thread of this link."""
         subscriber = self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(256))
-        _pump(subscriber, lambda sample: receive(sample.payload.to_bytes()), f"receive {key}")
+        self._pumps.append(_Pump(subscriber, lambda sample: receive(sample.payload.to_bytes()), f"receive {key}"))
 
 
-def _pump(subscriber: Any, take: Callable[[Any], None], name: str) -> Callable[[], None]:
-    """Hand every sample of a subscriber on at once, from a thread that ends with its session, or by what is returned."""
+class _Pump:
+    """Hands every sample of a subscriber on at once, from a thread that ends with its session."""
 
-    def pump() -> None:
+    def __init__(self, subscriber: Any, take: Callable[[Any], None], name: str):
+        self._subscriber, self._take = subscriber, take
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Listen no longer."""
+        self._subscriber.undeclare()
+        self._thread.join()
+
+    def join(self, timeout_s: float) -> None:
+        """Wait for the thread, whose session has been closed: one that is left when Python ends brings the process down."""
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
         while True:
             try:
-                sample = subscriber.handler.recv()  # by itself it could not be ended while one waits for it
+                sample = self._subscriber.handler.recv()  # by itself it could not be ended while one waits for it
             except zenoh.ZError:
                 return  # it has been ended, or the session closed
-            take(sample)
+            self._take(sample)
 
-    thread = threading.Thread(target=pump, name=name, daemon=True)
-    thread.start()
 
-    def end() -> None:
-        subscriber.undeclare()
-        thread.join()
-
-    return end
+def _join(pumps: list[_Pump]) -> None:
+    """Wait for pumps whose sessions are closed, in bounded time."""
+    until = time.monotonic() + CLOSE_TIMEOUT_S
+    for pump in pumps:
+        pump.join(max(0.0, until - time.monotonic()))
 
 
 class ZenohLink:
@@ -256,6 +270,7 @@ class ZenohLink:
         self._endpoints = endpoints
         self._sessions: dict[Lane, zenoh.Session] = {}
         self._publishers: dict[str, zenoh.Publisher] = {}
+        self._pumps: list[_Pump] = []
 
     def __enter__(self) -> Self:
         config = self._endpoints.zenoh_config()
@@ -270,6 +285,7 @@ class ZenohLink:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         _close(list(self._sessions.values()))
+        _join(self._pumps)
 
     def _see_whether_let_in(self) -> None:
         """Say why at once, where opening would only say after its timeout that it could not be."""
@@ -292,7 +308,14 @@ class ZenohLink:
         latest = topic.delivery is Delivery.LATEST
         channel: Any = zenoh.handlers.RingChannel(1) if latest else zenoh.handlers.FifoChannel(_KEPT)
         subscriber = self._sessions[topic.lane].declare_subscriber(topic.key, channel)
-        return _pump(subscriber, lambda sample: receive(topic, sample.payload.to_bytes()), f"receive {topic.key}")
+        pump = _Pump(subscriber, lambda sample: receive(topic, sample.payload.to_bytes()), f"receive {topic.key}")
+        self._pumps.append(pump)
+
+        def end() -> None:
+            pump.end()
+            self._pumps.remove(pump)
+
+        return end
 
     def collect(self, topic: Topic[Any]) -> Callable[[], list[bytes]]:
         """Keep what comes of a topic, the newest frame or some hundred, until it is fetched, with no thread; what fetches it.

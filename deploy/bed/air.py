@@ -29,6 +29,7 @@ class Way:
         """
         self.dropped = 0  # packets that were lost, found no room or came while it was cut
         self.carried = 0  # [bytes] that came through
+        self.packets = 0  # likewise
         self.cut = False
         self._delay_ns = round(link.delay_ms * 1e6)
         self._ns_per_byte = 8e3 / link.mbit if link.mbit else 0.0
@@ -59,6 +60,7 @@ class Way:
                 self.dropped += 1
             else:
                 self.carried += len(packet)
+                self.packets += 1
                 there.append(packet)
         return there
 

@@ -22,8 +22,10 @@ class Carried:
 
     at_ns: int  # of this computer's monotonic clock
     from_robot: int  # [bytes]
+    packets_from_robot: int
     lost_from_robot: int  # packets
     to_robot: int  # [bytes]
+    packets_to_robot: int
     lost_to_robot: int  # packets
 
 
@@ -101,8 +103,7 @@ class Bed:
             self._relay.stdin.write(f"{order}\n")
         except OSError as error:
             raise BedError(f"the radio between the machines is gone: {error}") from error
-        at_ns, from_robot, lost_from, to_robot, lost_to = map(int, self._line().split())
-        return Carried(at_ns, from_robot, lost_from, to_robot, lost_to)
+        return Carried(*map(int, self._line().split()))
 
     def _line(self) -> str:
         assert self._relay.stdout is not None

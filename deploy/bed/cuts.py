@@ -52,11 +52,10 @@ def judge(at_ns: int, mended_ns: int, heard: Sequence[Heard]) -> Cut:
     walked = bool(before) and before[-1].walks
     held = at_ns if not walked else next((h.at_ns for h in after if not h.walks), None)
     rested = at_ns if before and before[-1].mode == "hold" else next((h.at_ns for h in after if h.mode == "hold"), None)
-    taken = [h for a, h in zip([*before[-1:], *after], after, strict=False) if h.plan_ns != a.plan_ns]
-    if held is not None and held < mended_ns:
-        back = next((h.at_ns for h in taken if h.at_ns > mended_ns and h.walks), None)
-    else:
-        back = mended_ns  # it never stopped
+    taken = [h for a, h in zip([*before[-1:], *after], after, strict=False) if h.plan_ns not in (a.plan_ns, -1)]
+    back: int | None = mended_ns  # where it never stopped
+    if held is not None:
+        back = next((h.at_ns for h in taken if h.at_ns > max(mended_ns, held) and h.walks), None)
     return Cut(
         at_ns=at_ns,
         lasted_s=(mended_ns - at_ns) * 1e-9,

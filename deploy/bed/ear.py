@@ -6,7 +6,6 @@ A line a change on standard output, as JSON; it ends when its standard input is 
 import json
 import sys
 import threading
-import time
 from dataclasses import asdict, dataclass
 
 from shared import codec, topics
@@ -19,7 +18,7 @@ from shared.transport import Endpoints, ZenohLink
 class Heard:
     """What the actuator said, when that was something new."""
 
-    at_ns: int  # of this computer's monotonic clock
+    at_ns: int  # when it said so, by this computer's monotonic clock
     mode: Mode
     reason: str
     step: int
@@ -46,12 +45,11 @@ class _Ear:
         self._before: tuple[object, ...] = ()
 
     def hear(self, _topic: AnyTopic, frame: bytes) -> None:
-        at_ns = time.monotonic_ns()
         state, _ = codec.decode(frame, ActuatorState, topics.ACTUATOR_STATE.max_bytes)
         now = (state.mode, state.reason, state.step, state.plan_ns)
         if now != self._before:
             self._before = now
-            sys.stdout.write(Heard(at_ns, *now).line() + "\n")
+            sys.stdout.write(Heard(state.stamp_ns, *now).line() + "\n")
             sys.stdout.flush()
 
 

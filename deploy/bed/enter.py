@@ -1,9 +1,13 @@
-"""Runs a command in the network of a process: `python -m deploy.bed.enter PID COMMAND [ARGUMENT ...]`."""
+"""Runs a command in the network of a process: `python -m deploy.bed.enter PID COMMAND [ARGUMENT ...] [--parent PID]`.
+
+The last is a launcher's: the command ends when that process has ended.
+"""
 
 import os
 import sys
 
 from deploy.bed.namespace import enter
+from shared.host import end_with
 
 
 def main() -> int:
@@ -11,9 +15,13 @@ def main() -> int:
     if len(sys.argv) < 3 or not sys.argv[1].isdigit():
         sys.stderr.write(f"a process id and a command expected, found {sys.argv[1:]}\n")
         return 2
+    words = sys.argv[2:]
     try:
+        if len(words) > 2 and words[-2] == "--parent":
+            end_with(int(words[-1]))  # it holds for what this process becomes
+            del words[-2:]
         enter(int(sys.argv[1]))
-        os.execvp(sys.argv[2], sys.argv[2:])
+        os.execvp(words[0], words)
     except OSError as error:
         sys.stderr.write(f"{error}\n")
     return 1

@@ -86,7 +86,7 @@ def _obey(said: str, ways: list[Way]) -> bool:
         if line in ("cut", "mend"):
             for way in ways:
                 way.cut = line == "cut"
-        carried = " ".join(f"{way.carried} {way.dropped}" for way in ways)
+        carried = " ".join(f"{way.carried} {way.packets} {way.dropped}" for way in ways)
         _say(f"{time.monotonic_ns()} {carried}")
     return bool(said)
 

@@ -103,9 +103,9 @@ class TwoMachines:
             if ended := self._launcher.wait(min(left, 0.2)):
                 raise TimeoutError(str(ended[0]))
 
-    def on_base(self, *words: str) -> list[str]:
-        """A `sextant` command, as it is given on the base."""
-        return self._bed.on_base(*_python(*_CLI, *words))
+    def on_robot(self, *words: str) -> list[str]:
+        """A `sextant` command, as it is given on the robot's machine."""
+        return self._bed.on_robot(*_python(*_CLI, *words))
 
     def _hear(self, name: str, line: str) -> None:
         self.said.append(f"{name}: {line}")

@@ -47,7 +47,7 @@ def walks(scenario: str, seeds: Sequence[int], links: Sequence[Link], say: Calla
     """
     found: list[Walks] = []
     for link in links:
-        reports, carried, lost, seconds = [], 0, 0, 0.0
+        reports, carried, packets, lost, seconds = [], 0, 0, 0, 0.0
         for seed in seeds:
             with Bed(link, seed) as bed, TwoMachines(bed, None, scenario, seed) as halves, _folder() as folder:
                 halves.meet(_MEET_S)
@@ -56,11 +56,11 @@ def walks(scenario: str, seeds: Sequence[int], links: Sequence[Link], say: Calla
                 ended = bed.carried()
                 reports.append(json.loads((folder / "report.json").read_text(encoding="utf-8")))
             carried += ended.from_robot - began.from_robot
+            packets += ended.packets_from_robot - began.packets_from_robot
             lost += ended.lost_from_robot - began.lost_from_robot
             seconds += (ended.at_ns - began.at_ns) * 1e-9
             say(f"{_words(link)}: seed {seed}: {reports[-1]['reason']}")
-        packets = carried / 1400 + lost
-        found.append(Walks(link, tuple(reports), 8e-6 * carried / seconds, lost / packets))
+        found.append(Walks(link, tuple(reports), 8e-6 * carried / seconds, lost / (packets + lost)))
     return tuple(found)
 
 
@@ -112,14 +112,9 @@ def _cut(bed: Bed, halves: TwoMachines, operator: "subprocess.Popen[bytes]", las
     cut = bed.cut()
     halves.pass_time(lasts_s)
     mended = bed.mend()
-    since = len(halves.heard)
-
-    def back() -> bool:
-        newest = halves.heard[-1]
-        return alive() and newest.walks and (len(halves.heard) > since or newest.at_ns > mended.at_ns)
-
+    halves.pass_time(2 * HOLD_S)  # by which it has begun to hold, if it does
     try:
-        halves.until(back, _PATIENCE_S, "the walk that goes on")
+        halves.until(lambda: alive() and halves.heard[-1].walks, _PATIENCE_S, "the walk that goes on")
     except TimeoutError:
         if operator.poll() is not None:
             raise
@@ -127,11 +122,11 @@ def _cut(bed: Bed, halves: TwoMachines, operator: "subprocess.Popen[bytes]", las
 
 
 def _operator(halves: TwoMachines, scenario: str, seed: int, folder: Path) -> "subprocess.Popen[bytes]":
-    """`sextant run` on the base, which leads the robot and judges the walk."""
+    """`sextant run`, which leads the robot and judges the walk: beside the simulator, since the truth stays on its machine."""
     words = ("run", scenario, "--seed", str(seed), "--connect", ROUTER_ENDPOINT, "--namespace", "sextant", "--out", str(folder))
     log = (folder / "run.log").open("wb")
     with log:
-        return subprocess.Popen(halves.on_base(*words), stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)
+        return subprocess.Popen(halves.on_robot(*words), stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)
 
 
 class _folder(tempfile.TemporaryDirectory[str]):  # noqa: N801 - a folder for a while, as a path

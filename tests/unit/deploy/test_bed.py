@@ -88,6 +88,7 @@ def test_a_robot_that_holds_and_goes_on_by_a_fresh_plan_is_as_it_must_be() -> No
         (9.0, Mode.WALK, "walking", 3, 8.9),
         (10.2, Mode.WALK, _LATE, 3, 8.9),
         (10.6, Mode.HOLD, _LATE, 3, 8.9),
+        (11.0, Mode.HOLD, _LATE, 3, -1e-9),  # it has forgotten it
         (12.9, Mode.WALK, "walking", 4, 12.8),
     )
     cut = judge(10 * _SEC, 12 * _SEC, heard)
