@@ -1,6 +1,7 @@
 # Two commands for a newcomer: `make demo` and `make test`. Each sets up what it needs in .venv, pinned by constraints.txt.
 PYTHON ?= python3
 VENV ?= .venv
+JOBS ?= 2
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
@@ -9,8 +10,10 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 demo: $(VENV)/.installed-all
 	@$(BIN)/sextant demo
 
+# What is live needs the machine for itself; all else runs beside each other.
 test: check
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -m "not live" -n $(JOBS) --dist worksteal
+	$(BIN)/python -m pytest -q -m live
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -29,6 +29,7 @@ RUN_BY = {
     "run --lockstep": "tests/walk/test_walks.py::test_over_low_blocks_and_two_stairs",
     "run --lockstep --bridge": "tests/walk/test_bridge.py::test_through_a_bridge_it_walks_as_on_the_bus_itself",
     "run --lockstep --gait": "tests/walk/test_gaits.py::test_the_slow_gaits_climb",
+    "bench link": "tests/live/test_link.py::test_a_robot_whose_radio_is_cut_holds_and_walks_on_by_itself",
     "run --connect": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "trials": "tests/walk/test_walks.py::test_trials_of_several_seeds_at_a_time",
     "trials --blind": "tests/unit/deploy/test_cli.py::test_trials_tell_the_rate_and_the_baseline_beside_it",

@@ -43,7 +43,7 @@ class PageRobot:
         self.recorder = Recorder(self.profile)
         self.state: ActuatorState | None = None
         self.pose: BodyPose | None = None
-        self._up: set[str] = set()  # services that were heard
+        self._up: dict[str, str] = {}  # services that were heard, and what they do
         self._stops_s: list[float] = []  # times [s] of orders to stop
         self.said: deque[str] = deque(maxlen=200)
         self.page_port = free_port()
@@ -84,8 +84,11 @@ class PageRobot:
         while not holds():
             if time.monotonic() > limit:
                 state = "" if self.state is None else f"{self.state.mode}: {self.state.reason}"
+                place = "" if self.pose is None else f" at x {self.pose.T_world_body[0, 3]:.2f} m"
+                doing = "; ".join(f"{name}: {words}" for name, words in sorted(self._up.items()))
                 said = " / ".join(list(self.said)[-6:])
-                raise TimeoutError(f"not within {within_s:g} s: {what or 'what was waited for'}; the robot: {state}; {said}")
+                missed = f"not within {within_s:g} s: {what or 'what was waited for'}"
+                raise TimeoutError(f"{missed}; the robot{place}: {state}; {doing}; {said}")
             for ended in self._launcher.wait(0.02):
                 self.said.append(str(ended))
 
@@ -174,7 +177,7 @@ class PageRobot:
         elif isinstance(message, BodyPose):
             self.pose = message
         elif isinstance(message, Health):
-            self._up.add(message.service)
+            self._up[message.service] = message.doing
         elif isinstance(message, ModeCommand) and message.mode == "stop":
             self._stops_s.append(time.monotonic())
 

@@ -4,6 +4,7 @@ import * as THREE from "../vendor/three/three.module.js";
 import { Terrain } from "./terrain.js";
 import { Robot } from "./robot.js";
 
+const SOFTWARE_MS = 120; // without a GPU every picture takes time from what holds the pad, and from the robot on this machine
 const CLICK_PX = 5; // a pointer that moved less has clicked
 
 export class View {
@@ -33,9 +34,13 @@ export class View {
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.resize();
     this.listen();
-    const draw = () => {
+    this.apart = software ? SOFTWARE_MS : 0; // [ms] at least between two pictures
+    let drawn = 0;
+    const draw = (now) => {
       requestAnimationFrame(draw);
-      if (this.dirty) this.render();
+      if (!this.dirty || now - drawn < this.apart) return;
+      drawn = now;
+      this.render();
     };
     requestAnimationFrame(draw);
   }
