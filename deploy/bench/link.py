@@ -90,7 +90,7 @@ def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) 
             operator = _operator(halves, str(course), seed, folder)
             try:
                 for lasts, walked in zip(lasts_s, walks_s, strict=True):
-                    found.append(_cut(bed, halves, operator, float(lasts), float(walked)))
+                    found.append(_cut(bed, halves, operator, folder, float(lasts), float(walked)))
                     say(f"cut {len(found)} of {count}: {_told(found[-1])}")
             finally:
                 operator.terminate()
@@ -98,12 +98,15 @@ def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) 
     return tuple(found)
 
 
-def _cut(bed: Bed, halves: TwoMachines, operator: "subprocess.Popen[bytes]", lasts_s: float, walks_s: float) -> Cut:
+def _cut(
+    bed: Bed, halves: TwoMachines, operator: "subprocess.Popen[bytes]", folder: Path, lasts_s: float, walks_s: float
+) -> Cut:
     """Let the robot walk for a while, cut the radio for a while, and see what comes of it until it walks again."""
 
     def alive() -> bool:
         if operator.poll() is not None:
-            raise TimeoutError(f"the operator's command has ended, exit status {operator.returncode}")
+            said = [line for line in (folder / "run.log").read_text(encoding="utf-8").splitlines() if line]
+            raise TimeoutError(f"the operator's command has ended, exit status {operator.returncode}: {' / '.join(said[-2:])}")
         return True
 
     halves.until(lambda: alive() and halves.heard[-1].walks, _WALK_S, "a walk")

@@ -49,7 +49,7 @@ def test_two_bare_machines_walk_by_the_commands_of_the_docs(bed: Bed, tmp_path: 
 @pytest.mark.usefixtures("bed")
 def test_a_robot_whose_radio_is_cut_holds_and_walks_on_by_itself(tmp_path: Path) -> None:
     """How soon is measured by the same command with more cuts; here the machine may be busy."""
-    words = ("bench", "link", "--cuts", "2", "--longest", "3", "--seed", "1000", "--out", str(tmp_path / "out"))
+    words = ("bench", "link", "--cuts", "2", "--longest", "0.9", "--seed", "1000", "--out", str(tmp_path / "out"))
     with Command(*words, cwd=tmp_path) as bench:
         assert bench.status() == 0
         bench.gone()
