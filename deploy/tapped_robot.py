@@ -24,6 +24,7 @@ def commands(
     scenario: str,
     page_port: int | None = None,
     recordings: str = "recordings",
+    scan_rate_hz: float | None = None,
 ) -> list[Command]:
     """The services, their router, and the tap between actuator and servos.
 
@@ -35,13 +36,15 @@ def commands(
         scenario: That it is given.
         page_port: TCP port of the operators' page; None for no page, and no recorder.
         recordings: Folder in which recordings go.
+        scan_rate_hz: Of perception; None for what it takes by itself.
     """
     chosen = process_table.choices(load_scenario(scenario), scenario, seed, bus)
     if page_port is not None:
         chosen = replace(chosen, console_port=page_port, lift=0.025, recordings=recordings)
     tapped = (process_table.assignment("port", port(listen)),)
+    rarer = () if scan_rate_hz is None else (process_table.assignment("scan_rate_hz", scan_rate_hz),)
     rows = process_table.rows("all", simulated=True, page=page_port is not None)
-    services = process_table.commands(rows, chosen, endpoints, {"actuator": tapped, "stop": tapped})
+    services = process_table.commands(rows, chosen, endpoints, {"actuator": tapped, "stop": tapped, "perception": rarer})
     needs = {"actuator": ("tap",)}
     return [
         replace(process_table.router_command(endpoints.connect[0]), restarts=RESTARTS),

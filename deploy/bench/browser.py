@@ -19,7 +19,7 @@ _ARGUMENTS = (
     "--no-first-run",
     "--enable-unsafe-swiftshader",  # WebGL without a graphics card
 )
-DESKTOP, PHONE = (1440, 900), (390, 844)
+DESKTOP, SMALL, PHONE = (1440, 900), (960, 640), (390, 844)
 
 
 def find() -> str:
@@ -80,8 +80,10 @@ class Hand:
         self.page.mouse.down()
 
     def move_to(self, selector: str, x: float = 0.5, y: float = 0.5) -> None:
-        """Move to a place on an element."""
-        box = self.page.locator(selector).bounding_box()
+        """Move to a place on an element, scrolled to where it is out of sight."""
+        element = self.page.locator(selector)
+        element.scroll_into_view_if_needed()
+        box = element.bounding_box()
         self.page.mouse.move(box["x"] + x * box["width"], box["y"] + y * box["height"])
 
     def release(self) -> None:
@@ -97,6 +99,10 @@ class Hand:
         """Hold the pad for a walk straight on."""
         self.press_at("#pad")
         self.move_to("#pad", 0.5, 0.05)
+
+    def holds(self) -> bool:
+        """Whether the page takes the pad for held; one that stood still for a moment does not, until it is pressed anew."""
+        return bool(self.page.evaluate("window.sextant.pad.held"))
 
     def says(self, selector: str) -> str:
         """The words of an element."""

@@ -31,13 +31,16 @@ _WINDOW = 5  # cycles
 class PageRobot:
     """Processes of a robot with a page; a context manager."""
 
-    def __init__(self, scenario: str = "flat", seed: int = 1, recordings: str = "recordings"):
+    def __init__(
+        self, scenario: str = "flat", seed: int = 1, recordings: str = "recordings", scan_rate_hz: float | None = None
+    ):
         """Prepare.
 
         Args:
             scenario: That is simulated.
             seed: Of it.
             recordings: Folder in which recordings go.
+            scan_rate_hz: Of perception; None for what it takes by itself.
         """
         self.profile = load_profile("phantomx_mk2")
         self.recorder = Recorder(self.profile)
@@ -50,7 +53,7 @@ class PageRobot:
         self._endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="page")
         bus, listen = free_port(), free_port()
         self._latch = Latch.of_port(tapped_robot.port(listen))
-        made = tapped_robot.commands(self._endpoints, bus, listen, seed, scenario, self.page_port, recordings)
+        made = tapped_robot.commands(self._endpoints, bus, listen, seed, scenario, self.page_port, recordings, scan_rate_hz)
         self._launcher = Launcher(made, hear=self._hear_line)
 
     @property

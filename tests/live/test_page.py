@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from deploy.bench import browser as browsers
-from deploy.bench.browser import DESKTOP, PHONE, Hand
+from deploy.bench.browser import DESKTOP, PHONE, SMALL, Hand
 from deploy.bench.page_robot import PageRobot
 from services.console.recording.reader import Recording
 from shared.messages import Mode
@@ -21,7 +21,8 @@ pytestmark = [
     pytest.mark.live,
     pytest.mark.skipif(not browsers.find(), reason=f"no browser found of {', '.join(browsers.BROWSERS)}: install Chromium"),
 ]
-ATTEMPTS = 4
+SCAN_RATE_HZ = 5.0  # registered: the two cores of a small machine have the browsers to carry as well
+WALK_S = 60.0  # within which the pad walks
 SOON_S = 2.0  # for what takes some tenths of a second where nobody else is busy
 
 
@@ -32,7 +33,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def robot(recordings: Path) -> Iterator[PageRobot]:
-    with PageRobot("steps", recordings=str(recordings)) as made:
+    with PageRobot("steps", recordings=str(recordings), scan_rate_hz=SCAN_RATE_HZ) as made:
         yield made
 
 
@@ -54,7 +55,7 @@ def hand(robot: PageRobot, chromium: Any) -> Iterator[Hand]:
 class open_page:  # noqa: N801 - it reads as what it does
     """A page, closed at the end; what it has asked the network for is noted."""
 
-    def __init__(self, robot: PageRobot, chromium: Any, size: tuple[int, int] = DESKTOP):
+    def __init__(self, robot: PageRobot, chromium: Any, size: tuple[int, int] = SMALL):
         self._robot, self._chromium, self._size = robot, chromium, size
 
     def __enter__(self) -> Hand:
@@ -80,18 +81,22 @@ class open_page:  # noqa: N801 - it reads as what it does
 
 
 def walk(robot: PageRobot, hand: Hand) -> None:
-    """Hold the pad until it walks; a page that stood still, on a machine that is busy, has to be pressed anew."""
-    for attempt in range(1, ATTEMPTS + 1):
-        hand.hold_forward()
-        try:
-            robot.until(lambda: robot.is_in(Mode.WALK), 7.0, "a walk by the pad")
-            robot.pass_time(1.0)
-        except TimeoutError:
-            if attempt == ATTEMPTS:
-                raise
-        if robot.is_in(Mode.WALK):
-            return
-        hand.release()
+    """Hold the pad until it has walked for a second; a page that stood still, on a machine that is busy, is pressed anew."""
+    presses, limit = 0, time.monotonic() + WALK_S
+    walking: float | None = None  # since when
+    while walking is None or time.monotonic() < walking + 1.0:
+        if time.monotonic() > limit:
+            said = f"the page says {hand.says('#leader-words')!r} and {hand.says('#notice')!r} after {presses} presses"
+            robot.until(lambda: False, 0.0, f"a second's walk by the pad; {said}")
+        if not hand.holds():
+            hand.release()
+            hand.hold_forward()
+            presses += 1
+        robot.pass_time(0.1)
+        if not robot.is_in(Mode.WALK):
+            walking = None
+        elif walking is None:
+            walking = time.monotonic()
 
 
 def stands(robot: PageRobot) -> None:
@@ -178,9 +183,6 @@ def test_a_second_browser_may_stop_but_not_move_until_it_takes_over(robot: PageR
     with open_page(robot, chromium) as second:  # before the walk: a browser that is busy opening a page lets a press lapse
         walk(robot, hand)
         assert second.says("#leader-words") == "page 1 leads"
-        if not robot.is_in(Mode.WALK):  # opening another one has held the first one up
-            hand.release()
-            walk(robot, hand)
         second.hold_forward()
         second.page.wait_for_selector("#notice:not([hidden])")
         assert "page 1 leads the robot; take over first" in second.says("#notice")
@@ -205,13 +207,15 @@ def test_a_second_browser_may_stop_but_not_move_until_it_takes_over(robot: PageR
 
 
 def test_a_click_on_the_map_is_a_goal_and_the_robot_goes_there(robot: PageRobot, hand: Hand) -> None:
-    page, goal = hand.page, x_of(robot) + 0.35
+    page = hand.page
     page.wait_for_function("() => window.sextant.view.terrain.header !== null")
     hand.click("#above")
     page.wait_for_timeout(500)
     hand.click("#goal")
-    height = page.evaluate(f"window.sextant.view.terrain.heightAt({goal}, 0)")
-    assert height is not None, "the ground there is known"
+    ahead = x_of(robot) + np.linspace(0.30, 0.40, 11)  # some of it is in the shadow of a block
+    goal, height = next(
+        (x, z) for x in ahead if (z := page.evaluate(f"window.sextant.view.terrain.heightAt({x}, 0)")) is not None
+    )
     page.mouse.click(*page.evaluate(f"window.sextant.view.pixel({goal}, 0, {height})"))
     robot.until(lambda: robot.is_in(Mode.WALK), 20.0, "a walk to the goal")
     assert page.evaluate("window.sextant.view.robot.goal.visible")
@@ -259,6 +263,7 @@ def test_it_looks_right_on_a_desk_and_on_a_phone(
 ) -> None:
     """The pictures of the docs: `pytest tests/live/test_page.py -k looks --pictures docs`."""
     folder = Path(pytestconfig.getoption("--pictures") or tmp_path)
+    hand.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
     hand.click("#look")
     walk(robot, hand)
     hand.page.wait_for_selector("#depth:not([hidden])")

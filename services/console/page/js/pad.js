@@ -164,6 +164,9 @@ export class Pad {
 
   draw(wish) {
     const [forward, left] = wish ?? [0, 0];
+    const looks = [this.held, ...(wish ?? [])].join();
+    if (looks === this.drawn) return; // to lay it out takes longer than all the rest of a look
+    this.drawn = looks;
     this.pad.classList.toggle("held", this.held);
     const reach = this.pad.clientWidth / 2 - 20;
     this.knob.style.transform = `translate(${-left * reach}px, ${-forward * reach}px)`;

@@ -4,11 +4,19 @@ import { LEGENDS, SHOWN, TABLES } from "./colors.js";
 
 const $ = (id) => document.getElementById(id);
 const MOST_LINES = 200;
-const SERVOS_MS = 200; // between two looks at the servos: to lay all these bars out takes longer than to draw the robot
+const NUMBERS_MS = 200; // between two looks at numbers, which nobody reads quicker: to lay them out takes longer than to draw the robot
 
 function set(id, words, kind = "") {
-  const element = $(id);
+  write($(id), words);
+  mark($(id), kind);
+}
+
+// A page that is given what it has already is laid out anew all the same.
+function write(element, words) {
   if (element.textContent !== words) element.textContent = words;
+}
+
+function mark(element, kind) {
   if (element.className !== kind) element.className = kind;
 }
 
@@ -17,7 +25,7 @@ export class Panels {
     this.seat = 0;
     this.robot = null;
     this.cells = [];
-    this.servosAt = 0;
+    this.newest = null; // state that is not shown in numbers yet
   }
 
   hello(message) {
@@ -63,29 +71,30 @@ export class Panels {
     const mine = Boolean(leading) && leading.seat === this.seat;
     const lease = legs ? legs.lease : "";
     set("leader-words", mine ? "you lead" : lease ? `${leading ? leading.name : lease} leads` : "nobody leads");
-    $("leader").className = mine ? "me" : "";
+    mark($("leader"), mine ? "me" : "");
     $("take-over").hidden = mine || !lease || this.seat === 0;
     $("give-up").disabled = !state.goal;
-    const planner = state.planner;
+    if (this.newest === null) setTimeout(() => this.numbers(), NUMBERS_MS);
+    this.newest = state;
+  }
+
+  numbers() {
+    const { legs, planner, pose, camera, recorder } = this.newest;
+    this.newest = null;
     set("planner-words", planner ? `${planner.state}: ${planner.reason}` : "no word from the planner", planner && planner.state === "blocked" ? "bad" : "");
-    const pose = state.pose;
     const at = pose ? `x ${pose.T[3].toFixed(2)} m, y ${pose.T[7].toFixed(2)} m, ${((pose.yaw * 180) / Math.PI).toFixed(0)} deg` : "no pose";
     const overlap = pose && pose.overlap !== null ? `, overlap ${(100 * pose.overlap).toFixed(0)} %` : "";
     set("pose-words", `${at}${overlap}${pose && pose.reason ? `: ${pose.reason}` : ""}`, pose && !pose.ok ? "warn" : "");
-    set("camera-words", state.camera ? (state.camera.ok ? state.camera.device : state.camera.reason) : "", state.camera && !state.camera.ok ? "bad" : "");
-    this.recorder(state.recorder);
-    const now = performance.now();
-    if (legs && this.robot && now - this.servosAt > SERVOS_MS) {
-      this.servosAt = now;
-      this.servos(legs);
-    }
+    set("camera-words", camera ? (camera.ok ? camera.device : camera.reason) : "", camera && !camera.ok ? "bad" : "");
+    this.recorder(recorder);
+    if (legs && this.robot) this.servos(legs);
   }
 
   recorder(recorder) {
     const button = $("record");
     button.disabled = !recorder;
     button.setAttribute("aria-pressed", String(Boolean(recorder && recorder.recording)));
-    button.textContent = recorder && recorder.recording ? "end" : "record";
+    write(button, recorder && recorder.recording ? "end" : "record");
     if (!recorder) return set("recorder-words", "no recorder is running", "");
     const free = recorder.free_gigabytes === null ? "" : `, ${recorder.free_gigabytes} GB free`;
     const lost = recorder.dropped ? `, ${recorder.dropped} messages lost` : "";
@@ -102,12 +111,13 @@ export class Panels {
     const bad = (legs.voltage !== null && legs.voltage < low) || (legs.temperature !== null && legs.temperature > hot - 12);
     set("power", `${volts}, ${warm}${tired}`, bad ? "warn" : "");
     this.cells.forEach(({ foot, bars }, i) => {
-      foot.className = `foot ${legs.contact[i] ? "carries" : ""} ${legs.swing[i] ? "swings" : ""}`;
+      mark(foot, `foot ${legs.contact[i] ? "carries" : ""} ${legs.swing[i] ? "swings" : ""}`);
       bars.forEach(({ fill, text }, j) => {
         const share = Math.abs(legs.load[3 * i + j]) / stall;
-        fill.style.width = `${Math.min(100, 100 * share).toFixed(0)}%`;
-        fill.className = share > 0.8 ? "bad" : share > 0.45 ? "warn" : "";
-        text.textContent = legs.load[3 * i + j].toFixed(2);
+        const width = `${Math.min(100, 100 * share).toFixed(0)}%`;
+        if (fill.style.width !== width) fill.style.width = width;
+        mark(fill, share > 0.8 ? "bad" : share > 0.45 ? "warn" : "");
+        write(text, legs.load[3 * i + j].toFixed(2));
       });
     });
     const list = $("warnings");

@@ -70,8 +70,11 @@ export class Terrain {
     this.heights.set(new Int16Array(data, offset, cells)); // where the card's copy is made of, too
     const { geometry } = this.mesh;
     geometry.attributes.mm.needsUpdate = true;
+    const corners = this.weave(nx, ny, geometry.index.array);
+    geometry.index.clearUpdateRanges();
+    geometry.index.addUpdateRange(0, corners); // most of it is room for ground that is less flat
     geometry.index.needsUpdate = true;
-    geometry.setDrawRange(0, this.weave(nx, ny, geometry.index.array));
+    geometry.setDrawRange(0, corners);
     const uniforms = this.material.uniforms;
     const values = uniforms.values.value;
     if (colored) {

@@ -1,10 +1,10 @@
 // The 3-D view. It is drawn when something has changed, and never otherwise.
 
 import * as THREE from "../vendor/three/three.module.js";
+import { Paper } from "./paper.js";
 import { Terrain } from "./terrain.js";
 import { Robot } from "./robot.js";
 
-const SOFTWARE_MS = 120; // without a GPU every picture takes time from what holds the pad, and from the robot on this machine
 const CLICK_PX = 5; // a pointer that moved less has clicked
 
 export class View {
@@ -15,7 +15,9 @@ export class View {
     THREE.ColorManagement.enabled = false; // colours are the page's, as they are
     this.renderedBy = rendererName();
     const software = /swiftshader|llvmpipe|software|basic render/i.test(this.renderedBy);
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: !software, powerPreference: "low-power" });
+    const drawnOn = software ? document.createElement("canvas") : canvas;
+    this.renderer = new THREE.WebGLRenderer({ canvas: drawnOn, antialias: !software, powerPreference: "low-power" });
+    this.paper = software ? new Paper(canvas, this.renderer.getContext()) : null;
     this.sharpness = software ? 1 : 2; // pixels of the picture to one of the page, at most
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
     this.renderer.setClearColor(0x0b1115);
@@ -29,28 +31,31 @@ export class View {
     this.eye = { azimuth: Math.PI, elevation: 0.75, distance: 1.7 };
     this.follow = true;
     this.frames = 0; // drawn so far
-    this.dirty = true;
+    this.dirty = this.drawing = false; // whether there is something new to draw; whether a picture is under way
     this.pointers = new Map();
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.resize();
     this.listen();
-    this.apart = software ? SOFTWARE_MS : 0; // [ms] at least between two pictures
-    let drawn = 0;
-    const draw = (now) => {
-      requestAnimationFrame(draw);
-      if (!this.dirty || now - drawn < this.apart) return;
-      drawn = now;
-      this.render();
-    };
-    requestAnimationFrame(draw);
+    this.touch();
   }
 
+  /** What is shown is no longer what is drawn. */
   touch() {
     this.dirty = true;
+    if (this.drawing) return;
+    this.drawing = true;
+    requestAnimationFrame(() => this.draw());
+  }
+
+  async draw() {
+    this.dirty = false;
+    this.render();
+    await this.paper?.lay();
+    this.drawing = false;
+    if (this.dirty) this.touch();
   }
 
   render() {
-    this.dirty = false;
     const { azimuth, elevation, distance } = this.eye;
     this.camera.position.set(
       this.target.x + distance * Math.cos(elevation) * Math.cos(azimuth),
@@ -72,6 +77,7 @@ export class View {
       this.eye.azimuth += 0.02;
       this.render();
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel); // until it is drawn: `finish` does not wait everywhere
+      this.paper?.fetch(gl.canvas.width, gl.canvas.height);
       await new Promise((done) => setTimeout(done, 0));
     }
     return (this.frames - before) / ((performance.now() - began) / 1000);
