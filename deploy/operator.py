@@ -29,7 +29,7 @@ _TOLERANCE = 0.03  # [m] from the end of a route
 _GOAL_NS = round(1e9 / topics.GOAL.rate_hz)
 _ORDER_NS = 500_000_000  # [ns] orders are repeated, so that an actuator that restarts learns them
 _BLOCKED_NS = 20_000_000_000  # [ns] patience with a planner that is blocked
-_NO_POSE_NS = 5_000_000_000  # [ns] patience without a pose, once there was one
+_NO_POSE_S = 5.0  # [s] patience without a pose, once there was one
 _START_NS = 60_000_000_000  # [ns] patience for the first word of a service
 _LOST_NS = 2_000_000_000  # [ns] that the planner waits for sight, until it is asked to go on by touch, where that is wanted
 _AGAIN_NS = (
@@ -48,7 +48,15 @@ class Operator:
     reads = (topics.BODY_POSE, topics.ACTUATOR_STATE, topics.PLANNER_STATUS)
     writes = (topics.VELOCITY, topics.GOAL, topics.MODE)
 
-    def __init__(self, profile: RobotProfile, scenario: Scenario):
+    def __init__(self, profile: RobotProfile, scenario: Scenario, no_pose_s: float = _NO_POSE_S):
+        """Prepare.
+
+        Args:
+            profile: Of the robot.
+            scenario: Where to, and how.
+            no_pose_s: Patience [s] without a pose, once there was one; infinite for a link that may be cut at will.
+        """
+        self._no_pose_s = no_pose_s
         self.paced_by = Every.hz(topics.VELOCITY.rate_hz)
         self.stages = Stages()
         self.finished = False
@@ -140,7 +148,12 @@ class Operator:
         ordered = self._order == "walk"
         checks = (
             ("blocked", blocked, _BLOCKED_NS, f"the planner has been blocked for {_BLOCKED_NS * 1e-9:.0f} s: {why}"),
-            ("no pose", ever_posed and not posed, _NO_POSE_NS, f"no pose from perception for {_NO_POSE_NS * 1e-9:.0f} s"),
+            (
+                "no pose",
+                ever_posed and not posed,
+                1e9 * self._no_pose_s,
+                f"no pose from perception for {self._no_pose_s:.0f} s",
+            ),
             ("never posed", not ever_posed, _START_NS, f"no pose from perception within {_START_NS * 1e-9:.0f} s"),
             ("no actuator", state is None, _START_NS, f"no word from the actuator within {_START_NS * 1e-9:.0f} s"),
             ("fault", mode is Mode.FAULT, _FAULT_NS, f"the actuator is in fault: {mode_reason}"),

@@ -54,7 +54,7 @@ class Row:
     frames: int
     rate_hz: float
     bytes_per_s: float
-    budget: float  # [bytes/s] that its rate and largest size allow
+    budget_bytes_per_s: float  # [bytes/s] that its rate and largest size allow
     mean_bytes: float
     largest_bytes: int
     gap_ms: float | None  # the longest between two frames; None of fewer than two
@@ -108,7 +108,7 @@ def _row(topic: AnyTopic, count: _Count, duration_s: float) -> Row:
         frames=count.frames,
         rate_hz=count.frames / duration_s,
         bytes_per_s=count.bytes / duration_s,
-        budget=topic.rate_hz * topic.max_bytes,
+        budget_bytes_per_s=topic.rate_hz * topic.max_bytes,
         mean_bytes=count.bytes / count.frames if count.frames else 0.0,
         largest_bytes=count.largest,
         gap_ms=count.gap_ns * 1e-6 if count.frames > 1 else None,
@@ -124,7 +124,7 @@ class Total:
 
     rate_hz: float = 0.0
     bytes_per_s: float = 0.0
-    budget: float = 0.0  # [bytes/s] of all its topics, also of those that are silent
+    budget_bytes_per_s: float = 0.0  # [bytes/s] of all its topics, also of those that are silent
 
 
 def totals(rows: Iterable[Row]) -> dict[tuple[str, Lane], Total]:
@@ -134,7 +134,9 @@ def totals(rows: Iterable[Row]) -> dict[tuple[str, Lane], Total]:
         for who in (row.side, "sum"):
             before = found.get((who, row.lane), Total())
             found[who, row.lane] = Total(
-                before.rate_hz + row.rate_hz, before.bytes_per_s + row.bytes_per_s, before.budget + row.budget
+                before.rate_hz + row.rate_hz,
+                before.bytes_per_s + row.bytes_per_s,
+                before.budget_bytes_per_s + row.budget_bytes_per_s,
             )
     return found
 
@@ -153,7 +155,9 @@ def in_words(rows: list[Row]) -> str:
     for (who, lane), total in sorted(totals(rows).items(), key=lambda item: (item[0][0] == "sum", item[0][0])):
         if total.rate_hz:
             lines.append(
-                _BUDGET.format(who, lane.value, f"{total.rate_hz:.1f} Hz", _size(total.bytes_per_s), _size(total.budget))
+                _BUDGET.format(
+                    who, lane.value, f"{total.rate_hz:.1f} Hz", _size(total.bytes_per_s), _size(total.budget_bytes_per_s)
+                )
             )
     silent = [row.key for row in rows if not row.frames]
     lines += [f"\nsilent: {', '.join(silent)}"] if silent else []
@@ -170,7 +174,7 @@ def for_scripts(rows: list[Row], duration_s: float) -> dict[str, Any]:
         "frames",
         "rate_hz",
         "bytes_per_s",
-        "budget",
+        "budget_bytes_per_s",
         "mean_bytes",
         "largest_bytes",
         "gap_ms",

@@ -9,7 +9,7 @@ import json
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
@@ -135,16 +135,19 @@ def _open(config: dict[str, Any]) -> zenoh.Session:
         ) from None
 
 
-def _close(sessions: list[zenoh.Session]) -> None:
-    """Close sessions in bounded time: with a frozen peer closing would take 13 s."""
+def _close(sessions: list[zenoh.Session], pumps: Sequence["_Pump"] = ()) -> None:
+    """Close sessions, and wait for their pumps, in bounded time: with a frozen peer closing would take 13 s."""
 
     def close() -> None:
         for session in sessions:
             session.close()  # type: ignore[no-untyped-call]
 
+    until = time.monotonic() + CLOSE_TIMEOUT_S
     closing = threading.Thread(target=close, name="close zenoh", daemon=True)
     closing.start()
     closing.join(CLOSE_TIMEOUT_S)
+    for pump in pumps:
+        pump.join(max(0.0, until - time.monotonic()))
 
 
 def log_to_stdout(levels: str) -> None:
@@ -207,8 +210,7 @@ class ForeignLink:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        _close([self._session])
-        _join(self._pumps)
+        _close([self._session], self._pumps)
 
     @property
     def id(self) -> str:
@@ -256,13 +258,6 @@ class _Pump:
             self._take(sample)
 
 
-def _join(pumps: list[_Pump]) -> None:
-    """Wait for pumps whose sessions are closed, in bounded time."""
-    until = time.monotonic() + CLOSE_TIMEOUT_S
-    for pump in pumps:
-        pump.join(max(0.0, until - time.monotonic()))
-
-
 class ZenohLink:
     """A process's connection to the others; a context manager."""
 
@@ -284,8 +279,7 @@ class ZenohLink:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        _close(list(self._sessions.values()))
-        _join(self._pumps)
+        _close(list(self._sessions.values()), self._pumps)
 
     def _see_whether_let_in(self) -> None:
         """Say why at once, where opening would only say after its timeout that it could not be."""
@@ -312,8 +306,9 @@ class ZenohLink:
         self._pumps.append(pump)
 
         def end() -> None:
-            pump.end()
-            self._pumps.remove(pump)
+            if pump in self._pumps:
+                self._pumps.remove(pump)
+                pump.end()
 
         return end
 

@@ -1,5 +1,6 @@
 """Two machines that only a radio joins, for as long as a block runs."""
 
+import contextlib
 import select
 import subprocess
 import sys
@@ -53,7 +54,7 @@ class Bed:
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
         )
         try:
-            first = self._line()
+            first = self._line("no two machines here")
         except BedError:
             self.__exit__()
             raise
@@ -67,7 +68,8 @@ class Bed:
         trace: TracebackType | None = None,
     ) -> None:
         assert self._relay.stdin is not None
-        self._relay.stdin.close()
+        with contextlib.suppress(OSError):  # it is gone already
+            self._relay.stdin.close()
         try:
             self._relay.wait(_PATIENCE_S)
         except subprocess.TimeoutExpired:
@@ -99,18 +101,21 @@ class Bed:
 
     def _ask(self, order: str) -> Carried:
         assert self._relay.stdin is not None
-        try:
+        with contextlib.suppress(OSError):  # of one that is gone, which its silence tells
             self._relay.stdin.write(f"{order}\n")
-        except OSError as error:
-            raise BedError(f"the radio between the machines is gone: {error}") from error
-        return Carried(*map(int, self._line().split()))
+        return Carried(*map(int, self._line("the radio between the machines is gone").split()))
 
-    def _line(self) -> str:
+    def _line(self, otherwise: str) -> str:
+        """What it says.
+
+        Raises:
+            BedError: Nothing: `otherwise`, and its own words.
+        """
         assert self._relay.stdout is not None
         assert self._relay.stderr is not None
         ready, _, _ = select.select([self._relay.stdout], [], [], _PATIENCE_S)
         line = self._relay.stdout.readline() if ready else ""
         if not line:
             self._relay.kill()
-            raise BedError(f"no two machines here: {self._relay.stderr.read().strip() or 'the relay said nothing'}")
+            raise BedError(f"{otherwise}: {self._relay.stderr.read().strip() or 'the relay said nothing'}")
         return str(line)

@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deploy.bed.ear import Heard
+from services.actuator.config import Settings
 
 HOLD_S = 0.25  # within which feet are set down where nothing comes any more
 BACK_S = 2.0  # within which it walks again once the radio is back
-OLDEST_S = 0.62  # age of a plan that may be taken, and a word of the actuator's
+_WORD_S = 0.02  # that a word of the actuator's may come after what it tells of
+OLDEST_S = Settings().plan_age_s + _WORD_S  # that a plan may be seen to be when it is taken
 
 
 @dataclass(frozen=True, slots=True)

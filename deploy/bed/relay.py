@@ -81,8 +81,14 @@ def _take(wire_: int, way: Way, now_ns: int) -> None:
 
 
 def _obey(said: str, ways: list[Way]) -> bool:
-    """Do as lines say; whether to go on."""
+    """Do as lines say; whether to go on.
+
+    Raises:
+        ValueError: One says something else.
+    """
     for line in said.splitlines():
+        if line not in ("cut", "mend", "what it carried"):
+            raise ValueError(f"'cut', 'mend' or 'what it carried' expected, found {line!r}")
         if line in ("cut", "mend"):
             for way in ways:
                 way.cut = line == "cut"

@@ -33,8 +33,10 @@ class TwoMachines:
         """
         self.said: list[str] = []
         self.heard: list[Heard] = []  # in order
+        self._helpers: list[subprocess.Popen[str]] = []
+        self._reader: threading.Thread | None = None
         self._bed = bed
-        self._namespace = namespace
+        self.namespace = namespace
         common = ("--namespace", namespace, "--no-page")
         course = ("--scenario", scenario, "--seed", str(seed))
         port = ROUTER_ENDPOINT.rpartition(":")[2]
@@ -52,16 +54,14 @@ class TwoMachines:
 
     def __enter__(self) -> Self:
         self._launcher.__enter__()
-        words = self._bed.on_robot(*_python("-m", "deploy.bed.ear", ROUTER_ENDPOINT, self._namespace))
-        self._words = words
-        self._ear: subprocess.Popen[str] | None = None
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._ear is not None:
-            assert self._ear.stdin is not None
-            self._ear.stdin.close()
-            self._ear.wait()
+        for helper in self._helpers:  # each ends when nothing more can come in
+            assert helper.stdin is not None
+            helper.stdin.close()
+            helper.wait()
+        if self._reader is not None:
             self._reader.join()
         self._launcher.__exit__(kind, error, trace)
         if error is not None:
@@ -74,21 +74,28 @@ class TwoMachines:
             TimeoutError: It did not come to that; what they said is noted.
         """
         self.until(lambda: any("(onboard) is here" in line for line in self.said), within_s, "that the base meets the robot")
-        self._ear = subprocess.Popen(self._words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self._reader = threading.Thread(target=self._listen, daemon=True)
+        words = _python("-m", "deploy.bed.ear", ROUTER_ENDPOINT, self.namespace)
+        ear = subprocess.Popen(self._bed.on_robot(*words), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._helpers.append(ear)
+        self._reader = threading.Thread(target=self._listen, args=(ear,), daemon=True)
         self._reader.start()
         self.until(lambda: bool(self.heard), within_s, "a word of the actuator")
+
+    def lead(self, course: str) -> None:
+        """Have the robot led along a course, by its path, from the base, until the end of the block."""
+        words = _python("-m", "deploy.bed.lead", ROUTER_ENDPOINT, self.namespace, course)
+        self._helpers.append(subprocess.Popen(self._bed.on_base(*words), stdin=subprocess.PIPE, text=True))
 
     def until(self, holds: Callable[[], bool], within_s: float, what: str) -> None:
         """Wait for something.
 
         Raises:
-            TimeoutError: It did not come, or one of the halves has ended.
+            TimeoutError: It did not come, or something has ended.
         """
         until = time.monotonic() + within_s
         while not holds():
-            if ended := self._launcher.wait(0.02):
-                raise TimeoutError(f"{ended[0]} while waiting for {what}")
+            if ended := self._ended(0.02):
+                raise TimeoutError(f"{ended} while waiting for {what}")
             if time.monotonic() > until:
                 raise TimeoutError(f"{what}: not within {within_s:g} s")
 
@@ -96,25 +103,30 @@ class TwoMachines:
         """Let some time pass.
 
         Raises:
-            TimeoutError: One of the halves has ended.
+            TimeoutError: Something has ended.
         """
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0.0:
-            if ended := self._launcher.wait(min(left, 0.2)):
-                raise TimeoutError(str(ended[0]))
+            if ended := self._ended(min(left, 0.2)):
+                raise TimeoutError(ended)
 
     def on_robot(self, *words: str) -> list[str]:
         """A `sextant` command, as it is given on the robot's machine."""
         return self._bed.on_robot(*_python(*_CLI, *words))
 
+    def _ended(self, within_s: float) -> str:
+        """What has ended that should not have, waiting for some time [s]."""
+        if ended := self._launcher.wait(within_s):
+            return str(ended[0])
+        return next((f"{h.args!r} ended, exit status {h.returncode}" for h in self._helpers if h.poll() is not None), "")
+
     def _hear(self, name: str, line: str) -> None:
         self.said.append(f"{name}: {line}")
 
-    def _listen(self) -> None:
-        assert self._ear is not None
-        assert self._ear.stdout is not None
-        with self._ear.stdout:
-            for line in self._ear.stdout:
+    def _listen(self, ear: "subprocess.Popen[str]") -> None:
+        assert ear.stdout is not None
+        with ear.stdout:
+            for line in ear.stdout:
                 self.heard.append(Heard.of(line))
 
 

@@ -4,6 +4,7 @@ import json
 import math
 import subprocess
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -43,18 +44,17 @@ def walks(scenario: str, seeds: Sequence[int], links: Sequence[Link], say: Calla
 
     Raises:
         BedError: There are no two machines here.
-        TimeoutError: The halves did not meet, or one has ended.
+        TimeoutError: The halves did not meet, or a walk left no report.
     """
     found: list[Walks] = []
     for link in links:
         reports, carried, packets, lost, seconds = [], 0, 0, 0, 0.0
         for seed in seeds:
-            with Bed(link, seed) as bed, TwoMachines(bed, None, scenario, seed) as halves, _folder() as folder:
+            with Bed(link, seed) as bed, TwoMachines(bed, None, scenario, seed) as halves:
                 halves.meet(_MEET_S)
                 began = bed.carried()
-                _operator(halves, scenario, seed, folder).wait()
+                reports.append(_run(halves, scenario, seed))
                 ended = bed.carried()
-                reports.append(json.loads((folder / "report.json").read_text(encoding="utf-8")))
             carried += ended.from_robot - began.from_robot
             packets += ended.packets_from_robot - began.packets_from_robot
             lost += ended.lost_from_robot - began.lost_from_robot
@@ -64,8 +64,11 @@ def walks(scenario: str, seeds: Sequence[int], links: Sequence[Link], say: Calla
     return tuple(found)
 
 
-def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) -> tuple[Cut, ...]:
-    """Cut the radio at random phases of a walk over level ground, each for a random time.
+def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) -> tuple[tuple[Cut, ...], str]:
+    """Cut the radio at random phases of a walk over level ground that is led from the base, each for a random time.
+
+    Returns:
+        The cuts, and why they are fewer than asked for, in words, if they are.
 
     Args:
         count: How many times.
@@ -75,66 +78,52 @@ def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) 
 
     Raises:
         BedError: There are no two machines here.
-        TimeoutError: The halves did not meet, one has ended, or the robot did not walk.
+        TimeoutError: The halves did not meet.
     """
     rng = np.random.default_rng(seed)
     lasts_s = np.exp(rng.uniform(math.log(CUT_S[0]), math.log(longest_s), count))
     walks_s = rng.uniform(*_BETWEEN_S, count)
     limit_s = _WALK_S + float(lasts_s.sum() + walks_s.sum()) + count * _PATIENCE_S
     found: list[Cut] = []
-    with _folder() as folder:
-        course = folder / "long.toml"
+    with tempfile.TemporaryDirectory() as folder:
+        course = Path(folder) / "long.toml"
         course.write_text(_COURSE.format(name="long", limit=limit_s, far=_SPEED * limit_s), encoding="utf-8")
         with Bed(CUT_LINK, seed) as bed, TwoMachines(bed, None, str(course), seed) as halves:
             halves.meet(_MEET_S)
-            operator = _operator(halves, str(course), seed, folder)
-            try:
-                for lasts, walked in zip(lasts_s, walks_s, strict=True):
-                    found.append(_cut(bed, halves, operator, folder, float(lasts), float(walked)))
-                    say(f"cut {len(found)} of {count}: {_told(found[-1])}")
-            finally:
-                operator.terminate()
-                operator.wait()
-    return tuple(found)
+            halves.lead(str(course))
+            for lasts, walked in zip(lasts_s, walks_s, strict=True):
+                try:
+                    found.append(_cut(bed, halves, float(lasts), float(walked)))
+                except TimeoutError as error:
+                    return tuple(found), str(error)
+                say(f"cut {len(found)} of {count}: {_told(found[-1])}")
+    return tuple(found), ""
 
 
-def _cut(
-    bed: Bed, halves: TwoMachines, operator: "subprocess.Popen[bytes]", folder: Path, lasts_s: float, walks_s: float
-) -> Cut:
+def _cut(bed: Bed, halves: TwoMachines, lasts_s: float, walks_s: float) -> Cut:
     """Let the robot walk for a while, cut the radio for a while, and see what comes of it until it walks again."""
-
-    def alive() -> bool:
-        if operator.poll() is not None:
-            said = [line for line in (folder / "run.log").read_text(encoding="utf-8").splitlines() if line]
-            raise TimeoutError(f"the operator's command has ended, exit status {operator.returncode}: {' / '.join(said[-2:])}")
-        return True
-
-    halves.until(lambda: alive() and halves.heard[-1].walks, _WALK_S, "a walk")
+    halves.until(lambda: halves.heard[-1].walks, _WALK_S, "a walk")
     halves.pass_time(walks_s)
-    halves.until(lambda: alive() and halves.heard[-1].walks, _WALK_S, "a walk")
+    halves.until(lambda: halves.heard[-1].walks, _WALK_S, "a walk")
     cut = bed.cut()
     halves.pass_time(lasts_s)
     mended = bed.mend()
     halves.pass_time(2 * HOLD_S)  # by which it has begun to hold, if it does
-    try:
-        halves.until(lambda: alive() and halves.heard[-1].walks, _PATIENCE_S, "the walk that goes on")
-    except TimeoutError:
-        if operator.poll() is not None:
-            raise
+    until_ns = time.monotonic_ns() + round(1e9 * _PATIENCE_S)
+    halves.until(lambda: halves.heard[-1].walks or time.monotonic_ns() > until_ns, 2 * _PATIENCE_S, "the walk that goes on")
     return judge(cut.at_ns, mended.at_ns, list(halves.heard))
 
 
-def _operator(halves: TwoMachines, scenario: str, seed: int, folder: Path) -> "subprocess.Popen[bytes]":
-    """`sextant run`, which leads the robot and judges the walk: beside the simulator, since the truth stays on its machine."""
-    words = ("run", scenario, "--seed", str(seed), "--connect", ROUTER_ENDPOINT, "--namespace", "sextant", "--out", str(folder))
-    log = (folder / "run.log").open("wb")
-    with log:
-        return subprocess.Popen(halves.on_robot(*words), stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT)
-
-
-class _folder(tempfile.TemporaryDirectory[str]):  # noqa: N801 - a folder for a while, as a path
-    def __enter__(self) -> Path:  # type: ignore[override]
-        return Path(super().__enter__())
+def _run(halves: TwoMachines, scenario: str, seed: int) -> dict[str, Any]:
+    """Report of `sextant run`, which leads the robot and judges the walk beside the simulator, whose truth stays there."""
+    with tempfile.TemporaryDirectory() as folder:
+        meeting = ("--connect", ROUTER_ENDPOINT, "--namespace", halves.namespace)
+        words = halves.on_robot("run", scenario, "--seed", str(seed), *meeting, "--out", folder)
+        done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+        report = Path(folder) / "report.json"
+        if not report.exists():
+            raise TimeoutError(f"sextant run left no report: {' / '.join(done.stderr.splitlines()[-2:])}")
+        return dict(json.loads(report.read_text(encoding="utf-8")))
 
 
 def walks_in_words(found: Sequence[Walks]) -> str:
@@ -156,6 +145,8 @@ def walks_in_words(found: Sequence[Walks]) -> str:
 
 def cuts_in_words(found: Sequence[Cut]) -> str:
     """A table, and each cut in which something was not as it must be."""
+    if not found:
+        return "no cut"
     held = [one for one in found if one.must_hold]
     oldest = max((one.oldest_s for one in found), default=0.0)
     lines = [

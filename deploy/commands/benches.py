@@ -69,8 +69,11 @@ def bench_link(arguments: argparse.Namespace) -> int:
     warm_up(progress)
     try:
         if arguments.cuts:
-            cut = link.cuts(arguments.cuts, arguments.seed, arguments.longest, progress.say)
-            return _tell_bench(link.cuts_in_words(cut), link.to_json("cuts", cut), out / "cuts.json", arguments.json)
+            cut, ended = link.cuts(arguments.cuts, arguments.seed, arguments.longest, progress.say)
+            told = _tell_bench(link.cuts_in_words(cut), link.to_json("cuts", cut), out / "cuts.json", arguments.json)
+            if ended:
+                complain(f"sextant bench link: {len(cut)} of {arguments.cuts} cuts, then: {ended}")
+            return FAILED if ended else told
         seeds = range(arguments.seed, arguments.seed + arguments.walks)
         walked = link.walks(arguments.scenario, seeds, link.LINKS, progress.say)
     except (BedError, TimeoutError) as error:
