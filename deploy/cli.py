@@ -6,12 +6,11 @@ Modules that take long to import are imported by the command that needs them.
 
 import argparse
 import os
-import re
 import sys
 from collections.abc import Sequence
 from typing import Any
 
-from deploy.commands import keys, service, servos
+from deploy.commands import keys, service, servos, values
 from deploy.commands.benches import (
     bench_access,
     bench_accuracy,
@@ -87,88 +86,6 @@ def _refusals() -> tuple[type[Exception], ...]:
     return ConfigError, InputError, *others
 
 
-def _seeds(text: str) -> range:
-    found = re.fullmatch(r"(\d+):(\d+)", text)
-    if found is None or int(found[1]) >= int(found[2]):
-        raise argparse.ArgumentTypeError(f"A:B with A < B expected, B not included, found {text!r}; for example 0:50")
-    return range(int(found[1]), int(found[2]))
-
-
-def _any_seeds(text: str) -> Sequence[int]:
-    """Seeds from A to B, or as many as are wanted that the commit gives."""
-    drawn = re.fullmatch(r"commit:([1-9]\d*)", text)
-    if drawn is None:
-        return _seeds(text)
-    from deploy.provenance import seeds_of_commit
-
-    try:
-        return seeds_of_commit(int(drawn[1]))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-
-
-def _natural(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"a whole number of at least 0 expected, found {text!r}")
-    return int(text)
-
-
-def _positive(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"a whole number of at least 1 expected, found {text!r}")
-    return int(text)
-
-
-def _seconds(text: str) -> float:
-    try:
-        found = float(text)
-    except ValueError:
-        found = 0.0
-    if not 0.0 < found <= 86400.0:
-        raise argparse.ArgumentTypeError(f"seconds of more than 0 and at most a day expected, found {text!r}")
-    return found
-
-
-def _number(text: str, lowest: float, highest: float, what: str) -> float:
-    try:
-        found = float(text)
-    except ValueError:
-        found = float("nan")
-    if not lowest <= found <= highest:
-        raise argparse.ArgumentTypeError(f"{what} from {lowest:g} to {highest:g} expected, found {text!r}")
-    return found
-
-
-def _longest_cut(text: str) -> float:
-    return _number(text, 0.1, 600.0, "seconds")
-
-
-def _times(text: str) -> float:
-    return _number(text, 0.05, 100.0, "a number")
-
-
-def _rate(text: str) -> float:
-    return _number(text, 1.0, 120.0, "pictures a second")
-
-
-def _instant(text: str) -> float:
-    return _number(text, 0.0, 1e6, "seconds")
-
-
-def _size(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
-    width, height = (int(found[1]), int(found[2])) if found else (0, 0)
-    if not (64 <= width <= 3840 and 64 <= height <= 2160) or width % 2 or height % 2:
-        raise argparse.ArgumentTypeError(f"WxH expected, even and 64x64 to 3840x2160, found {text!r}; for example 960x540")
-    return width, height
-
-
-def _frames(text: str) -> int:
-    if not text.isdecimal() or int(text) < 3:
-        raise argparse.ArgumentTypeError(f"a whole number of at least 3 expected, found {text!r}: a ride has a way to go")
-    return int(text)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="sextant", description="Six-legged walking where only some places carry a foot.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -205,7 +122,7 @@ def _parser() -> argparse.ArgumentParser:
 
     one = add("compose", compose, "print a compose.yaml that starts the services in containers of their own")
     one.add_argument("--scenario", default="steps", help="name of the scenario (default %(default)s)")
-    one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
+    one.add_argument("--seed", type=values.natural, default=3, help="of the simulation (default %(default)s)")
     one.add_argument("--offboard", action="store_true", help="in place of it, what runs beside a robot, by certificates")
     return parser
 
@@ -213,10 +130,10 @@ def _parser() -> argparse.ArgumentParser:
 def _add_recordings(add: Any) -> None:
     one = add("record", record, "record all that is said on the wire, in MCAP files of a minute, until Ctrl-C")
     one.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below recordings/)")
-    one.add_argument("--seconds", type=_seconds, metavar="S", help="end after as long")
+    one.add_argument("--seconds", type=values.seconds, metavar="S", help="end after as long")
     one.add_argument("--pictures", action="store_true", help="the camera's own pictures too: nine tenths of the bytes")
     words = "of the disk that stay free (default %(default)s)"
-    one.add_argument("--reserve", type=_natural, default=500, metavar="MB", help=words)
+    one.add_argument("--reserve", type=values.natural, default=500, metavar="MB", help=words)
     one.add_argument("--robot", default="phantomx_mk2", help="whose (default %(default)s)")
     _add_meeting(one)
     one = add("info", info, "say what is in a recording: its files, topics, rates and sizes")
@@ -229,7 +146,7 @@ def _add_recordings(add: Any) -> None:
     one.add_argument("--rerun", required=True, metavar="FILE.rrd", help="for the rerun viewer")
     one = add("foxglove", foxglove, "show what is said, live, in Foxglove or Lichtblick, until Ctrl-C")
     one.add_argument("--host", default="127.0.0.1", help="address to listen on (default %(default)s)")
-    one.add_argument("--port", type=_natural, default=8765, help="TCP port, 0 for any that is free (default %(default)s)")
+    one.add_argument("--port", type=values.natural, default=8765, help="TCP port, 0 for any that is free (default %(default)s)")
     one.add_argument("--robot", default="phantomx_mk2", help="whose (default %(default)s)")
     _add_meeting(one)
     one = add(
@@ -244,13 +161,15 @@ def _add_recordings(add: Any) -> None:
     one.add_argument("run", help="folder that a run has left, an MCAP file, or a folder of them")
     words = "where to: .mp4, .webm, .avi, or animated .webp, .gif, .png (default: walk.mp4 beside the recording)"
     one.add_argument("--out", metavar="FILE", help=words)
-    one.add_argument("--speed", type=_times, default=1.0, metavar="X", help="times as fast as it walked (default %(default)g)")
-    one.add_argument("--size", type=_size, default=(1280, 720), metavar="WxH", help="in pixels (default 1280x720)")
+    one.add_argument(
+        "--speed", type=values.times, default=1.0, metavar="X", help="times as fast as it walked (default %(default)g)"
+    )
+    one.add_argument("--size", type=values.size, default=(1280, 720), metavar="WxH", help="in pixels (default 1280x720)")
     words = "whose ground it is drawn on, where the recording names one that is not known here: a name, or a TOML file"
     one.add_argument("--scenario", default="", metavar="NAME", help=words)
-    one.add_argument("--fps", type=_rate, default=25.0, metavar="N", help="pictures a second (default %(default)g)")
-    one.add_argument("--from", dest="from_s", type=_instant, default=0.0, metavar="S", help="begin there")
-    one.add_argument("--to", dest="to_s", type=_instant, default=float("inf"), metavar="S", help="end there")
+    one.add_argument("--fps", type=values.rate, default=25.0, metavar="N", help="pictures a second (default %(default)g)")
+    one.add_argument("--from", dest="from_s", type=values.instant, default=0.0, metavar="S", help="begin there")
+    one.add_argument("--to", dest="to_s", type=values.instant, default=float("inf"), metavar="S", help="end there")
 
 
 def _add_plot(add: Any) -> None:
@@ -291,10 +210,10 @@ def _add_campaigns(add: Any) -> None:
     one.add_argument("scenario", help="name of a scenario, path of a TOML file, all that are walked, or passages: all gaps")
     _add_robot_and_gait(one)
     words = "from A up to, not including, B; or commit:N, N that the hash of the commit gives, so that nobody has chosen them"
-    one.add_argument("--seeds", type=_any_seeds, required=True, metavar="A:B", help=words)
+    one.add_argument("--seeds", type=values.any_seeds, required=True, metavar="A:B", help=words)
     one.epilog = "`sextant trials table --help`: print tables of trials that were kept, nothing being run."
     one.add_argument("--blind", action="store_true", help="also run the baseline, without a map, and compare")
-    one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
+    one.add_argument("--jobs", type=values.positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
     one.add_argument("--out", metavar="DIR", help="folder to write to; seeds that it has already are not run again")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
 
@@ -311,10 +230,10 @@ def _add_campaigns(add: Any) -> None:
     one = add("faults", faults, "break a walk in every way at many phases of a step, and see what the robot does")
     one.add_argument("fault", nargs="*", metavar="FAULT", help="only these (default: all)")
     one.add_argument("--live", action="store_true", help="all that need processes over Zenoh, in place of those in lockstep")
-    one.add_argument("--phases", type=_positive, metavar="N", help="times that each is injected (default 300, live 30)")
+    one.add_argument("--phases", type=values.positive, metavar="N", help="times that each is injected (default 300, live 30)")
     one.add_argument("--list", action="store_true", help="name the faults, and break nothing")
     words = "processes at a time, in lockstep (default %(default)s)"
-    one.add_argument("--jobs", type=_positive, default=1, metavar="N", help=words)
+    one.add_argument("--jobs", type=values.positive, default=1, metavar="N", help=words)
     one.add_argument("--out", metavar="DIR", help="folder to write to; what it has already is not done again")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
 
@@ -332,7 +251,7 @@ def _add_robots(add: Any) -> None:
 
     one = add("ros2", ros2, "make the robot a node of ROS 2 over rmw_zenoh, without ROS, see docs/ros2.md")
     words = "of ROS (default: ROS_DOMAIN_ID, or 0)"
-    one.add_argument("--domain", type=_natural, default=os.environ.get("ROS_DOMAIN_ID") or "0", metavar="N", help=words)
+    one.add_argument("--domain", type=values.natural, default=os.environ.get("ROS_DOMAIN_ID") or "0", metavar="N", help=words)
     words = "of the node and its topics, for several robots in one graph (default %(default)s)"
     one.add_argument("--ros-namespace", default="/", metavar="/NAME", help=words)
     words = "router of the ROS nodes, `ros2 run rmw_zenoh_cpp rmw_zenohd` (default: that of the robot)"
@@ -360,7 +279,7 @@ def _add_role(one: argparse.ArgumentParser) -> None:
     one.add_argument(
         "--camera", default="", metavar="DEVICE", help="openni2, realsense, none, or a recorded folder, over the profile"
     )
-    one.add_argument("--seed", type=_natural, default=3, help="of the simulation (default %(default)s)")
+    one.add_argument("--seed", type=values.natural, default=3, help="of the simulation (default %(default)s)")
     words = "run these processes here, too: names of the table, e.g. mapper,planner"
     one.add_argument("--with", dest="also", action="append", default=[], metavar="NAMES", help=words)
     one.add_argument("--without", action="append", default=[], metavar="NAMES", help="leave these out: they run elsewhere")
@@ -395,7 +314,9 @@ def _add_certificates(add: Any, parser: argparse.ArgumentParser) -> None:
     one.add_argument("folder", metavar="DIR", help="to make them in; what is there is not overwritten")
     words = "at which the robot is reached, as often as it has some, e.g. hexapod.local or 192.168.1.20"
     one.add_argument("--robot-address", action="append", default=[], metavar="NAME_OR_IP", help=words)
-    one.add_argument("--days", type=_positive, default=365, metavar="N", help="for which they are good (default %(default)s)")
+    one.add_argument(
+        "--days", type=values.positive, default=365, metavar="N", help="for which they are good (default %(default)s)"
+    )
     one = add("show", keys.show, "say of each certificate its role, and when it ends", group)
     one.set_defaults(name="keys show")
     one.add_argument("folder", metavar="DIR", help="of `sextant keys new`, or one role's")
@@ -404,7 +325,7 @@ def _add_certificates(add: Any, parser: argparse.ArgumentParser) -> None:
 def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     group = parser.add_subparsers(required=True, metavar="WHAT")
     one = add("accuracy", bench_accuracy, "ride over rebuilt scenes: errors of pose and map through the real services", group)
-    one.add_argument("--jobs", type=_positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
+    one.add_argument("--jobs", type=values.positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
     _add_bench(one)
     one = add("speed", bench_speed, "time registration beside its peers, frame by frame in one run", group)
     _add_frames(one)
@@ -416,30 +337,32 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     _add_bench(one)
 
     one = add("access", bench_access, "put what may not be put through a guarded router: what comes through", group)
-    one.add_argument("--messages", type=_positive, default=10_000, metavar="N", help="of each kind (default %(default)s)")
+    one.add_argument("--messages", type=values.positive, default=10_000, metavar="N", help="of each kind (default %(default)s)")
     _add_out_and_json(one)
     one = add("bus", bench_bus, "break the emulated servo bus in many ways: what the driver loses, doubts and believes", group)
     words = "asked in each case, at least (default %(default)s)"
-    one.add_argument("--questions", type=_positive, default=20_000, metavar="N", help=words)
+    one.add_argument("--questions", type=values.positive, default=20_000, metavar="N", help=words)
     one.add_argument("--only", default="", metavar="WORDS", help="the cases whose names contain these words")
-    one.add_argument("--seed", type=_natural, default=0, help="of what is broken (default %(default)s)")
+    one.add_argument("--seed", type=values.natural, default=0, help="of what is broken (default %(default)s)")
     _add_out_and_json(one)
     one = add("servos", bench_servos, "time the servo bus through our own packets and through dynamixel-sdk", group)
-    one.add_argument("--rounds", type=_positive, default=300, metavar="N", help="of each job (default %(default)s)")
+    one.add_argument("--rounds", type=values.positive, default=300, metavar="N", help="of each job (default %(default)s)")
     _add_out_and_json(one)
 
     one = add("link", bench_link, "walk a robot whose map and planner are behind a radio that loses, or is cut", group)
-    one.add_argument("--walks", type=_positive, default=5, metavar="N", help="over each link (default %(default)s)")
+    one.add_argument("--walks", type=values.positive, default=5, metavar="N", help="over each link (default %(default)s)")
     one.add_argument("--scenario", default="steps", help="of the walks (default %(default)s)")
-    one.add_argument("--cuts", type=_natural, default=0, metavar="N", help="instead cut the radio so many times in one walk")
-    words = "[s] of the longest cut; the shortest takes 0.1 s (default %(default)s)"
-    one.add_argument("--longest", type=_longest_cut, default=30.0, metavar="S", help=words)
     one.add_argument(
-        "--seed", type=_natural, default=0, help="first seed of the walks, or that of the cuts (default %(default)s)"
+        "--cuts", type=values.natural, default=0, metavar="N", help="instead cut the radio so many times in one walk"
+    )
+    words = "[s] of the longest cut; the shortest takes 0.1 s (default %(default)s)"
+    one.add_argument("--longest", type=values.longest_cut, default=30.0, metavar="S", help=words)
+    one.add_argument(
+        "--seed", type=values.natural, default=0, help="first seed of the walks, or that of the cuts (default %(default)s)"
     )
     _add_out_and_json(one)
     one = add("page", bench_page, "time how soon the operator's page stops the robot, by a real browser, and its cost", group)
-    one.add_argument("--rounds", type=_positive, default=30, metavar="N", help="of each (default %(default)s)")
+    one.add_argument("--rounds", type=values.positive, default=30, metavar="N", help="of each (default %(default)s)")
     _add_out_and_json(one)
     one = add(
         "recording",
@@ -447,13 +370,13 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
         "time the servos' cycle while somebody records, the disk fills up, the recorder dies",
         group,
     )
-    one.add_argument("--rounds", type=_positive, default=5, metavar="N", help="of each (default %(default)s)")
+    one.add_argument("--rounds", type=values.positive, default=5, metavar="N", help="of each (default %(default)s)")
     _add_out_and_json(one)
     _add_out_and_json(add("size", bench_size, "say how much each role takes on a disk", group))
     one = add(
         "start", bench_start, "time how soon the actuator holds a robot that stands, from the start of its process", group
     )
-    one.add_argument("--rounds", type=_positive, default=20, metavar="N", help="starts (default %(default)s)")
+    one.add_argument("--rounds", type=values.positive, default=20, metavar="N", help="starts (default %(default)s)")
     _add_out_and_json(one)
 
 
@@ -472,11 +395,11 @@ def _add_topics(add: Any, parser: argparse.ArgumentParser) -> None:
         return one
 
     one = heard("echo", echo, "print messages as they come, large arrays by their shape and what lies in them")
-    one.add_argument("--count", type=_positive, default=0, metavar="N", help="end after as many (default: at Ctrl-C)")
-    one.add_argument("--within", type=_seconds, default=5.0, metavar="S", help="for the first to come (default 5 s)")
+    one.add_argument("--count", type=values.positive, default=0, metavar="N", help="end after as many (default: at Ctrl-C)")
+    one.add_argument("--within", type=values.seconds, default=5.0, metavar="S", help="for the first to come (default 5 s)")
     one.add_argument("--json", action="store_true", help="one object per line")
     one = heard("hz", hz, "measure how often and how much each topic says, beside the topic table")
-    one.add_argument("--seconds", type=_seconds, default=5.0, metavar="S", help="to listen for (default 5 s)")
+    one.add_argument("--seconds", type=values.seconds, default=5.0, metavar="S", help="to listen for (default 5 s)")
     one.add_argument("--json", action="store_true", help="as JSON")
 
 
@@ -505,7 +428,9 @@ def _add_servos(add: Any, parser: argparse.ArgumentParser) -> None:
         return one
 
     one = on_port("scan", servos.scan, "list the servos on the bus, and name what is missing, doubled, wrong or reset")
-    one.add_argument("--ids", type=_seeds, default=range(254), metavar="A:B", help="ids to ask, B not included (default 0:254)")
+    one.add_argument(
+        "--ids", type=values.seeds, default=range(254), metavar="A:B", help="ids to ask, B not included (default 0:254)"
+    )
     one.add_argument("--json", action="store_true", help="as JSON")
     on_port("set-id", servos.set_id, "give each servo the id of its joint, one at a time; can be left and resumed")
     one = of_legs("calibrate", servos.calibrate, "measure how the horns sit, leg by leg, into a TOML of this robot")
@@ -522,17 +447,21 @@ def _add_servos(add: Any, parser: argparse.ArgumentParser) -> None:
     one.add_argument(
         "--fresh", action="store_true", help="as from the factory, all with id 1, to be plugged in at this terminal"
     )
-    one.add_argument("--seed", type=_natural, default=3, help="by which their horns sit wrong (default %(default)s)")
-    one.add_argument("--listen", type=_natural, default=0, metavar="PORT", help="on 127.0.0.1 (default: any that is free)")
+    one.add_argument("--seed", type=values.natural, default=3, help="by which their horns sit wrong (default %(default)s)")
+    one.add_argument(
+        "--listen", type=values.natural, default=0, metavar="PORT", help="on 127.0.0.1 (default: any that is free)"
+    )
 
 
 def _add_frames(parser: argparse.ArgumentParser) -> None:
     words = "of each ride, 2 cm apart (default %(default)s)"
-    parser.add_argument("--frames", type=_frames, default=100, metavar="N", help=words)
+    parser.add_argument("--frames", type=values.frames, default=100, metavar="N", help=words)
 
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=_seeds, default=range(1000, 1003), metavar="A:B", help="rides (default 1000:1003)")
+    parser.add_argument(
+        "--seeds", type=values.seeds, default=range(1000, 1003), metavar="A:B", help="rides (default 1000:1003)"
+    )
     _add_out_and_json(parser)
 
 
@@ -562,7 +491,7 @@ def _add_robot_and_gait(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_seed_and_out(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seed", type=_natural, default=3, help="of everything random (default %(default)s)")
+    parser.add_argument("--seed", type=values.natural, default=3, help="of everything random (default %(default)s)")
     parser.add_argument("--out", metavar="DIR", help="folder to write to (default: a new one below runs/)")
 
 

@@ -1,6 +1,7 @@
 """Leads the robot along a course from one of the bed's machines: `python -m deploy.bed.lead ENDPOINT NAMESPACE COURSE`.
 
-It waits for a pose for as long as it takes, and ends when its standard input is closed.
+It waits for a pose for as long as it takes. It ends when its standard input is closed; and with exit status 1 where it gives
+up, and says why.
 """
 
 import math
@@ -12,6 +13,8 @@ from shared.robot import load_profile
 from shared.scenario import load_scenario
 from shared.service import run_live
 from shared.transport import Endpoints, ZenohLink
+
+_LOOK_S = 0.2
 
 
 def main() -> int:
@@ -26,9 +29,18 @@ def main() -> int:
     threading.Thread(target=wait, daemon=True).start()
     scenario = load_scenario(course)
     operator = Operator(load_profile(scenario.robot), scenario, no_pose_s=math.inf)
+
+    def wait_for_its_end() -> None:
+        while not stop.wait(_LOOK_S):
+            if operator.finished:
+                stop.set()
+
+    threading.Thread(target=wait_for_its_end, daemon=True).start()
     with ZenohLink(Endpoints((endpoint,), namespace=namespace)) as link:
         run_live(operator, link, stop)
-    return 0
+    if operator.finished:
+        sys.stderr.write(f"{operator.reason}\n")
+    return int(operator.finished)
 
 
 if __name__ == "__main__":

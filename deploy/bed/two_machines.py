@@ -61,6 +61,8 @@ class TwoMachines:
             assert helper.stdin is not None
             helper.stdin.close()
             helper.wait()
+            if helper.stderr is not None:
+                helper.stderr.close()
         if self._reader is not None:
             self._reader.join()
         self._launcher.__exit__(kind, error, trace)
@@ -84,7 +86,8 @@ class TwoMachines:
     def lead(self, course: str) -> None:
         """Have the robot led along a course, by its path, from the base, until the end of the block."""
         words = _python("-m", "deploy.bed.lead", ROUTER_ENDPOINT, self.namespace, course)
-        self._helpers.append(subprocess.Popen(self._bed.on_base(*words), stdin=subprocess.PIPE, text=True))
+        leader = subprocess.Popen(self._bed.on_base(*words), stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self._helpers.append(leader)
 
     def until(self, holds: Callable[[], bool], within_s: float, what: str) -> None:
         """Wait for something.
@@ -118,7 +121,11 @@ class TwoMachines:
         """What has ended that should not have, waiting for some time [s]."""
         if ended := self._launcher.wait(within_s):
             return str(ended[0])
-        return next((f"{h.args!r} ended, exit status {h.returncode}" for h in self._helpers if h.poll() is not None), "")
+        for helper in self._helpers:
+            if helper.poll() is not None:
+                why = helper.stderr.read().strip() if helper.stderr is not None else ""
+                return f"{helper.args!r} ended, exit status {helper.returncode}: {why}"
+        return ""
 
     def _hear(self, name: str, line: str) -> None:
         self.said.append(f"{name}: {line}")

@@ -158,7 +158,7 @@ def test_two_runs_do_not_meet_and_neither_leaves_an_orphan(tmp_path: Path) -> No
             took = time.monotonic() - began
             assert took <= ENDS_WITHIN_S, f"everything has ended {took:.2f} s after Ctrl-C"
             other.forget()
-            right.wait_for(lambda: other.mode is not None, "the right robot going on")
+            right.wait_for(lambda: other.walked(1), "the right robot walking on")
         right.process.kill()
         right.gone(10.0)
     report = report_in(outs["left"])

@@ -2,12 +2,14 @@
 
 import gc
 import os
+import sys
 import weakref
 from collections.abc import Iterator
 
 import pytest
 
-from shared.host import go_first, spare_collector
+from services.actuator.line import REPLY_TIMEOUT_NS
+from shared.host import go_first, spare_collector, switch_often
 
 
 @pytest.fixture(autouse=True)
@@ -46,3 +48,13 @@ def test_who_may_goes_first_in_real_time_and_who_may_not_is_told_what_to_do(monk
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     assert "ulimit -r" in go_first()
+
+
+def test_threads_take_turns_so_often_that_a_servo_is_not_taken_for_silent() -> None:
+    """Its answer is taken by a thread beside one that computes; measured with Python's usual 5 ms, some came too late."""
+    usual_s = sys.getswitchinterval()
+    try:
+        switch_often()
+        assert 10 * sys.getswitchinterval() < REPLY_TIMEOUT_NS * 1e-9 < 2 * usual_s
+    finally:
+        sys.setswitchinterval(usual_s)

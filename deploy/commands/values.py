@@ -1,0 +1,97 @@
+"""What words of the command line stand for; one that stands for nothing is told what was expected."""
+
+import argparse
+import re
+from collections.abc import Sequence
+
+
+def seeds(text: str) -> range:
+    """Seeds from A to B."""
+    found = re.fullmatch(r"(\d+):(\d+)", text)
+    if found is None or int(found[1]) >= int(found[2]):
+        raise argparse.ArgumentTypeError(f"A:B with A < B expected, B not included, found {text!r}; for example 0:50")
+    return range(int(found[1]), int(found[2]))
+
+
+def any_seeds(text: str) -> Sequence[int]:
+    """Seeds from A to B, or as many as are wanted that the commit gives."""
+    drawn = re.fullmatch(r"commit:([1-9]\d*)", text)
+    if drawn is None:
+        return seeds(text)
+    from deploy.provenance import seeds_of_commit
+
+    try:
+        return seeds_of_commit(int(drawn[1]))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def natural(text: str) -> int:
+    """A whole number of at least 0."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"a whole number of at least 0 expected, found {text!r}")
+    return int(text)
+
+
+def positive(text: str) -> int:
+    """A whole number of at least 1."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"a whole number of at least 1 expected, found {text!r}")
+    return int(text)
+
+
+def seconds(text: str) -> float:
+    """A time [s]."""
+    try:
+        found = float(text)
+    except ValueError:
+        found = 0.0
+    if not 0.0 < found <= 86400.0:
+        raise argparse.ArgumentTypeError(f"seconds of more than 0 and at most a day expected, found {text!r}")
+    return found
+
+
+def _number(text: str, lowest: float, highest: float, what: str) -> float:
+    try:
+        found = float(text)
+    except ValueError:
+        found = float("nan")
+    if not lowest <= found <= highest:
+        raise argparse.ArgumentTypeError(f"{what} from {lowest:g} to {highest:g} expected, found {text!r}")
+    return found
+
+
+def longest_cut(text: str) -> float:
+    """How long [s] the longest cut of a radio is."""
+    return _number(text, 0.1, 600.0, "seconds")
+
+
+def times(text: str) -> float:
+    """How many times as fast."""
+    return _number(text, 0.05, 100.0, "a number")
+
+
+def rate(text: str) -> float:
+    """Pictures a second."""
+    return _number(text, 1.0, 120.0, "pictures a second")
+
+
+def instant(text: str) -> float:
+    """A time [s] from the beginning."""
+    return _number(text, 0.0, 1e6, "seconds")
+
+
+def size(text: str) -> tuple[int, int]:
+    """Width and height [px] of a picture that can be encoded."""
+    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
+    width, height = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not (64 <= width <= 3840 and 64 <= height <= 2160) or width % 2 or height % 2:
+        raise argparse.ArgumentTypeError(f"WxH expected, even and 64x64 to 3840x2160, found {text!r}; for example 960x540")
+    return width, height
+
+
+def frames(text: str) -> int:
+    """Depth frames of a ride."""
+    if not text.isdecimal() or int(text) < 3:
+        raise argparse.ArgumentTypeError(f"a whole number of at least 3 expected, found {text!r}: a ride has a way to go")
+    return int(text)
