@@ -28,6 +28,7 @@ from deploy.commands.benches import (
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor
 from deploy.commands.faults import faults
+from deploy.commands.fuzz import fuzz
 from deploy.commands.order import order
 from deploy.commands.plots import plot
 from deploy.commands.recordings import export, foxglove, info, record, recover, replay
@@ -236,6 +237,16 @@ def _add_campaigns(add: Any) -> None:
     one.add_argument("--jobs", type=values.positive, default=1, metavar="N", help=words)
     one.add_argument("--out", metavar="DIR", help="folder to write to; what it has already is not done again")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
+
+    one = add("fuzz", fuzz, "give broken messages to whatever takes in something that others have made")
+    words = "to all of them together (default %(default)s)"
+    one.add_argument("--messages", type=values.positive, default=10_000_000, metavar="N", help=words)
+    one.add_argument("--seed", type=values.natural, default=0, help="of how they are broken (default %(default)s)")
+    one.add_argument("--only", action="append", default=[], metavar="NAME", help="only for this one; again for another")
+    one.add_argument("--list", action="store_true", help="name all that takes messages in, and break none")
+    one.add_argument("--give", metavar="FILE", help="give the one of --only this message, as it is")
+    one.add_argument("--jobs", type=values.positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
+    _add_out_and_json(one)
 
 
 def _add_robots(add: Any) -> None:

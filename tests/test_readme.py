@@ -11,6 +11,7 @@ import pytest
 from deploy import cli, kept, passage_table
 from deploy.campaign_table import WALKED, Campaign, markdown, of_runs
 from deploy.faults import table as fault_table
+from deploy.fuzz import table as fuzz_table
 
 ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
@@ -61,6 +62,7 @@ RUN_BY = {
     "compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
     "service": "tests/unit/deploy/test_units.py::test_the_command_writes_prints_what_is_next_and_removes",
     "faults": "tests/walk/test_faults_command.py::test_faults_are_injected_held_to_their_limits_and_not_done_again",
+    "fuzz": "tests/unit/deploy/test_fuzz.py::test_the_command_says_what_it_found_and_gives_a_message_again",
     "faults --live": "tests/live/test_live_faults.py::"
     "test_an_actuator_that_is_killed_in_mid_walk_is_back_and_holds_without_a_jump",
     "bench bus": "tests/unit/deploy/test_bench_bus.py::test_the_bus_command_leaves_its_table",
@@ -163,6 +165,12 @@ def test_the_tables_of_the_passages_are_those_that_a_command_prints() -> None:
     for printed in (markdown(of_runs(runs), "passages"), passage_table.markdown(runs), drawn):
         for words in printed.splitlines():
             assert words in text
+
+
+def test_the_table_of_broken_messages_is_that_which_the_command_prints() -> None:
+    text = (ROOT / "docs" / "fuzz.md").read_text(encoding="utf-8")
+    printed = fuzz_table.markdown(fuzz_table.from_json((ROOT / "docs" / "fuzz.json").read_text(encoding="utf-8")))
+    assert printed in text, "sextant fuzz prints another table"
 
 
 @pytest.mark.parametrize("name", ["faults", "faults_live"])

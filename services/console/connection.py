@@ -141,8 +141,10 @@ class Connection(asyncio.Protocol):
     # ------------------------------------------------------------------------------------------------------------- in here
 
     def _begin(self, request: HttpRequest) -> None:
-        path = request.path.partition("?")[0]
-        response = self._open(request) if path == SOCKET else self._file(path, request.headers.get("Host", ""))
+        if self._wire.parser_exc is not None:  # what came behind it in the same breath is no WebSocket: there is no answering
+            self.abort()
+            return
+        response = self._answer(request)
         self._wire.send_response(response)
         self._timer.cancel()
         if response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
@@ -150,6 +152,12 @@ class Connection(asyncio.Protocol):
             self._timer = self._loop.call_later(_PING_S, self._ping)
         else:
             self._timer = self._loop.call_later(_SENDING_S, self._transport.abort)
+
+    def _answer(self, request: HttpRequest) -> Response:
+        path, hosts = request.path.partition("?")[0], request.headers.get_all("Host")
+        if len(hosts) != 1:
+            return _plain(HTTPStatus.BAD_REQUEST, f"one Host expected, found {len(hosts)}")
+        return self._open(request) if path == SOCKET else self._file(path, hosts[0])
 
     def _open(self, request: HttpRequest) -> Response:
         headers = {name.lower(): value for name, value in request.headers.raw_items()}

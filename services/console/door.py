@@ -36,7 +36,7 @@ class Door:
         host, origin = headers.get("host", ""), headers.get("origin")
         if not self.is_own(host):
             return "this address is not the console's own"
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and _site(origin) != host:
             return "the page of another site may not connect"
         if PROTOCOL not in offered:
             return f"{PROTOCOL} is spoken here; load the page anew"
@@ -46,4 +46,12 @@ class Door:
                 return "the token is wrong, or missing; open the address with #TOKEN behind it"
         if pages >= MOST_PAGES:
             return f"{MOST_PAGES} pages are open already; close one"
+        return ""
+
+
+def _site(origin: str) -> str:
+    """Host and port of a page's origin; nothing where it is none."""
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:  # of brackets that hold no address
         return ""

@@ -202,7 +202,16 @@ def test_who_takes_nothing_holds_nobody_up(server: Served) -> None:
 
 
 @pytest.mark.parametrize(
-    "nonsense", [b"\x16\x03\x01\x02\x00", b"GET\r\n\r\n", b"POST / HTTP/1.1\r\n\r\n", b"GET / " + 9000 * b"x"]
+    "nonsense",
+    [
+        b"\x16\x03\x01\x02\x00",
+        b"GET\r\n\r\n",
+        b"POST / HTTP/1.1\r\n\r\n",
+        b"GET / " + 9000 * b"x",
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nand more in the same breath",
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: 127.0.0.1",
+        b"GET /socket HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://[[",
+    ],
 )
 def test_who_speaks_no_http_is_hung_up_on(server: Served, nonsense: bytes) -> None:
     with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S) as stranger:

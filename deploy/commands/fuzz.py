@@ -1,0 +1,68 @@
+"""`sextant fuzz`: broken messages for whatever takes in something that others have made."""
+
+import argparse
+import difflib
+import sys
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+from deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say
+
+_PARTS = 20  # that are shared out
+
+
+def fuzz(arguments: argparse.Namespace) -> int:
+    """`sextant fuzz`: success only if every message was taken or refused, and memory stayed what it was."""
+    from deploy.fuzz import fuzzing
+    from deploy.fuzz import table as tables
+    from deploy.workers import share_out
+
+    known = fuzzing.names()
+    for name in arguments.only:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise InputError(f"nothing takes in {name!r}; {hint}`sextant fuzz --list` names all that does")
+    if arguments.list:
+        say("\n".join(known))
+        return SUCCESS
+    if arguments.give:
+        return _give(arguments.only, Path(arguments.give))
+    out, progress = out_folder(arguments, "fuzz"), open_progress(arguments.json)
+    parts = min(_PARTS, arguments.messages)
+    newest = [out / f"newest-{part}.bin" for part in range(parts)]
+    share, more = divmod(arguments.messages, parts)
+    tasks = [(share + (k < more), _PARTS * arguments.seed + k, arguments.only, newest[k]) for k in range(parts)]
+    runs: list[fuzzing.Found] = []
+    try:
+        for run in share_out(fuzzing.fuzz, tasks, arguments.jobs, in_order=False):
+            runs.append(run)
+            progress.say(f"{len(runs)} of {parts} parts of {arguments.messages:,} messages: {len(run.findings)} faults")
+    except BrokenProcessPool:
+        files = [str(file) for file in newest if file.exists()]
+        complain(f"sextant fuzz: a process died of a message, which is in one of these: {', '.join(files)}")
+        return FAILED
+    found = tables.table(runs)
+    for file in newest:
+        file.unlink()
+    for number, finding in enumerate(found.findings):
+        (out / f"finding-{number}.bin").write_bytes(finding.data)
+    (out / "fuzz.json").write_text(tables.to_json(found) + "\n", encoding="utf-8")
+    if arguments.json:
+        sys.stdout.write(tables.to_json(found) + "\n")
+    else:
+        say(f"{tables.markdown(found)}\nwritten to {out / 'fuzz.json'}")
+    return SUCCESS if found.passed else FAILED
+
+
+def _give(only: list[str], file: Path) -> int:
+    from deploy.fuzz import fuzzing
+
+    if len(only) != 1:
+        raise InputError(f"one --only expected, which is to take {file} in, found {len(only)}")
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {file}: {error.strerror}") from None
+    say(f"{only[0]}: {'taken' if fuzzing.give(only[0], data) else 'refused'}")
+    return SUCCESS
