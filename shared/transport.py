@@ -6,6 +6,7 @@ a frozen peer would block for seconds. Sessions are closed under all circumstanc
 """
 
 import json
+import os
 import threading
 import time
 from collections import Counter
@@ -30,6 +31,10 @@ _ATTEMPT_MS, _RETRY_MS = (
     500,
     100,
 )  # a router that is cut off from another tries again soon: SYNs of the kernel's own wait for seconds
+# A link that died with something unsent is closed for up to 10 s (SO_LINGER), in a thread of those that receive; of which
+# Zenoh has two. While both are closing, nothing comes in by the links that are new: 3 s more until a robot whose radio had
+# been cut for 5 s walked again. A radio that comes and goes closes two at a time.
+_RUNTIME = "(rx: (worker_threads: 16))"
 _SEND_BUFFER = 64 * 1024  # [bytes] of bulk over a radio: what waits in the kernel is late already
 _KEPT = 256  # frames of an EVERY topic that may wait to be taken
 
@@ -169,6 +174,7 @@ class Router:
         self._config = _merged(_router_config(listen, upstream), access or {})
 
     def __enter__(self) -> Self:
+        os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)  # is read when the first session of a process opens
         self._session = _open(self._config)
         return self
 

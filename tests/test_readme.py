@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy import cli, kept, passage_table
+from deploy.bench import link
 from deploy.campaign_table import WALKED, Campaign, markdown, of_runs
 from deploy.faults import table as fault_table
 from deploy.fuzz import table as fuzz_table
@@ -165,6 +166,12 @@ def test_the_tables_of_the_passages_are_those_that_a_command_prints() -> None:
     for printed in (markdown(of_runs(runs), "passages"), passage_table.markdown(runs), drawn):
         for words in printed.splitlines():
             assert words in text
+
+
+def test_the_table_of_the_cuts_is_that_which_the_command_prints() -> None:
+    text = (ROOT / "docs" / "two_machines.md").read_text(encoding="utf-8")
+    printed = link.cuts_in_words(link.cuts_from_json((ROOT / "docs" / "cuts.json").read_text(encoding="utf-8")))
+    assert printed in text, "sextant bench link prints another table"
 
 
 def test_the_table_of_broken_messages_is_that_which_the_command_prints() -> None:

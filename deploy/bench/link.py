@@ -168,6 +168,11 @@ def to_json(what: str, found: Sequence[Walks] | Sequence[Cut]) -> str:
     return json.dumps({"machine": machine(), "bed": Bed.words(), what: [asdict(one) for one in found]}, indent=1, default=str)
 
 
+def cuts_from_json(text: str) -> tuple[Cut, ...]:
+    """What `to_json` gave of cuts."""
+    return tuple(Cut(**cut) for cut in json.loads(text)["cuts"])
+
+
 def _row(what: str, seconds: Sequence[float | None], wanted: str) -> str:
     known = [s for s in seconds if s is not None]
     never = len(seconds) - len(known)

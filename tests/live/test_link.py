@@ -4,13 +4,14 @@ import contextlib
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from deploy.bed.bed import Bed
-from deploy.bed.cuts import HOLD_S, OLDEST_S
+from deploy.bed.cuts import BACK_S, HOLD_S, OLDEST_S
 from deploy.bed.namespace import BedError
 from deploy.bed.two_machines import TwoMachines
 from deploy.process_table import ROUTER_ENDPOINT
@@ -18,6 +19,7 @@ from shared.scenario import Link
 from tests.support.commands import PATIENCE_S, ROOT, Command, write_course
 
 pytestmark = pytest.mark.live
+CUT_S = 5.0  # longer than Zenoh waits for the other end
 
 
 @pytest.fixture
@@ -61,3 +63,41 @@ def test_a_robot_whose_radio_is_cut_holds_and_walks_on_by_itself(tmp_path: Path)
         assert cut["held_s"] is not None or cut["lasted_s"] <= HOLD_S
         assert cut["back_s"] is not None
         assert cut["oldest_s"] <= OLDEST_S, "no plan is taken that is stale"
+
+
+_SPEAKS = """
+import sys, threading
+from shared import topics
+from shared.transport import Endpoints, Router, ZenohLink
+here = "tcp/127.0.0.1:7447"
+over = threading.Event()
+threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+with Router((here,), (sys.argv[1],)), ZenohLink(Endpoints((here,))) as link:
+    while not over.wait(0.02):
+        link.send(topics.STEP_PLAN, b"a word")
+"""
+_HEARS = """
+import sys, time
+from shared import topics
+from shared.transport import Endpoints, Router, ZenohLink
+with Router(("tcp/0.0.0.0:7447",)), ZenohLink(Endpoints(("tcp/127.0.0.1:7447",))) as link:
+    link.subscribe(topics.STEP_PLAN, lambda topic, frame: print(time.monotonic_ns(), flush=True))
+    sys.stdin.read()
+"""
+
+
+def test_routers_are_together_again_soon_after_a_cut_in_which_the_connection_died(bed: Bed) -> None:
+    """Its sockets, closed with something unsent, must not hold up the new ones; they did for 3 s after this cut."""
+    piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    hears = subprocess.Popen(bed.on_robot(sys.executable, "-c", _HEARS), **piped)  # type: ignore[call-overload]
+    words = bed.on_base(sys.executable, "-c", _SPEAKS, f"tcp/{bed.robot_address}:7447")
+    with hears, subprocess.Popen(words, **piped) as speaks:  # type: ignore[call-overload]
+        assert hears.stdout.readline(), "the first word"
+        bed.cut()
+        time.sleep(CUT_S)
+        mended = bed.mend()
+        back = next(at_ns for line in hears.stdout if (at_ns := int(line)) > mended.at_ns)
+        for process in (speaks, hears):
+            process.stdin.close()
+        hears.stdout.read()
+    assert (back - mended.at_ns) * 1e-9 < BACK_S
