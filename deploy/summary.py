@@ -182,10 +182,8 @@ def draw_words(
     room = height * tall  # [in]
     y = 0.0
     paragraphs: list[tuple[str, str, list[str]]] = []
-    if moment is not None:
-        led = signs(trace, moment)
-        rows = [(f"{sign.t - moment.t:+.1f} s", sign.words) for sign in led]
-        paragraphs.append(("What led to it", "time", [f"{when}\t{words}" for when, words in rows] or ["\tnothing that shows"]))
+    if moment is not None and (led := signs(trace, moment)):
+        paragraphs.append(("What led to it", "time", [f"{sign.t - moment.t:+.1f} s\t{sign.words}" for sign in led]))
     if told:
         paragraphs.append(("What was said", "flag", [f"{k}\t{c.who}: {c.words}" for k, c in enumerate(told, 1)]))
     spare = room - _LINE * 1.25 * 6 - 1.3 * _LINE * len(paragraphs)  # of all words
@@ -559,4 +557,4 @@ def _n(value: float, digits: int = 2) -> str:
 
 
 def _mm(value: float, sign: str = "") -> str:
-    return f"{1000 * value:{sign}.1f}" if np.isfinite(value) else "–"
+    return f"{1000 * value:{sign}z.1f}" if np.isfinite(value) else "–"  # z: never minus zero

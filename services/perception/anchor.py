@@ -111,7 +111,6 @@ class AnchorMap:
         few, points = _some(points, _TRIED), _some(points, _TRIED_FINELY)
         n = len(points)
         known, _, fitting = _look_up(points, T_world_camera, self._cells, self._noise)
-        fit_here = fitting / known if known else 0.0
         # 1. All places, coarsely.
         shifts = np.arange(-_REACH, _REACH + _STEP / 2, _STEP)
         angles = np.arange(-_TURN, _TURN + _ANGLE / 2, _ANGLE)
@@ -126,10 +125,11 @@ class AnchorMap:
         fits, worths, heights = self._judge(points, T_world_camera, near)
         best = int(np.argmax(worths - _far(near, heights)))
         fit = float(fits[best])
-        # 3. It must be good, and another one, and better than here.
+        # 3. It must be good, and another one, and better than here, where ground that was never seen speaks against nothing.
         if fit < _MIN_FIT:
             return Found(None, f"lost: the best place within {_REACH:g} m fits {100 * max(fit, 0.0):.0f} % of the ground seen")
         another = _is_other(near[best], np.zeros(3)) or abs(heights[best]) > _RISEN
+        fit_here = (fitting + fit * (n - known)) / n
         if not another or fit < fit_here + _BETTER + _SIGMAS * math.sqrt(fit * (1.0 - fit) / n):
             return Found(None, "no place nearby fits better than the expected one")
         T = _placed(T_world_camera, near[best])

@@ -10,9 +10,28 @@ from deploy import cli
 from deploy.lockstep_run import run_lockstep
 from shared.scenario import Goal, load_scenario
 
+_TWO_STEPS = """
+name = "two-steps"
+time_limit_s = 60.0
+[goal]
+distance = 1.3
+[[terrain]]
+kind = "plane"
+[[terrain]]
+kind = "stairs"
+xy = [0.7, 0.0]
+riser = 0.045
+tread = 0.3
+count = 2
+width = 2.4
+landing = 2.0
+"""
+
 
 def test_the_slow_gaits_climb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["run", "stairs", "--lockstep", "--seed", "1001", "--gait", "ripple", "--out", str(tmp_path), "--json"]
+    course = tmp_path / "two-steps.toml"
+    course.write_text(_TWO_STEPS, encoding="utf-8")
+    words = ["run", str(course), "--lockstep", "--seed", "1001", "--gait", "ripple", "--out", str(tmp_path), "--json"]
     assert cli.main(words) == 0
     table = json.loads(capsys.readouterr().out)
     assert (table["gait"], table["success"], table["falls"], table["shutdowns"]) == ("ripple", True, 0, 0)

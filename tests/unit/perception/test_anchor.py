@@ -80,6 +80,18 @@ def test_level_ground_cannot_tell():
     assert "no place nearby fits better" in found.reason
 
 
+@settings(max_examples=10, deadline=None)
+@given(x=st.floats(0.0, 0.3), beyond=st.floats(0.28, 0.42))
+def test_ground_that_was_never_seen_speaks_against_no_place(x, beyond):
+    """A level floor was seen, then what lies beyond it is looked at: it would fit on that floor, but it need not be there."""
+    anchor = AnchorMap(SIGMA)
+    anchor.add(view(LEVEL, lambda x, _: np.zeros(len(x)), half=0.7), LEVEL)
+    expected = from_xyz_rpy([x, 0.7 + beyond, 0.5], [0.0, 0.0, 0.0])
+    points = view(expected, lambda x, _: np.zeros(len(x)), half=0.3)
+    found = anchor.find(points, expected)
+    assert found.T_world_camera is None
+
+
 def test_ground_never_seen_is_said_to_be():
     anchor = AnchorMap(SIGMA)
     points = view(LEVEL, lambda x, y: ground(x, y, 0))
