@@ -5,21 +5,30 @@ JOBS ?= 2
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: demo test check format clean
+.PHONY: demo test check compiled live others format clean
 
 demo: $(VENV)/.installed-all
 	@$(BIN)/sextant demo
 
-# What is live needs the machine for itself; all else runs beside each other.
-test: check
-	$(BIN)/python -m pytest -q -m "not live" -n $(JOBS) --dist worksteal
+# What is compiled is compiled once, for all. What is live has the machine when it wants it; the others take what is left.
+test:
+	@$(MAKE) --no-print-directory --jobs=2 check compiled
+	@$(MAKE) --no-print-directory --jobs=2 --keep-going live others
+
+live: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -q -m live
+
+others: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -q -m "not live" -n $(JOBS) --dist worksteal --idle
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+compiled: $(VENV)/.installed-dev
+	$(BIN)/python -m deploy.warm_up
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

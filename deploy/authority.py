@@ -2,7 +2,7 @@
 
 import ipaddress
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -107,12 +107,12 @@ class Authority:
         return builder.not_valid_before(begins).not_valid_after(ends)
 
 
-def new(folder: Path, addresses: Sequence[str] = (), days: float = 365.0) -> tuple[Held, ...]:
+def new(folder: Path, addresses: Mapping[str, Sequence[str]] | None = None, days: float = 365.0) -> tuple[Held, ...]:
     """Make an authority, and a folder of keys for each role.
 
     Args:
         folder: To make them in.
-        addresses: Names and IP addresses at which the robot is reached, beside its own loopback.
+        addresses: Role -> names and IP addresses at which others reach its machine, beside its own loopback.
         days: For which they are good.
 
     Raises:
@@ -124,7 +124,7 @@ def new(folder: Path, addresses: Sequence[str] = (), days: float = 365.0) -> tup
     authority = Authority(days)
     authority.write(folder / OF_AUTHORITY)
     for role in ROLES:
-        authority.issue(folder / role.name, role.name, (*HERE, *addresses) if role.name == "robot" else HERE)
+        authority.issue(folder / role.name, role.name, (*HERE, *(addresses or {}).get(role.name, ())))
     return tuple(held(folder))
 
 

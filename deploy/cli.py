@@ -15,6 +15,7 @@ from deploy.commands.benches import (
     bench_access,
     bench_accuracy,
     bench_bus,
+    bench_fleet,
     bench_link,
     bench_page,
     bench_passage,
@@ -28,6 +29,7 @@ from deploy.commands.benches import (
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor
 from deploy.commands.faults import faults
+from deploy.commands.fleet import fleet
 from deploy.commands.fuzz import fuzz
 from deploy.commands.order import order
 from deploy.commands.plots import plot
@@ -45,6 +47,7 @@ _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "services.console.recording.layout": "RecordingError",
     "deploy.video.story": "StoryError",
     "deploy.video.files": "FileError",
+    "deploy.fleet": "FleetError",
     "deploy.kept": "KeptError",
     "deploy.units": "UnitError",
     "deploy.trials": "ChangedError",
@@ -252,6 +255,12 @@ def _add_campaigns(add: Any) -> None:
 def _add_robots(add: Any) -> None:
     one = add("up", up, "start the processes of a role and keep them until Ctrl-C")
     _add_role(one)
+    words = "start nothing; print the configuration of Zenoh that this machine's router would have, made from the tables"
+    one.add_argument("--print-zenoh", action="store_true", help=words)
+
+    one = add("fleet", fleet, "start a base for several robots, with one page for all, and keep it until Ctrl-C")
+    one.add_argument("file", metavar="FLEET.toml", help="the robots and where each is met, see docs/fleet.md")
+    one.add_argument("--open", action="store_true", help="meet robots without certificates, too; warns as long as it runs")
 
     one = add("order", order, "order the legs of a robot that is up: stand, walk, stop, sit, or let go")
     words = "off: let go; stop: set the feet down; ready: torque on; stand: rise; walk: let the planner walk; sit: lie down"
@@ -325,6 +334,8 @@ def _add_certificates(add: Any, parser: argparse.ArgumentParser) -> None:
     one.add_argument("folder", metavar="DIR", help="to make them in; what is there is not overwritten")
     words = "at which the robot is reached, as often as it has some, e.g. hexapod.local or 192.168.1.20"
     one.add_argument("--robot-address", action="append", default=[], metavar="NAME_OR_IP", help=words)
+    words = "likewise a router between the robot and others, where there is one, see docs/fleet.md"
+    one.add_argument("--site-address", action="append", default=[], metavar="NAME_OR_IP", help=words)
     one.add_argument(
         "--days", type=values.positive, default=365, metavar="N", help="for which they are good (default %(default)s)"
     )
@@ -371,6 +382,12 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     one.add_argument(
         "--seed", type=values.natural, default=0, help="first seed of the walks, or that of the cuts (default %(default)s)"
     )
+    _add_out_and_json(one)
+    one = add("fleet", bench_fleet, "load a base with one robot, two and so on, until it does not carry them", group)
+    words = "at most so many (default %(default)s)"
+    one.add_argument("--robots", type=values.positive, default=12, metavar="N", help=words)
+    words = "scenario that is walked once in lockstep and then played by each robot (default %(default)s)"
+    one.add_argument("--course", default="steps", metavar="SCENARIO", help=words)
     _add_out_and_json(one)
     one = add("page", bench_page, "time how soon the operator's page stops the robot, by a real browser, and its cost", group)
     one.add_argument("--rounds", type=values.positive, default=30, metavar="N", help="of each (default %(default)s)")

@@ -101,9 +101,10 @@ def compose_commands(scenario: str, seed: int) -> tuple[Command, ...]:
 def offboard_commands() -> tuple[Command, ...]:
     """What compose starts beside a robot: a router chained to the robot's, and the processes of the role offboard."""
     chosen = Choices(recordings=RECORDINGS)
-    services = commands(rows("offboard", simulated=False, page=True), chosen, _ENDPOINTS, elsewhere=True)
+    processes = rows("offboard", simulated=False, page=True)
+    services = commands(processes, chosen, _ENDPOINTS, elsewhere=True)
     words = ("--listen", ROUTER_ENDPOINT, "--connect", _ROBOT, "--namespace", NAMESPACE, "--keys", KEYS)
-    return _together(router_command(ROUTER_ENDPOINT, words), services)
+    return _together(router_command(ROUTER_ENDPOINT, words, "offboard", processes), services)
 
 
 def compose_yaml(scenario: str, seed: int) -> str:
@@ -193,7 +194,7 @@ def _health(command: Command) -> list[str]:
         "      interval: 10s",
         f"      timeout: {round(command.watchdog_s + _HANG_S)}s",
         "      retries: 1",
-        "      start_period: 300s",  # something may have to be compiled first
+        "      start_period: 600s",  # something may have to be compiled first
         "      start_interval: 1s",
     ]
 

@@ -7,10 +7,10 @@ import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from deploy.attendance import Attendance, about
-from deploy.passage_warm_up import plan_passage
 from deploy.pose_error import MODELS, Erring
 from deploy.progress import Progress, Silent
 from deploy.radio import Radio
@@ -27,6 +27,7 @@ from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception.config import Settings as PerceptionSettings
 from services.perception.service import Perception
+from services.planner import rehearsal
 from services.planner.config import Settings as PlannerSettings
 from services.planner.service import Planner
 from services.simulator.bus import MemoryPort
@@ -41,6 +42,11 @@ from shared.service import AnyTopic, Lockstep, Outage, Service
 _LOOK_NS = 250_000_000  # simulated time between two looks at whether it is over
 
 Tap = Callable[[AnyTopic, bytes, int], object]
+
+
+@cache
+def _rehearse_passage(robot: str) -> None:
+    rehearsal.rehearse(load_profile(robot), PlannerSettings())
 
 
 class LockstepRun:
@@ -59,7 +65,7 @@ class LockstepRun:
     ):
         keep_memory()
         if scenario.goal.passage:
-            plan_passage(scenario.robot)
+            _rehearse_passage(scenario.robot)  # no time of planning is to hold compiling
         self.scenario = scenario
         self.attendance = Attendance(profile, scenario, seed)
         self._lockstep: Lockstep | None = None

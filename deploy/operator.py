@@ -36,6 +36,7 @@ _AGAIN_NS = (
     1_000_000_000  # [ns] that a robot lies ready after it was to stand, or stands and did not rise, until it is ordered again
 )
 _FAULT_NS = 10_000_000_000  # [ns] patience with an actuator that is in fault or off
+_UNHEARD_S = 10.0  # [s] patience with a planner that rests while it is told to walk
 
 
 class Operator:
@@ -146,6 +147,8 @@ class Operator:
         why = status.reason if status is not None else ""
         mode, mode_reason = (state.mode, state.reason) if state is not None else (None, "")
         ordered = self._order == "walk"
+        led = ordered and posed and self._arrived_ns is None and mode in (Mode.HOLD, Mode.WALK)
+        unheard_s = max(_UNHEARD_S, self._no_pose_s)
         checks = (
             ("blocked", blocked, _BLOCKED_NS, f"the planner has been blocked for {_BLOCKED_NS * 1e-9:.0f} s: {why}"),
             (
@@ -153,6 +156,13 @@ class Operator:
                 ever_posed and not posed,
                 1e9 * self._no_pose_s,
                 f"no pose from perception for {self._no_pose_s:.0f} s",
+            ),
+            (
+                "unheard",
+                led and status is not None and status.state == "resting",
+                1e9 * unheard_s,
+                f"for {unheard_s:.0f} s the planner has heard nothing of what is commanded here: {why}; where it runs on "
+                "another machine, the keys of that one must let it be led from here (docs/access.md)",
             ),
             ("never posed", not ever_posed, _START_NS, f"no pose from perception within {_START_NS * 1e-9:.0f} s"),
             ("no actuator", state is None, _START_NS, f"no word from the actuator within {_START_NS * 1e-9:.0f} s"),

@@ -1,6 +1,7 @@
 """The processes of Sextant as a table, and the commands that start them; launcher and compose.yaml are made from it."""
 
 import difflib
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -60,9 +61,7 @@ class Process:
     urgent: bool = False  # goes before all others, where the user may: what has a beat to keep
     after: tuple[str, ...] = ()  # processes that must be ready before it starts
     ready_port: Callable[[Choices], int] = field(default=lambda _: 0, compare=False)  # listens there once ready, 0: at once
-    # How long [s] its loop may be silent, once it has begun, before it counts as hung. A step in which something is compiled
-    # for the first time takes long and is no hang.
-    watchdog_s: float = 120.0
+    watchdog_s: float = 10.0  # [s] for which its loop may be silent, once it has begun, before it counts as hung
     memory_mb: int = 512  # [MB] beyond which something has gone wrong with it: several times what it took when it was measured
 
 
@@ -120,18 +119,20 @@ TABLE: tuple[Process, ...] = (
         _simulator,
         urgent=True,  # the world waits for nobody, and its servos answer within milliseconds
         ready_port=lambda choices: choices.bus_port,
+        watchdog_s=120.0,  # it compiles in its first steps
         memory_mb=1024,
     ),
     Process(
         "actuator", "services.actuator", "robot", 3, _actuator, urgent=True, after=("simulator",), watchdog_s=1.5, memory_mb=256
     ),
     Process("stop", "services.actuator.stop", "robot", 3, _servo_port, watchdog_s=1.5, memory_mb=256),
-    Process("camera", "services.perception.cameras", "device", 3, _camera, watchdog_s=10.0),
+    Process("camera", "services.perception.cameras", "device", 3, _camera),
     Process("perception", "services.perception", "robot", 3, _perception, nice=2, memory_mb=1024),
     Process("mapper", "services.mapper", "either", 3, _mapper, nice=5, memory_mb=1024),
     Process("planner", "services.planner", "either", 3, _planner, nice=2, memory_mb=768),
     Process("console", "services.console", "page", 3, _console, memory_mb=256),  # what stops the robot waits for no map
-    Process("recorder", "services.console.recorder", "page", 3, _recorder, nice=3, memory_mb=512),
+    # A disk may take its time.
+    Process("recorder", "services.console.recorder", "page", 3, _recorder, nice=3, watchdog_s=120.0, memory_mb=512),
 )
 
 
@@ -218,6 +219,28 @@ def rearranged(usual: Sequence[Process], also: Sequence[str], without: Sequence[
     return tuple(p for p in TABLE if p.name in names)
 
 
+def further_settings(assignments: Iterable[str], processes: Sequence[Process]) -> dict[str, tuple[str, ...]]:
+    """Process name -> assignments `key=value`, of texts SERVICE.KEY=VALUE.
+
+    Raises:
+        ValueError: A text that is none, or that is for a process which is not started.
+    """
+    names = [p.name for p in processes]
+    extra: dict[str, tuple[str, ...]] = {}
+    for text in assignments:
+        service, dot, rest = text.partition(".")
+        if not dot or "=" not in rest:
+            raise ValueError(f"SERVICE.KEY=VALUE expected, found {text!r}; for example actuator.port=/dev/ttyUSB0")
+        if service not in names:
+            near = difflib.get_close_matches(service, names, n=1)
+            raise ValueError(f"no service {service!r} is started; {f'did you mean {near[0]!r}?' if near else ', '.join(names)}")
+        extra[service] = (*extra.get(service, ()), rest)
+    port = tuple(rest for rest in extra.get("actuator", ()) if re.match(r"port\s*=", rest))
+    if port and "stop" in names:  # it watches over the same servos
+        extra["stop"] = (*port, *extra.get("stop", ()))
+    return extra
+
+
 def commands(
     processes: Iterable[Process],
     chosen: Choices,
@@ -280,10 +303,18 @@ def assignment(key: str, value: Value) -> str:
     return f'{key}="{escaped}"'
 
 
-def router_command(listen: str, more: tuple[str, ...] = ()) -> Command:
-    """How to start the router as a process of its own, where no launcher hosts it; `more` are further arguments."""
+def router_command(listen: str, more: tuple[str, ...] = (), role: str = "", starts: Iterable[Process] = ()) -> Command:
+    """How to start the router as a process of its own, where no launcher hosts it.
+
+    Args:
+        listen: Where processes of this machine meet it.
+        more: All of its arguments, where that is not all of them.
+        role: Of this machine, where the router is to tell another of it, for nobody else does.
+        starts: What is started here, in that case.
+    """
     port = int(listen.rpartition(":")[2])
-    words = ("-m", "deploy.router", *(more or ("--listen", listen)))
+    told = ("--role", role, "--starts", ",".join(p.name for p in starts)) if role else ()
+    words = ("-m", "deploy.router", *(more or ("--listen", listen)), *told)
     return Command("router", words, ENVIRONMENT, restarts=3, ready_port=port, memory_mb=256)
 
 

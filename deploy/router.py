@@ -1,20 +1,24 @@
 """The Zenoh router as a process of its own, for deployments in which no launcher hosts it: python -m deploy.router."""
 
 import argparse
+import contextlib
 import logging
 import os
 import signal
+import socket
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from deploy import gate, refusals
 from deploy.gatekeeper import CaughtOutput, Gatekeeper, link_to, publish
 from deploy.knocking import Knocking
+from deploy.meeting import Meeting
 from deploy.process_table import ROUTER_ENDPOINT
+from deploy.provenance import version
 from shared.access import AccessError
 from shared.host import end_with
-from shared.transport import Router, TransportError, log_to_stdout
+from shared.transport import Router, TransportError, ZenohLink, log_to_stdout
 from shared.watchdog import Watchdog
 
 _ENDS = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
@@ -23,7 +27,11 @@ _LOOK_S = 0.1
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Host the router until told to stop; 0 then, 2 when the address cannot be listened on or nobody should be let in."""
+    """Host the router until told to stop.
+
+    Returns:
+        0 then, 2 when the address cannot be listened on, nobody should be let in, or another machine does not fit.
+    """
     parser = argparse.ArgumentParser(prog="python -m deploy.router", description="The router that the services meet at.")
     words = f"endpoint to listen on, as often as wanted (default {ROUTER_ENDPOINT}, with --keys also {gate.SECURE_ENDPOINT})"
     parser.add_argument("--listen", action="append", default=[], help=words)
@@ -32,6 +40,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--keys", metavar="DIR", help="let in by certificates: the folder with this machine's")
     parser.add_argument("--open", action="store_true", help="let anybody in")
     parser.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
+    words = "tell other machines which role this one has, and end where they do not fit; `sextant up` does so by itself"
+    parser.add_argument("--role", default="", choices=("onboard", "offboard", "all", "sim"), help=words)
+    parser.add_argument(
+        "--starts", default="", metavar="NAMES", help="processes that this machine starts, to be told with --role"
+    )
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     arguments = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="router: %(message)s")
@@ -41,38 +54,70 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         given, upstream = arguments.listen, tuple(arguments.connect)
         gated = gate.of_arguments(given, arguments.keys, arguments.open, arguments.namespace, ROUTER_ENDPOINT, upstream)
-        if gated.guarded:
-            _guard(gated)
-        else:
-            with Router(gated.listen, gated.upstream):
-                _listening(gated)
-                signal.sigwait(_ENDS)
+        refused = _host(gated, arguments.role, [name for name in arguments.starts.split(",") if name])
     except (TransportError, AccessError) as error:
-        logging.error("%s", error)
-        return 2
-    return 0
+        refused = str(error)
+    if refused:
+        logging.error("%s", refused)
+    return 2 if refused else 0
 
 
 def _tell(words: str) -> None:
     logging.warning("%s", words)
 
 
-def _guard(gated: gate.Gate) -> None:
-    """Host a router that may refuse somebody, say whom, and warn for as long as it refuses nobody."""
-    configuration, warning, due_s = gated.configuration(), gated.warning(), 0.0
-    doing = f"listening on {', '.join(gated.listen)}" + (f"; {warning}" if warning else "")
-    with CaughtOutput() as caught:
-        log_to_stdout(refusals.LEVELS)
-        router = Router(gated.listen, gated.upstream, configuration)
-        with router, link_to(gated.own, gated.namespace) as link, Knocking(gated.knock, lambda: router.chained, _tell):
-            keeper = Gatekeeper(caught.take, publish(link), gated.name, gated.namespace, doing, sys.stderr)
-            _listening(gated)
-            while signal.sigtimedwait(_ENDS, _LOOK_S) is None:
-                if told := keeper.look(time.monotonic_ns()):
-                    logging.warning("%s", told)
-                if warning and time.monotonic() >= due_s:
-                    logging.warning("%s", warning)
-                    due_s = time.monotonic() + _WARN_S
+def _host(gated: gate.Gate, role: str, starts: Sequence[str]) -> str:
+    """Host the router until told to stop; why it has to end, in words, or nothing.
+
+    Where somebody may be refused, say whom, and warn for as long as nobody is; where it speaks for a machine, meet the others.
+    """
+    with contextlib.ExitStack() as stack:
+        beats: list[Callable[[], str]] = []  # each says why all of this has to end
+        caught = stack.enter_context(CaughtOutput()) if gated.guarded else None
+        if caught:
+            log_to_stdout(refusals.LEVELS)
+        router = stack.enter_context(Router(gated.listen, gated.upstream, gated.configuration()))
+        if caught or role:
+            link = stack.enter_context(link_to(gated.own, gated.namespace))
+        if caught:
+            stack.enter_context(Knocking(gated.knock, lambda: router.chained, _tell))
+            beats.append(_Guard(gated, caught, link).beat)
+        if role:
+            machine = f"{socket.gethostname()}-{os.getpid()}"
+            meeting = Meeting(link, machine, role, version(), starts, time.monotonic_ns, _tell)
+            beats.append(lambda: _met(meeting))
+        _listening(gated)
+        if not beats:
+            signal.sigwait(_ENDS)
+            return ""
+        while signal.sigtimedwait(_ENDS, _LOOK_S) is None:
+            for beat in beats:
+                if refused := beat():
+                    return refused
+    return ""
+
+
+def _met(meeting: Meeting) -> str:
+    meeting.beat()
+    return meeting.refused
+
+
+class _Guard:
+    """Says whom the router refuses, and warns for as long as it lets anybody in."""
+
+    def __init__(self, gated: gate.Gate, caught: CaughtOutput, link: ZenohLink):
+        self._warning, self._due_s = gated.warning(), 0.0
+        doing = f"listening on {', '.join(gated.listen)}" + (f"; {self._warning}" if self._warning else "")
+        self._keeper = Gatekeeper(caught.take, publish(link), gated.name, gated.namespace, doing, sys.stderr)
+
+    def beat(self) -> str:
+        """Do what is due."""
+        if told := self._keeper.look(time.monotonic_ns()):
+            _tell(told)
+        if self._warning and time.monotonic() >= self._due_s:
+            _tell(self._warning)
+            self._due_s = time.monotonic() + _WARN_S
+        return ""
 
 
 def _listening(gated: gate.Gate) -> None:

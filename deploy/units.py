@@ -21,7 +21,7 @@ DEVICE_GROUPS = (
 )  # that serial ports and cameras belong to, on one distribution or another
 _PREFIX = "sextant-"
 _MARK = "# Made by `sextant service install`; change it by `systemctl edit`. "
-_START_S = 120  # that a process may take until its loop runs
+_START_S = 600  # that a process may take until its loop runs: it may have to compile first
 _STOP_S = 5
 _AGAIN_S = 1  # from a failure to the next start
 _WITHIN_S = 60  # that the table's restarts are counted in

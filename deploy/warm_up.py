@@ -1,4 +1,4 @@
-"""Compiles every inner loop once by walking a moment in lockstep, so that no service compiles while it should work.
+"""Compiles every inner loop of a simulated robot once, by its services' own rehearsals, so that it is done where a run begins.
 
 python -m deploy.warm_up
 """
@@ -6,48 +6,41 @@ python -m deploy.warm_up
 import argparse
 import sys
 
-import numpy as np
-
 from deploy.lockstep_run import assemble
-from deploy.passage_warm_up import plan_passage
-from services.mapper.cloud import Strip
-from services.mapper.elevation import ElevationGrid
-from services.mapper.survey import Survey
-from shared.geometry import from_xyz_rpy
+from services.mapper import rehearsal as mapper
+from services.mapper.config import Settings as MapperSettings
+from services.perception import rehearsal as perception
+from services.perception.config import Settings as PerceptionSettings
+from services.planner import rehearsal as planner
+from services.planner.config import Settings as PlannerSettings
 from shared.host import end_with
 from shared.robot import RobotProfile, load_profile
 from shared.scenario import load_scenario
 
-_WALK_NS = 4_000_000_000  # [ns] simulated: standing up, and the first steps on a map
-_LOOK_NS = 1_600_000_000  # [ns] simulated: standing up, and the first map in colour
+_SCENARIOS = ("steps", "puddle")  # without and with colour
+_LOOK_NS = 1_600_000_000  # [ns] simulated: standing up, and the first pictures
 
 
 def main() -> int:
-    """Walk a moment."""
+    """Rehearse, and look at both."""
     parser = argparse.ArgumentParser(prog="python -m deploy.warm_up", description=__doc__)
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     arguments = parser.parse_args()
     if arguments.parent:
         end_with(arguments.parent)
-    scenario = load_scenario("steps")
-    profile = load_profile(scenario.robot)
-    assemble(scenario, 0, profile).run(_WALK_NS)
-    _survey(profile)
-    plan_passage(scenario.robot)
-    colored = load_scenario("puddle")
-    assemble(colored, 0, load_profile(colored.robot)).run(_LOOK_NS)
+    for name in _SCENARIOS:
+        scenario = load_scenario(name)
+        profile = load_profile(scenario.robot)
+        rehearse(profile)
+        assemble(scenario, 0, profile).run(_LOOK_NS)  # the simulator's part
     return 0
 
 
-def _survey(profile: RobotProfile) -> None:
-    """Survey a passage, which a walk does only when it is asked to."""
-    known = ElevationGrid().snapshot()
-    survey = Survey(profile, Strip((0.0, 0.0), 0.0, 1.0, 0.5), known, reach=1.5)
-    i, j = np.meshgrid(np.arange(0.505, 0.7, 0.01), np.arange(-0.195, 0.2, 0.01), indexing="ij")
-    survey.add(np.column_stack([i.ravel(), j.ravel(), np.zeros(i.size)]), np.full(i.size, 8, dtype=np.uint8))
-    height, grid = profile.stance.body_height, survey.grid(known)
-    survey.evaluation(grid, height, 0.0)
-    survey.outlook(grid, from_xyz_rpy((0.0, 0.0, height), (0.0, 0.0, 0.0)), profile.rest_feet(height))
+def rehearse(profile: RobotProfile) -> None:
+    """Let all services that have something to compile rehearse, for a robot."""
+    perception.rehearse(profile, PerceptionSettings())
+    mapper.rehearse(profile, MapperSettings())
+    planner.rehearse(profile, PlannerSettings())
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from shared import topics as t
 
 AnyTopic: TypeAlias = t.Topic[Any]
 CERTIFICATE, KEY, AUTHORITY, ROLE = "certificate.pem", "key.pem", "ca.pem", "role.toml"  # files of a folder of keys
+SITE = "site"  # role of a router between others
 ROUTER_OF = "router of "  # a role: name of a router among the services
 PLAIN = ("tcp",)  # links without certificates, on loopback alone
 SECURE = ("tls",)
@@ -48,7 +49,7 @@ class Role:
         barred = [topic.key for topic in written if topic not in self.puts]
         if not barred:
             return ""
-        others = ", ".join(role.name for role in ROLES if all(topic in role.puts for topic in written))
+        others = ", ".join(role.name for role in _ENDS if all(topic in role.puts for topic in written))
         may = ", ".join(topic.key for topic in self.puts) or "nothing"
         return (
             f"this certificate ({self.name}: {self.what}) may not send {', '.join(barred)}, only {may}; "
@@ -64,7 +65,7 @@ _SEEN = (  # what a page shows, and what is small
 _EVERYBODY = (t.HEALTH, t.PRESENCE)  # how its processes fare, and which they are
 _PLANNED = (t.SCAN_RECEIPT, t.TERRAIN, t.PASSAGE, t.PASSAGE_REQUEST, t.PASSAGE_PLAN, t.STEP_PLAN, t.PLANNER_STATUS)
 _LED = (t.VELOCITY, t.GOAL, t.MODE, t.STOP, t.RECORD)
-ROLES: tuple[Role, ...] = (
+_ENDS = (  # whoever is at an end of what is said
     Role(
         "robot",
         "the robot's computer: actuator, stop, camera, perception",
@@ -79,6 +80,21 @@ ROLES: tuple[Role, ...] = (
     ),
     Role("console", "an operator's computer: commands and looks, but plans nothing", (*_LED, *_EVERYBODY), _SEEN),
     Role("viewer", "somebody's computer that looks on, and may stop", (t.STOP,), _SEEN),
+)
+
+
+def _together(groups: Iterable[tuple[AnyTopic, ...]]) -> tuple[AnyTopic, ...]:
+    return tuple(dict.fromkeys(topic for group in groups for topic in group))
+
+
+ROLES: tuple[Role, ...] = (
+    *_ENDS,
+    Role(
+        SITE,
+        "a router between a robot and others, which holds each of them to its role",
+        _together(role.puts for role in _ENDS),
+        _together(role.reads for role in _ENDS),
+    ),
 )
 ROLE_NAMED: Mapping[str, Role] = {role.name: role for role in ROLES}
 
@@ -183,7 +199,7 @@ def opened(namespace: str, interfaces: Iterable[str]) -> dict[str, Any]:
         interfaces: Network interfaces of this machine beside loopback; through others nobody is let in.
     """
     names = list(interfaces)
-    anybody = Role("anybody", "", _together(role.puts for role in ROLES), _together(role.reads for role in ROLES))
+    anybody = Role("anybody", "", ROLE_NAMED[SITE].puts, ROLE_NAMED[SITE].reads)
     subjects = [{"id": "own", "interfaces": ["lo"]}, *([{"id": "anybody", "interfaces": names}] if names else [])]
     limits = _limits(namespace, {"interfaces": names})
     rx = limits.pop("rx")
@@ -195,10 +211,6 @@ def opened(namespace: str, interfaces: Iterable[str]) -> dict[str, Any]:
         "policies": [{"rules": ["everything"], "subjects": ["own"]}, *(_policies(anybody, namespace) if names else [])],
     }
     return {"transport": {"link": {"rx": rx}}, "access_control": control, **(limits if names else {})}
-
-
-def _together(groups: Iterable[tuple[AnyTopic, ...]]) -> tuple[AnyTopic, ...]:
-    return tuple(dict.fromkeys(topic for group in groups for topic in group))
 
 
 def _control(namespace: str) -> dict[str, Any]:

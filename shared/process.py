@@ -28,21 +28,40 @@ from shared.transport import Endpoints, TransportError, ZenohLink
 from shared.watchdog import Watchdog
 
 _LOOK_S = 0.1  # [s] between two looks whether the robot is there
+_PATIENCE_S = 4.0  # [s] that a rehearsal takes where nothing has to be compiled, with time to spare
 
 S = TypeVar("S")
 
 
-def main(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service]) -> NoReturn:
+def main(
+    name: str,
+    schema: type[S],
+    make: Callable[[RobotProfile, S], Service],
+    rehearse: Callable[[RobotProfile, S], None] | None = None,
+) -> NoReturn:
     """Run one service and end the process; everything is closed by then, so the interpreter's own teardown is left out."""
-    status = run(name, schema, make)
+    status = run(name, schema, make, rehearse=rehearse)
     logging.shutdown()
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(status)
 
 
-def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], argv: Sequence[str] | None = None) -> int:
+def run(
+    name: str,
+    schema: type[S],
+    make: Callable[[RobotProfile, S], Service],
+    argv: Sequence[str] | None = None,
+    rehearse: Callable[[RobotProfile, S], None] | None = None,
+) -> int:
     """Run one service until it is told to stop, with the settings of the command line.
+
+    Args:
+        name: Of the service.
+        schema: Its settings' class.
+        make: Makes it for a robot, with its settings.
+        argv: The command line, without the program; this process's own when left out.
+        rehearse: Compiles what it calls, before it says that it is there.
 
     Returns:
         Exit status: 0 when it was told to stop, 1 without the device or port that it needs, 2 for what the caller got wrong;
@@ -59,14 +78,16 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
     keep_memory()
     switch_often()
     stop = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        # Not stop.set() itself: the signal may come while this thread holds the lock inside stop.wait(), and set() takes it.
-        signal.signal(number, lambda *_: threading.Thread(target=stop.set, name="stop").start())
+    _when_told_to_stop(lambda: os._exit(0))  # nothing is open yet
     with contextlib.ExitStack() as stack:
         try:
             profile = load_profile(arguments.robot)
             settings = load_settings(schema, arguments.config, arguments.set)
             keys = Keys.load(Path(arguments.keys)) if arguments.keys else None
+            if rehearse is not None:
+                _patiently(lambda: rehearse(profile, settings))
+            # Not stop.set() itself: the signal may come while this thread holds the lock in stop.wait(), and set() takes it.
+            _when_told_to_stop(lambda: threading.Thread(target=stop.set, name="stop").start())
             endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace, keys)
             watchdog = stack.enter_context(Watchdog(os.environ))
             link = stack.enter_context(ZenohLink(endpoints))
@@ -86,6 +107,24 @@ def run(name: str, schema: type[S], make: Callable[[RobotProfile, S], Service], 
             logging.error("%s", error)
             return 1
     return 0
+
+
+def _when_told_to_stop(end: Callable[[], object]) -> None:
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: end())
+
+
+def _patiently(rehearse: Callable[[], None]) -> None:
+    """Rehearse, and ask for patience where something has to be compiled."""
+    telling = threading.Timer(
+        _PATIENCE_S, logging.info, ["compiling the inner loops takes about a minute, the first time only"]
+    )
+    telling.daemon = True
+    telling.start()
+    try:
+        rehearse()
+    finally:
+        telling.cancel()
 
 
 def _follow_robot(link: ZenohLink, stop: threading.Event, alive: Callable[[int], object]) -> Callable[[], float]:

@@ -130,7 +130,7 @@ class TransportError(RuntimeError):
     """The network could not be opened, with what was tried and what to do."""
 
 
-def _open(config: dict[str, Any]) -> zenoh.Session:
+def _open(config: Mapping[str, Any]) -> zenoh.Session:
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as error:
@@ -171,11 +171,11 @@ class Router:
             upstream: Endpoints of routers that this one is chained to, whenever they are there.
             access: Configuration that says who may do what (`shared.access`).
         """
-        self._config = _merged(_router_config(listen, upstream), access or {})
+        self.configuration: Mapping[str, Any] = _merged(_router_config(listen, upstream), access or {})
 
     def __enter__(self) -> Self:
         os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)  # is read when the first session of a process opens
-        self._session = _open(self._config)
+        self._session = _open(self.configuration)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy import cli, kept, passage_table
-from deploy.bench import link
+from deploy.bench import fleet, link
 from deploy.campaign_table import WALKED, Campaign, markdown, of_runs
 from deploy.faults import table as fault_table
 from deploy.fuzz import table as fuzz_table
@@ -50,6 +50,8 @@ RUN_BY = {
     "up --camera": "tests/live/test_camera.py::test_the_side_of_the_robot_sends_pictures_and_says_when_it_has_none",
     "up --connect": "tests/live/test_live_walk.py::test_two_machines_walk_together_whichever_is_there_first",
     "up": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
+    "fleet": "tests/live/test_fleet.py::test_what_fails_of_one_robot_holds_no_other_up",
+    "bench fleet": "tests/live/test_fleet.py::test_a_base_is_loaded_with_a_recorded_robot",
     "order": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "topics list": "tests/unit/deploy/test_cli.py::test_topics_are_listed",
     "ros2": "tests/unit/deploy/ros2/test_bridge.py::test_the_command_says_what_it_offers_and_ends_at_ctrl_c",
@@ -172,6 +174,18 @@ def test_the_table_of_the_cuts_is_that_which_the_command_prints() -> None:
     text = (ROOT / "docs" / "two_machines.md").read_text(encoding="utf-8")
     printed = link.cuts_in_words(link.cuts_from_json((ROOT / "docs" / "cuts.json").read_text(encoding="utf-8")))
     assert printed in text, "sextant bench link prints another table"
+
+
+def test_the_table_of_the_walks_over_radios_is_that_which_the_command_prints() -> None:
+    text = (ROOT / "docs" / "two_machines.md").read_text(encoding="utf-8")
+    printed = link.walks_in_words(link.walks_from_json((ROOT / "docs" / "link_walks.json").read_text(encoding="utf-8")))
+    assert printed in text, "sextant bench link prints another table"
+
+
+def test_the_table_of_the_fleet_is_that_which_the_command_prints() -> None:
+    text = (ROOT / "docs" / "fleet.md").read_text(encoding="utf-8")
+    printed = fleet.in_words(fleet.from_json((ROOT / "docs" / "fleet.json").read_text(encoding="utf-8")))
+    assert printed in text, "sextant bench fleet prints another table"
 
 
 def test_the_table_of_broken_messages_is_that_which_the_command_prints() -> None:

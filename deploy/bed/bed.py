@@ -1,20 +1,27 @@
 """Two machines that only a radio joins, for as long as a block runs."""
 
+import abc
 import contextlib
 import select
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from deploy.bed import orders
 from deploy.bed.namespace import BedError
-from deploy.bed.relay import BASE, ROBOT
+from deploy.bed.relay import ROBOT
+from deploy.bed.tcp_relay import HERE
+from deploy.gate import SECURE_ENDPOINT
+from deploy.launcher import free_port
+from deploy.process_table import ROUTER_ENDPOINT
 from shared.scenario import Link
 
+PORT, TLS_PORT = (int(endpoint.rpartition(":")[2]) for endpoint in (ROUTER_ENDPOINT, SECURE_ENDPOINT))  # of the robot's router
 _PATIENCE_S = 20.0  # for the relay's answers
-_MODULE = "deploy.bed.relay"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,16 +37,12 @@ class Carried:
     lost_to_robot: int  # packets
 
 
-class Bed:
-    """Two network namespaces, the robot's and the base's, and the radio between them; a context manager."""
+class Bed(abc.ABC):
+    """The robot's machine, the base, and the radio between them; a context manager."""
 
-    robot_address, base_address = ROBOT, BASE
-
-    @staticmethod
-    def words() -> str:
-        """What it is, for a report."""
-        control = Path("/proc/sys/net/ipv4/tcp_congestion_control").read_text(encoding="ascii").strip()
-        return f"two network namespaces, their packets carried by a relay; TCP with {control}"
+    robot_address: str  # by which the base knows the robot
+    robot_router: str  # endpoint of the robot's router, on its machine
+    base_router: str  # likewise
 
     def __init__(self, link: Link, seed: int = 0):
         """With a radio of a link's delay, rate and loss; `seed` of what is lost."""
@@ -49,16 +52,15 @@ class Bed:
     def __enter__(self) -> Self:
         link = self._link
         words = ("--delay-ms", link.delay_ms, "--mbit", link.mbit, "--loss", link.loss, "--seed", self._seed)
-        command = [sys.executable, "-m", _MODULE, *map(str, words)]
+        command = [sys.executable, *self._command(), *map(str, words)]
         self._relay = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
         )
         try:
-            first = self._line("no two machines here")
+            self._begun(self._line("no two machines here").split())
         except BedError:
             self.__exit__()
             raise
-        self._robot, self._base = first.split()
         return self
 
     def __exit__(
@@ -79,25 +81,50 @@ class Bed:
             if pipe is not None:
                 pipe.close()
 
+    @property
+    @abc.abstractmethod
+    def words(self) -> str:
+        """What it is, for a report."""
+
+    @abc.abstractmethod
+    def robot_words(self) -> tuple[str, ...]:
+        """Options by which the robot's half listens to everybody who reaches its machine."""
+
+    @abc.abstractmethod
+    def base_words(self) -> tuple[str, ...]:
+        """Options by which the base's half listens elsewhere than usual, if it must."""
+
+    @abc.abstractmethod
+    def seen(self, port: int) -> str:
+        """Where the base finds a port of the robot's, as HOST:PORT."""
+
+    @abc.abstractmethod
     def on_robot(self, *command: str) -> list[str]:
         """A command as it runs on the robot's machine."""
-        return [sys.executable, "-m", "deploy.bed.enter", self._robot, *command]
 
+    @abc.abstractmethod
     def on_base(self, *command: str) -> list[str]:
         """A command as it runs on the base."""
-        return [sys.executable, "-m", "deploy.bed.enter", self._base, *command]
 
     def cut(self) -> Carried:
         """Have nothing come through from now on, either way."""
-        return self._ask("cut")
+        return self._ask(orders.CUT)
 
     def mend(self) -> Carried:
         """Have packets come through again."""
-        return self._ask("mend")
+        return self._ask(orders.MEND)
 
     def carried(self) -> Carried:
         """What it has carried so far."""
-        return self._ask("what it carried")
+        return self._ask(orders.ASK)
+
+    @abc.abstractmethod
+    def _command(self) -> tuple[str, ...]:
+        """Of the process that is the radio, as Python's arguments."""
+
+    @abc.abstractmethod
+    def _begun(self, said: list[str]) -> None:
+        """Take in the first words of that process."""
 
     def _ask(self, order: str) -> Carried:
         assert self._relay.stdin is not None
@@ -119,3 +146,101 @@ class Bed:
             self._relay.kill()
             raise BedError(f"{otherwise}: {self._relay.stderr.read().strip() or 'the relay said nothing'}")
         return str(line)
+
+
+class Namespaces(Bed):
+    """Two network namespaces, whose packets a relay carries."""
+
+    robot_address = ROBOT
+    robot_router = base_router = ROUTER_ENDPOINT
+
+    @property
+    def words(self) -> str:
+        """What it is, for a report."""
+        control = Path("/proc/sys/net/ipv4/tcp_congestion_control").read_text(encoding="ascii").strip()
+        return f"two network namespaces, their packets carried by a relay; TCP with {control}"
+
+    def robot_words(self) -> tuple[str, ...]:
+        """Options by which the robot's half listens to everybody who reaches its machine."""
+        return ("--listen", f"tcp/0.0.0.0:{PORT}")
+
+    def base_words(self) -> tuple[str, ...]:
+        """None are needed."""
+        return ()
+
+    def seen(self, port: int) -> str:
+        """Where the base finds a port of the robot's."""
+        return f"{ROBOT}:{port}"
+
+    def on_robot(self, *command: str) -> list[str]:
+        """A command as it runs on the robot's machine."""
+        return _entering(self._robot, command)
+
+    def on_base(self, *command: str) -> list[str]:
+        """A command as it runs on the base."""
+        return _entering(self._base, command)
+
+    def _command(self) -> tuple[str, ...]:
+        return ("-m", "deploy.bed.relay")
+
+    def _begun(self, said: list[str]) -> None:
+        self._robot, self._base = said
+
+
+class OneMachine(Bed):
+    """Both halves on this machine, and a relay of their connections between them: where namespaces cannot be had."""
+
+    robot_address = HERE
+    robot_router = ROUTER_ENDPOINT
+
+    def __init__(self, link: Link, seed: int = 0, why: str = ""):
+        """With a radio of a link's delay, rate and loss; `seed` of what is lost, and why there are no namespaces, in words."""
+        super().__init__(link, seed)
+        self._why = f" ({why})" if why else ""
+        self.base_router = f"tcp/{HERE}:{free_port()}"
+
+    @property
+    def words(self) -> str:
+        """What it is, for a report."""
+        return f"one machine, the connections between the halves carried by a relay{self._why}"
+
+    def robot_words(self) -> tuple[str, ...]:
+        """Options by which the robot's half listens to everybody who reaches its machine."""
+        return ("--listen", self.robot_router)
+
+    def base_words(self) -> tuple[str, ...]:
+        """Options by which the base's half listens elsewhere than the robot's."""
+        return ("--listen", self.base_router)
+
+    def seen(self, port: int) -> str:
+        """Where the base finds a port of the robot's: a port of the relay."""
+        return f"{HERE}:{self._ports[port]}"
+
+    def on_robot(self, *command: str) -> list[str]:
+        """A command as it runs on the robot's machine, which is this one."""
+        return _entering("0", command)
+
+    def on_base(self, *command: str) -> list[str]:
+        """A command as it runs on the base, which is this machine."""
+        return _entering("0", command)
+
+    def _command(self) -> tuple[str, ...]:
+        return ("-m", "deploy.bed.tcp_relay", *(word for port in (PORT, TLS_PORT) for word in ("--to", str(port))))
+
+    def _begun(self, said: list[str]) -> None:
+        self._ports = dict(zip((PORT, TLS_PORT), map(int, said), strict=True))
+
+
+@contextlib.contextmanager
+def two_machines(link: Link, seed: int = 0) -> Iterator[Bed]:
+    """Namespaces where they can be had; otherwise one machine, which its words tell."""
+    with contextlib.ExitStack() as stack:
+        try:
+            bed: Bed = stack.enter_context(Namespaces(link, seed))
+        except BedError as error:
+            bed = stack.enter_context(OneMachine(link, seed, str(error)))
+        yield bed
+
+
+def _entering(process: str, command: tuple[str, ...]) -> list[str]:
+    return [sys.executable, "-m", "deploy.bed.enter", process, *command]

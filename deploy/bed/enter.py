@@ -1,6 +1,6 @@
 """Runs a command in the network of a process: `python -m deploy.bed.enter PID COMMAND [ARGUMENT ...] [--parent PID]`.
 
-The last is a launcher's: the command ends when that process has ended.
+0 stands for this network, where no other can be had. The last is a launcher's: the command ends when that process has ended.
 """
 
 import os
@@ -20,7 +20,8 @@ def main() -> int:
         if len(words) > 2 and words[-2] == "--parent":
             end_with(int(words[-1]))  # it holds for what this process becomes
             del words[-2:]
-        enter(int(sys.argv[1]))
+        if process := int(sys.argv[1]):
+            enter(process)
         os.execvp(words[0], words)
     except OSError as error:
         sys.stderr.write(f"{error}\n")

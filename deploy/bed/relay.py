@@ -4,17 +4,16 @@ It says on standard output the ids of two processes that live in the namespaces,
 from its standard input, each answered by a line. When that is closed it ends, and both namespaces with it.
 """
 
-import argparse
 import os
 import select
 import signal
 import sys
 import time
 
+from deploy.bed import orders
 from deploy.bed.air import Way
 from deploy.bed.namespace import MTU, BedError, leave_network, leave_user, wire
 from shared.host import end_with, go_first
-from shared.scenario import Link
 
 ROBOT, BASE = "10.77.0.1", "10.77.0.2"  # addresses; the namespaces are seen by nobody else
 _READ = MTU + 64  # [bytes]
@@ -22,8 +21,7 @@ _READ = MTU + 64  # [bytes]
 
 def main() -> int:
     """Make both machines, and carry their packets until standard input ends."""
-    arguments = _parser().parse_args()
-    link = Link(arguments.delay_ms, arguments.mbit, arguments.loss)
+    link, seed = orders.radio(orders.parser("deploy.bed.relay", __doc__).parse_args())
     try:
         leave_user()
         robot, held_robot = _machine(ROBOT)
@@ -32,8 +30,8 @@ def main() -> int:
         sys.stderr.write(f"{error}\n")
         return 1
     go_first()  # where it may: a radio waits for no program
-    _say(f"{held_robot} {held_base}")
-    _carry({robot: Way(link, arguments.seed), base: Way(link, arguments.seed + 1)}, {robot: base, base: robot})
+    orders.say(f"{held_robot} {held_base}")
+    _carry({robot: Way(link, seed), base: Way(link, seed + 1)}, {robot: base, base: robot})
     for held in (held_robot, held_base):
         os.kill(held, signal.SIGKILL)
         os.waitpid(held, 0)
@@ -55,7 +53,7 @@ def _machine(address: str) -> tuple[int, int]:
 
 def _carry(ways: dict[int, Way], other: dict[int, int]) -> None:
     """Carry packets between two wires until standard input ends; each way begins at a wire."""
-    orders = sys.stdin.fileno()
+    said = sys.stdin.fileno()
     while True:
         now_ns = time.monotonic_ns()
         for wire_, way in ways.items():
@@ -63,12 +61,12 @@ def _carry(ways: dict[int, Way], other: dict[int, int]) -> None:
                 os.write(other[wire_], packet)
         due = [way.due_ns for way in ways.values() if way.due_ns is not None]
         wait_s = max(min(due) - time.monotonic_ns(), 0) * 1e-9 if due else None
-        ready, _, _ = select.select([orders, *ways], [], [], wait_s)
+        ready, _, _ = select.select([said, *ways], [], [], wait_s)
         now_ns = time.monotonic_ns()
         for wire_, way in ways.items():
             if wire_ in ready:
                 _take(wire_, way, now_ns)
-        if orders in ready and not _obey(os.read(orders, 4096).decode(), list(ways.values())):
+        if said in ready and not _obey(os.read(said, 4096).decode(), list(ways.values())):
             return
 
 
@@ -81,34 +79,13 @@ def _take(wire_: int, way: Way, now_ns: int) -> None:
 
 
 def _obey(said: str, ways: list[Way]) -> bool:
-    """Do as lines say; whether to go on.
-
-    Raises:
-        ValueError: One says something else.
-    """
-    for line in said.splitlines():
-        if line not in ("cut", "mend", "what it carried"):
-            raise ValueError(f"'cut', 'mend' or 'what it carried' expected, found {line!r}")
-        if line in ("cut", "mend"):
+    """Do as lines say; whether to go on."""
+    for order in orders.read(said):
+        if order != orders.ASK:
             for way in ways:
-                way.cut = line == "cut"
-        carried = " ".join(f"{way.carried} {way.packets} {way.dropped}" for way in ways)
-        _say(f"{time.monotonic_ns()} {carried}")
+                way.cut = order == orders.CUT
+        orders.answer(time.monotonic_ns(), [(way.carried, way.packets, way.dropped) for way in ways])
     return bool(said)
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m deploy.bed.relay", description=__doc__)
-    parser.add_argument("--delay-ms", type=float, default=0.0, help="one way")
-    parser.add_argument("--mbit", type=float, default=0.0, help="Mbit/s each way; 0: no limit")
-    parser.add_argument("--loss", type=float, default=0.0, help="share of the packets")
-    parser.add_argument("--seed", type=int, default=0, help="of what is lost")
-    return parser
 
 
 if __name__ == "__main__":

@@ -9,13 +9,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from deploy.bed.bed import Bed
+from deploy.bed.bed import PORT, TLS_PORT, Bed
 from deploy.bed.ear import Heard
 from deploy.launcher import Launcher
-from deploy.process_table import ENVIRONMENT, ROUTER_ENDPOINT, Command
+from deploy.process_table import ENVIRONMENT, Command
 
 _CLI = ("-m", "deploy.cli")
-_TLS_PORT = 7448
 
 
 class TwoMachines:
@@ -39,14 +38,14 @@ class TwoMachines:
         self.namespace = namespace
         common = ("--namespace", namespace, "--no-page")
         course = ("--scenario", scenario, "--seed", str(seed))
-        port = ROUTER_ENDPOINT.rpartition(":")[2]
         if keys is None:
-            near: tuple[str, ...] = ("--listen", f"tcp/0.0.0.0:{port}", "--open")
-            far: tuple[str, ...] = ("--connect", f"tcp/{bed.robot_address}:{port}", "--open")
+            near: tuple[str, ...] = (*bed.robot_words(), "--open")
+            far: tuple[str, ...] = ("--connect", f"tcp/{bed.seen(PORT)}", "--open")
         else:
             near = ("--keys", str(keys / "robot"))
-            far = ("--keys", str(keys / "base"), "--connect", f"tls/{bed.robot_address}:{_TLS_PORT}")
-        robot, base = ("up", "onboard", *near, *course, *common), ("up", "offboard", *far, *common)
+            far = ("--keys", str(keys / "base"), "--connect", f"tls/{bed.seen(TLS_PORT)}")
+        self.commands = (("up", "onboard", *near), ("up", "offboard", *far))  # of the robot and the base, but for what follows
+        robot, base = ((*self.commands[0], *course, *common), (*self.commands[1], *bed.base_words(), *common))
         halves = {"robot": bed.on_robot(*_python(*_CLI, *robot)), "base": bed.on_base(*_python(*_CLI, *base))}
         self._launcher = Launcher(
             [Command(name, tuple(words[1:]), ENVIRONMENT, restarts=0) for name, words in halves.items()], hear=self._hear
@@ -76,7 +75,7 @@ class TwoMachines:
             TimeoutError: It did not come to that; what they said is noted.
         """
         self.until(lambda: any("(onboard) is here" in line for line in self.said), within_s, "that the base meets the robot")
-        words = _python("-m", "deploy.bed.ear", ROUTER_ENDPOINT, self.namespace)
+        words = _python("-m", "deploy.bed.ear", self._bed.robot_router, self.namespace)
         ear = subprocess.Popen(self._bed.on_robot(*words), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self._helpers.append(ear)
         self._reader = threading.Thread(target=self._listen, args=(ear,), daemon=True)
@@ -85,7 +84,7 @@ class TwoMachines:
 
     def lead(self, course: str) -> None:
         """Have the robot led along a course, by its path, from the base, until the end of the block."""
-        words = _python("-m", "deploy.bed.lead", ROUTER_ENDPOINT, self.namespace, course)
+        words = _python("-m", "deploy.bed.lead", self._bed.base_router, self.namespace, course)
         leader = subprocess.Popen(self._bed.on_base(*words), stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self._helpers.append(leader)
 
@@ -112,6 +111,11 @@ class TwoMachines:
         while (left := until - time.monotonic()) > 0.0:
             if ended := self._ended(min(left, 0.2)):
                 raise TimeoutError(ended)
+
+    @property
+    def robot_router(self) -> str:
+        """Endpoint of the robot's router, on its machine."""
+        return self._bed.robot_router
 
     def on_robot(self, *words: str) -> list[str]:
         """A `sextant` command, as it is given on the robot's machine."""

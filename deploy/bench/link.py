@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from deploy.bed.bed import Bed
+from deploy.bed.bed import Bed, two_machines
 from deploy.bed.cuts import BACK_S, HOLD_S, Cut, judge
 from deploy.bed.two_machines import TwoMachines
 from deploy.bench.timing import machine
-from deploy.process_table import ROUTER_ENDPOINT
 from deploy.statistics import wilson
 from shared.scenario import Link
 
@@ -39,19 +38,23 @@ class Walks:
     lost: float  # share of the packets from the robot
 
 
-def walks(scenario: str, seeds: Sequence[int], links: Sequence[Link], say: Callable[[str], object]) -> tuple[Walks, ...]:
-    """Walk a scenario over each link, once a seed.
+def walks(
+    scenario: str, seeds: Sequence[int], links: Sequence[Link], say: Callable[[str], object]
+) -> tuple[tuple[Walks, ...], str]:
+    """Walk a scenario over each link, once a seed; and over what kind of radio that was, in words.
 
     Raises:
         BedError: There are no two machines here.
         TimeoutError: The halves did not meet, or a walk left no report.
     """
     found: list[Walks] = []
+    radio = ""
     for link in links:
         reports, carried, packets, lost, seconds = [], 0, 0, 0, 0.0
         for seed in seeds:
-            with Bed(link, seed) as bed, TwoMachines(bed, None, scenario, seed) as halves:
+            with two_machines(link, seed) as bed, TwoMachines(bed, None, scenario, seed) as halves:
                 halves.meet(_MEET_S)
+                radio = bed.words
                 began = bed.carried()
                 reports.append(_run(halves, scenario, seed))
                 ended = bed.carried()
@@ -61,14 +64,14 @@ def walks(scenario: str, seeds: Sequence[int], links: Sequence[Link], say: Calla
             seconds += (ended.at_ns - began.at_ns) * 1e-9
             say(f"{_words(link)}: seed {seed}: {reports[-1]['reason']}")
         found.append(Walks(link, tuple(reports), 8e-6 * carried / seconds, lost / (packets + lost)))
-    return tuple(found)
+    return tuple(found), radio
 
 
-def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) -> tuple[tuple[Cut, ...], str]:
+def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) -> tuple[tuple[Cut, ...], str, str]:
     """Cut the radio at random phases of a walk over level ground that is led from the base, each for a random time.
 
     Returns:
-        The cuts, and why they are fewer than asked for, in words, if they are.
+        The cuts; what kind of radio that was, in words; and why they are fewer than asked for, in words, if they are.
 
     Args:
         count: How many times.
@@ -88,16 +91,16 @@ def cuts(count: int, seed: int, longest_s: float, say: Callable[[str], object]) 
     with tempfile.TemporaryDirectory() as folder:
         course = Path(folder) / "long.toml"
         course.write_text(_COURSE.format(name="long", limit=limit_s, far=_SPEED * limit_s), encoding="utf-8")
-        with Bed(CUT_LINK, seed) as bed, TwoMachines(bed, None, str(course), seed) as halves:
+        with two_machines(CUT_LINK, seed) as bed, TwoMachines(bed, None, str(course), seed) as halves:
             halves.meet(_MEET_S)
             halves.lead(str(course))
             for lasts, walked in zip(lasts_s, walks_s, strict=True):
                 try:
                     found.append(_cut(bed, halves, float(lasts), float(walked)))
                 except TimeoutError as error:
-                    return tuple(found), str(error)
+                    return tuple(found), bed.words, str(error)
                 say(f"cut {len(found)} of {count}: {_told(found[-1])}")
-    return tuple(found), ""
+            return tuple(found), bed.words, ""
 
 
 def _cut(bed: Bed, halves: TwoMachines, lasts_s: float, walks_s: float) -> Cut:
@@ -117,7 +120,7 @@ def _cut(bed: Bed, halves: TwoMachines, lasts_s: float, walks_s: float) -> Cut:
 def _run(halves: TwoMachines, scenario: str, seed: int) -> dict[str, Any]:
     """Report of `sextant run`, which leads the robot and judges the walk beside the simulator, whose truth stays there."""
     with tempfile.TemporaryDirectory() as folder:
-        meeting = ("--connect", ROUTER_ENDPOINT, "--namespace", halves.namespace)
+        meeting = ("--connect", halves.robot_router, "--namespace", halves.namespace)
         words = halves.on_robot("run", scenario, "--seed", str(seed), *meeting, "--out", folder)
         done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
         report = Path(folder) / "report.json"
@@ -163,9 +166,16 @@ def cuts_in_words(found: Sequence[Cut]) -> str:
     return "\n".join(lines)
 
 
-def to_json(what: str, found: Sequence[Walks] | Sequence[Cut]) -> str:
+def to_json(what: str, found: Sequence[Walks] | Sequence[Cut], radio: str) -> str:
     """For scripts."""
-    return json.dumps({"machine": machine(), "bed": Bed.words(), what: [asdict(one) for one in found]}, indent=1, default=str)
+    return json.dumps({"machine": machine(), "bed": radio, what: [asdict(one) for one in found]}, indent=1, default=str)
+
+
+def walks_from_json(text: str) -> tuple[Walks, ...]:
+    """What `to_json` gave of walks."""
+    return tuple(
+        Walks(Link(**one["link"]), tuple(one["reports"]), one["up_mbit"], one["lost"]) for one in json.loads(text)["walks"]
+    )
 
 
 def cuts_from_json(text: str) -> tuple[Cut, ...]:

@@ -60,6 +60,17 @@ def bench_access(arguments: argparse.Namespace) -> int:
     return _tell_bench(access.in_words(rows), access.to_json(rows), out / "access.json", arguments.json)
 
 
+def bench_fleet(arguments: argparse.Namespace) -> int:
+    """`sextant bench fleet`: how many robots one base carries."""
+    from deploy.bench import fleet
+
+    out, progress = out_folder(arguments, "bench-fleet"), open_progress(arguments.json)
+    warm_up(progress)
+    found = fleet.measure(arguments.course, arguments.robots, progress, out.resolve())
+    fleet.draw(out / "fleet.png", found)
+    return _tell_bench(fleet.in_words(found), fleet.to_json(found), out / "fleet.json", arguments.json)
+
+
 def bench_link(arguments: argparse.Namespace) -> int:
     """`sextant bench link`: a robot whose map and planner are behind a radio, live."""
     from deploy.bed.namespace import BedError
@@ -69,17 +80,19 @@ def bench_link(arguments: argparse.Namespace) -> int:
     warm_up(progress)
     try:
         if arguments.cuts:
-            cut, ended = link.cuts(arguments.cuts, arguments.seed, arguments.longest, progress.say)
-            told = _tell_bench(link.cuts_in_words(cut), link.to_json("cuts", cut), out / "cuts.json", arguments.json)
+            cut, radio, ended = link.cuts(arguments.cuts, arguments.seed, arguments.longest, progress.say)
+            progress.say(f"the radio: {radio}")
+            told = _tell_bench(link.cuts_in_words(cut), link.to_json("cuts", cut, radio), out / "cuts.json", arguments.json)
             if ended:
                 complain(f"sextant bench link: {len(cut)} of {arguments.cuts} cuts, then: {ended}")
             return FAILED if ended else told
         seeds = range(arguments.seed, arguments.seed + arguments.walks)
-        walked = link.walks(arguments.scenario, seeds, link.LINKS, progress.say)
+        walked, radio = link.walks(arguments.scenario, seeds, link.LINKS, progress.say)
+        progress.say(f"the radio: {radio}")
     except (BedError, TimeoutError) as error:
         complain(f"sextant bench link: {error}")
         return FAILED
-    return _tell_bench(link.walks_in_words(walked), link.to_json("walks", walked), out / "walks.json", arguments.json)
+    return _tell_bench(link.walks_in_words(walked), link.to_json("walks", walked, radio), out / "walks.json", arguments.json)
 
 
 def bench_page(arguments: argparse.Namespace) -> int:

@@ -2,6 +2,7 @@
 
 import argparse
 import datetime
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -58,6 +59,8 @@ def out_folder(arguments: argparse.Namespace, name: str) -> Path:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make the folder {out}: {error.strerror}; give another with --out") from None
+    if not os.access(out, os.W_OK | os.X_OK):
+        raise InputError(f"this user may not write to the folder {out}; give another with --out")
     return out
 
 

@@ -14,10 +14,13 @@ if TYPE_CHECKING:
 
 def new(arguments: argparse.Namespace) -> int:
     """`sextant keys new`: an authority, and a folder of keys for each role."""
+    from shared.access import SITE
+
     authority = _authority()
     folder = Path(arguments.folder)
     try:
-        made: tuple[Held, ...] = authority.new(folder, arguments.robot_address, arguments.days)
+        addresses = {"robot": arguments.robot_address, SITE: arguments.site_address}
+        made: tuple[Held, ...] = authority.new(folder, addresses, arguments.days)
     except OSError as error:
         raise InputError(f"cannot write {folder}: {error.strerror}; name another folder") from None
     say(f"{folder / 'ca'}: the authority; keep it where nobody else is, it is needed by no machine that runs")

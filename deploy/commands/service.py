@@ -82,7 +82,7 @@ def _made(arguments: argparse.Namespace, manager: "Manager") -> "Mapping[str, st
     if chosen.scenario:
         chosen = replace(chosen, bus_port=process_table.BUS_PORT)
     gated = gate_of(arguments, rows, process_table.ROUTER_ENDPOINT)
-    router = process_table.router_command(gated.own, gated.words())
+    router = process_table.router_command(gated.own, gated.words(), arguments.role, rows)
     endpoints = Endpoints((gated.own,), namespace=arguments.namespace)
     processes = process_table.commands(rows, chosen, endpoints, extra, elsewhere=arguments.role == "offboard")
     return units.units(router, processes, manager)

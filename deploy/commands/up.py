@@ -1,72 +1,57 @@
 """`sextant up`: the processes of a role, until Ctrl-C."""
 
 import argparse
-import difflib
-import os
 import re
-import socket
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, INTERRUPTED, InputError, asked_robot, complain, say
+from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, asked_robot, complain, say
 
 if TYPE_CHECKING:
-    import contextlib
-
     from deploy.gate import Gate
-    from deploy.launcher import Launcher
     from deploy.process_table import Choices, Process
 
 
 def up(arguments: argparse.Namespace) -> int:
     """`sextant up`: the processes of a role until Ctrl-C."""
-    import contextlib
-
     from deploy import process_table
+    from deploy.half import Half
     from deploy.interrupts import Interrupts
-    from deploy.launcher import Launcher
-    from deploy.meeting import Meeting
-    from deploy.provenance import version
-    from shared.transport import Endpoints, ZenohLink
 
     rows, chosen, extra = asked(arguments)
+    if arguments.print_zenoh:
+        return _print_zenoh(gate_of(arguments, rows, process_table.ROUTER_ENDPOINT))
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
         _see_servo_port(extra.get("actuator", ()))
-    if any(row.name == "console" for row in rows):
+    paged = any(row.name == "console" for row in rows)
+    if paged:
         chosen = replace(chosen, console_port=_page_port(chosen.console_port, extra.get("console", ())))
     process_table.new_robot(chosen)
-    with contextlib.ExitStack() as stack:
-        interrupts = stack.enter_context(Interrupts())
+    with Interrupts() as interrupts:
         gated = gate_of(arguments, rows, _usual(arguments))
-        router = _host(gated, stack)
-        endpoints = Endpoints((gated.own,), namespace=arguments.namespace)
-        chained = f", chained to {', '.join(gated.upstream)}" if gated.upstream else ""
-        joined = f"--connect {gated.listen[-1]} --namespace {arguments.namespace}{' --keys DIR' if gated.keys else ''}"
-        say(f"router on {', '.join(gated.listen)}{chained}; others join with {joined}")
-        commands = process_table.commands(rows, chosen, endpoints, extra, elsewhere=arguments.role == "offboard")
-        link = stack.enter_context(ZenohLink(endpoints))
-        names, machine = [row.name for row in rows], f"{socket.gethostname()}-{os.getpid()}"
-        meeting = Meeting(link, machine, arguments.role, version(), names, time.monotonic_ns, complain)
-        launcher = stack.enter_context(Launcher(commands, hear=_pass_on))
-        say(f"starting {', '.join(names)}; Ctrl-C ends them")
-        if any(row.name == "console" for row in rows):
-            say(f"the operator's page: http://127.0.0.1:{chosen.console_port}/")
-        while not interrupts.asked():
-            meeting.beat()
-            if meeting.refused:
-                complain(f"sextant up: {meeting.refused}")
-                return FAILED
-            for ended in (*launcher.wait(0.2), *(router.poll() if router is not None else ())):
-                complain(str(ended))
-                if not ended.restarted:
-                    complain("stopping the others; `sextant doctor` checks what a process needs")
+        with Half(arguments.role, rows, chosen, extra, gated, complain) as half:
+            say(half.where())
+            say(f"starting {', '.join(half.names)}; Ctrl-C ends them")
+            if paged:
+                say(f"the operator's page: http://127.0.0.1:{chosen.console_port}/")
+            while not interrupts.asked():
+                if problem := half.beat(0.2):
+                    complain(f"sextant up: {problem}")
                     return FAILED
-        for name in launcher.stop(interrupts.insisted):
-            complain(f"{name} did not end when asked and was killed")
+            half.stop(interrupts.insisted)
     return INTERRUPTED
+
+
+def _print_zenoh(gated: "Gate") -> int:
+    """Show what the router of this machine would be configured with."""
+    import json
+
+    from shared.transport import Router
+
+    say(json.dumps(Router(gated.listen, gated.upstream, gated.configuration()).configuration, indent=2))
+    return SUCCESS
 
 
 def asked(arguments: argparse.Namespace) -> "tuple[tuple[Process, ...], Choices, dict[str, tuple[str, ...]]]":
@@ -119,27 +104,6 @@ def _usual(arguments: argparse.Namespace) -> str:
     return f"tcp/127.0.0.1:{free_port()}"  # beside another machine's half, on one machine
 
 
-def _host(gated: "Gate", stack: "contextlib.ExitStack") -> "Launcher | None":
-    """Host the router: in this process, or where somebody may be refused in one of its own, which hears whom.
-
-    Raises:
-        TransportError: It did not come up.
-    """
-    from deploy import process_table
-    from deploy.launcher import Launcher, port_taken
-    from shared.transport import Router, TransportError
-
-    if not gated.guarded:
-        stack.enter_context(Router(gated.listen, gated.upstream))
-        return None
-    launcher = stack.enter_context(Launcher((process_table.router_command(gated.own, gated.words()),), hear=_pass_on))
-    while not port_taken(int(gated.own.rpartition(":")[2])):
-        for ended in launcher.wait(0.05):
-            if not ended.restarted:
-                raise TransportError(f"the router did not come up: {ended}")
-    return launcher
-
-
 def _choices(arguments: argparse.Namespace) -> "Choices":
     from deploy.launcher import free_port
     from deploy.process_table import Choices, choices
@@ -176,22 +140,12 @@ def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
 
 
 def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, tuple[str, ...]]:
-    names = [row.name for row in rows]
-    extra: dict[str, tuple[str, ...]] = {}
-    for text in assignments:
-        service, dot, rest = text.partition(".")
-        if not dot or "=" not in rest:
-            raise InputError(f"--set: SERVICE.KEY=VALUE expected, found {text!r}; for example actuator.port=/dev/ttyUSB0")
-        if service not in names:
-            near = difflib.get_close_matches(service, names, n=1)
-            raise InputError(
-                f"--set: no service {service!r} is started; {f'did you mean {near[0]!r}?' if near else ', '.join(names)}"
-            )
-        extra[service] = (*extra.get(service, ()), rest)
-    port = tuple(rest for rest in extra.get("actuator", ()) if re.match(r"port\s*=", rest))
-    if port and "stop" in names:  # it watches over the same servos
-        extra["stop"] = (*port, *extra.get("stop", ()))
-    return extra
+    from deploy.process_table import further_settings
+
+    try:
+        return further_settings(assignments, rows)
+    except ValueError as error:
+        raise InputError(f"--set: {error}") from None
 
 
 def _page_port(usual: int, settings: Sequence[str]) -> int:

@@ -14,7 +14,7 @@ from shared.bus_fault import BusFault
 class Away:
     """A process is away: killed, a new one comes back; or stopped, the same one goes on, but where it is found to hang."""
 
-    service: Literal["planner", "actuator", "perception", "mapper", "operator", "router"]
+    service: Literal["planner", "actuator", "stop", "perception", "mapper", "operator", "router"]
     kill: bool
     for_s: float  # live, who is killed is back as soon as it can be, and is killed again and again for so long
     after_s: float = 0.0  # of the fault's beginning
@@ -222,11 +222,15 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
     ("planner-crashing", "the planner is killed, and its successors are, for 2 s", (Away("planner", True, _OUT_S),), _STOPS),
     ("planner-stopped", "the planner is stopped for 2 s", (Away("planner", False, _OUT_S),), _STOPS),
     ("perception-killed", "perception is killed", (Away("perception", True, 0.0),), _GOES_ON),
+    ("perception-stopped", "perception is stopped for 2 s", (Away("perception", False, _OUT_S),), _GOES_ON),
     ("mapper-killed", "the mapper is killed", (Away("mapper", True, 0.0),), Limits(margin_m=0.010)),
     ("mapper-stopped", "the mapper is stopped for 3 s", (Away("mapper", False, 3.0),), _GOES_ON),
     ("operator-killed", "the operator's side is killed", (Away("operator", True, 0.0),), Limits(margin_m=0.010)),
     ("operator-crashing", "the operator's side is killed again and again for 5 s", (Away("operator", True, 5.0),), _GOES_ON),
     ("router-killed", "the router is killed", (Away("router", True, 0.0),), Limits(again_s=8.0)),
+    ("router-stopped", "the router is stopped for 2 s", (Away("router", False, _OUT_S),), Limits(margin_m=0.010, again_s=8.0)),
+    ("stop-killed", "the stop path is killed", (Away("stop", True, 0.0),), _CALM),
+    ("stop-stopped", "the stop path is stopped for 3 s", (Away("stop", False, 3.0),), _CALM),
     ("actuator-killed", "the actuator is killed", (Away("actuator", True, 0.0),), Limits(decided_s=1.5, jump_deg=2.0)),
     (
         "actuator-stopped",

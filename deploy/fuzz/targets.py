@@ -15,7 +15,7 @@ from deploy.ros2.bridge import TWIST, TWIST_STAMPED, read_twist
 from services.console import requests
 from services.console.config import Settings
 from services.console.connection import SOCKET, Connection
-from services.console.door import PROTOCOL, Door
+from services.console.door import PROTOCOL, Door, Porter
 from services.console.pages import Page
 from shared import bridge, codec, framing, topics
 from shared import dynamixel as dxl
@@ -191,7 +191,7 @@ def _take_request(data: bytes) -> bool:
 class _Host:
     """Has no pages, and hears what they ask for."""
 
-    door = Door(Settings())
+    door, porter = Door(Settings()), Porter()
     files: dict[str, bytes] = {"index.html": b"<!doctype html>"}  # noqa: RUF012 - as its protocol has it
 
     def __init__(self) -> None:
@@ -206,7 +206,7 @@ class _Host:
     def pages_open(self) -> int:
         return 0
 
-    def arrived(self, connection: Connection) -> Page:
+    def arrived(self, connection: Connection, glances: bool) -> Page:
         return Page(0)
 
     def hear(self, page: Page, text: str) -> None:
@@ -231,6 +231,9 @@ class _Still(asyncio.AbstractEventLoop):
 
     def get_debug(self) -> bool:
         return False
+
+    def time(self) -> float:
+        return 0.0
 
     def call_later(self, delay: float, callback: Any, *args: Any, context: Any = None) -> asyncio.TimerHandle:  # type: ignore[override]
         return asyncio.TimerHandle(delay, callback, args, self, context)

@@ -33,3 +33,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         config.verify(self)
+
+    def url(self, port: int) -> str:
+        """Where a browser finds the page that is served on a port."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{host}:{port}/" + (f"#{self.token}" if self.token else "")

@@ -16,7 +16,7 @@ from websockets.http11 import Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
-from services.console.door import PROTOCOL, Door
+from services.console.door import PROTOCOL, Door, Porter
 from services.console.files import HEADERS, headers_of
 from services.console.pages import Page
 from services.console.requests import MAX_BYTES
@@ -24,6 +24,7 @@ from services.console.requests import MAX_BYTES
 log = logging.getLogger(__name__)
 
 SOCKET = "/socket"
+GLANCE = "glance"  # behind it, of a page that only wants to know how the robot fares
 _PATIENCE_S = 5.0  # for a request
 _SENDING_S = 30.0  # for a file to be taken
 _PING_S = 5.0  # between two; one that is not answered until the next ends the connection
@@ -35,6 +36,7 @@ class Host(Protocol):
     """Who has the pages."""
 
     door: Door
+    porter: Porter
     files: dict[str, bytes]
 
     def opened(self, connection: "Connection") -> None:
@@ -49,8 +51,8 @@ class Host(Protocol):
         """How many."""
         ...
 
-    def arrived(self, connection: "Connection") -> Page:
-        """A page has connected."""
+    def arrived(self, connection: "Connection", glances: bool) -> Page:
+        """A page has connected, to see all there is or only how the robot fares."""
         ...
 
     def left(self, page: Page) -> None:
@@ -148,7 +150,7 @@ class Connection(asyncio.Protocol):
         self._wire.send_response(response)
         self._timer.cancel()
         if response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
-            self._page = self._host.arrived(self)
+            self._page = self._host.arrived(self, request.path.partition("?")[2] == GLANCE)
             self._timer = self._loop.call_later(_PING_S, self._ping)
         else:
             self._timer = self._loop.call_later(_SENDING_S, self._transport.abort)
@@ -164,7 +166,8 @@ class Connection(asyncio.Protocol):
         offered = [word.strip() for words in request.headers.get_all("Sec-WebSocket-Protocol") for word in words.split(",")]
         refusal = self._host.door.refusal(headers, offered, self._host.pages_open())
         if refusal:
-            log.warning("a page was refused: %s", refusal)
+            if words := self._host.porter.words(refusal, self._loop.time()):
+                log.warning("%s", words)
             return self._wire.reject(HTTPStatus.FORBIDDEN, refusal)
         return self._wire.accept(request)
 

@@ -1,7 +1,7 @@
 """What the operators at their pages have asked for, and the messages that follow from it. Pure: time comes in.
 
-Several pages may look on, one at a time leads. Each sits at a seat, and orders as the holder `console N`, so that the lease
-says who leads. Nothing moves but while a press of the pad is being repeated, or to a goal whose page is still there:
+Several pages may look on, one at a time leads. Each sits at a seat, and orders as the holder `console N at PLACE`, so that the
+lease says who leads. Nothing moves but while a press of the pad is being repeated, or to a goal whose page is still there:
 a press that was let go, or was silent for longer than the dead-man allows, has lapsed for good, whatever comes in later.
 """
 
@@ -23,7 +23,6 @@ _ZERO_NS = 300_000_000  # [ns] for which a pad that was let go says so
 _GOAL_NS = 200_000_000  # [ns] between two messages of a goal
 _TOLERANCE = 0.05  # [m] from a goal
 _LED = (Mode.HOLD, Mode.WALK)  # modes in which the robot can be led
-_LOOKS_ON = "console"  # who gives an order without a seat
 
 
 @dataclass(slots=True)
@@ -32,15 +31,12 @@ class _Page:
 
     seat: int  # 0: it looks on
     name: str
+    holder: str  # as which it orders, unlike any other page's that leads, of whatever console
     heard_ns: int
     lapsed: int = -1  # newest press of its pad that is over
     told: int = -1  # newest of those that this has been said of
     order: ModeCommand | None = None  # its newest
     said_ns: int = 0  # when that was last said
-
-    @property
-    def holder(self) -> str:
-        return f"{_LOOKS_ON} {self.seat}" if self.seat else _LOOKS_ON
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +67,14 @@ class _Errand:
 class Desk:
     """Takes requests of pages, and says what goes out; one call of `beat` every few hundredths of a second."""
 
-    def __init__(self, max_speed: float):
-        """Nobody is there yet; `max_speed` [m/s] is the robot's."""
-        self._max_speed = max_speed
+    def __init__(self, max_speed: float, place: str):
+        """Nobody is there yet.
+
+        Args:
+            max_speed: [m/s] of the robot.
+            place: Where this is, unlike that of any other console of the robot.
+        """
+        self._max_speed, self._place = max_speed, place
         self._pages: dict[int, _Page] = {}
         self._state: ActuatorState | None = None
         self._press: _Press | None = None
@@ -87,11 +88,12 @@ class Desk:
 
     # ------------------------------------------------------------------------------------------------- pages come and go
 
-    def arrive(self, page: int, now_ns: int) -> int:
-        """Give a page a seat; 0 where all are taken."""
+    def arrive(self, page: int, now_ns: int, leads: bool = True) -> int:
+        """Give a page a seat; 0 where all are taken, or where it is not here to lead."""
         taken = {other.seat for other in self._pages.values()}
-        seat = next((n for n in range(1, SEATS + 1) if n not in taken), 0)
-        self._pages[page] = _Page(seat, f"page {seat}" if seat else "looking on", now_ns)
+        seat = next((n for n in range(1, SEATS + 1) if n not in taken), 0) if leads else 0
+        name, holder = (f"page {seat}", f"console {seat}") if seat else ("looking on", "console")
+        self._pages[page] = _Page(seat, name, f"{holder} at {self._place}", now_ns)
         return seat
 
     def leave(self, page: int, now_ns: int) -> None:
@@ -199,7 +201,7 @@ class Desk:
 
     def _led_by_another(self, sender: _Page) -> str:
         if not sender.seat:
-            return f"{SEATS} pages lead already; this one looks on, and may stop"
+            return f"this page looks on, and may stop; no more than {SEATS} lead"
         if self._state is None:
             return "no word from the actuator yet; is it up?"
         lease = self._state.lease

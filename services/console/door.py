@@ -1,6 +1,7 @@
 """Who may come in: a browser on this machine may have pages of other sites open, too. Pure."""
 
 import hmac
+import math
 from collections.abc import Mapping, Sequence
 from urllib.parse import urlsplit
 
@@ -9,6 +10,7 @@ from services.console.config import Settings
 
 PROTOCOL = f"sextant.{view.PROTOCOL}"
 MOST_PAGES = 32
+_SAID_EVERY_S = 1.0
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")
 _TOKEN = "token."  # before it, among the protocols that a page offers
 
@@ -47,6 +49,23 @@ class Door:
         if pages >= MOST_PAGES:
             return f"{MOST_PAGES} pages are open already; close one"
         return ""
+
+
+class Porter:
+    """Says who was refused, for the log: at most once a second, for whoever is refused comes again."""
+
+    def __init__(self) -> None:
+        """Nobody has come yet."""
+        self._next_s, self._left_out = -math.inf, 0
+
+    def words(self, refusal: str, now_s: float) -> str:
+        """What to say of a refusal at a time [s], by any clock that only goes on; nothing so soon after the last."""
+        if now_s < self._next_s:
+            self._left_out += 1
+            return ""
+        more = f" (and {self._left_out} more since the last that was said)" if self._left_out else ""
+        self._next_s, self._left_out = now_s + _SAID_EVERY_S, 0
+        return f"a page was refused: {refusal}{more}"
 
 
 def _site(origin: str) -> str:

@@ -7,7 +7,7 @@ once the page has drawn the one before. Everything in here belongs to one thread
 from collections import deque
 from collections.abc import Sequence
 
-_SLOTS = ("hello", "state", "health", "passage", "refused")  # in the order in which they are sent
+_SLOTS = ("hello", "state", "glance", "health", "passage", "refused")  # in the order in which they are sent
 _FRAMES = ("map", "picture")
 _LINES = 64  # of the log that may wait: texts of entries, the oldest go
 

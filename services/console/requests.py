@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal, TypeAlias, get_args
 
 MAX_BYTES = 4096  # of one request
@@ -109,6 +110,7 @@ class Name:
 Request: TypeAlias = Drive | Release | Command | TakeOver | GoTo | GiveUp | Watch | Seen | Here | Record | Name
 
 
+@lru_cache(maxsize=64)  # a pad that is held says the same again and again
 def parse(text: str) -> Request:
     """What a page has asked for.
 

@@ -16,7 +16,7 @@ from services.console import view
 from services.console.config import Settings
 from services.console.connection import Connection
 from services.console.desk import DEAD_MAN_NS
-from services.console.door import Door
+from services.console.door import Door, Porter
 from services.console.files import page_files
 from services.console.pages import Page
 from services.console.requests import Drive, Here, Request, RequestError, Seen, parse
@@ -32,7 +32,7 @@ class Event:
     """Something that came from a page."""
 
     page: int
-    what: Request | Literal["arrived", "left"]
+    what: Request | Literal["arrived", "glances", "left"]
     at_ns: int  # when it came
 
 
@@ -49,7 +49,8 @@ class PageServer:
         Raises:
             OSError: The address cannot be listened on.
         """
-        self.door, self.files = Door(settings), page_files()
+        self.door, self.porter = Door(settings), Porter()
+        self.files = {**page_files(), "robots.json": b'{"robots":[],"here":""}'}
         self._settings, self._clock = settings, clock
         self._connections: dict[int, tuple[Page, Connection]] = {}  # of pages, by their numbers
         self._open: set[Connection] = set()  # of these and of others
@@ -70,8 +71,7 @@ class PageServer:
     @property
     def url(self) -> str:
         """Where a browser finds the page."""
-        host = f"[{self._settings.host}]" if ":" in self._settings.host else self._settings.host
-        return f"http://{host}:{self.port}/" + (f"#{self._settings.token}" if self._settings.token else "")
+        return self._settings.url(self.port)
 
     def __enter__(self) -> Self:
         self._server = self._loop.run_until_complete(self._loop.create_server(lambda: Connection(self), sock=self._socket))
@@ -144,12 +144,12 @@ class PageServer:
         """How many pages there are."""
         return len(self._connections)
 
-    def arrived(self, connection: Connection) -> Page:
-        """A page has connected."""
+    def arrived(self, connection: Connection, glances: bool) -> Page:
+        """A page has connected, to see all there is or only how the robot fares."""
         self._count += 1
         page = Page(self._count)
         self._connections[page.number] = page, connection
-        self._tell(page, "arrived")
+        self._tell(page, "glances" if glances else "arrived")
         return page
 
     def left(self, page: Page) -> None:
@@ -171,7 +171,7 @@ class PageServer:
         else:
             self._tell(page, request)
 
-    def _tell(self, page: Page, what: Request | Literal["arrived", "left"]) -> None:
+    def _tell(self, page: Page, what: Request | Literal["arrived", "glances", "left"]) -> None:
         self._events.append(Event(page.number, what, self._clock()))
         again = False  # it is a press that goes on, which the next beat sees to
         if isinstance(what, Drive):

@@ -1,6 +1,7 @@
 """The console: what the services say, shown to the pages that are open; what operators ask for, passed on."""
 
 from collections.abc import Callable, Iterator
+from socket import gethostname
 from types import TracebackType
 from typing import Any, Self
 
@@ -60,15 +61,16 @@ class Console:
         self.server = PageServer(settings, clock)
         self.paced_by = Every(round(1e9 / _BEAT_HZ), self.server.wait, fetches=True)
         self._profile, self._settings = profile, settings
-        self._desk = Desk(profile.stance.max_speed)
+        self._desk = Desk(profile.stance.max_speed, f"{gethostname()}:{self.server.port}")
         self._diary = Diary()
         self._clerk = Clerk(self._diary)
         self._watched: dict[int, Watch] = {}  # by page
+        self._glancing: set[int] = set()  # pages that are told only how the robot fares
         self._view_due_ns = self._told_ns = 0  # when pages are told of the robot next, and were last told of the services
         self._legs: ActuatorState | None = None
         self._status: PlannerStatus | None = None
         self._health: dict[str, tuple[Health, int]] = {}
-        self._told = ""  # the last state
+        self._told = self._glanced = ""  # the last state, and the last glance
         self._logged = 0  # entries of the diary that were sent
         self._news_due_ns = self._map_due_ns = 0
         self._camera: CameraState | None = None
@@ -84,7 +86,7 @@ class Console:
 
     def doing(self) -> str:
         """Where the page is, and who looks at it."""
-        return f"serving {self.server.url.partition('#')[0]} to {len(self._watched)} pages"
+        return f"serving {self.server.url.partition('#')[0]} to {len(self._watched) + len(self._glancing)} pages"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Pass on what was asked for; every few beats show what is new."""
@@ -120,9 +122,14 @@ class Console:
         match what:
             case "arrived":
                 self._welcome(page, now)
+            case "glances":
+                self._desk.arrive(page, now, leads=False)
+                self._glancing.add(page)
+                self._glanced = ""  # to all that are there
             case "left":
                 self._desk.leave(page, now)
                 self._watched.pop(page, None)
+                self._glancing.discard(page)
             case Watch():
                 self._watch(page, what)
             case _:
@@ -176,6 +183,11 @@ class Console:
             self._news_due_ns = now + _NEWS_NS
             self._hear_news(now, inbox)
         self._tell_log(now)
+        if self._glancing:
+            glance = view.text(view.glance(self._profile.name, self._desk, legs, status, view.silent(self._health, now)))
+            if glance != self._glanced:
+                self._glanced = glance
+                self.server.post("glance", glance, self._glancing)
         if not self._watched:
             return
         with self.stages("state"):

@@ -15,6 +15,7 @@ from shared.messages import ActuatorState, BodyPose, CameraState, Health, Passag
 from shared.robot import JOINTS, LEGS, RobotProfile
 
 PROTOCOL = 1
+_SILENT_S = 3.0  # without a word, after which something is wrong with a service
 
 
 def hello(profile: RobotProfile, settings: Settings, seat: int) -> dict[str, Any]:
@@ -132,6 +133,28 @@ def passage(plan: PassagePlan) -> dict[str, Any]:
         "footholds": _rounded(plan.footholds[feet].ravel()),
         "stopped": _rounded(plan.stopped.ravel()),
     }
+
+
+def glance(
+    robot: str, desk: Desk, legs: ActuatorState | None, status: PlannerStatus | None, silent_services: Iterable[str]
+) -> dict[str, Any]:
+    """How the robot fares, for who looks at several at once."""
+    return {
+        "type": "glance",
+        "robot": robot,
+        "mode": None if legs is None else legs.mode,
+        "reason": "no word from the actuator" if legs is None else legs.reason,
+        "leader": "" if legs is None else next((s.name for s in desk.seats if s.leads), legs.lease),
+        "voltage": None if legs is None else _known(legs.voltage),
+        "temperature": None if legs is None else _known(legs.temperature),
+        "planner": "" if status is None else f"{status.state}: {status.reason}",
+        "silent": list(silent_services),
+    }
+
+
+def silent(services: Mapping[str, tuple[Health, int]], now_ns: int) -> list[str]:
+    """Services that have not said for a while that they are well."""
+    return sorted(name for name, (_, at_ns) in services.items() if now_ns - at_ns > _SILENT_S * 1e9)
 
 
 def health(services: Mapping[str, tuple[Health, int]], now_ns: int) -> dict[str, Any]:

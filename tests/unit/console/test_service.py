@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from socket import gethostname
 from typing import Any
 
 import numpy as np
@@ -68,9 +69,9 @@ class Rig:
         with self.serving.turn:
             return list(self.console.step(Tick(self.now), self.inbox))
 
-    def page(self) -> "Browser":
+    def page(self, query: str = "") -> "Browser":
         words: Any = [PROTOCOL]
-        url = f"ws://127.0.0.1:{self.console.server.port}/socket"
+        url = f"ws://127.0.0.1:{self.console.server.port}/socket{query}"
         return Browser(self, self.pages.enter_context(connect(url, subprotocols=words, compression=None)))
 
 
@@ -195,7 +196,8 @@ def test_pictures_go_to_those_that_want_them(rig: Rig) -> None:
 
 def test_what_is_pressed_goes_out_and_what_is_refused_is_told(rig: Rig) -> None:
     page, other = rig.page(), rig.page()
-    rig.legs(lease="console 1")
+    place = f"{gethostname()}:{rig.console.server.port}"  # unlike that of another machine's console, which has a page 1, too
+    rig.legs(lease=f"console 1 at {place}")
     page.until("state", lambda told: len(told["seats"]) == 2)
     drive = {
         "press": 1,
@@ -211,12 +213,12 @@ def test_what_is_pressed_goes_out_and_what_is_refused_is_told(rig: Rig) -> None:
     limit = time.monotonic() + PATIENCE_S
     while not any(isinstance(m, VelocityCommand) for m in sent):
         assert time.monotonic() < limit
-        rig.legs(lease="console 1")
+        rig.legs(lease=f"console 1 at {place}")
         page.ask("drive", **drive)
         threading.Event().wait(0.005)
         sent += rig.beat(45.0)
     assert next(m.mode for m in sent if isinstance(m, ModeCommand)) == "walk"
-    rig.legs(lease="console 1")
+    rig.legs(lease=f"console 1 at {place}")
     other.ask("drive", **drive)
     assert "take over first" in other.until("refused")["words"] or "holds the pad" in other.told["refused"]["words"]
     other.ask("order", order="off")
@@ -225,7 +227,7 @@ def test_what_is_pressed_goes_out_and_what_is_refused_is_told(rig: Rig) -> None:
         assert time.monotonic() < limit
         sent += rig.beat()
     off = next(m for m in sent if isinstance(m, StopOrder) and m.mode == "off")
-    assert off.holder == "console 2", "by the key of those who may not lead, too"
+    assert off.holder == f"console 2 at {place}", "by the key of those who may not lead, too"
     page.close()
     other.close()
 
@@ -254,6 +256,44 @@ def test_who_is_there_is_told_and_who_goes_is_no_more(rig: Rig) -> None:
     other.close()
     page.until("state", lambda told: len(told["seats"]) == 1)
     assert rig.console.doing().endswith("to 1 pages")
+
+
+def test_who_glances_is_told_how_the_robot_fares_and_no_more(rig: Rig) -> None:
+    rig.legs(mode=Mode.WALK, reason="walking", lease="bench", voltage=10.84)
+    glance = rig.page("?glance")
+    rig.hear(Health(rig.now, "mapper", "mapping", 0, 0, 0, "", (), np.zeros(0), np.zeros(0)))
+    told = glance.until("glance", lambda found: found["mode"] == "walk")
+    assert told == {
+        "type": "glance",
+        "robot": PROFILE.name,
+        "mode": "walk",
+        "reason": "walking",
+        "leader": "bench",
+        "voltage": 10.8,
+        "temperature": 30.0,
+        "planner": "",
+        "silent": [],
+    }
+    rig.hear(terrain())
+    silent = glance.until("glance", lambda found: found["silent"])
+    assert silent["silent"] == ["mapper"]
+    assert (silent["mode"], silent["reason"]) == (None, "no word from the actuator")
+    assert set(glance.told) == {"glance"}
+    assert glance.frames == {}
+    page = rig.page()
+    assert [seat["seat"] for seat in page.until("state")["seats"]] == [0, 1], "who glances has no seat to lead from"
+    # It may stop, and nothing else.
+    rig.legs()
+    rig.beat()
+    glance.ask("order", order="stand")
+    assert "looks on" in glance.until("refused")["words"]
+    glance.ask("order", order="off")
+    limit = time.monotonic() + PATIENCE_S
+    said: list[Message] = []
+    while not any(isinstance(one, StopOrder) and one.mode == "off" for one in said):
+        assert time.monotonic() < limit
+        said += rig.beat()
+    glance.close()
 
 
 def test_each_page_is_told_each_line_of_the_log_once(rig: Rig) -> None:

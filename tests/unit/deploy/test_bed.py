@@ -1,6 +1,7 @@
 """Two machines on one: the radio between them, and what is made of what the robot said."""
 
 import contextlib
+import socket
 import subprocess
 import sys
 
@@ -9,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.bed.air import QUEUE_BYTES, Way
-from deploy.bed.bed import Bed
+from deploy.bed.bed import PORT, Namespaces, OneMachine, two_machines
 from deploy.bed.cuts import judge
 from deploy.bed.ear import Heard
 from deploy.bed.namespace import BedError
+from deploy.bed.stream import AGAIN_NS, SEGMENT, Air, Stream
 from shared.messages import Mode
 from shared.scenario import Link
 
@@ -74,6 +76,67 @@ def test_nothing_comes_through_a_cut_neither_what_is_under_way_nor_what_is_sent(
     assert way.dropped == 2
     way.send(b"later", _SEC)
     assert way.arrived(_FOREVER) == [b"later"]
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 50), st.integers(0, 5000)), max_size=40),
+    st.floats(0, 200),
+    st.floats(0.1, 100),
+    st.floats(0, 0.5),
+    st.integers(0, 3),
+)
+def test_a_stream_comes_whole_and_in_its_order_whatever_is_lost_and_never_before_rate_and_delay_allow(
+    sent: list[tuple[int, int]], delay_ms: float, mbit: float, loss: float, seed: int
+) -> None:
+    air = Air(Link(delay_ms, mbit, loss), seed)
+    stream, now_ns, out, said = Stream(air), 0, 0, b""
+    first_ns: list[int] = []  # before which a byte cannot be there
+    for number, (after_ms, size) in enumerate(sent):
+        now_ns += after_ms * _MS
+        stream.send(bytes([number]) * size, now_ns)
+        said += bytes([number]) * size
+        first_ns += [now_ns + round(delay_ms * 1e6)] * size
+    assert stream.waiting == len(said)
+    there = b""
+    while (due_ns := stream.due_ns) is not None:
+        assert stream.arrived(due_ns - 1) == b""
+        data = stream.arrived(due_ns)
+        assert data
+        out += len(data)
+        assert due_ns >= first_ns[len(there) + len(data) - 1]
+        there += data
+        assert due_ns >= out * 8e3 / mbit
+    assert there == said
+    assert stream.waiting == 0
+    assert air.carried == len(said)
+    assert air.packets == sum(-(-size // SEGMENT) for _, size in sent)
+
+
+def test_connections_share_the_air_and_what_is_lost_comes_later() -> None:
+    air = Air(Link(0.0, 8.0), 0)  # a byte in a microsecond
+    one, other = Stream(air), Stream(air)
+    one.send(bytes(SEGMENT), 0)
+    other.send(bytes(SEGMENT), 0)
+    assert (one.due_ns, other.due_ns) == (1_400_000, 2_800_000)
+    lossy = Stream(Air(Link(0.0, 0.0, 0.5), 1))
+    for now_ns in range(20):
+        lossy.send(b"x", now_ns)
+    early = lossy.arrived(AGAIN_NS - 1)
+    assert len(early) < 20, "what is behind a lost packet waits for it"
+    assert early + lossy.arrived(_FOREVER) == b"x" * 20
+
+
+def test_a_cut_holds_a_stream_up_and_loses_nothing_of_it() -> None:
+    air = Air(Link(10.0), 0)
+    stream = Stream(air)
+    stream.send(b"under way, ", 0)
+    air.cut()
+    stream.send(b"sent", 1)
+    assert stream.due_ns is None
+    assert stream.arrived(_FOREVER) == b""
+    air.mend(_SEC)
+    assert stream.due_ns == _SEC + AGAIN_NS
+    assert stream.arrived(_SEC + AGAIN_NS) == b"under way, sent"
 
 
 def _said(*changes: tuple[float, Mode, str, int, float]) -> list[Heard]:
@@ -142,7 +205,7 @@ def test_what_was_heard_comes_through_its_line() -> None:
 def test_two_machines_reach_each_other_through_the_radio_alone_and_are_gone_afterwards() -> None:
     with contextlib.ExitStack() as stack:
         try:
-            bed = stack.enter_context(Bed(Link(5.0, 0.0, 0.0)))
+            bed = stack.enter_context(Namespaces(Link(5.0, 0.0, 0.0)))
         except BedError as error:
             pytest.skip(str(error))
         listen = (
@@ -172,10 +235,47 @@ def test_two_machines_reach_each_other_through_the_radio_alone_and_are_gone_afte
     assert "is gone" in gone.stderr
 
 
+def test_a_relay_carries_connections_of_one_machine_as_a_radio_would() -> None:
+    with OneMachine(Link(5.0, 0.0, 0.0)) as bed:
+        listen = (
+            f"import socket; s = socket.create_server(('127.0.0.1', {PORT})); print('up', flush=True); c = s.accept()[0]; "
+            "f = c.makefile(); print(f.readline(), flush=True); c.sendall(b'heard'); print(f.read(), flush=True)"
+        )
+        with subprocess.Popen(bed.on_robot(sys.executable, "-c", listen), stdout=subprocess.PIPE, text=True) as there:
+            assert there.stdout is not None
+            assert there.stdout.readline() == "up\n"
+            host, _, port = bed.seen(PORT).rpartition(":")
+            with socket.create_connection((host, int(port)), 10.0) as speaker:
+                speaker.settimeout(0.3)
+                speaker.sendall(b"through the air\n")
+                assert there.stdout.readline() == "through the air\n"
+                assert speaker.recv(9) == b"heard"
+                there.stdout.readline()
+                bed.cut()
+                speaker.sendall(b"later")
+                speaker.shutdown(socket.SHUT_WR)
+                with pytest.raises(TimeoutError):
+                    speaker.recv(9)
+                assert bed.carried().to_robot == len("through the air\n")
+                bed.mend()
+                assert there.stdout.readline() == "later\n", "the end of it has come, too"
+                assert speaker.recv(9) == b""
+        with socket.create_connection((host, int(port)), 10.0) as speaker:
+            speaker.settimeout(10.0)
+            assert speaker.recv(9) == b"", "nobody is there"
+        assert bed.carried().from_robot == len("heard")
+
+
 def test_a_bed_that_cannot_be_made_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("deploy.bed.bed._MODULE", "deploy.bed.not_there")
+    monkeypatch.setattr(Namespaces, "_command", lambda _: ("-m", "deploy.bed.not_there"))
     with pytest.raises(BedError, match=r"no two machines here: .*not_there"):
-        Bed(Link()).__enter__()
+        Namespaces(Link()).__enter__()
+    # It is one machine then, and a report says so.
+    with two_machines(Link()) as bed:
+        assert bed.words.startswith(
+            "one machine, the connections between the halves carried by a relay (no two machines here: "
+        )
+        assert "not_there" in bed.words
 
 
 @pytest.mark.parametrize("words", [(), ("robot", "true"), ("12",)])

@@ -281,13 +281,13 @@ def test_slipping_legs_do_not_carry_the_registration_away_from_a_few_boxes() -> 
 
 
 def test_the_passage_command_leaves_its_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["bench", "passage", "--seeds", "1000:1002", "--out", str(tmp_path), "--json"]) == 0
+    assert cli.main(["bench", "passage", "--seeds", "1000:1001", "--out", str(tmp_path), "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
     assert table == json.loads((tmp_path / "passage.json").read_text(encoding="utf-8"))
     assert table["wrong"] == []
     assert {section["case"] for section in table["sections"]} == {"scenario 1", "scenario 2", "scenario 3", "strewn pillars"}
     for section in table["sections"]:
-        assert section["plans"] == 2
+        assert section["plans"] == 1
         assert section["margin_m"] >= 0.03
     expansions = {row["method"]: row for row in table["timings"] if row["stage"] == "expansion"}
     assert expansions["NumPy"]["ratio"]["median"] > 10.0

@@ -14,7 +14,6 @@ from deploy import cli
 from deploy.commands.common import out_folder
 from deploy.process_table import Command
 from deploy.report import Report
-from shared import transport
 from shared.messages import GaitName
 from shared.scenario import Scenario
 from shared.topics import TOPICS
@@ -112,7 +111,7 @@ class NoLink:
 def test_what_is_up_is_the_robot_that_is_asked_for(
     words: list[str], robot: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy import launcher
+    from deploy import half
 
     started: list[tuple[str, ...]] = []
 
@@ -121,9 +120,9 @@ def test_what_is_up_is_the_robot_that_is_asked_for(
             started.extend(command.arguments for command in commands)
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(launcher, "Launcher", Launcher)
-    monkeypatch.setattr(transport, "Router", lambda *_: contextlib.nullcontext())
-    monkeypatch.setattr(transport, "ZenohLink", lambda _: contextlib.nullcontext(NoLink()))
+    monkeypatch.setattr(half, "Launcher", Launcher)
+    monkeypatch.setattr(half, "Router", lambda *_: contextlib.nullcontext())
+    monkeypatch.setattr(half, "ZenohLink", lambda _: contextlib.nullcontext(NoLink()))
     assert cli.main(["up", "all", "--scenario", "flat", *words]) == 130
     capsys.readouterr()
     assert len(started) == 8
@@ -183,6 +182,17 @@ def test_a_run_gets_a_folder_of_its_own_or_the_one_that_is_named(tmp_path: Path,
     assert named == Path("here/there")
     assert named.is_dir()
     assert out_folder(parse(["run", "steps"]), "steps-3").parent == Path("runs")
+
+
+def test_a_folder_that_cannot_be_written_to_is_said_before_anything_is_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("os.access", lambda path, _: Path(path) != tmp_path)  # who runs this may be root
+    assert cli.main(["trials", "flat", "--seeds", "1000:1001", "--out", str(tmp_path)]) == 2
+    assert f"may not write to the folder {tmp_path}" in capsys.readouterr().err
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    assert cli.main(["trials", "flat", "--seeds", "1000:1001", "--out", str(tmp_path / "file")]) == 2
+    assert "cannot make the folder" in capsys.readouterr().err
 
 
 def report(success: bool, seed: int = 3) -> Report:

@@ -1,6 +1,8 @@
 """Who is refused at a guarded router, by real connections on loopback: of what strangers put, nothing comes through."""
 
+import contextlib
 import dataclasses
+import json
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -191,6 +193,36 @@ def test_a_machine_that_is_chained_is_held_to_its_certificate(role: str, robot: 
         assert inside.count[topics.STEP_PLAN.key] == inside.count[topics.MODE.key] == 0
 
 
+@pytest.mark.parametrize("role", ["base", "console"])
+def test_a_site_between_holds_each_to_its_role(role: str, keys: Path) -> None:
+    """Robot and base are chained to a router that neither is on; what a console may not say does not get past it."""
+    plain = {name: f"tcp/127.0.0.1:{gated.free_port()}" for name in ("robot", "site", "base")}
+    secure = f"tls/127.0.0.1:{gated.free_port()}"
+    site = Gate((plain["site"], secure), NAMESPACE, keys / "site")
+    robot = Gate((plain["robot"],), NAMESPACE, keys / "robot", upstream=(secure,))
+    base = Gate((plain["base"],), NAMESPACE, keys / role, upstream=(secure,))
+    with contextlib.ExitStack() as stack:
+        for one in (site, robot, base):
+            stack.enter_context(Router(one.listen, one.upstream, one.configuration()))
+        inside = Inside(plain["robot"], *READ)
+        stack.callback(inside.close)
+        process = stack.enter_context(ZenohLink(Endpoints((plain["base"],), namespace=NAMESPACE)))
+        heard = threading.Event()
+        process.subscribe(topics.ACTUATOR_STATE, lambda _topic, _frame: heard.set())
+        for _ in range(500):
+            inside.link.send(topics.ACTUATOR_STATE, b"state")
+            if heard.wait(0.02):
+                break
+        assert heard.is_set(), "the robot is heard at the other side"
+        if role == "base":
+            put_until(inside, process, topics.STEP_PLAN, b"plan")
+        else:
+            for number in range(N):
+                process.send(topics.STEP_PLAN, b"plan %d" % number)
+        put_until(inside, process, topics.MODE, b"mode")
+        assert (inside.count[topics.STEP_PLAN.key] > 0) is (role == "base")
+
+
 def test_what_will_not_be_heard_is_said_before_it_starts(keys: Path) -> None:
     there = Gate(("tcp/127.0.0.1:7447",), NAMESPACE, keys / "console", upstream=("tls/robot.local:7448",))
     assert there.misplaced(["console"]) == ""
@@ -253,6 +285,17 @@ def test_up_refuses_to_listen_to_anybody(capsys: pytest.CaptureFixture[str]) -> 
     assert "tcp/0.0.0.0:17447 would let anybody in" in capsys.readouterr().err
 
 
+def test_the_configuration_of_zenoh_is_printed_and_nothing_started(keys: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["up", "offboard", "--connect", "tls/robot.local:7448", "--keys", str(keys / "base"), "--namespace", NAMESPACE]
+    assert cli.main([*words, "--print-zenoh"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["mode"] == "router"
+    assert len(printed["connect"]["endpoints"]) == 2, "a link for each lane"
+    assert printed["access_control"]["default_permission"] == "deny"
+    assert printed["access_control"] == Keys.load(keys / "base").hosting(NAMESPACE)["access_control"]
+    assert zenoh.Config.from_json5(json.dumps(printed)) is not None
+
+
 def test_new_keys_are_for_their_owner_alone_and_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "keys"
     assert cli.main(["keys", "new", str(folder), "--robot-address", "hexapod.local", "--robot-address", "10.0.0.7"]) == 0
@@ -263,6 +306,6 @@ def test_new_keys_are_for_their_owner_alone_and_are_not_overwritten(tmp_path: Pa
     assert before == {file: file.read_bytes() for file in folder.rglob("*.pem")}
     assert cli.main(["keys", "show", str(folder)]) == 0
     shown = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in shown] == ["robot", "base", "console", "viewer"]
+    assert [line.split()[0] for line in shown] == ["robot", "base", "console", "viewer", "site"]
     assert all("in 365 days" in line for line in shown)
     assert cli.main(["keys", "show", str(tmp_path)]) == 2

@@ -36,7 +36,7 @@ class Robot:
         self.orders, self.velocities = [], []
         self.pose_comes = True
         self.rising = 0
-        self.blocked = ""
+        self.blocked = self.deaf = ""
 
     def hear(self, message):
         self.inbox.receive(topics.OF_TYPE[type(message)], codec.encode(message), self.now)
@@ -56,10 +56,10 @@ class Robot:
             else "blocked"
             if self.blocked
             else "stepping"
-            if self.mode is Mode.WALK
+            if self.mode is Mode.WALK and not self.deaf
             else "resting"
         )
-        self.hear(PlannerStatus(self.now, state, self.blocked, 0, 0, -1))
+        self.hear(PlannerStatus(self.now, state, self.blocked or self.deaf, 0, 0, -1))
         for made in self.operator.step(Tick(self.now), self.inbox):
             if isinstance(made, ModeCommand):
                 self.orders.append((self.now, made))
@@ -82,7 +82,7 @@ class Robot:
         self.may_walk |= order.mode == "walk"
 
     def move(self, command):
-        moving = bool(np.any(command.velocity)) and not self.blocked
+        moving = bool(np.any(command.velocity)) and not (self.blocked or self.deaf)
         if self.may_walk and self.mode in (Mode.HOLD, Mode.WALK):
             self.mode = Mode.WALK if moving else Mode.HOLD
         if self.mode is Mode.WALK:
@@ -195,6 +195,17 @@ def test_a_planner_that_goes_on_is_given_new_patience():
         robot.blocked = "no foothold" if k > 60 and k % 300 > 10 else ""
         robot.beat()
     assert "blocked" not in robot.operator.reason
+
+
+def test_it_gives_up_on_a_planner_that_does_not_hear_it():
+    robot = Robot()
+    for _ in range(60):
+        robot.beat()
+    robot.deaf = "no fresh velocity command, and no goal"
+    began = robot.now
+    robot.run()
+    assert robot.now - began == pytest.approx(10e9, abs=2 * PERIOD_NS)
+    assert "heard nothing of what is commanded here: no fresh velocity command" in robot.operator.reason
 
 
 def test_it_never_steers_blind_and_gives_up_without_a_pose():

@@ -12,7 +12,7 @@ from deploy.keys_page import _service
 from deploy.process_table import TABLE, rows
 from services.console.recording.writer import LEFT_OUT
 from shared import access, topics
-from shared.access import ROLE_NAMED, ROLES, AccessError, Keys, Role
+from shared.access import ROLE_NAMED, ROLES, SITE, AccessError, Keys, Role
 from shared.service import AnyTopic
 from shared.topics import TOPICS
 
@@ -64,8 +64,14 @@ def test_nobody_meets_the_simulator_from_another_machine_and_servos_have_no_keys
 
 
 def test_plans_come_from_where_the_planner_is_and_from_nowhere_else() -> None:
-    assert [role.name for role in ROLES if topics.STEP_PLAN in role.puts] == ["base"]
-    assert [role.name for role in ROLES if topics.MODE in role.puts] == ["base", "console"]
+    assert [role.name for role in ROLES if topics.STEP_PLAN in role.puts] == ["base", SITE], "a site passes on"
+    assert [role.name for role in ROLES if topics.MODE in role.puts] == ["base", "console", SITE]
+
+
+def test_a_site_passes_on_what_others_say_to_each_other() -> None:
+    site, ends = ROLE_NAMED[SITE], [role for role in ROLES if role.name != SITE]
+    assert set(site.puts) == {topic for role in ends for topic in role.puts}
+    assert set(site.reads) == {topic for role in ends for topic in role.reads}
 
 
 @pytest.fixture(scope="module")

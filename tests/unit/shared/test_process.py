@@ -226,6 +226,39 @@ def test_a_signal_ends_it_with_status_0_and_everything_closed() -> None:
     assert NoLink.closed == 1
 
 
+def test_it_rehearses_for_its_robot_and_settings_before_anybody_hears_of_it() -> None:
+    heard: list[Any] = []
+
+    def rehearse(profile: RobotProfile, settings: Settings) -> None:
+        heard.append((profile.name, settings, list(NoLink.opened)))
+
+    assert process.run("planner", Settings, lambda *_: Beating(end_self), [*CONNECT, "--set", "port=3"], rehearse) == 0
+    assert heard == [("phantomx_mk2", Settings(port=3), [])]
+    assert len(NoLink.opened) == 1
+
+
+def test_who_is_told_to_stop_while_it_rehearses_stops_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is being compiled cannot be told to end, and a minute is more patience than whoever started it has."""
+
+    def leave(status: int) -> None:
+        raise SystemExit(status)
+
+    monkeypatch.setattr(process.os, "_exit", leave)
+    with pytest.raises(SystemExit) as left:
+        process.run("planner", Settings, lambda *_: Beating(end_self), CONNECT, lambda *_: end_self())
+    assert left.value.code == 0
+    assert not NoLink.opened
+
+
+def test_a_rehearsal_that_takes_long_says_why(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    monkeypatch.setattr(process, "_PATIENCE_S", 0.0)
+    told = threading.Event()
+    monkeypatch.setattr(process.logging, "info", lambda words: (logging.getLogger().info(words), told.set()))
+    assert process.run("planner", Settings, lambda *_: Beating(end_self), CONNECT, lambda *_: told.wait(10.0)) == 0
+    assert "compiling the inner loops takes about a minute, the first time only" in caplog.text
+
+
 def test_a_signal_while_waiting_never_deadlocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The signal may interrupt the very lock that setting the event takes."""
 

@@ -4,17 +4,22 @@ const PROTOCOL = "sextant.1";
 const AGAIN_MS = 1000;
 
 export class Link {
-  /** @param {{text: (message: object) => void, frame: (header: object, body: DataView) => void, up: () => void, down: (why: string) => void}} hear */
-  constructor(hear) {
+  /**
+   * @param {{text: (message: object) => void, frame: (header: object, body: DataView) => void, up: () => void, down: (why: string) => void}} hear
+   * @param {string} path of the socket, seen from this page
+   */
+  constructor(hear, path = "socket") {
     this.hear = hear;
+    this.address = new URL(path, location.href);
+    this.address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
+    this.address.hash = "";
     this.socket = null;
     this.connect();
   }
 
   connect() {
     const token = location.hash.slice(1);
-    const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const socket = new WebSocket(`${scheme}://${location.host}/socket`, token ? [PROTOCOL, `token.${token}`] : [PROTOCOL]);
+    const socket = new WebSocket(this.address, token ? [PROTOCOL, `token.${token}`] : [PROTOCOL]);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => this.hear.up();
     socket.onmessage = (event) => this.take(event.data);

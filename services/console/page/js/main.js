@@ -149,3 +149,12 @@ window.addEventListener("keydown", (event) => {
 setInterval(() => document.hidden || link.ask("here"), HERE_MS);
 
 window.sextant = { view, link, pad }; // for a look with the browser's own tools, and for tests
+
+// Of several robots behind one address each has its page below its name; a console by itself knows of no others.
+const { robots, here } = await (await fetch("robots.json")).json();
+if (robots.length > 0) {
+  $("fleet").hidden = false;
+  $("all-robots").href = `../${location.hash}`; // the token goes along
+  $("robots").replaceChildren(...robots.map((name) => new Option(name, name, name === here, name === here)));
+  $("robots").onchange = () => location.assign(`../${$("robots").value}/${location.hash}`);
+}

@@ -1,13 +1,17 @@
-"""After the warm-up nothing is compiled while it should work."""
+"""After the rehearsal nothing is compiled while a passage is planned."""
 
 import sys
 
 import numpy as np
 
 from deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, stance_at, thesis_blocks
-from deploy.passage_warm_up import as_told, plan_passage
+from services.planner.config import Settings
+from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Roadmap
 from services.planner.passage.settings import PassageSettings
+from services.planner.rehearsal import rehearse
+from shared import codec
+from shared.messages import PassageMap
 from shared.robot import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
@@ -20,8 +24,18 @@ def compiled() -> int:
     return sum(len(f.signatures) for f in found.values())
 
 
+def as_told(field: Field) -> Field:
+    """The same ground as the planner comes by it, from a message."""
+    shape, origin = field.elevation.shape, np.array(field.corner)
+    nothing, none = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.bool_)
+    normals = np.zeros((*shape, 3), dtype=np.int16)
+    layers = (field.elevation, normals, nothing, none, field.evaluation)
+    told = PassageMap(0, field.resolution, origin, 0.0, *layers, 0.0, "", np.eye(4), none)
+    return Field.of(codec.decode(codec.encode(told), PassageMap)[0])
+
+
 def test_a_passage_is_planned_without_compiling_anything() -> None:
-    plan_passage("phantomx_mk2")
+    rehearse(PROFILE, Settings())
     before = compiled()
     assert before > 0
     field = as_told(field_of(heights(thesis_blocks(3, 0.8, 0.15, 0.16, 0.03, 0.26), 0.8), 0.105))

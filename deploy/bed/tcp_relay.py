@@ -1,0 +1,169 @@
+"""A radio between two processes of one machine: `python -m deploy.bed.tcp_relay --to PORT [--to PORT ...]`.
+
+Whoever connects to one of its ports is connected, through the air, to the port of this machine that stands behind it. It says
+its ports on standard output, in the order of those behind them, and takes `cut`, `mend` and `what it carried` from its standard
+input, as `deploy.bed.relay` does. When that is closed it ends.
+"""
+
+import contextlib
+import os
+import selectors
+import socket
+import sys
+import time
+from dataclasses import dataclass, field
+
+from deploy.bed import orders
+from deploy.bed.stream import QUEUE_BYTES, Air, Stream
+from shared.host import go_first
+from shared.scenario import Link
+
+HERE = "127.0.0.1"
+_BUFFER = 1 << 16  # [bytes] of the sockets: what they hold has not been sent
+_READ = 1 << 14  # [bytes] at once
+
+
+@dataclass(slots=True)
+class _Way:
+    """From one socket to another."""
+
+    source: socket.socket
+    to: socket.socket
+    stream: Stream
+    ready: bytearray = field(default_factory=bytearray)  # has arrived, and is not taken yet
+    over: bool = False  # the source says no more
+    done: bool = False  # and its other end has been told so
+
+
+class _Relay:
+    def __init__(self, link: Link, seed: int, behind: list[int]):
+        self._from_robot, self._to_robot = Air(link, seed), Air(link, seed + 1)
+        self._ways: list[_Way] = []
+        self._cut = False
+        self._listeners = {self._listener(): port for port in behind}
+
+    def ports(self) -> list[int]:
+        return [listener.getsockname()[1] for listener in self._listeners]
+
+    def run(self) -> None:
+        """Carry until standard input ends."""
+        while True:
+            with selectors.DefaultSelector() as selector:
+                self._watch(selector)
+                ready = {key.fileobj for key, _ in selector.select(self._wait_s())}
+            if sys.stdin in ready and not self._obey(os.read(sys.stdin.fileno(), 4096).decode()):
+                return
+            for listener, port in self._listeners.items():
+                if listener in ready:
+                    self._connect(listener.accept()[0], port)
+            now_ns = time.monotonic_ns()
+            for way in self._ways:
+                if way.source in ready and not way.over and way.stream.waiting < QUEUE_BYTES:
+                    self._take(way, now_ns)
+                self._give(way, now_ns)
+            self._forget()
+
+    def _watch(self, selector: selectors.BaseSelector) -> None:
+        """What may have something to say, or takes what has arrived."""
+        selector.register(sys.stdin, selectors.EVENT_READ)
+        if not self._cut:  # who comes meanwhile waits at the door
+            for listener in self._listeners:
+                selector.register(listener, selectors.EVENT_READ)
+        wanted: dict[socket.socket, int] = {}
+        for way in self._ways:
+            if not way.over and way.stream.waiting < QUEUE_BYTES:
+                wanted[way.source] = wanted.get(way.source, 0) | selectors.EVENT_READ
+            if way.ready:
+                wanted[way.to] = wanted.get(way.to, 0) | selectors.EVENT_WRITE
+        for one, events in wanted.items():
+            selector.register(one, events)
+
+    def _wait_s(self) -> float | None:
+        due = [way.stream.due_ns for way in self._ways if way.stream.due_ns is not None]
+        return max(min(due) - time.monotonic_ns(), 0) * 1e-9 if due else None
+
+    def _connect(self, near: socket.socket, port: int) -> None:
+        far = socket.socket()
+        for one in (near, far):
+            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        try:
+            far.connect((HERE, port))
+        except OSError:  # nobody is there yet
+            near.close()
+            far.close()
+            return
+        near.setblocking(False)
+        far.setblocking(False)
+        self._ways += [_Way(near, far, Stream(self._to_robot)), _Way(far, near, Stream(self._from_robot))]
+
+    def _take(self, way: _Way, now_ns: int) -> None:
+        try:
+            data = way.source.recv(_READ)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        way.over = not data
+        way.stream.send(data, now_ns)
+
+    def _give(self, way: _Way, now_ns: int) -> None:
+        way.ready += way.stream.arrived(now_ns)
+        try:
+            while way.ready:
+                del way.ready[: way.to.send(way.ready)]
+        except BlockingIOError:
+            return
+        except OSError:  # it has gone
+            way.ready.clear()
+            way.over = way.done = True
+            return
+        if way.over and not way.done and not way.stream.waiting and not self._cut:
+            way.done = True
+            with contextlib.suppress(OSError):
+                way.to.shutdown(socket.SHUT_WR)
+
+    def _forget(self) -> None:
+        """Close connections both of whose ends have said all."""
+        over = [way for way in self._ways if way.done]
+        for way in over:
+            if any(other.source is way.to and other.done for other in over):
+                way.source.close()
+        self._ways = [way for way in self._ways if way.source.fileno() >= 0 and way.to.fileno() >= 0]
+
+    def _obey(self, said: str) -> bool:
+        """Do as lines say; whether to go on."""
+        airs = (self._from_robot, self._to_robot)
+        for order in orders.read(said):
+            now_ns = time.monotonic_ns()
+            for air in airs:
+                if order == orders.CUT:
+                    air.cut()
+                elif order == orders.MEND:
+                    air.mend(now_ns)
+            self._cut = self._cut if order == orders.ASK else order == orders.CUT
+            orders.answer(now_ns, [(air.carried, air.packets, air.lost) for air in airs])
+        return bool(said)
+
+    @staticmethod
+    def _listener() -> socket.socket:
+        listener = socket.create_server((HERE, 0))
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        return listener
+
+
+def main() -> int:
+    """Carry what connections say until standard input ends."""
+    parser = orders.parser("deploy.bed.tcp_relay", __doc__)
+    parser.add_argument("--to", type=int, action="append", required=True, help="port of this machine behind one of its own")
+    arguments = parser.parse_args()
+    relay = _Relay(*orders.radio(arguments), arguments.to)
+    go_first()  # where it may: a radio waits for no program
+    orders.say(" ".join(map(str, relay.ports())))
+    relay.run()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,277 @@
+"""How many robots one base carries: recorded robots, each behind a router of its own, and a real base that hears them all."""
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from deploy.bench.played_robot import Heard
+from deploy.bench.timing import machine
+from deploy.fleet import Base, Fleet, Member, Page
+from deploy.launcher import free_port
+from deploy.lockstep_run import run_lockstep
+from deploy.progress import Progress
+from shared.scenario import load_scenario
+
+SEED = 1003
+AFTER_S = 8.0  # of the recording that are not measured: the base's processes begin when they hear the robot
+PATIENCE_S = 60.0
+_PARTS = ("mapper", "planner", "console", "recorder")
+_LOOK_S = 0.1
+_COLORS = ("#2a7f62", "#58a882", "#93c7ad", "#c5d9cf", "#2f6da8", "#c9ced3")
+# What a robot can do without. It holds when no new plan has come for 0.25 s; the planner speaks ten times a second.
+MOST_PAUSE_MS = 350.0
+MOST_PLAN_MS = 250.0
+MOST_SCAN_MS = 250.0  # from a picture until it is in the map, in 99 of 100 scans
+LEAST_TAKEN = 0.95  # of the scans
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A base with so many robots; processor times are in cores, busy all the time."""
+
+    robots: int
+    cores: dict[str, float]  # by part of the base, of all robots together
+    players: float  # cores that the recorded robots took
+    busy: float  # cores of the machine that were busy, whoever had them
+    memory_mb: float  # of the base's processes, pages that they share counted once
+    heard: tuple[Heard, ...]  # by each robot
+
+    @property
+    def limits(self) -> tuple[str, ...]:
+        """What no longer was as a robot needs it, in words."""
+        found = []
+        pause, scan = max(h.pause_max for h in self.heard), max(h.scan_p99 for h in self.heard)
+        plan = max(h.plan_p99 for h in self.heard)
+        taken = min(h.taken / max(1, h.scans) for h in self.heard)
+        if pause > MOST_PAUSE_MS:
+            found.append(f"nothing of the planner for {pause:.0f} ms")
+        if not all(h.plans for h in self.heard):
+            found.append("no plan at all")
+        elif plan > MOST_PLAN_MS:
+            found.append(f"plans {plan:.0f} ms old")
+        if scan > MOST_SCAN_MS:
+            found.append(f"scans in the map after {scan:.0f} ms")
+        if taken < LEAST_TAKEN:
+            found.append(f"{100 * taken:.0f} % of the scans taken in")
+        return tuple(found)
+
+
+def measure(course: str, most: int, progress: Progress, out: Path) -> tuple[Load, ...]:
+    """Load a base with one robot, two and so on, until it does not carry them.
+
+    Args:
+        course: That is walked once in lockstep, and played by every robot.
+        most: Robots at most.
+        progress: Where to show it.
+        out: Folder for the recording.
+
+    Raises:
+        TimeoutError: The base did not come up.
+    """
+    recording = out / "walk" / "recording.mcap"
+    recording.parent.mkdir()
+    run_lockstep(load_scenario(course), SEED, recording.parent, progress)
+    found: list[Load] = []
+    for robots in range(1, most + 1):
+        found.append(_loaded(robots, recording, progress.say))
+        progress.say(f"{robots} robots: {', '.join(found[-1].limits) or 'carried'}")
+        if found[-1].limits:
+            break
+    return tuple(found)
+
+
+def _loaded(robots: int, recording: Path, say: Callable[[str], object]) -> Load:
+    names = [f"robot-{n + 1}" for n in range(robots)]
+    waiting: set[str] = set()
+
+    def hear(words: str) -> None:
+        if "waiting for the robot" in words:
+            waiting.add(words)
+        elif " ended (" in words:
+            say(words)
+
+    with contextlib.ExitStack() as stack:
+        ports = {name: free_port() for name in names}
+        players = {name: stack.enter_context(_player(recording, ports[name], name)) for name in names}
+        members = {name: Member((f"tcp/127.0.0.1:{ports[name]}",)) for name in names}
+        before = Path.cwd()
+        os.chdir(recording.parent)
+        stack.callback(os.chdir, before)  # the recorders have their folders there
+        with Base(Fleet(members, Page(port=free_port())), False, hear) as base:
+            _beat(base, PATIENCE_S, lambda: len(waiting) == robots * len(_PARTS))
+            for player in players.values():
+                _tell(player, "begin")
+            _beat(base, AFTER_S)
+            meter = _Meter(base, players)
+            _beat(base, PATIENCE_S * 2, lambda: all(_over(player) for player in players.values()), meter.look)
+            return Load(robots, *meter.found(), tuple(Heard.of(_last_line(player)) for player in players.values()))
+
+
+@contextlib.contextmanager
+def _player(recording: Path, port: int, name: str) -> Iterator[subprocess.Popen[str]]:
+    words = ("-m", "deploy.bench.played_robot", str(recording), f"tcp/127.0.0.1:{port}", name, str(AFTER_S))
+    player = subprocess.Popen([sys.executable, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert player.stdout is not None
+        if player.stdout.readline() != "ready\n":
+            raise RuntimeError("a recorded robot did not come up; what it said is above")
+        yield player
+    finally:
+        player.kill()
+        player.communicate()
+
+
+def _tell(player: subprocess.Popen[str], word: str) -> None:
+    assert player.stdin is not None
+    player.stdin.write(f"{word}\n")
+    player.stdin.flush()
+
+
+def _over(player: subprocess.Popen[str]) -> bool:
+    return player.poll() is not None
+
+
+def _last_line(player: subprocess.Popen[str]) -> str:
+    assert player.stdout is not None
+    return player.stdout.read().strip().splitlines()[-1]
+
+
+def _beat(
+    base: Base, within_s: float, over: Callable[[], bool] = lambda: False, look: Callable[[], object] = lambda: None
+) -> None:
+    """Let it run for a time [s], or until something is over."""
+    until = time.monotonic() + within_s
+    while not over() and time.monotonic() < until:
+        if problem := base.beat(_LOOK_S):
+            raise RuntimeError(problem)
+        look()
+
+
+class _Meter:
+    """Processor time and memory of all that runs, from when it is made to the last look."""
+
+    def __init__(self, base: Base, players: dict[str, subprocess.Popen[str]]):
+        halves = [base.half(name) for name in base.running]
+        self._pids = {part: [half.pid(part) for half in halves] for part in _PARTS}
+        self._pids["routers"] = [os.getpid()]  # plain ones are in the process that starts the rest
+        self._players = [player.pid for player in players.values()]
+        self._began = self._ended = self._times()
+        self._at = self._until = time.monotonic()
+        self._memory_mb = 0.0
+
+    def look(self) -> None:
+        """Note how it stands, as long as all are there."""
+        with contextlib.suppress(OSError):
+            self._ended, self._until = self._times(), time.monotonic()
+            self._memory_mb = sum(_memory_mb(pid) for pids in self._pids.values() for pid in pids)
+
+    def found(self) -> tuple[dict[str, float], float, float, float]:
+        """Cores by part of the base, of the players, of the machine, and memory [MB]."""
+        took = {part: (self._ended[part] - self._began[part]) / (self._until - self._at) for part in self._ended}
+        return {part: took[part] for part in self._pids}, took["players"], took["all"], self._memory_mb
+
+    def _times(self) -> dict[str, float]:
+        times = {part: sum(map(_time_s, pids)) for part, pids in self._pids.items()}
+        return {**times, "players": sum(map(_time_s, self._players)), "all": _busy_s()}
+
+
+def _time_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _busy_s() -> float:
+    user, nice, system, _idle, _wait, irq, softirq, *_ = Path("/proc/stat").read_text(encoding="ascii").split()[1:]
+    return sum(map(int, (user, nice, system, irq, softirq))) / os.sysconf("SC_CLK_TCK")
+
+
+def _memory_mb(pid: int) -> float:
+    for line in Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines():
+        if line.startswith("Pss:"):
+            return int(line.split()[1]) / 1e3
+    return 0.0
+
+
+def carried(loads: Sequence[Load]) -> int:
+    """How many robots the base carried."""
+    return max((load.robots for load in loads if not load.limits), default=0)
+
+
+def in_words(loads: Sequence[Load]) -> str:
+    """The loads as a table in Markdown."""
+    heads = ("robots", *(f"{part}, cores" for part in (*_PARTS, "routers")), "robots played", "machine busy", "MB")
+    heads = (*heads, "scan in the map p50, ms", "p99, ms", "taken in", "plan's age p99, ms", "planner silent at most, ms")
+    lines = [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
+    for load in loads:
+        heard = load.heard
+        cells = [
+            str(load.robots),
+            *(f"{load.cores[part]:.2f}" for part in (*_PARTS, "routers")),
+            f"{load.players:.2f}",
+            f"{load.busy:.2f}",
+            f"{load.memory_mb:.0f}",
+            f"{max(h.scan_p50 for h in heard):.0f}",
+            f"{max(h.scan_p99 for h in heard):.0f}",
+            f"{100 * min(h.taken / max(1, h.scans) for h in heard):.0f} %",
+            f"{max(h.plan_p99 for h in heard):.0f}",
+            f"{max(h.pause_max for h in heard):.0f}",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    last = loads[-1]
+    words = f"{', '.join(last.limits)}, and {last.busy:.1f} cores of the machine are busy"
+    more = f"; with {last.robots}: {words}" if last.limits else "; more were not tried"
+    return "\n".join([*lines, "", f"This base carries {carried(loads)} robots{more}."])
+
+
+def draw(path: Path, loads: Sequence[Load]) -> None:
+    """Draw how it grows with the robots: whose processor time, and how late scans and plans become."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    robots = [load.robots for load in loads]
+    with rc_context({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False}):
+        figure = Figure(figsize=(11.0, 4.6), dpi=100, facecolor="white", layout="constrained")
+        FigureCanvasAgg(figure)
+        work, late = figure.subplots(1, 2)
+        base = [0.0] * len(loads)
+        parts = {part: [load.cores[part] for load in loads] for part in loads[0].cores}
+        parts["robots played"] = [load.players for load in loads]
+        for (part, cores), color in zip(parts.items(), _COLORS, strict=True):
+            work.bar(robots, cores, 0.65, base, color=color, label=part)
+            base = [below + more for below, more in zip(base, cores, strict=True)]
+        work.axhline(os.cpu_count() or 1, color="#b3261e", linewidth=1.2)
+        work.text(robots[0] - 0.3, (os.cpu_count() or 1) * 1.02, "all there are", color="#b3261e")
+        work.set(xlabel="robots", ylabel="cores busy", title="What the base does", xticks=robots)
+        work.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(0.0, 0.93))
+        for words, color, of in (
+            ("a scan in the map, p99", "#2a7f62", lambda h: h.scan_p99),
+            ("a plan's age, p99", "#2f6da8", lambda h: h.plan_p99),
+            ("planner silent, at most", "#c8862a", lambda h: h.pause_max),
+        ):
+            late.plot(robots, [max(map(of, load.heard)) for load in loads], "o-", color=color, label=words)
+        late.axhline(MOST_SCAN_MS, color="#b3261e", linewidth=1.2)
+        words = "a plan that is so late lets the robot stand"
+        late.text(robots[0], MOST_SCAN_MS * 1.02, words, color="#b3261e")
+        late.set(xlabel="robots", ylabel="ms, the worst robot's", title="What a robot notices", xticks=robots, ylim=(0, None))
+        late.legend(frameon=False, fontsize=9, loc="upper left")
+        figure.savefig(path)
+
+
+def to_json(loads: Sequence[Load]) -> str:
+    """The loads for scripts."""
+    found = {"machine": machine(), "carried": carried(loads), "loads": [asdict(load) for load in loads]}
+    return json.dumps(found, indent=1) + "\n"
+
+
+def from_json(text: str) -> tuple[Load, ...]:
+    """What `to_json` kept."""
+    kept: list[dict[str, Any]] = json.loads(text)["loads"]
+    return tuple(Load(**{**load, "heard": tuple(Heard(**heard) for heard in load["heard"])}) for load in kept)

@@ -1,0 +1,157 @@
+"""A recorded robot, as its base hears it: `python -m deploy.bench.played_robot RECORDING ENDPOINT NAMESPACE AFTER_S`.
+
+Hosts the robot's router, says through it what the robot said, when it said it, and times what comes back: when each scan was
+taken in, and the plans. It is the robot's clock that counts, which is this process's: nothing of the base is asked what time
+it is. As a robot does, it names the plan that it walks; that is the base's own, for the same step, so the planner goes on as
+it would with a robot that obeys it. One line of JSON at the end.
+"""
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from services.console.recording.reader import Recording
+from shared import codec, topics
+from shared.messages import ActuatorState, Message, ScanReceipt, StepPlan
+from shared.service import AnyTopic
+from shared.transport import Endpoints, Router, ZenohLink
+
+_SAYS: tuple[AnyTopic, ...] = (  # what crosses the radio from a robot, and what its operator asks for
+    topics.CAMERA_STATE,
+    topics.ACTUATOR_STATE,
+    topics.ODOMETRY,
+    topics.BODY_POSE,
+    topics.SCAN,
+    topics.HEALTH,
+    topics.GOAL,
+    topics.VELOCITY,
+    topics.MODE,
+)
+_LAST_S = 0.5  # for what is still on its way
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """What came back to one robot; times [ms]."""
+
+    scans: int  # that it sent, from the beginning of the measurement
+    taken: int  # of these, that were taken in
+    scan_p50: float  # from a picture to the receipt of its scan
+    scan_p99: float
+    plans: int
+    plan_p99: float  # age of a plan when it comes
+    pause_max: float  # longest time without a word of the planner, which speaks ten times a second
+    late_p99: float  # by which this process itself spoke too late
+
+    @classmethod
+    def of(cls, line: str) -> "Heard":
+        """As it was said by `line`."""
+        return cls(**json.loads(line))
+
+
+class Player:
+    """Speaks and listens by a clock that began when the recording did."""
+
+    def __init__(self, path: Path):
+        """Read all that will be said."""
+        self._script = [
+            (topic, message if topic is topics.ACTUATOR_STATE else _encoded(message, at_ns), message.stamp_ns, at_ns)
+            for topic, message, at_ns in Recording(path).messages(_SAYS)
+        ]
+        self._walked: dict[int, int] = {}  # stamp of the newest plan that came, by its step
+        self._receipts: list[tuple[int, int]] = []  # stamp of a scan, when its receipt came [ns]
+        self._plans: list[tuple[int, int]] = []  # stamp of a plan, when it came
+        self._words: list[int] = []  # when the planner said what it does
+        self._began_ns = 0
+
+    def now_ns(self) -> int:
+        """The robot's time."""
+        return time.monotonic_ns() - self._began_ns
+
+    def hear(self, topic: AnyTopic, frame: bytes) -> None:
+        """Note what has come."""
+        at_ns = self.now_ns()
+        if topic is topics.SCAN_RECEIPT:
+            receipt, _ = codec.decode(frame, ScanReceipt, topic.max_bytes)
+            self._receipts.append((receipt.stamp_ns, at_ns))
+        elif topic is topics.STEP_PLAN:
+            plan, _ = codec.decode(frame, StepPlan, topic.max_bytes)
+            self._plans.append((plan.stamp_ns, at_ns))
+            self._walked[plan.step] = plan.stamp_ns
+        else:
+            self._words.append(at_ns)
+
+    def play(self, link: ZenohLink, after_s: float) -> Heard:
+        """Say everything; what came back from a time [s] of the recording on."""
+        for answer in (topics.SCAN_RECEIPT, topics.STEP_PLAN, topics.PLANNER_STATUS):
+            link.subscribe(answer, self.hear)
+        first_ns = self._script[0][3]
+        self._began_ns = time.monotonic_ns() - first_ns
+        waiting, late, sent = threading.Event(), [], []
+        for topic, said, stamp_ns, at_ns in self._script:
+            if (ahead_ns := at_ns - self.now_ns()) > 0:
+                waiting.wait(ahead_ns * 1e-9)
+            late.append(self.now_ns() - at_ns)
+            link.send(topic, said if isinstance(said, bytes) else _encoded(self._obeying(said), at_ns))
+            if topic is topics.SCAN:
+                sent.append(stamp_ns)
+        waiting.wait(_LAST_S)
+        return self._heard(first_ns + round(after_s * 1e9), sent, late)
+
+    def _obeying(self, message: Message) -> Message:
+        """The state as if the plan of that step were walked which has come from this base; without one the step is over."""
+        if not isinstance(message, ActuatorState) or not message.step:
+            return message
+        if message.step not in self._walked:
+            return replace(message, phase=1.0, swing=np.zeros_like(message.swing))
+        return replace(message, plan_ns=self._walked[message.step])
+
+    def _heard(self, from_ns: int, sent: Sequence[int], late: Sequence[int]) -> Heard:
+        scans = {stamp for stamp in sent if stamp >= from_ns}
+        taken = {stamp: at for stamp, at in self._receipts if stamp in scans}
+        ways = [at - stamp for stamp, at in taken.items()]
+        plans = [(stamp, at) for stamp, at in self._plans if at >= from_ns]
+        pauses = np.diff([from_ns, *(at for at in self._words if at >= from_ns)])
+        return Heard(
+            scans=len(scans),
+            taken=len(taken),
+            scan_p50=_ms(ways, 50),
+            scan_p99=_ms(ways, 99),
+            plans=len(plans),
+            plan_p99=_ms([at - stamp for stamp, at in plans], 99),
+            pause_max=_ms(pauses, 100),
+            late_p99=_ms(late, 99),
+        )
+
+
+def _encoded(message: Message, at_ns: int) -> bytes:
+    return codec.encode(message, codec.Timing(at_ns, at_ns))
+
+
+def _ms(values: Sequence[int] | np.ndarray, percent: float) -> float:
+    return round(float(np.percentile(values, percent)) * 1e-6, 1) if len(values) else float("inf")
+
+
+def main() -> int:
+    """Play once the base has come."""
+    path, endpoint, namespace, after_s = sys.argv[1:5]
+    player = Player(Path(path))
+    with Router((endpoint,)) as router, ZenohLink(Endpoints((endpoint,), namespace=namespace)) as link:
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        sys.stdin.readline()  # the word to begin
+        if not router.chained:
+            sys.stderr.write("no base has come\n")
+            return 1
+        sys.stdout.write(json.dumps(asdict(player.play(link, float(after_s)))) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,25 @@
+"""`sextant fleet`: what a base runs of several robots, until Ctrl-C."""
+
+import argparse
+from pathlib import Path
+
+from deploy.commands.common import FAILED, INTERRUPTED, complain, say
+
+
+def fleet(arguments: argparse.Namespace) -> int:
+    """`sextant fleet`: of each robot what `sextant up offboard` runs, and one page for all of them, until Ctrl-C."""
+    from deploy.fleet import Base, load
+    from deploy.interrupts import Interrupts
+
+    asked = load(Path(arguments.file))
+    with Interrupts() as interrupts, Base(asked, arguments.open, complain) as base:
+        for name, member in asked.robots.items():
+            say(f"{name}: {base.half(name).where()}")
+            say(f"{name}: starting {', '.join(base.half(name).names)}, of {member.robot}")
+        say(f"Ctrl-C ends them; the page of all robots: {asked.page.url}")
+        while not interrupts.asked():
+            if problem := base.beat(0.2):
+                complain(f"sextant fleet: {problem}")
+                return FAILED
+        base.stop(interrupts.insisted)
+    return INTERRUPTED

@@ -1,0 +1,1 @@
+"""The lobby: one address in front of the consoles of several robots."""

@@ -1,0 +1,50 @@
+"""Perception goes through a short walk past a block, and a slip, so that all it calls is compiled before a picture comes."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.perception.config import Settings
+from services.perception.service import Perception
+from shared.geometry import Array, from_xyz_rpy
+from shared.messages import ColorImage, DepthImage, Odometry
+from shared.rehearsal import Rehearsal
+from shared.robot import Camera, RobotProfile
+
+_TICK_NS = 20_000_000  # [ns] of the odometry
+_BLOCK = np.array([[0.85, -0.25, 0.0], [1.15, 0.05, 0.06]])  # [m] {world} opposite corners
+_AWAY = 0.15  # [m] that it walks, and by which it is then carried off
+_LOOKS = 10  # used pictures from a place: enough to be settled, and to search for a place that is in doubt
+
+
+def rehearse(profile: RobotProfile, settings: Settings) -> None:
+    """Compile all that perception calls, for a robot's camera."""
+    camera = profile.camera
+    stage = Rehearsal(Perception(profile, settings))
+    frames = _LOOKS * settings.frames_per_scan(camera.sensor.rate_hz)
+    frame_ns = round(1e9 / camera.sensor.rate_hz)
+    stamp_ns = 0
+    for walked, seen_from in ((0.0, 0.0), (_AWAY, _AWAY), (_AWAY, -_AWAY)):
+        depth = _picture(camera, from_xyz_rpy((seen_from, 0.0, profile.stance.body_height), (0.0, 0.0, 0.0)))
+        rgb = np.full((*depth.shape, 3), 90, dtype=np.uint8)
+        for _ in range(frames):
+            for told_ns in range(stamp_ns, stamp_ns + frame_ns, _TICK_NS):
+                stage.hear(
+                    Odometry(told_ns, from_xyz_rpy((walked, 0.0, 0.0), (0.0, 0.0, 0.0)), walked, 0.0, np.ones(6, bool), True)
+                )
+            stamp_ns += frame_ns
+            stage.hear(DepthImage(stamp_ns, depth))
+            stage.hear(ColorImage(stamp_ns, rgb))
+
+
+def _picture(camera: Camera, T_world_body: Array) -> NDArray[np.uint16]:
+    """Raw depth (h, w) of level ground and the block on it."""
+    intrinsics, sensor = camera.intrinsics, camera.sensor
+    T = T_world_body @ camera.T_body_camera
+    rays = intrinsics.points(np.ones((intrinsics.height, intrinsics.width))) @ T[:3, :3].T  # (h, w, 3) {world}, 1 m deep
+    rays[np.abs(rays) < 1e-9] = 1e-9
+    floor = np.where(rays[..., 2] < 0.0, -T[2, 3] / rays[..., 2], np.inf)
+    one, other = ((corner - T[:3, 3]) / rays for corner in _BLOCK)  # depths at which rays pass the block's three pairs of sides
+    enters, leaves = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
+    depth = np.minimum(floor, np.where((enters < leaves) & (enters > 0.0), enters, np.inf))
+    raw = np.where(depth <= sensor.max_range, np.rint(depth * sensor.depth_scale), 0.0)
+    return np.asarray(np.minimum(raw, 65535.0), dtype=np.uint16)

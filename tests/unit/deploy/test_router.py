@@ -1,0 +1,80 @@
+"""The router as a process of its own, which speaks for its machine where no launcher does."""
+
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from deploy import meeting
+from deploy.provenance import version
+from shared import codec, topics
+from shared.messages import Presence
+from shared.transport import Endpoints, ZenohLink
+from tests.support import gated
+
+ROOT = Path(__file__).parents[3]
+PATIENCE_S = 60.0
+
+
+@contextmanager
+def router(*words: str) -> Iterator[tuple[subprocess.Popen[str], ZenohLink]]:
+    """A router, and a link of its machine."""
+    endpoint = f"tcp/127.0.0.1:{gated.free_port()}"
+    arguments = ("--listen", endpoint, *words, "--parent", str(os.getpid()))
+    process = subprocess.Popen([sys.executable, "-m", "deploy.router", *arguments], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    with process.stderr:
+        try:
+            assert "listening on" in process.stderr.readline()
+            with ZenohLink(Endpoints((endpoint,))) as link:
+                yield process, link
+        finally:
+            process.terminate()
+            process.wait(PATIENCE_S)
+
+
+def say_until_it_ends(process: subprocess.Popen[str], link: ZenohLink, word: Presence) -> str:
+    """What the router has said by its end, while another machine says who it is again and again."""
+    until, never = time.monotonic() + PATIENCE_S, threading.Event()
+    while process.poll() is None:
+        assert time.monotonic() < until
+        link.send(topics.PRESENCE, codec.encode(replace(word, stamp_ns=time.monotonic_ns())))
+        never.wait(0.05)
+    assert process.stderr is not None
+    return process.stderr.read()
+
+
+def test_it_tells_of_its_machine_and_names_who_is_there() -> None:
+    with router("--role", "offboard", "--starts", "mapper,planner") as (_, link):
+        heard = link.collect(topics.PRESENCE)
+        found: list[bytes] = []
+        until, never = time.monotonic() + PATIENCE_S, threading.Event()
+        while not found:
+            assert time.monotonic() < until
+            found += heard()
+            never.wait(0.02)
+        word, _ = codec.decode(found[0], Presence)
+        assert (word.role, word.services, word.version) == ("offboard", ("mapper", "planner"), version())
+
+
+def test_a_base_that_does_not_fit_the_robot_ends_with_the_reason_for_good() -> None:
+    robot = meeting.presence("hexapod-1", "onboard", "0.0.1", ["actuator", "stop"], 5.0, 1)
+    robot = replace(robot, schemas=("another", *robot.schemas[1:]))
+    with router("--role", "offboard", "--starts", "mapper") as (process, link):
+        said = say_until_it_ends(process, link, robot)
+        assert process.returncode == 2, "whoever starts it again, starts it wrongly again"
+        assert "router: hexapod-1 (onboard) runs Sextant 0.0.1" in said
+        assert f"mean different things by {robot.keys[0]}; install the same version on both" in said
+
+
+def test_what_is_started_twice_is_refused_by_name_to_whoever_came_later() -> None:
+    other = meeting.presence("another", "offboard", version(), ["mapper"], 1e6, 1)
+    with router("--role", "offboard", "--starts", "mapper,planner") as (process, link):
+        said = say_until_it_ends(process, link, other)
+        assert process.returncode == 2
+        assert "another (offboard) has started mapper already; leave it out on one of the two: --without mapper" in said

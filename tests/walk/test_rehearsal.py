@@ -1,0 +1,21 @@
+"""What services compile they compile before they work: a walk after their rehearsals finds everything done."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SELDOM = ("perception.anchor._score_places", "mapper.cloud._merge", "mapper.view._sights", "planner.passage.search.grow")
+PATIENCE_S = 300.0  # [s], where nothing has been compiled yet
+
+
+@pytest.mark.parametrize(("scenario", "until_s"), [("steps", 5.0), ("puddle", 3.0)])
+def test_a_walk_compiles_nothing_that_was_not_rehearsed(scenario: str, until_s: float) -> None:
+    command = [sys.executable, "-m", "tests.support.compiled", scenario, str(until_s)]
+    done = subprocess.run(
+        command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=PATIENCE_S, check=True
+    )
+    rehearsed, *new = done.stdout.strip().splitlines()
+    assert {f"services.{name}" for name in SELDOM} <= set(rehearsed.split())
+    assert not new
