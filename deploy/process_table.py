@@ -119,7 +119,6 @@ TABLE: tuple[Process, ...] = (
         _simulator,
         urgent=True,  # the world waits for nobody, and its servos answer within milliseconds
         ready_port=lambda choices: choices.bus_port,
-        watchdog_s=120.0,  # it compiles in its first steps
         memory_mb=1024,
     ),
     Process(

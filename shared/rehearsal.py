@@ -6,7 +6,7 @@ those that were made here: so the messages go through the codec.
 
 from shared import codec, topics
 from shared.messages import Message
-from shared.service import Service, Worker
+from shared.service import Every, Service, Worker
 
 
 class Rehearsal:
@@ -27,3 +27,10 @@ class Rehearsal:
         self._worker.inbox.receive(topic, codec.encode(message), self._now_ns)
         if topic is self._paced_by:
             self._worker.arrived()
+
+    def tick(self, for_s: float) -> None:
+        """Let a service that its own clock paces step through some time [s]."""
+        assert isinstance(self._paced_by, Every)
+        for _ in range(round(for_s * 1e9 / self._paced_by.period_ns)):
+            self._now_ns += self._paced_by.period_ns
+            self._worker.tick()

@@ -10,7 +10,7 @@ from deploy.warm_up import rehearse
 from shared.robot import load_profile
 from shared.scenario import load_scenario
 
-SERVICES = ("services.perception", "services.mapper", "services.planner")
+SERVICES = ("services.perception", "services.mapper", "services.planner", "services.simulator")
 
 
 def signatures() -> set[str]:
@@ -24,7 +24,7 @@ def main() -> None:
     """Rehearse, walk, and tell what was new."""
     scenario, until_s = load_scenario(sys.argv[1]), float(sys.argv[2])
     profile = load_profile(scenario.robot)
-    rehearse(profile)
+    rehearse(profile, sys.argv[1])
     before = signatures()
     print(*sorted({signature.partition("(")[0] for signature in before}))
     assemble(scenario, 1000, profile).run(round(until_s * 1e9))

@@ -6,11 +6,17 @@ from pathlib import Path
 
 import pytest
 
-SELDOM = ("perception.anchor._score_places", "mapper.cloud._merge", "mapper.view._sights", "planner.passage.search.grow")
+SELDOM = (
+    "perception.anchor._score_places",
+    "mapper.cloud._merge",
+    "mapper.view._sights",
+    "planner.passage.search.grow",
+    "simulator.raster.draw_capsules",
+)
 PATIENCE_S = 300.0  # [s], where nothing has been compiled yet
 
 
-@pytest.mark.parametrize(("scenario", "until_s"), [("steps", 5.0), ("puddle", 3.0)])
+@pytest.mark.parametrize(("scenario", "until_s"), [("steps", 5.0), ("cobbles", 2.0), ("puddle", 3.0)])
 def test_a_walk_compiles_nothing_that_was_not_rehearsed(scenario: str, until_s: float) -> None:
     command = [sys.executable, "-m", "tests.support.compiled", scenario, str(until_s)]
     done = subprocess.run(
