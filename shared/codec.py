@@ -106,7 +106,9 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
     start, found, began_ns, sent_ns, values = _header(frame, kind.__name__)
     layout = _layout(kind)
     if found != layout.schema_id:
-        raise DecodeError(f"schema {layout.schema_id} expected, found {found}: sender and receiver are different versions")
+        of_other_type = found.partition(":")[0] != kind.__name__
+        why = "another type has come under this key" if of_other_type else "sender and receiver are different versions"
+        raise DecodeError(f"schema {layout.schema_id} expected, found {found}: {why}")
     if len(values) != len(layout.fields):
         raise DecodeError(f"{kind.__name__}: {len(layout.fields)} fields expected, found {len(values)}")
     arrays = start + (-start % _ALIGNMENT)

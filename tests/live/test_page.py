@@ -103,6 +103,12 @@ def stands(robot: PageRobot) -> None:
     robot.until(lambda: robot.is_in(Mode.HOLD), 10.0, "standing")
 
 
+def is_stopped(robot: PageRobot, since_s: float) -> None:
+    """The console itself has ordered it since a time; a robot that only waits for its next step stands, too."""
+    robot.until(lambda: np.isfinite(robot.stop_ordered_after(since_s)), 10.0, "the console's order to stop")
+    stands(robot)
+
+
 def x_of(robot: PageRobot) -> float:
     assert robot.pose is not None
     return float(robot.pose.T_world_body[0, 3])
@@ -135,18 +141,19 @@ def test_whatever_ends_a_press_stops_the_robot_and_it_takes_a_new_press_to_walk(
         stands(robot)
         return
     walk(robot, hand)
+    since = time.monotonic()
     match how:
         case "blur":
             page.evaluate("window.dispatchEvent(new Event('blur'))")
-            stands(robot)
+            is_stopped(robot, since)
         case "hidden":
             page.evaluate("Object.defineProperty(document, 'hidden', {value: true, configurable: true})")
             page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
-            stands(robot)
+            is_stopped(robot, since)
             page.evaluate("delete document.hidden")
         case "frozen":
             with browsers.frozen():
-                stands(robot)
+                is_stopped(robot, since)
         case "cut off":
             page.context.set_offline(True)
             page.evaluate("window.sextant.link.socket.close()")

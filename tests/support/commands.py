@@ -171,7 +171,7 @@ class Ear:
 
     def forget(self) -> None:
         """Begin counting anew."""
-        self.mode, self.steps = None, []
+        self.mode, self.steps, self.places = None, [], []
 
     def walked(self, steps: int) -> bool:
         """Whether it walks, and has done so for some steps."""

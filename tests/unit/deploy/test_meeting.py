@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from deploy import meeting
@@ -10,6 +9,7 @@ from deploy.meeting import Meeting, objection
 from shared import codec, topics
 from shared.messages import Health, Presence
 from shared.service import AnyTopic
+from tests.support.frames import of_another_version
 
 SEC = 1_000_000_000
 ROBOT = meeting.presence("hexapod-7", "onboard", "0.1.0", ("actuator", "perception"), 50.0, 0)
@@ -162,7 +162,7 @@ def test_a_machine_that_speaks_otherwise_is_named() -> None:
     clock, wire = [0], Wire()
     robot = Machine(wire, clock, "hexapod-7", "onboard", "actuator")
     robot.link.frames.append(b"\x05\x00\x00\x00hello")
-    robot.link.frames.append(codec.encode(Health(0, "x", "", 0, 0, 0, "", (), np.zeros(0), np.zeros(0))))
+    robot.link.frames.append(of_another_version(BASE))
     beats(clock, 1.0, robot)
     assert "different versions" in robot.said[-1]
     assert "not understood" in robot.link.health[-1].doing

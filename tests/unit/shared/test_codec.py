@@ -270,6 +270,7 @@ def test_another_message_or_version_is_named() -> None:
     words = refusal(codec.encode(example(m.Imu)), m.Odometry)
     assert codec.schema_id(m.Imu) in words
     assert codec.schema_id(m.Odometry) in words
+    assert "another type" in words
     assert "different versions" in refusal(framed(m.ModeCommand, [0, "off", 1], name="ModeCommand:00000000"), m.ModeCommand)
 
 

@@ -13,6 +13,7 @@ from services.console.recording.writer import Recorder
 from shared import codec, topics
 from shared.messages import DepthImage, Message, Mode, Scan
 from shared.service import AnyTopic
+from tests.support.frames import of_another_version
 from tests.support.recorded import S, some_messages, terrain, velocity
 
 ABOUT = {"scenario": "steps", "seed": "3"}
@@ -174,6 +175,6 @@ def test_what_is_no_recording_is_refused_with_what_to_do(tmp_path: Path) -> None
 
 def test_frames_of_another_version_are_refused(tmp_path: Path) -> None:
     with Recorder(tmp_path / "r", ABOUT) as recorder:
-        recorder.write(topics.MODE, codec.encode(velocity(0, np.random.default_rng(0))), 0)
+        recorder.write(topics.VELOCITY, of_another_version(velocity(0, np.random.default_rng(0))), 0)
     with pytest.raises(RecordingError, match="different versions"):
         list(read(tmp_path / "r"))
