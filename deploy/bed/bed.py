@@ -193,10 +193,18 @@ class OneMachine(Bed):
     robot_address = HERE
     robot_router = ROUTER_ENDPOINT
 
-    def __init__(self, link: Link, seed: int = 0, why: str = ""):
-        """With a radio of a link's delay, rate and loss; `seed` of what is lost, and why there are no namespaces, in words."""
+    def __init__(self, link: Link, seed: int = 0, why: str = "", behind: tuple[int, ...] = (PORT, TLS_PORT)):
+        """Prepare.
+
+        Args:
+            link: Delay, rate and loss of the radio.
+            seed: Of what is lost.
+            why: There are no namespaces, in words.
+            behind: Ports of this machine that are the robot's.
+        """
         super().__init__(link, seed)
         self._why = f" ({why})" if why else ""
+        self._behind = behind
         self.base_router = f"tcp/{HERE}:{free_port()}"
 
     @property
@@ -225,10 +233,10 @@ class OneMachine(Bed):
         return _entering("0", command)
 
     def _command(self) -> tuple[str, ...]:
-        return ("-m", "deploy.bed.tcp_relay", *(word for port in (PORT, TLS_PORT) for word in ("--to", str(port))))
+        return ("-m", "deploy.bed.tcp_relay", *(word for port in self._behind for word in ("--to", str(port))))
 
     def _begun(self, said: list[str]) -> None:
-        self._ports = dict(zip((PORT, TLS_PORT), map(int, said), strict=True))
+        self._ports = dict(zip(self._behind, map(int, said), strict=True))
 
 
 @contextlib.contextmanager

@@ -10,11 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deploy.bed.air import QUEUE_BYTES, Way
-from deploy.bed.bed import PORT, Namespaces, OneMachine, two_machines
+from deploy.bed.bed import Namespaces, OneMachine, two_machines
 from deploy.bed.cuts import judge
 from deploy.bed.ear import Heard
 from deploy.bed.namespace import BedError
 from deploy.bed.stream import AGAIN_NS, SEGMENT, Air, Stream
+from deploy.launcher import free_port
 from shared.messages import Mode
 from shared.scenario import Link
 
@@ -236,15 +237,16 @@ def test_two_machines_reach_each_other_through_the_radio_alone_and_are_gone_afte
 
 
 def test_a_relay_carries_connections_of_one_machine_as_a_radio_would() -> None:
-    with OneMachine(Link(5.0, 0.0, 0.0)) as bed:
+    behind = free_port()
+    with OneMachine(Link(5.0, 0.0, 0.0), behind=(behind,)) as bed:
         listen = (
-            f"import socket; s = socket.create_server(('127.0.0.1', {PORT})); print('up', flush=True); c = s.accept()[0]; "
+            f"import socket; s = socket.create_server(('127.0.0.1', {behind})); print('up', flush=True); c = s.accept()[0]; "
             "f = c.makefile(); print(f.readline(), flush=True); c.sendall(b'heard'); print(f.read(), flush=True)"
         )
         with subprocess.Popen(bed.on_robot(sys.executable, "-c", listen), stdout=subprocess.PIPE, text=True) as there:
             assert there.stdout is not None
             assert there.stdout.readline() == "up\n"
-            host, _, port = bed.seen(PORT).rpartition(":")
+            host, _, port = bed.seen(behind).rpartition(":")
             with socket.create_connection((host, int(port)), 10.0) as speaker:
                 speaker.settimeout(0.3)
                 speaker.sendall(b"through the air\n")
