@@ -17,6 +17,7 @@ from deploy.fuzz import table as fuzz_table
 ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
 PASSAGES, DRAWN = ROOT / "docs" / "passages.jsonl", ROOT / "docs" / "passages_commit.jsonl"
+KEPT_DRAWN = ROOT / "docs" / "campaign_commit.jsonl"  # on seeds that a commit's hash gives, as DRAWN
 
 # What a `make` target comes to.
 MAKE = {
@@ -156,10 +157,10 @@ def test_the_tables_of_the_results_are_those_that_a_command_prints(table: str) -
             assert words in text
 
 
-def test_the_table_of_walks_by_touch_is_the_one_that_a_command_prints() -> None:
+@pytest.mark.parametrize("file", [BY_TOUCH, KEPT_DRAWN])
+def test_the_tables_of_walks_by_touch_and_on_drawn_seeds_are_those_that_a_command_prints(file: Path) -> None:
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-    for words in markdown(of_runs(kept.read(BY_TOUCH)), "walks").splitlines():
-        assert words in text
+    assert markdown(of_runs(kept.read(file)), "walks").strip() in text
 
 
 def test_the_tables_of_the_passages_are_those_that_a_command_prints() -> None:

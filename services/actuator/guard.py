@@ -230,7 +230,7 @@ class Guard:
             return False
         revises = plan.step == legs.step
         self.refused = self._check.unwalkable(
-            plan, legs.body_now if revises else legs.body, legs.feet_now if revises else legs.feet
+            plan, legs.body_now if revises else legs.body, legs.feet_now if revises else legs.feet, revises
         )
         if self.refused:
             self.refused_ns = plan.stamp_ns

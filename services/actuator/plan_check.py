@@ -20,6 +20,8 @@ MAX_TURN = np.radians(25.0)
 DURATION = (SHORTEST_STEP_S, 4.0)  # [s]
 MAX_CLEARANCE = 0.12  # [m]
 MIN_MARGIN = 0.005  # [m] of the body's centre inside the standing feet
+# By how much a standing leg may turn out to be short of its foot in mid-step, or to be turned too far.
+MOVED_M, MOVED_RAD = 0.005, np.radians(2.0)
 
 
 class PlanCheck:
@@ -65,19 +67,20 @@ class PlanCheck:
             return f"a revision of step {plan.step} swings other legs than the step that is running"
         return ""
 
-    def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
+    def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool = False) -> str:
         """Why a plan must not be walked, in words; empty when it may, and then it counts as the newest.
 
         Args:
             plan: The plan.
             T_odom_body: (4, 4) where the body should be when the plan sets in: for the next step, at the end of this one.
             feet: (6, 3) [m] {odom} where the feet will be then.
+            revises: Whether it is of the step that is running.
         """
         reason = (
             _malformed(plan)
             or _out_of_bounds(plan, T_odom_body)
             or self._unstable(plan, T_odom_body, feet)
-            or self._out_of_reach(plan, T_odom_body, feet)
+            or self._out_of_reach(plan, T_odom_body, feet, revises)
         )
         if not reason:
             self._last_stamp_ns = plan.stamp_ns
@@ -96,11 +99,12 @@ class PlanCheck:
                 return f"the body would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
         return ""
 
-    def _out_of_reach(self, plan: StepPlan, T_odom_body: Array, feet: Array) -> str:
+    def _out_of_reach(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool) -> str:
         """Whether the stance at the end asks more of a leg, swung or not, than it can.
 
         A standing leg that is too short for its foot already, since the ground has given way, may be so at the end, if by less
-        and if it can be held where the leg comes nearest to it.
+        and if it can be held where the leg comes nearest to it. So may one of the running step that was not when the step
+        began: feet move by millimetres, and to break off in mid-step, onto ground that nobody has chosen, is worse.
         """
         end = np.where(plan.swing[:, None], plan.touchdown, apply(plan.T_world_odom, feet))
         end = apply(inverse(plan.body_goal), end)
@@ -109,8 +113,11 @@ class PlanCheck:
             start, nearest = apply(inverse(T_odom_body), feet), nearest_reachable(self._profile, end)
             beyond = np.linalg.norm(nearest - end, axis=1)
             before = np.linalg.norm(nearest_reachable(self._profile, start) - start, axis=1)
-            held = within_limits(self._profile, body_inverse(self._profile, nearest)).all(axis=1)
-            bad[~plan.swing & held & (beyond > 0.0) & (beyond < before)] = False
+            q, limits = body_inverse(self._profile, nearest), self._profile.joint_limits
+            over = np.maximum(limits[..., 0] - q, q - limits[..., 1]).max(axis=1)  # [rad], NaN where it cannot be held
+            bad[~plan.swing & (over <= 0.0) & (beyond > 0.0) & (beyond < before)] = False
+            if revises:
+                bad[~plan.swing & (over <= MOVED_RAD) & (beyond <= MOVED_M)] = False
         if bad.any():
             leg, joint = np.argwhere(bad)[0]
             what = "touchdown" if plan.swing[leg] else "standing foot"

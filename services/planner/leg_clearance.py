@@ -30,6 +30,8 @@ _TIBIA = np.array([0.0, 0.0, 0.0, 0.17, 0.34, 0.51, 0.68, 0.85])
 _BELOW = np.zeros((1, 2))  # [m]
 _AROUND = 0.01 * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])  # [m] a shank's radius, and how well an edge is known
 _WORSE = 0.01  # [m] by which a leg may come nearer to what it is too near to already
+_RISES = 0.01 * np.outer([1, 2, 3, 4, 5], [0, 0, 1])  # [m] of a foot that leaves the ground
+_PUSHED = 0.002  # [m] sideways, from which on it counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +96,25 @@ def stands_clear(
     T = T_world_body @ profile.T_body_coxa[leg]
     gaps, _ = _gaps(feet, T, profile.leg_reach[leg], profile.links, terrain, _AROUND)
     return np.asarray((gaps >= margin).all(axis=-1))
+
+
+def rises_clear(
+    leg: int, feet: Array, T_world_body: Array, margin: float, profile: RobotProfile, terrain: Terrain
+) -> NDArray[np.bool_]:
+    """From which (n,) of foot centres (n, 3) [m] {world} one leg's foot rises without being pushed against the ground.
+
+    A folded leg cannot lift its foot straight up: it pushes it outwards, and what stands there must be a margin [m] lower than
+    the foot by then. It may have to wherever the body is, (k, 4, 4), while the foot stands.
+    """
+    T = (T_world_body @ profile.T_body_coxa[leg])[:, None]
+    R, p = T[..., :3, :3], T[..., None, :3, 3]
+    risen = feet + _RISES[:, None]
+    pushed = leg_nearest_reachable((risen - p) @ R, profile.leg_reach[leg], profile.links) @ R.mT + p
+    beside = np.linalg.norm((pushed - risen)[..., :2], axis=-1) > _PUSHED
+    if not beside.any():
+        return np.ones(len(feet), dtype=np.bool_)
+    ground = np.fmax.reduce(terrain.heights(pushed[..., None, :2] + _AROUND), axis=-1)
+    return np.asarray(~(beside & (ground > pushed[..., 2] - profile.foot.radius - margin)).any(axis=(0, 1)))
 
 
 def swing_shape(start: Array, end: Array, clearance: Array) -> Array:

@@ -11,7 +11,7 @@ from services.planner.body import clear_of_ground, floor_height, leaning, slope_
 from services.planner.config import Settings
 from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
 from services.planner.gait import GAITS, carried_on, directions, nominal_touchdowns, swing_order
-from services.planner.leg_clearance import Touching, Way, clearance_to_sink, cleared, stands_clear
+from services.planner.leg_clearance import Touching, Way, clearance_to_sink, cleared, rises_clear, stands_clear
 from services.planner.terrain import GOOD, NONE, Terrain
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
 from shared.kinematics import body_inverse, leg_inverse, within_limits
@@ -49,6 +49,7 @@ class Stride:
     nominal: Array  # (6, 2) [m] {world} where swinging feet would land on unobstructed ground
     clearance: Array  # (6,) [m]
     body_goal: Array  # (4, 4) {world}
+    body_after: Array  # (4, 4) {world} where the body would be when the swinging feet are to leave their touchdowns
     start: Array  # (6, 3) [m] {world} foot centres before it
     moved: int  # footholds away from their nominal place
     share: float  # of the commanded travel
@@ -60,7 +61,8 @@ class Stride:
         """The same step after a correction (4, 4) of where the world is believed to be."""
         nominal = apply(T, np.column_stack([self.nominal, self.touchdown[:, 2]]))[:, :2]
         touchdown, start = apply(T, self.touchdown), apply(T, self.start)
-        return replace(self, touchdown=touchdown, nominal=nominal, body_goal=T @ self.body_goal, start=start)
+        goal, after = T @ self.body_goal, T @ self.body_after
+        return replace(self, touchdown=touchdown, nominal=nominal, body_goal=goal, body_after=after, start=start)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +159,7 @@ class StridePlanner:
         """
         touchdown = stride.touchdown.copy()
         for leg in np.flatnonzero(stride.swing).tolist():
-            ground = self._foothold(leg, stride.nominal[leg], touchdown, stride.body_goal, stride.body_goal, terrain)
+            ground = self._foothold(leg, stride.nominal[leg], touchdown, stride.body_goal, stride.body_after, terrain)
             if isinstance(ground, NoFoothold):
                 continue
             moved = touchdown.copy()
@@ -211,7 +213,7 @@ class StridePlanner:
         dearer = np.where(clearance > at.command.lift, _DEARER_YET, _DEARER)
         swinging = time_to_swing(self._profile, settings, at.feet, touchdown, clearance, dearer)
         duration = max(self.duration(at.command), swinging[at.swing].max())
-        return Stride(at.swing, touchdown, nominal, clearance, T_end, at.feet, moved, share, duration, room)
+        return Stride(at.swing, touchdown, nominal, clearance, T_end, T_after, at.feet, moved, share, duration, room)
 
     def _travel(self, command: VelocityCommand, share: float) -> tuple[Array, float]:
         """What the body travels (2,) [m] {body} and turns [rad] in a step: as commanded, as far as legs reach."""
@@ -286,12 +288,15 @@ class StridePlanner:
         known[leg] = False
         others = feet[known, :2]
 
+        passed = np.stack([T_end, (T_end + T_after) / 2.0, T_after])  # by the body while the foot stands, see `_too_near`
+
         def reachable(points: Array) -> NDArray[np.bool_]:
             at = points + self._foot_up
             above = at + _DESCENT  # a folded leg comes down further out
-            reached = self._reaches(leg, (above, T_end), (at, T_end), *([(at, T_after)] if T_after is not T_end else []))
-            for T in (T_end, T_after) if T_after is not T_end else (T_end,):
+            reached = self._reaches(leg, (above, T_end), (at, T_end), (at, T_after))
+            for T in (T_end, T_after):
                 reached[reached] = stands_clear(leg, at[reached], T, self._settings.leg_margin, self._profile, terrain)
+            reached[reached] = rises_clear(leg, at[reached], passed, self._settings.sink_margin, self._profile, terrain)
             return reached
 
         if terrain.map.resolution != self._offsets_resolution:

@@ -248,7 +248,9 @@ class Errand:
     def _pose(self, state: ActuatorState, standing: Standing, body: Array, words: str) -> Move:
         """A step in which the body alone moves."""
         nobody = np.zeros(6, dtype=np.bool_)
-        stride = Stride(nobody, standing.feet, standing.feet[:, :2], np.zeros(6), body, standing.feet, 0, 1.0, _POSE_S, GOOD)
+        stride = Stride(
+            nobody, standing.feet, standing.feet[:, :2], np.zeros(6), body, body, standing.feet, 0, 1.0, _POSE_S, GOOD
+        )
         self._pending = Move(stride, state.step + 1, True, words)
         return self._pending
 
@@ -398,7 +400,7 @@ class Errand:
         legs = np.flatnonzero(swing)
         swinging = time_to_swing(self._profile, self._settings, standing.feet[legs], touchdown[legs], clearance[legs])
         duration = max([self._profile.stance.step_s, *swinging.tolist()])
-        return Stride(swing, touchdown, touchdown[:, :2], clearance, body, standing.feet, 0, 1.0, duration, GOOD)
+        return Stride(swing, touchdown, touchdown[:, :2], clearance, body, body, standing.feet, 0, 1.0, duration, GOOD)
 
     def _astray(self, standing: Standing, done: int) -> str:
         """Which foot will not stand where the plan has it after so many steps, in words, or nothing."""

@@ -153,6 +153,40 @@ def test_a_swinging_foot_comes_down_within_reach_wherever_it_came_from() -> None
     assert found == "the touchdown of the left front leg is out of reach of its coxa"
 
 
+def with_a_foot_beyond(short: float, turned: float) -> Array:
+    """Feet (6, 3) [m] {odom}: the left front one so far [m] beyond its leg's reach, or so far [rad] beyond its coxa."""
+    T, links = PROFILE.T_body_coxa[0], PROFILE.links
+    x, y, z = apply(inverse(T), REST[0])
+    if short:
+        angle, out, z = np.arctan2(y, x), links.coxa + PROFILE.leg_reach[0, 1] + short, 0.0
+    else:
+        angle, out = PROFILE.joint_limits[0, 0, 1] + turned, np.hypot(x, y)
+    feet = REST.copy()
+    feet[0] = apply(T, np.array([out * np.cos(angle), out * np.sin(angle), z]))
+    return apply(START, feet)
+
+
+@pytest.mark.parametrize(
+    ("short", "turned", "walked"),
+    [
+        (0.0048, 0.0, True),
+        (0.0052, 0.0, False),
+        (0.0, np.radians(1.9), True),
+        (0.0, np.radians(2.1), False),
+        (0.10, 0.0, False),
+    ],
+)
+def test_in_mid_step_a_standing_foot_may_have_moved_a_little_beyond_its_leg(short: float, turned: float, walked: bool) -> None:
+    feet = with_a_foot_beyond(short, turned)
+    a_plan = plan(body_goal=START, swing=~TRIPOD, touchdown=feet)
+    words = "the standing foot of the left front leg is out of reach of its coxa"
+    assert PlanCheck(PROFILE, AGE).unwalkable(a_plan, START, feet) == words, "no step is begun with it"
+    assert PlanCheck(PROFILE, AGE).unwalkable(a_plan, START, feet, revises=True) == ("" if walked else words)
+    landing = replace(a_plan, swing=TRIPOD)
+    found = PlanCheck(PROFILE, AGE).unwalkable(landing, START, feet, revises=True)
+    assert found == "the touchdown of the left front leg is out of reach of its coxa", "a swinging foot has a choice"
+
+
 def test_a_body_outside_its_standing_feet_at_the_start_is_refused() -> None:
     outside = from_xyz_rpy((0.2, 0.0, 0.1), np.zeros(3))
     words = PlanCheck(PROFILE, AGE).unwalkable(plan(body_goal=outside), outside, FEET)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.planner.leg_clearance import Touching, Way, cleared, links_at, stands_clear, swing_shape
+from services.planner.leg_clearance import Touching, Way, cleared, links_at, rises_clear, stands_clear, swing_shape
 from services.planner.terrain import Terrain, flat_terrain, plane_terrain
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_inverse, leg_points
@@ -90,6 +90,25 @@ def test_a_standing_leg_that_the_body_pushes_into_a_block_stops_the_step(make_te
     assert isinstance(found, Touching)
     assert found.reason.startswith("left front leg: its femur would touch")
     assert not way.swing[found.leg]
+
+
+def test_a_foot_that_its_folded_leg_pushes_outwards_as_it_rises_needs_room_there(make_terrain: Maker) -> None:
+    body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    out = PROFILE.links.coxa + np.array([0.01, 0.03, 0.07])  # [m] of the feet from the right middle leg's coxa
+    feet = apply(body @ PROFILE.T_body_coxa[MIDDLE], np.column_stack([out, np.zeros(3), np.zeros(3)]))
+    feet[:, 2] = PROFILE.foot.radius
+    bodies = np.stack([body @ from_xyz_rpy((x, 0.0, 0.0), np.zeros(3)) for x in (-0.1, 0.0, 0.1)])  # it passes by
+    edge = abs(feet[0, 1]) + 0.025  # of a block that is further out than the first foot and the second, and the third is on
+
+    def room(height: float) -> list[bool]:
+        block = make_terrain(lambda x, y: np.where(-y > edge, height, 0.0))
+        on = feet + [0.0, 0.0, 1.0] * np.where(-feet[:, 1:2] > edge, np.nan_to_num(height), 0.0)
+        return [bool(free) for free in rises_clear(MIDDLE, on, bodies, 0.003, PROFILE, block)]
+
+    assert room(0.0) == [True, True, True]
+    assert room(0.05) == [False, False, True]
+    assert room(np.nan) == [True, True, True], "what has not been seen stands in nobody's way"
+    assert room(-0.02) == [True, True, True]
 
 
 def test_unseen_ground_and_what_cannot_be_helped_stand_in_no_way(make_terrain: Maker) -> None:

@@ -319,6 +319,17 @@ def test_retargeting_moves_only_the_foot_whose_ground_turned_out_bad(make_terrai
     np.testing.assert_array_equal(moved.body_goal, found.body_goal)
 
 
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_retargeted_feet_stay_in_reach_until_they_are_to_leave(seed: int) -> None:
+    found, ground = stride(standing(command(0.1))), flat_terrain(0, np.zeros(2), 0.0)
+    ground.map.score[np.random.default_rng(seed).random(ground.map.score.shape) < 0.9] = 2.0 * ACCEPTABLE
+    moved = PLANNER.retarget(found, ground)
+    for body in (found.body_goal, found.body_after):
+        within = within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(body), moved.touchdown)))
+        assert within[found.swing].all()
+
+
 def test_retargeting_follows_the_height(make_terrain: Maker) -> None:
     found = stride(standing())
     moved = PLANNER.retarget(found, make_terrain(lambda x, y: np.full_like(x, 0.012)))
@@ -350,6 +361,8 @@ def test_a_step_moved_by_a_correction_is_the_same_seen_from_the_body() -> None:
     for name in ("touchdown", "start"):
         was, now = getattr(found, name), getattr(moved, name)
         np.testing.assert_allclose(apply(inverse(moved.body_goal), now), apply(inverse(found.body_goal), was), atol=1e-12)
+    was, now = (inverse(one.body_goal) @ one.body_after for one in (found, moved))
+    np.testing.assert_allclose(now, was, atol=1e-12)
     np.testing.assert_allclose(moved.nominal, apply(T, np.column_stack([found.nominal, np.zeros(6)]))[:, :2], atol=1e-9)
 
 
