@@ -22,6 +22,7 @@ from deploy.commands.benches import (
     bench_recording,
     bench_servos,
     bench_size,
+    bench_soak,
     bench_speed,
     bench_stages,
     bench_start,
@@ -401,6 +402,10 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     one.add_argument("--rounds", type=values.positive, default=5, metavar="N", help="of each (default %(default)s)")
     _add_out_and_json(one)
     _add_out_and_json(add("size", bench_size, "say how much each role takes on a disk", group))
+    one = add("soak", bench_soak, "walk for long, and see whether memory or latency grow", group)
+    words = "of walking (default %(default)s)"
+    one.add_argument("--minutes", type=values.minutes, default=60.0, metavar="MIN", help=words)
+    _add_out_and_json(one)
     one = add(
         "start", bench_start, "time how soon the actuator holds a robot that stands, from the start of its process", group
     )

@@ -49,11 +49,12 @@ class PageRobot:
         self._up: dict[str, str] = {}  # services that were heard, and what they do
         self._stops_s: list[float] = []  # times [s] of orders to stop
         self.said: deque[str] = deque(maxlen=200)
+        self.ended: list[str] = []  # processes that did, in words
         self.page_port = free_port()
-        self._endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="page")
+        self.endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="page")
         bus, listen = free_port(), free_port()
         self._latch = Latch.of_port(tapped_robot.port(listen))
-        made = tapped_robot.commands(self._endpoints, bus, listen, seed, scenario, self.page_port, recordings, scan_rate_hz)
+        made = tapped_robot.commands(self.endpoints, bus, listen, seed, scenario, self.page_port, recordings, scan_rate_hz)
         self._launcher = Launcher(made, hear=self._hear_line)
 
     @property
@@ -67,7 +68,7 @@ class PageRobot:
             stack.callback(self._latch.open)
             stack.callback(self._launcher.stop)
             self._launcher.__enter__()
-            self._link = stack.enter_context(ZenohLink(self._endpoints))
+            self._link = stack.enter_context(ZenohLink(self.endpoints))
             for topic in (topics.ACTUATOR_STATE, topics.BODY_POSE, topics.HEALTH, topics.MODE):
                 self._link.subscribe(topic, self._hear)
             self.until(lambda: "console" in self._up, what="the console")
@@ -94,6 +95,7 @@ class PageRobot:
                 raise TimeoutError(f"{missed}; the robot{place}: {state}; {doing}; {said}")
             for ended in self._launcher.wait(0.02):
                 self.said.append(str(ended))
+                self.ended.append(str(ended))
 
     def pass_time(self, length_s: float) -> None:
         """Let time pass."""
@@ -168,6 +170,10 @@ class PageRobot:
     def kill(self, name: str) -> None:
         """Kill a process; it is started again."""
         self._launcher.kill(name)
+
+    def names(self) -> tuple[str, ...]:
+        """Of all processes."""
+        return self._launcher.names()
 
     def pid(self, name: str) -> int:
         """Process id."""

@@ -120,6 +120,17 @@ def bench_recording(arguments: argparse.Namespace) -> int:
     return _tell_bench(recording.in_words(found), recording.to_json(found), out / "recording.json", arguments.json)
 
 
+def bench_soak(arguments: argparse.Namespace) -> int:
+    """`sextant bench soak`: a long walk, and whether memory or latency grow; fails where they do."""
+    from deploy.bench import soak
+
+    out, progress = out_folder(arguments, "bench-soak"), open_progress(arguments.json)
+    warm_up(progress)
+    found = soak.measure(60.0 * arguments.minutes, progress.say)
+    told = _tell_bench(soak.in_words(found), soak.to_json(found), out / "soak.json", arguments.json)
+    return FAILED if soak.faults(found) else told
+
+
 def bench_size(arguments: argparse.Namespace) -> int:
     """`sextant bench size`: how much each role takes on a disk."""
     try:

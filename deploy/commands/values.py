@@ -40,6 +40,17 @@ def positive(text: str) -> int:
     return int(text)
 
 
+def minutes(text: str) -> float:
+    """A time [min]."""
+    try:
+        found = float(text)
+    except ValueError:
+        found = 0.0
+    if not 0.5 <= found <= 1440.0:
+        raise argparse.ArgumentTypeError(f"minutes of at least half a one and at most a day expected, found {text!r}")
+    return found
+
+
 def seconds(text: str) -> float:
     """A time [s]."""
     try:

@@ -1,0 +1,252 @@
+"""A long walk over Zenoh: whether memory grows, and whether anything comes later at its end than at its beginning."""
+
+import json
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from deploy import overheard
+from deploy.bench.page_robot import PageRobot
+from deploy.bench.scripted_page import ScriptedPage
+from deploy.bench.timing import machine
+from shared import codec, topics
+from shared.geometry import Array
+from shared.messages import Health, Mode
+from shared.service import AnyTopic
+from shared.transport import ZenohLink
+
+GROWTH_MB_H = 1.0  # [MB/h] that a process's memory may grow by
+LATER_MS = 2.0  # by which the median of a stream may come later at the end
+PARTS = 60  # of the time, of each of which the medians are kept
+WARM_UP = 12  # of them before anything is judged: maps fill, and pools of memory do
+_LEG_S = 25.0  # of walking forth, then back
+_SPEED = 0.09  # [m/s]
+_SAMPLE_S = 5.0
+_SOON_S, _PRESSES = 5.0, 4  # in which a robot walks that is led, and how often the pad is pressed until it does
+_KEPT_FILES = 3  # of the recording, whose disk an hour would fill with gigabytes
+# From the camera to the servos, and back to who leads them.
+_STREAMS: tuple[AnyTopic, ...] = (
+    topics.BODY_POSE,
+    topics.SCAN,
+    topics.TERRAIN,
+    topics.STEP_PLAN,
+    topics.PLANNER_STATUS,
+    topics.ACTUATOR_STATE,
+    topics.ODOMETRY,
+)
+Samples = Sequence[tuple[float, float]]  # time [s] since the beginning, value
+
+
+@dataclass(frozen=True, slots=True)
+class Soak:
+    """What was seen in a long walk, by the part of its time; NaN where nothing was."""
+
+    length_s: float
+    legs: int  # walked, forth and back
+    memory_mb: Mapping[str, Sequence[float]]  # process -> (PARTS,) that it has to itself
+    age_p50_ms: Mapping[str, Sequence[float]]  # key -> (PARTS,) from a message's stamp to its receipt
+    age_p99_ms: Mapping[str, Sequence[float]]
+    ended: Sequence[str]  # processes that did meanwhile, in words
+    refused: Mapping[str, int]  # service -> messages that did not decode
+    dropped: Mapping[str, int]  # service -> messages that came faster than they were read
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What is gathered meanwhile."""
+
+    began_s: float
+    memory_mb: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    ages_ms: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
+    health: dict[str, Health] = field(default_factory=dict)
+
+
+def measure(length_s: float, say: Callable[[str], object]) -> Soak:
+    """Walk forth and back for so long [s], by a page's pad, with every process of a robot, its page and its recorder.
+
+    Args:
+        length_s: From the first step to the last.
+        say: Is told how far it is.
+
+    Raises:
+        TimeoutError: The robot does not do what it is told.
+    """
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        PageRobot("flat", recordings=folder) as robot,
+        ScriptedPage(robot.url) as page,
+    ):
+        robot.stand(lambda: page.ask("order", order="stand"))
+        page.ask("record", on=True)
+        seen, forward, legs = _Seen(time.monotonic()), _SPEED, 0
+        end_s = seen.began_s + length_s
+        with _listening(robot, seen):
+            while time.monotonic() < end_s:
+                with _walking(robot, page, forward):
+                    turn_s = min(time.monotonic() + _LEG_S, end_s)
+                    while time.monotonic() < turn_s:
+                        robot.pass_time(min(_SAMPLE_S, turn_s - time.monotonic()))
+                        _weigh(robot, seen)
+                robot.until(lambda: robot.is_in(Mode.HOLD), what="standing")
+                forward, legs = -forward, legs + 1
+                _throw_away(Path(folder))
+                say(f"soak: {(time.monotonic() - seen.began_s) / 60:.1f} of {length_s / 60:g} min")
+        return _soak(seen, time.monotonic() - seen.began_s, legs, tuple(robot.ended))
+
+
+@contextmanager
+def _walking(robot: PageRobot, page: ScriptedPage, forward: float) -> Iterator[None]:
+    """The pad is held meanwhile; pressed anew, as by an operator, where the page had not heard yet that the robot stands."""
+    for left in reversed(range(_PRESSES)):
+        with page.held(forward):
+            try:
+                robot.until(lambda: robot.is_in(Mode.WALK), _SOON_S, "a walk by the pad")
+            except TimeoutError:
+                if left:
+                    continue
+                raise
+            yield
+            return
+
+
+@contextmanager
+def _listening(robot: PageRobot, seen: _Seen) -> Iterator[None]:
+    """Meanwhile the age of every frame is noted, and what services say of themselves."""
+
+    def take(topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        if topic is topics.HEALTH:
+            health = codec.decode(frame, Health)[0]
+            seen.health[health.service] = health
+            return
+        age_ns = overheard.age_ns(codec.label(frame), at_ns)
+        if age_ns is not None:
+            seen.ages_ms.setdefault(topic.key, []).append((at_ns * 1e-9 - seen.began_s, age_ns * 1e-6))
+
+    with ZenohLink(robot.endpoints) as link:
+        overheard.listen(link, (*_STREAMS, topics.HEALTH), take, time.monotonic_ns)
+        yield
+
+
+def _weigh(robot: PageRobot, seen: _Seen) -> None:
+    """Note the memory of each process that has not ended."""
+    for name in robot.names():
+        mb = own_mb(robot.pid(name))
+        if np.isfinite(mb):
+            seen.memory_mb.setdefault(name, []).append((time.monotonic() - seen.began_s, mb))
+
+
+def own_mb(pid: int) -> float:
+    """Memory [MB] that a process has to itself: what it has mapped of files is not counted. NaN where it has ended."""
+    try:
+        about = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return float("nan")
+    kb = [float(line.split()[1]) for line in about.splitlines() if line.startswith("RssAnon:")]
+    return kb[0] * 1024e-6 if kb else float("nan")
+
+
+def _throw_away(folder: Path) -> None:
+    """Remove all but the newest files of a recording."""
+    for file in sorted(folder.rglob("*.mcap"), key=lambda path: path.stat().st_mtime)[:-_KEPT_FILES]:
+        file.unlink()
+
+
+def _soak(seen: _Seen, length_s: float, legs: int, ended: Sequence[str]) -> Soak:
+    ages = seen.ages_ms.items()
+    return Soak(
+        length_s=round(length_s, 1),
+        legs=legs,
+        memory_mb={name: by_part(samples, length_s, 50) for name, samples in seen.memory_mb.items()},
+        age_p50_ms={key: by_part(samples, length_s, 50) for key, samples in ages},
+        age_p99_ms={key: by_part(samples, length_s, 99) for key, samples in ages},
+        ended=ended,
+        refused={name: health.refused for name, health in sorted(seen.health.items())},
+        dropped={name: health.dropped for name, health in sorted(seen.health.items())},
+    )
+
+
+def by_part(samples: Samples, length_s: float, percent: float) -> list[float]:
+    """A percentile of the samples in each of `PARTS` equal parts of the time, to a thousandth; NaN where there are none."""
+    t, values = np.array(samples).reshape(-1, 2).T
+    part = np.clip(t / length_s * PARTS, 0, PARTS - 1).astype(np.intp)
+    within = [values[part == n] for n in range(PARTS)]
+    return [round(float(np.percentile(found, percent)), 3) if len(found) else float("nan") for found in within]
+
+
+def growth_mb_h(parts: Sequence[float], length_s: float) -> float:
+    """By how much [MB/h] memory grows once warm; NaN where it is not known.
+
+    The median of the slopes between parts of the first half and of the second (Theil 1950, incomplete method): a process whose
+    memory goes up and down, as garbage comes and is collected, has one of about zero.
+    """
+    mb = np.array(parts[WARM_UP:])
+    t, half = np.arange(len(mb)) * length_s / PARTS, len(mb) // 2
+    slopes = (mb[half:, None] - mb[None, :half]) / (t[half:, None] - t[None, :half])
+    return 3600.0 * _median(slopes)
+
+
+def ends(parts: Sequence[float]) -> tuple[float, float]:
+    """The medians over the first quarter of the parts that are judged, and over the last; NaN where nothing is known."""
+    judged: Array = np.array(parts[WARM_UP:])
+    quarter = len(judged) // 4
+    return _median(judged[:quarter]), _median(judged[-quarter:])
+
+
+def _median(parts: Array) -> float:
+    known = parts[np.isfinite(parts)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def faults(soak: Soak) -> list[str]:
+    """What is not as it should be, in words."""
+    found = list(soak.ended)
+    for name, parts in soak.memory_mb.items():
+        growth = growth_mb_h(parts, soak.length_s)
+        if not growth < GROWTH_MB_H:
+            found.append(f"{name}: its memory grows by {growth:.1f} MB/h, less than {GROWTH_MB_H:.0f} wanted")
+    for key, parts in soak.age_p50_ms.items():
+        first, last = ends(parts)
+        if not last - first < LATER_MS:
+            found.append(f"{key}: comes after {last:.1f} ms at the end, {first:.1f} ms at the beginning")
+    return found + [f"{name}: {count} messages did not decode" for name, count in soak.refused.items() if count]
+
+
+def in_words(soak: Soak) -> str:
+    """For people."""
+    lines = ["| process | MB, first quarter | last quarter | grows by, MB/h |", "|---|---|---|---|"]
+    for name, parts in soak.memory_mb.items():
+        first, last = ends(parts)
+        lines.append(f"| {name} | {first:.1f} | {last:.1f} | {growth_mb_h(parts, soak.length_s):+.2f} |")
+    lines += ["", "| stream | age p50, first quarter, ms | last quarter | p99, first | last |", "|---|---|---|---|---|"]
+    for key, parts in soak.age_p50_ms.items():
+        cells = (*ends(parts), *ends(soak.age_p99_ms[key]))
+        lines.append(f"| `{key}` | {' | '.join(f'{cell:.1f}' for cell in cells)} |")
+    lines += [
+        "",
+        f"{soak.length_s / 60:.1f} minutes, {soak.legs} times forth or back; the first {100 * WARM_UP / PARTS:.0f} % of the "
+        f"time are not judged. Wanted: less than {GROWTH_MB_H:.0f} MB/h, no median later by {LATER_MS:.0f} ms, nobody ends.",
+        *(faults(soak) or ["All of it is so."]),
+    ]
+    return "\n".join(lines)
+
+
+def to_json(soak: Soak) -> str:
+    """For scripts; what is not known is null."""
+    table = asdict(soak)
+    for name in ("memory_mb", "age_p50_ms", "age_p99_ms"):
+        table[name] = {key: [v if np.isfinite(v) else None for v in parts] for key, parts in table[name].items()}
+    return json.dumps({"machine": machine(), **table}, allow_nan=False)
+
+
+def from_json(text: str) -> Soak:
+    """What `to_json` has written."""
+    table = json.loads(text)
+    del table["machine"]
+    for name in ("memory_mb", "age_p50_ms", "age_p99_ms"):
+        table[name] = {key: [float("nan") if v is None else v for v in parts] for key, parts in table[name].items()}
+    return Soak(**table)

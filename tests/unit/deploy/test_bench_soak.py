@@ -1,0 +1,76 @@
+"""What is said of a long walk: memory that grows, streams that come later, processes that end."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy.bench import soak
+from deploy.bench.soak import PARTS, WARM_UP, Soak
+
+HOUR = 3600.0
+PART = np.arange(PARTS)
+NOISE = np.random.default_rng(0).normal(0.0, 0.1, PARTS)
+
+
+def walked(mb_h: float = 0.0, later_ms: float = 0.0) -> Soak:
+    ages = (8.0 + later_ms * (PART > PARTS / 2) + NOISE).tolist()
+    memory = (120.0 + mb_h * PART / PARTS + NOISE).tolist()
+    return Soak(
+        HOUR, 130, {"mapper": memory}, {"perception/pose": ages}, {"perception/pose": ages}, [], {"mapper": 0}, {"mapper": 3}
+    )
+
+
+@given(st.floats(-5.0, 5.0))
+def test_growth_is_found_through_noise(mb_h: float) -> None:
+    assert soak.growth_mb_h(walked(mb_h).memory_mb["mapper"], HOUR) == pytest.approx(mb_h, abs=0.2)
+
+
+def test_garbage_that_is_collected_is_no_growth_nor_is_what_a_start_takes() -> None:
+    saw = 100.0 + 10.0 * (PART % 7) / 7 + 50.0 * np.minimum(PART / WARM_UP, 1.0)
+    assert abs(soak.growth_mb_h(saw.tolist(), HOUR)) < 0.5
+    assert soak.faults(replace(walked(), memory_mb={"console": saw.tolist()})) == []
+
+
+def test_what_is_not_as_it_should_be_is_named() -> None:
+    assert soak.faults(walked()) == []
+    (grows,) = soak.faults(walked(mb_h=3.0))
+    assert grows.startswith("mapper: its memory grows by 3.")
+    (later,) = soak.faults(walked(later_ms=4.0))
+    assert later == "perception/pose: comes after 12.0 ms at the end, 8.0 ms at the beginning"
+    broken = replace(walked(), ended=["mapper ended (killed)"], refused={"planner": 2, "mapper": 0})
+    assert soak.faults(broken) == ["mapper ended (killed)", "planner: 2 messages did not decode"]
+
+
+@pytest.mark.parametrize("parts", [[float("nan")] * PARTS, [100.0] + [float("nan")] * (PARTS - 1)])
+def test_what_was_hardly_seen_does_not_pass_for_well(parts: Sequence[float]) -> None:
+    (found,) = soak.faults(replace(walked(), memory_mb={"mapper": parts}))
+    assert found == "mapper: its memory grows by nan MB/h, less than 1 wanted"
+    assert len(soak.faults(replace(walked(), age_p50_ms={"perception/pose": parts}))) == 1
+
+
+def test_it_is_told_in_words_and_comes_back_from_its_file() -> None:
+    gap = replace(walked(mb_h=5.0), age_p99_ms={"perception/pose": [float("nan"), *[9.0] * (PARTS - 1)]})
+    assert soak.in_words(soak.from_json(soak.to_json(gap))) == soak.in_words(gap)
+    assert "| mapper | 121.5 | 124.4 | +5." in soak.in_words(gap)
+    assert soak.in_words(walked()).endswith("All of it is so.")
+    assert soak.in_words(gap).splitlines()[-1].startswith("mapper: its memory grows by 5.")
+
+
+@given(st.lists(st.tuples(st.floats(0.0, HOUR), st.floats(0.0, 100.0)), min_size=1, max_size=50))
+def test_every_sample_is_in_one_part(samples: list[tuple[float, float]]) -> None:
+    parts = soak.by_part(samples, HOUR, 50)
+    assert len(parts) == PARTS
+    least, most = min(v for _, v in samples), max(v for _, v in samples)
+    assert all(least - 1e-3 <= v <= most + 1e-3 for v in parts if np.isfinite(v))
+    assert {n for n, v in enumerate(parts) if np.isfinite(v)} == {min(int(t / HOUR * PARTS), PARTS - 1) for t, _ in samples}
+
+
+def test_memory_is_that_of_a_process_and_unknown_of_none() -> None:
+    before, held = soak.own_mb(os.getpid()), np.ones(8_000_000)
+    assert soak.own_mb(os.getpid()) - before == pytest.approx(held.nbytes * 1e-6, rel=0.1)
+    assert np.isnan(soak.own_mb(2**22 + 1))
