@@ -5,6 +5,7 @@ from typing import Literal, TypeAlias
 
 from shared import topics
 from shared.access import barred
+from shared.clock import ClockError, RobotClock
 from shared.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
 from shared.service import AnyTopic, Every, Inbox, Stages
 
@@ -25,7 +26,11 @@ _SETTLED: dict[What, tuple[Mode, ...]] = {
 
 
 class Order:
-    """Gives an order until the actuator has done it, or says why not; `walk` is given for as long as it is wanted."""
+    """Gives an order until the actuator has done it, or says why not; `walk` is given for as long as it is wanted.
+
+    An order to move is stamped by the robot's clock, on whichever machine it is given, so it waits for the actuator's first
+    word; a stop goes out at once.
+    """
 
     name = "order"
     reads: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE, topics.HEALTH)
@@ -47,6 +52,8 @@ class Order:
         self.words = "waiting for the actuator"
         self._what, self._holder, self._take, self._leads = what, holder, take, leads
         self._begun_ns = -1
+        self._now_ns = 0  # by this machine's clock, as all times here but the stamps of orders
+        self._robot = RobotClock(lambda: self._now_ns)
         self._due_ns = 0
         self._heard: ActuatorState | None = None  # before the order
         self._refused: dict[str, int] = {}  # by each service when it was first heard
@@ -61,19 +68,28 @@ class Order:
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Say it again when it is due, and see what comes of it."""
-        now = tick.stamp_ns
+        now = self._now_ns = tick.stamp_ns
         self._begun_ns = now if self._begun_ns < 0 else self._begun_ns
         state = inbox.latest(topics.ACTUATOR_STATE)
         self._watch_routers(inbox, state)
-        if state is not None and self._heard is None:
-            self._heard = state
-        if now >= self._due_ns:
+        if state is not None:
+            self._heard = self._heard or state
+            self._robot.heard(state.stamp_ns)
+        if now >= self._due_ns and (self._robot.known or self._what in STOPS):
             self._due_ns = now + _REPEAT_NS
-            if self._leads:
-                yield ModeCommand(now, self._what, self._begun_ns + 1, self._holder, self._take)
-            if self._what in STOPS:  # also where this machine's router is chained to one that lets it only stop
-                yield StopOrder(now, "off" if self._what == "off" else "stop", self._begun_ns + 1, self._holder)
+            try:
+                yield from self._words_of_it(self._robot() if self._robot.known else now)
+            except ClockError as error:
+                self._end(str(error))
         self._see(state, now - self._begun_ns)
+
+    def _words_of_it(self, stamp_ns: int) -> Iterator[Message]:
+        """The order, by each key that may carry it."""
+        number = self._begun_ns + 1
+        if self._leads:
+            yield ModeCommand(stamp_ns, self._what, number, self._holder, self._take)
+        if self._what in STOPS:  # also where this machine's router is chained to one that lets it only stop
+            yield StopOrder(stamp_ns, "off" if self._what == "off" else "stop", number, self._holder)
 
     def _watch_routers(self, inbox: Inbox, state: ActuatorState | None) -> None:
         """Whether a router on the way has begun to keep such orders back: whoever puts them is told nothing by the network."""

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from deploy import process_table
 from deploy.faults import tap
+from deploy.gate import Gate
 from deploy.process_table import Command
 from shared.scenario import load_scenario
 from shared.transport import Endpoints
@@ -25,6 +26,7 @@ def commands(
     page_port: int | None = None,
     recordings: str = "recordings",
     scan_rate_hz: float | None = None,
+    gate: Gate | None = None,
 ) -> list[Command]:
     """The services, their router, and the tap between actuator and servos.
 
@@ -37,6 +39,7 @@ def commands(
         page_port: TCP port of the operators' page; None for no page, and no recorder.
         recordings: Folder in which recordings go.
         scan_rate_hz: Of perception; None for what it takes by itself.
+        gate: Of the router, where it lets in others than those of this machine.
     """
     chosen = process_table.choices(load_scenario(scenario), scenario, seed, bus)
     if page_port is not None:
@@ -47,7 +50,7 @@ def commands(
     services = process_table.commands(rows, chosen, endpoints, {"actuator": tapped, "stop": tapped, "perception": rarer})
     needs = {"actuator": ("tap",)}
     return [
-        replace(process_table.router_command(endpoints.connect[0]), restarts=RESTARTS),
+        replace(process_table.router_command(endpoints.connect[0], gate.words() if gate else ()), restarts=RESTARTS),
         tap.command(listen, bus),
         *(
             replace(

@@ -12,7 +12,7 @@ ORDERS = ("stand", "hold: standing", 15, 0.0), ("walk", "off", 8, 0.06), ("stop"
 
 
 def send(key, schema, arrays, *fields):  # a frame: the header's length, the header, padding to 8 bytes, the arrays
-    header = msgpack.packb([schema, 0, 0, [time.monotonic_ns(), *fields]])
+    header = msgpack.packb([schema, 0, 0, fields])
     robot.put(f"sextant/operator/{key}", struct.pack("<I", len(header)) + header + bytes(-(4 + len(header)) % 8) + arrays)
 
 
@@ -20,11 +20,11 @@ with zenoh.open(ROUTER) as robot, robot.declare_subscriber("sextant/actuator/sta
     for order, done, seconds, speed in ORDERS:  # each said until the robot says that it is done, for so many seconds at most
         sequence, end, said, v = time.monotonic_ns(), time.monotonic() + seconds, "", struct.pack("<dd", speed, 0.0)
         while time.monotonic() < end and not said.startswith(done):
-            send("mode", "ModeCommand:357a28ae", b"", order, sequence, "walk_client", False)
-            send("velocity", "VelocityCommand:0fc8f79d", v, ["<f8", [2], 0], 0.0, 0.11, 0.04, "tripod", False)
-            time.sleep(0.05)  # 20 Hz; an order that is repeated keeps the lease
             frame, before = states.recv().payload.to_bytes(), said
             state = msgpack.unpackb(frame[4 : 4 + struct.unpack_from("<I", frame)[0]])[3]  # stamp, mode, reason and so on
             said = "; ".join((f"{state[1]}: {state[2]}", *state[21]))
+            send("mode", "ModeCommand:357a28ae", b"", state[0], order, sequence, "walk_client", False)  # by the robot's clock
+            send("velocity", "VelocityCommand:0fc8f79d", v, state[0], ["<f8", [2], 0], 0.0, 0.11, 0.04, "tripod", False)
+            time.sleep(0.05)  # 20 Hz; an order that is repeated keeps the lease
             if said != before:
                 print(said, flush=True)

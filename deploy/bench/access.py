@@ -6,6 +6,7 @@ after each kind somebody who may puts a last word on the same link or another, s
 
 import dataclasses
 import json
+import ssl
 import tempfile
 import threading
 import time
@@ -18,10 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from deploy.authority import Authority
+from deploy.bench import replayed
 from deploy.gate import Gate
 from deploy.launcher import free_port
 from shared import codec, topics
-from shared.access import ROLES, AccessError, Keys
+from shared.access import CERTIFICATE, KEY, ROLES, AccessError, Keys
+from shared.handshake import verdict
 from shared.messages import ModeCommand, VelocityCommand
 from shared.service import AnyTopic
 from shared.transport import Endpoints, Router, TransportError, ZenohLink
@@ -30,7 +33,7 @@ _NAMESPACE = "bench"
 _PATIENCE_S = 20.0
 _REPEAT_S = 0.02
 _WORD = b"a last word: "
-_TRIES = 20  # at opening, of those who are not let in: each takes a handshake
+_TRIES = 20  # of Zenoh's at opening, of those who are not let in; the others are handshakes alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,14 +101,22 @@ def measure(messages: int, say: Callable[[str], None] = lambda _: None) -> tuple
 
         with ZenohLink(Endpoints((plain,), namespace=_NAMESPACE)) as own, link("base") as base:
             inside = _Inside(own)
-            for row in (*_refused(folder, secure), *_kept_back(inside, base, link, messages)):
+            for row in (
+                *_refused(folder, secure, messages),
+                _around(inside, base, Endpoints((secure,), True, _NAMESPACE, Keys.load(folder / "console")), messages),
+                *_kept_back(inside, base, link, messages),
+            ):
                 say(f"{row.what}: {row.through} of {row.tried}")
                 rows.append(row)
+    for done in replayed.measure(messages, say):
+        note = "; ".join(done.said)
+        rows.append(Row(f"a recorded walk, put again {done.when}", done.tried, done.obeyed, note))
+        say(f"{rows[-1].what}: {rows[-1].through} of {rows[-1].tried}")
     return tuple(rows)
 
 
-def _refused(folder: Path, secure: str) -> Iterator[Row]:
-    """Those who are not let in at all."""
+def _refused(folder: Path, secure: str, messages: int) -> Iterator[Row]:
+    """Those who are not let in at all: by Zenoh, which says why, then by handshakes of somebody who asks nobody."""
     known = Keys.load(folder / "console")
     for what, keys in (
         ("certificate that has expired", dataclasses.replace(known, folder=folder / "expired")),
@@ -122,7 +133,36 @@ def _refused(folder: Path, secure: str) -> Iterator[Row]:
             except (TransportError, AccessError, ValueError) as error:
                 why = str(error)
             took_s.append(time.perf_counter() - began)
-        yield Row(what, _TRIES, opened, f"told within {1e3 * max(took_s):.0f} ms: {why.partition('; ')[0]}")
+        opened += sum(not verdict(secure, _stranger(None if keys is None else keys.folder)) for _ in range(_TRIES, messages))
+        told = f"told within {1e3 * max(took_s):.0f} ms: {why.partition('; ')[0]}"
+        yield Row(what, max(_TRIES, messages), opened, told)
+
+
+def _stranger(folder: Path | None) -> ssl.SSLContext:
+    """Somebody who takes the robot for whom it says it is, and shows the certificate of a folder, or none."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    if folder is not None:
+        context.load_cert_chain(folder / CERTIFICATE, folder / KEY)
+    return context
+
+
+def _around(inside: _Inside, base: ZenohLink, peer: Endpoints, messages: int) -> Row:
+    """Somebody with a console's certificate who listens and scouts, so that others might meet them beside the router."""
+    frame = codec.encode(ModeCommand(1, "walk", 1, "bench"))
+    with ZenohLink(peer) as link:
+        inside.settle(base, "before the peer")
+        _put(link, topics.STEP_PLAN, frame, messages)
+        return Row("a peer that looks for ways around the router", messages, inside.settle(base, "after the peer"))
+
+
+def _put(link: ZenohLink, topic: AnyTopic, frame: bytes, messages: int) -> None:
+    """Put a frame so often, slower than the client's queue, so that the router and not the client drops it."""
+    for number in range(messages):
+        link.send(topic, frame)
+        if number % 50 == 49:
+            time.sleep(0.005)
+    time.sleep(0.3)
 
 
 def _kept_back(inside: _Inside, base: ZenohLink, link: Callable[[str], ZenohLink], messages: int) -> Iterator[Row]:
@@ -131,11 +171,7 @@ def _kept_back(inside: _Inside, base: ZenohLink, link: Callable[[str], ZenohLink
     for role, topic in (("console", topics.STEP_PLAN), ("viewer", topics.MODE), ("viewer", topics.VELOCITY)):
         with link(role) as client:
             inside.settle(base, "before")
-            for number in range(messages):
-                client.send(topic, frame)
-                if number % 50 == 49:
-                    time.sleep(0.005)  # slower than its queue, so that the router and not the client drops it
-            time.sleep(0.3)
+            _put(client, topic, frame, messages)
             yield Row(f"{role} puts {topic.key}", messages, inside.settle(base, f"after {role} {topic.key}"))
     with link("console") as client:
         inside.settle(client, "before the flood")

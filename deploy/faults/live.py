@@ -14,6 +14,7 @@ from deploy import tapped_robot
 from deploy.faults import hog, tap
 from deploy.faults.cases import Away, Case, Deed, Hogs, Off
 from deploy.faults.watched import LEAST_WATCH_S, Seen, Watched
+from deploy.gate import Gate
 from deploy.launcher import Launcher, free_port
 from deploy.process_table import ENVIRONMENT, Command
 from services.actuator.latch import Latch
@@ -199,7 +200,7 @@ class LiveWalk(Watched):
             self._signs[name] = at_s
 
 
-def commands(endpoints: Endpoints, bus: int, listen: int, seed: int) -> list[Command]:
+def commands(endpoints: Endpoints, bus: int, listen: int, seed: int, gate: Gate | None = None) -> list[Command]:
     """All processes of a robot on level ground with a tap on its bus, and the operator who walks it.
 
     Args:
@@ -207,8 +208,9 @@ def commands(endpoints: Endpoints, bus: int, listen: int, seed: int) -> list[Com
         bus: TCP port of the simulated servo bus.
         listen: TCP port of the tap.
         seed: Of the simulator.
+        gate: Of the router, where it lets in others than those of this machine.
     """
-    robot = tapped_robot.commands(endpoints, bus, listen, seed, _GROUND)
+    robot = tapped_robot.commands(endpoints, bus, listen, seed, _GROUND, gate=gate)
     meeting = ("--robot", load_scenario(_GROUND).robot, "--connect", endpoints.connect[0], "--namespace", endpoints.namespace)
     words = ("-m", "deploy.faults.console", *meeting)
     return [*robot, Command("operator", words, ENVIRONMENT, restarts=tapped_robot.RESTARTS, after=("router",))]

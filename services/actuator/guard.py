@@ -22,6 +22,7 @@ from shared.robot import RobotProfile
 
 DEADLINE_NS = 180_000_000  # [ns] that a walk goes on without a new plan
 LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order, be it one that is repeated
+ORDER_AGE_NS = 2_000_000_000  # [ns] by which an order to move may be older than now, or stamped ahead: else it was put anew
 _HOLDERS = 16  # whose orders are remembered; more of them are not obeyed but to stop
 _STOPS = ("off", "stop")  # orders that anybody may give
 
@@ -102,24 +103,29 @@ class Guard:
     def hear(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
         """Obey an order, or say in `objection` why not; one that is repeated only keeps the lease.
 
-        A stop is obeyed whoever orders it; one that takes over gives the lease to who has ordered it, and nothing moves.
+        A stop is obeyed whoever orders it, and however old it is; one that takes over gives the lease to who has ordered it,
+        and nothing moves. Any other order must be of now, by its stamp: one that was recorded and is put again neither moves
+        the legs nor keeps a lease, also where this process has begun anew and remembers nobody's orders.
         """
-        newest = self._sequences.get(order.holder)
+        newest, stops = self._sequences.get(order.holder), order.mode in _STOPS
+        untimely = _untimely(order, now_ns)
+        if untimely and not stops:
+            self.objection = untimely
+            return ()
         if newest is not None and order.sequence <= newest:
             if order.sequence < newest:
                 self.objection = f"`{order.mode}` of {order.holder} refused: it is older than their newest order"
-            elif order.holder == self._holder:
+            elif order.holder == self._holder and not untimely:
                 self._heard_ns = now_ns
             return ()
         stranger = newest is None and len(self._sequences) >= _HOLDERS
         if not stranger:
             self._sequences[order.holder] = order.sequence
-        stops = order.mode in _STOPS
-        refused = self._claim(order, now_ns, stranger) if order.take or not stops else ""
+        refused = self._claim(order, now_ns, stranger) if not untimely and (order.take or not stops) else ""
         self.objection = "" if stops else refused
         if self.objection:
             return ()
-        if order.holder == self._holder:
+        if order.holder == self._holder and not untimely:
             self._heard_ns = now_ns
         return self._obey(order.mode)
 
@@ -338,3 +344,13 @@ class Guard:
             self._late = True
             return (Act.SET_DOWN,)
         return ()
+
+
+def _untimely(order: ModeCommand, now_ns: int) -> str:
+    """Why an order is not one of now, in words, or nothing."""
+    age_ns = now_ns - order.stamp_ns
+    if -ORDER_AGE_NS <= age_ns <= ORDER_AGE_NS:
+        return ""
+    when = f"{age_ns * 1e-9:.1f} s old" if age_ns > 0 else f"stamped {-age_ns * 1e-9:.1f} s ahead of now"
+    allowed = f"at most {ORDER_AGE_NS * 1e-9:.0f} s allowed; orders are stamped by the robot's clock"
+    return f"`{order.mode}` of {order.holder} refused: it is {when}, {allowed}"

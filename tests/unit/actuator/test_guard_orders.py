@@ -1,8 +1,10 @@
 """The guard and its orders: what turns torque on, who leads, what each order does in each mode."""
 
+from dataclasses import replace
+
 import pytest
 
-from services.actuator.guard import LEASE_NS, Act, Guard
+from services.actuator.guard import LEASE_NS, ORDER_AGE_NS, Act, Guard
 from services.actuator.health import Verdict
 from shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import BROKEN, CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode, rested
@@ -181,6 +183,63 @@ def test_an_order_counts_once_and_an_older_one_not_at_all(mode: str) -> None:
     assert robot.guard.objection == "`off` of a refused: it is older than their newest order"
     assert robot.mode is Mode.STAND
     assert robot.hear(ModeCommand(robot.now, "off", robot.number, "a")) == ()
+
+
+MOVES = [mode for mode in ORDERS if mode not in ("off", "stop")]
+ALLOWED = "at most 2 s allowed; orders are stamped by the robot's clock"
+
+
+@pytest.mark.parametrize("mode", MOVES)
+@pytest.mark.parametrize("take", [True, False])
+@pytest.mark.parametrize(
+    ("off_ns", "words"),
+    [(-ORDER_AGE_NS - 1, "2.0 s old"), (-60_000_000_000, "60.0 s old"), (ORDER_AGE_NS + 1, "stamped 2.0 s ahead of now")],
+)
+def test_an_order_to_move_that_is_not_of_now_counts_for_nothing(mode: str, take: bool, off_ns: int, words: str) -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.now += LEASE_NS + 1  # nobody leads
+    put_again = ModeCommand(robot.now + off_ns, mode, 5, "b", take)  # type: ignore[arg-type]
+    assert robot.hear(put_again) == ()
+    assert robot.guard.objection == f"`{mode}` of b refused: it is {words}, {ALLOWED}"
+    assert robot.mode is Mode.HOLD
+    assert robot.guard.lease(robot.now) == ""
+    robot.hear(replace(put_again, stamp_ns=robot.now))  # its number is not used up
+    assert robot.guard.objection == ""
+    assert robot.guard.lease(robot.now) == "b"
+
+
+@pytest.mark.parametrize("off_ns", [-ORDER_AGE_NS, ORDER_AGE_NS])
+def test_an_order_may_be_two_seconds_under_way(off_ns: int) -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.hear(ModeCommand(robot.now + off_ns, "sit", 1000, "a"))
+    assert robot.guard.objection == ""
+    assert robot.cycle() == (Act.LIE_DOWN,)
+
+
+def test_a_repetition_that_was_recorded_keeps_no_lease() -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.order("walk")
+    recorded = ModeCommand(robot.now, "walk", robot.number, "a")
+    given_ns = robot.now
+    robot.now += ORDER_AGE_NS + 1
+    robot.hear(recorded)
+    assert robot.guard.lease(given_ns + LEASE_NS + 1) == ""
+
+
+@pytest.mark.parametrize("mode", ["off", "stop"])
+def test_a_stop_is_obeyed_however_old_it_is_but_takes_and_keeps_no_lease(mode: str) -> None:
+    robot = in_mode(Mode.WALK)
+    robot.guard.hear(ModeCommand(robot.now, "walk", 50, "a"), robot.now)
+    given_ns = robot.now
+    robot.now += ORDER_AGE_NS + 1
+    old_ns = robot.now - ORDER_AGE_NS - 1
+    acts = robot.hear(ModeCommand(old_ns, mode, 1, "b", take=True))  # type: ignore[arg-type]
+    assert acts == ((Act.LET_GO,) if mode == "off" else (Act.SET_DOWN,))
+    assert robot.guard.lease(robot.now) == "a"
+    robot.hear(ModeCommand(old_ns, mode, 51, "a"))  # type: ignore[arg-type]
+    robot.hear(ModeCommand(old_ns, mode, 51, "a"))  # type: ignore[arg-type]
+    assert robot.guard.lease(given_ns + LEASE_NS) == "a"
+    assert robot.guard.lease(given_ns + LEASE_NS + 1) == ""
 
 
 def test_a_repetition_says_nothing_and_a_new_order_that_is_obeyed_clears_the_objection() -> None:
@@ -433,7 +492,8 @@ def test_an_order_to_stop_counts_once_and_does_not_shut_out_who_leads() -> None:
     assert robot.guard.hear_stop(StopOrder(0, "stop", 1, "stranger 999")) == (Act.SET_DOWN,), "whose machine began anew"
 
 
-def test_what_was_recorded_and_is_put_again_moves_nothing() -> None:
+@pytest.mark.parametrize("begun_anew", [False, True])
+def test_what_was_recorded_and_is_put_again_moves_nothing(begun_anew: bool) -> None:
     robot = in_mode(Mode.OFF)
     said: list[ModeCommand] = []
     for mode in ("stand", "walk", "sit", "stand", "walk", "off"):
@@ -443,10 +503,12 @@ def test_what_was_recorded_and_is_put_again_moves_nothing() -> None:
         robot.cycle()
     assert robot.mode is Mode.OFF
     robot.now += 10 * LEASE_NS  # nobody leads by now
+    if begun_anew:  # it remembers nobody's orders
+        robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False)
     refused = 0
     for again in said[:-1] * 200:
         assert robot.hear(again) == ()
-        refused += robot.guard.objection.endswith("it is older than their newest order")
+        refused += robot.guard.objection.endswith(ALLOWED)
     assert refused == 1000
     assert robot.mode is Mode.OFF
     assert robot.guard.lease(robot.now) == ""

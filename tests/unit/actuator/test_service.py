@@ -88,7 +88,7 @@ class Rig:
         """What operator and planner say as long as they are there."""
         state, plan = self.state, self.running
         if self.ordered is not None and self.now_ns % (25 * PERIOD) < PERIOD:
-            self.hear(self.ordered)
+            self.hear(replace(self.ordered, stamp_ns=self.now_ns))
         if state is None or plan is None or state.phase >= 1.0 or self.now_ns % (4 * PERIOD) >= PERIOD:
             return
         if plan.step == state.step:

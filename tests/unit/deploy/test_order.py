@@ -24,6 +24,7 @@ class Desk:
         self.order = order
         self.inbox = Inbox(order.reads, order.stages)
         self.now_ns = 1_000 * MS
+        self.ahead_ns = 0  # by which the robot's clock is ahead of this machine's
         self.state: ActuatorState | None = actuator_state(PROFILE, stamp_ns=0, **{"lease": "", **state})
         self.given: list[ModeCommand] = []
 
@@ -32,7 +33,7 @@ class Desk:
             self.now_ns += 50 * MS
             self.inbox.now_ns = self.now_ns
             if self.state is not None:
-                self.state = replace(self.state, stamp_ns=self.now_ns, **changes)
+                self.state = replace(self.state, stamp_ns=self.now_ns + self.ahead_ns, **changes)
                 self.inbox.receive(topics.ACTUATOR_STATE, codec.encode(self.state), self.now_ns)
             made = list(self.order.step(Tick(self.now_ns), self.inbox))
             self.given += [m for m in made if isinstance(m, ModeCommand)]
@@ -107,7 +108,18 @@ def test_a_stop_goes_by_the_key_of_those_who_may_not_lead_too(what: Any, leads: 
     assert [m.mode for m in made if isinstance(m, StopOrder)] == [what]
     assert len([m for m in made if isinstance(m, ModeCommand)]) == leads
     walk = Order("walk", "me")
-    assert [type(m) for m in walk.step(Tick(1), Inbox(walk.reads, walk.stages))] == [ModeCommand]
+    assert list(walk.step(Tick(1), Inbox(walk.reads, walk.stages))) == [], "what the robot's clock says is not known yet"
+
+
+def test_an_order_to_move_is_stamped_by_the_robots_clock_wherever_it_is_given() -> None:
+    desk = Desk(Order("walk", "me"), mode=Mode.HOLD, reason="standing")
+    desk.ahead_ns = 3_600_000_000_000
+    desk.beats(30)
+    assert len(desk.given) > 2
+    assert all(0 <= desk.now_ns + desk.ahead_ns - m.stamp_ns <= 30 * 50 * MS for m in desk.given)
+    desk.ahead_ns = 0
+    desk.beats(20)
+    assert desk.order.failed.startswith("the robot's clock began anew")
 
 
 def router_says(desk: Desk, refused: int, last: str, name: str = "router of robot") -> None:

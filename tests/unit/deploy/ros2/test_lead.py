@@ -23,6 +23,7 @@ class Desk:
     def __init__(self, **state: Any) -> None:
         self.lead = Lead(Walk(max_speed=0.1, body_height=0.11))
         self.now = 1_000 * MS
+        self.ahead = 0  # by which the robot's clock is ahead of this machine's
         found = {"lease": "", "mode": Mode.HOLD, "reason": "standing", **state}
         self.state: ActuatorState | None = actuator_state(PROFILE, stamp_ns=0, **found)
         self.said: list[Message] = []
@@ -31,6 +32,8 @@ class Desk:
 
     def beat(self) -> None:
         self.now += 20 * MS
+        if self.state is not None:
+            self.state = replace(self.state, stamp_ns=self.now + self.ahead)
         made = self.lead.beat(self.now, self.state)
         for message in made:
             if isinstance(message, ModeCommand) and message.mode == "walk" and self.state is not None:
@@ -65,6 +68,23 @@ def test_twists_become_velocities_and_keep_the_lease() -> None:
     assert {(m.mode, m.holder, m.take) for m in orders} == {("walk", "ros2", False)}
     assert len({m.sequence for m in orders}) == 1, "one order, repeated"
     assert 4 <= len(orders) <= 5, "twice a second"
+
+
+def test_orders_are_stamped_by_the_robots_clock_also_after_it_began_anew() -> None:
+    desk = Desk()
+    desk.ahead = 3_600_000 * MS
+    desk.drive(60)
+    orders = [m for m in desk.said if isinstance(m, ModeCommand)]
+    assert len(orders) >= 2
+    assert all(0 <= desk.now + desk.ahead - m.stamp_ns <= 61 * 20 * MS for m in orders)
+    desk.ahead = 0
+    desk.drive(20)
+    assert desk.words[-1].startswith("the robot's clock began anew"), "the Twists that come now move nothing"
+    assert not desk.lead.leading
+    desk.rest(30)
+    desk.said.clear()
+    desk.drive(2)
+    assert [m.stamp_ns for m in desk.said if isinstance(m, ModeCommand)] == [desk.now - 20 * MS]
 
 
 def test_a_pause_is_zero_once_a_stop_and_then_silence() -> None:

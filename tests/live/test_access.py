@@ -1,4 +1,4 @@
-"""The bench of access: nothing of what may not be put comes through, and every kind is in the table."""
+"""The bench of access: nothing of what may not be put comes through, and a walk that is put again moves nothing."""
 
 import json
 from pathlib import Path
@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from deploy import cli
+
+pytestmark = pytest.mark.live
 
 
 def test_the_access_command_leaves_its_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -15,4 +17,9 @@ def test_the_access_command_leaves_its_table(tmp_path: Path, capsys: pytest.Capt
     flood = rows.pop("flood on operator/mode, by who may")
     assert flood["through"] < 300
     assert {row["through"] for row in rows.values()} == {0}
-    assert [row["tried"] for row in rows.values()] == [20, 20, 20, 300, 300, 300, 10]
+    assert [row["tried"] for row in rows.values()] == [300] * 7 + [10, 300, 300]
+    again = [row["note"] for what, row in rows.items() if "put again" in what]
+    assert len(again) == 2
+    for said in again:  # each kind of what was put again, with why it does not count
+        assert "`walk` of operator refused: it is" in said
+        assert "plan of step" in said
