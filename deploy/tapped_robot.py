@@ -10,6 +10,7 @@ from shared.scenario import load_scenario
 from shared.transport import Endpoints
 
 RESTARTS = 1000
+BASE_ROUTER = "base router"
 
 
 def port(listen: int) -> str:
@@ -27,6 +28,7 @@ def commands(
     recordings: str = "recordings",
     scan_rate_hz: float | None = None,
     gate: Gate | None = None,
+    base: Endpoints | None = None,
 ) -> list[Command]:
     """The services, their router, and the tap between actuator and servos.
 
@@ -40,17 +42,27 @@ def commands(
         recordings: Folder in which recordings go.
         scan_rate_hz: Of perception; None for what it takes by itself.
         gate: Of the router, where it lets in others than those of this machine.
+        base: Where those of the other half meet, by a router of their own, chained to the robot's; None for one router.
     """
     chosen = process_table.choices(load_scenario(scenario), scenario, seed, bus)
     if page_port is not None:
         chosen = replace(chosen, console_port=page_port, lift=0.025, recordings=recordings)
     tapped = (process_table.assignment("port", port(listen)),)
     rarer = () if scan_rate_hz is None else (process_table.assignment("scan_rate_hz", scan_rate_hz),)
-    rows = process_table.rows("all", simulated=True, page=page_port is not None)
-    services = process_table.commands(rows, chosen, endpoints, {"actuator": tapped, "stop": tapped, "perception": rarer})
+    extra = {"actuator": tapped, "stop": tapped, "perception": rarer}
+    page = page_port is not None
+    if base is None:
+        services = process_table.commands(process_table.rows("all", True, page), chosen, endpoints, extra)
+    else:
+        onboard, offboard = process_table.rows("onboard", True), process_table.rows("offboard", False, page)
+        services = (
+            *process_table.commands(onboard, chosen, endpoints, extra),
+            *process_table.commands(offboard, chosen, base, extra, elsewhere=True),
+        )
     needs = {"actuator": ("tap",)}
     return [
         replace(process_table.router_command(endpoints.connect[0], gate.words() if gate else ()), restarts=RESTARTS),
+        *([] if base is None else [_base_router(base, endpoints)]),
         tap.command(listen, bus),
         *(
             replace(
@@ -61,3 +73,11 @@ def commands(
             for one in services
         ),
     ]
+
+
+def _base_router(base: Endpoints, robot: Endpoints) -> Command:
+    """The base's router, chained to the robot's."""
+    listen, namespace = base.connect[0], base.namespace
+    words = ("--listen", listen, "--connect", robot.connect[0], "--namespace", namespace)
+    made = process_table.router_command(listen, words)
+    return replace(made, name=BASE_ROUTER, restarts=RESTARTS)

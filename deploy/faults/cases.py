@@ -14,7 +14,9 @@ from shared.bus_fault import BusFault
 class Away:
     """A process is away: killed, a new one comes back; or stopped, the same one goes on, but where it is found to hang."""
 
-    service: Literal["planner", "actuator", "stop", "perception", "mapper", "operator", "router"]
+    service: Literal[
+        "planner", "actuator", "stop", "perception", "mapper", "operator", "router", "base router", "console", "recorder"
+    ]
     kill: bool
     for_s: float  # live, who is killed is back as soon as it can be, and is killed again and again for so long
     after_s: float = 0.0  # of the fault's beginning
@@ -99,6 +101,7 @@ class Case:
     charge: float = 1.0  # of the battery when the walk begins
     watch_s: float = 8.0  # [s] after the fault's end, at most
     live: bool = False  # of processes over Zenoh at real time; else in lockstep
+    halves: bool = False  # with mapper, planner and operator behind a router of their own, as on another machine
 
     @property
     def for_s(self) -> float:
@@ -217,6 +220,7 @@ CASES: tuple[Case, ...] = (
 
 _BACK_AT_ONCE = replace(_STOPS, rest_s=inf)  # before it has come to rest
 _GOES_ON = Limits(named="no new plan", margin_m=0.010, again_s=8.0)
+_UNHEARD = Limits(margin_m=0.010, again_s=8.0)  # what it decides is heard once the router passes it on
 _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
     ("planner-killed", "the planner is killed", (Away("planner", True, 0.0),), _BACK_AT_ONCE),
     ("planner-crashing", "the planner is killed, and its successors are, for 2 s", (Away("planner", True, _OUT_S),), _STOPS),
@@ -228,7 +232,7 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
     ("operator-killed", "the operator's side is killed", (Away("operator", True, 0.0),), Limits(margin_m=0.010)),
     ("operator-crashing", "the operator's side is killed again and again for 5 s", (Away("operator", True, 5.0),), _GOES_ON),
     ("router-killed", "the router is killed", (Away("router", True, 0.0),), Limits(again_s=8.0)),
-    ("router-stopped", "the router is stopped for 2 s", (Away("router", False, _OUT_S),), Limits(margin_m=0.010, again_s=8.0)),
+    ("router-stopped", "the router is stopped for 2 s", (Away("router", False, _OUT_S),), _UNHEARD),
     ("stop-killed", "the stop path is killed", (Away("stop", True, 0.0),), _CALM),
     ("stop-stopped", "the stop path is stopped for 3 s", (Away("stop", False, 3.0),), _CALM),
     ("actuator-killed", "the actuator is killed", (Away("actuator", True, 0.0),), Limits(decided_s=1.5, jump_deg=2.0)),
@@ -253,7 +257,23 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
         _LETS_GO,
     ),
 )
-LIVE_CASES: tuple[Case, ...] = tuple(
-    Case(f"live-{name}", words, deeds, limits, per_walk=10, live=True) for name, words, deeds, limits in _LIVE
+_PAGE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # what an operator's page needs, and no walk
+    ("console-killed", "the console is killed", (Away("console", True, 0.0),), _CALM),
+    ("console-stopped", "the console is stopped for 3 s", (Away("console", False, 3.0),), _CALM),
+    ("recorder-killed", "the recorder is killed", (Away("recorder", True, 0.0),), _CALM),
+    ("recorder-stopped", "the recorder is stopped for 3 s", (Away("recorder", False, 3.0),), _CALM),
+)
+_HALVED = ("planner", "perception", "mapper", "operator", "router", "actuator")  # what is of _LIVE with two halves, too
+_HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
+    *((name, words, deeds, limits) for name, words, deeds, limits in _LIVE if name.startswith(_HALVED)),
+    ("base-router-killed", "the base's router is killed", (Away("base router", True, 0.0),), _UNHEARD),
+    ("base-router-stopped", "the base's router is stopped for 2 s", (Away("base router", False, _OUT_S),), _UNHEARD),
+)
+LIVE_CASES: tuple[Case, ...] = (
+    *(Case(f"live-{name}", words, deeds, limits, per_walk=10, live=True) for name, words, deeds, limits in (*_LIVE, *_PAGE)),
+    *(
+        Case(f"halves-{name}", f"two halves: {words}", deeds, limits, per_walk=10, live=True, halves=True)
+        for name, words, deeds, limits in _HALVES
+    ),
 )
 BY_NAME = {case.name: case for case in (*CASES, *LIVE_CASES)}

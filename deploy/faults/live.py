@@ -1,10 +1,14 @@
 """One walk of processes over Zenoh at real time, into which faults are injected, each at a phase of its own."""
 
 import contextlib
+import os
+import shutil
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable
 from math import inf, nan
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -20,7 +24,7 @@ from deploy.process_table import ENVIRONMENT, Command
 from services.actuator.latch import Latch
 from shared import codec, topics
 from shared import dynamixel as dxl
-from shared.messages import Mode, ModeCommand
+from shared.messages import Message, Mode, ModeCommand, RecordCommand
 from shared.scenario import load_scenario
 from shared.service import AnyTopic
 from shared.transport import Endpoints, ZenohLink
@@ -50,11 +54,17 @@ class LiveWalk(Watched):
         self._signs: dict[str, float] = {}  # newest sign of life [s] of each process
         self._ended: dict[str, float] = {}  # when [s] each was last seen to have ended
         self._acts: list[tuple[float, Callable[[], object]]] = []  # what is to be done, and when [s]
-        self._endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="faults")
+        self._endpoints = _somewhere()
+        self._base = _somewhere() if case.halves else None
+        self._page = any(isinstance(deed, Away) and deed.service in ("console", "recorder") for deed in case.deeds)
+        self._recordings = Path(tempfile.gettempdir()) / f"sextant-faults-{os.getpid()}"  # made by who records, if anybody
         bus, listen = free_port(), free_port()
         self.port = tapped_robot.port(listen)
         self._latch = Latch.of_port(self.port)
-        self._launcher = Launcher(commands(self._endpoints, bus, listen, seed), hear=self.hear_line)
+        page = (free_port(), str(self._recordings)) if self._page else None
+        made = commands(self._endpoints, bus, listen, seed, base=self._base, page=page)
+        self.names = tuple(one.name for one in made)
+        self._launcher = Launcher(made, hear=self.hear_line)
 
     @property
     def now_s(self) -> float:
@@ -64,6 +74,7 @@ class LiveWalk(Watched):
     def __enter__(self) -> Self:
         self._latch.open()
         with contextlib.ExitStack() as stack:
+            stack.callback(shutil.rmtree, self._recordings, ignore_errors=True)
             stack.callback(self._latch.open)  # leave none behind
             stack.callback(self._launcher.stop)
             self._launcher.__enter__()
@@ -71,6 +82,9 @@ class LiveWalk(Watched):
             for topic in (topics.ACTUATOR_STATE, topics.TRUTH, topics.HEALTH):
                 self._link.subscribe(topic, self.hear)
             self._link.wanted(topics.MODE)  # announced now, the order to let go is not the first word
+            if self._base is not None:
+                base = stack.enter_context(ZenohLink(self._base))
+                base.subscribe(topics.ACTUATOR_STATE, lambda *_: self._sign(tapped_robot.BASE_ROUTER, self.now_s))
             self._stack = stack.pop_all()
         return self
 
@@ -82,6 +96,8 @@ class LiveWalk(Watched):
         """Have it stand up again where it has let go; then as all."""
         if self.state is not None and self.state.mode is Mode.OFF:
             self._launcher.kill("operator")  # a new one has the robot stand up
+        if self._page:
+            self._say(RecordCommand(time.monotonic_ns(), True, 1))
         super().walk_for(length_s)
 
     def last_words(self) -> str:
@@ -158,8 +174,10 @@ class LiveWalk(Watched):
     def _order_off(self) -> None:
         now_ns = time.monotonic_ns()
         self._ordered = now_ns * 1e-9
-        order = ModeCommand(now_ns, "off", now_ns, "bench")
-        self._link.send(topics.MODE, codec.encode(order, codec.Timing(now_ns, now_ns)))
+        self._say(ModeCommand(now_ns, "off", now_ns, "bench"))
+
+    def _say(self, message: Message) -> None:
+        self._link.send(topics.OF_TYPE[type(message)], codec.encode(message, codec.Timing(message.stamp_ns, message.stamp_ns)))
 
     def pulls(self) -> NDArray[np.bool_]:
         """Servos (18,) whose torque is on, by what they were told on the wire; at first it was."""
@@ -200,7 +218,15 @@ class LiveWalk(Watched):
             self._signs[name] = at_s
 
 
-def commands(endpoints: Endpoints, bus: int, listen: int, seed: int, gate: Gate | None = None) -> list[Command]:
+def commands(
+    endpoints: Endpoints,
+    bus: int,
+    listen: int,
+    seed: int,
+    gate: Gate | None = None,
+    base: Endpoints | None = None,
+    page: tuple[int, str] | None = None,
+) -> list[Command]:
     """All processes of a robot on level ground with a tap on its bus, and the operator who walks it.
 
     Args:
@@ -209,8 +235,17 @@ def commands(endpoints: Endpoints, bus: int, listen: int, seed: int, gate: Gate 
         listen: TCP port of the tap.
         seed: Of the simulator.
         gate: Of the router, where it lets in others than those of this machine.
+        base: Where mapper, planner and operator meet, as on another machine; None for one router.
+        page: TCP port of the operators' page, and the folder in which recordings go; None for no page, and no recorder.
     """
-    robot = tapped_robot.commands(endpoints, bus, listen, seed, _GROUND, gate=gate)
-    meeting = ("--robot", load_scenario(_GROUND).robot, "--connect", endpoints.connect[0], "--namespace", endpoints.namespace)
-    words = ("-m", "deploy.faults.console", *meeting)
-    return [*robot, Command("operator", words, ENVIRONMENT, restarts=tapped_robot.RESTARTS, after=("router",))]
+    port, recordings = page or (None, "")
+    robot = tapped_robot.commands(endpoints, bus, listen, seed, _GROUND, port, recordings, gate=gate, base=base)
+    met = (base or endpoints).connect[0]
+    meeting = ("--robot", load_scenario(_GROUND).robot, "--connect", met, "--namespace", endpoints.namespace)
+    words = ("-m", "deploy.faults.console", *meeting, *(() if base is None else ("--elsewhere",)))
+    after = ("router",) if base is None else (tapped_robot.BASE_ROUTER,)
+    return [*robot, Command("operator", words, ENVIRONMENT, restarts=tapped_robot.RESTARTS, after=after)]
+
+
+def _somewhere() -> Endpoints:
+    return Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="faults")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from deploy import process_table
 from deploy.faults import hog, live
-from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES, Away, Hogs, Off
+from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES, Away, Case, Hogs, Off
 from deploy.faults.live import LiveWalk
 from deploy.process_table import Command
 from services.actuator.latch import Latch
@@ -57,6 +57,27 @@ def test_everybody_meets_at_the_router_and_the_actuator_s_bytes_pass_the_tap() -
     assert {"tap", "simulator"} <= set(made["actuator"].after)
     assert made["simulator"].restarts == 0
     assert all(one.restarts > 100 for name, one in made.items() if name not in ("simulator", "tap")), "killed again and again"
+
+
+def test_of_two_halves_the_base_meets_at_a_router_of_its_own_that_is_chained_to_the_robot_s() -> None:
+    robot, base = (Endpoints((f"tcp/127.0.0.1:{port}",), namespace="n") for port in (1, 2))
+    made = {one.name: one for one in live.commands(robot, 21000, 22000, 5, base=base)}
+    assert words(made["base router"], "--listen") == ["tcp/127.0.0.1:2"]
+    assert words(made["base router"], "--connect") == ["tcp/127.0.0.1:1"]
+    there = {name for name, one in made.items() if words(one, "--connect") == ["tcp/127.0.0.1:2"]}
+    assert there == {"mapper", "planner", "operator"}
+    assert all("--elsewhere" in made[name].arguments for name in there), "they go by the robot's clock"
+    assert made["operator"].after == ("base router",)
+    onboard = {"simulator", "actuator", "stop", "perception"}
+    assert all(words(made[name], "--connect") == ["tcp/127.0.0.1:1"] for name in onboard)
+    assert made.keys() == there | onboard | {"router", "base router", "tap"}
+
+
+@pytest.mark.parametrize("case", LIVE_CASES, ids=lambda case: case.name)
+def test_a_process_that_is_to_be_broken_is_started(case: Case) -> None:
+    names = LiveWalk(case, 1).names
+    assert all(deed.service in names for deed in case.deeds if isinstance(deed, Away))
+    assert ("base router" in names) == case.halves
 
 
 def test_who_was_killed_is_back_with_the_first_sign_of_life_after_its_end(walk: LiveWalk) -> None:
