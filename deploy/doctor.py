@@ -77,7 +77,7 @@ def wheels() -> Iterator[Check]:
 
 def zenoh_round_trip() -> Check:
     """Whether frames get through a router of this machine and back, and how fast."""
-    from deploy.launcher import host_router
+    from deploy.launch.launcher import host_router
     from shared import topics
     from shared.service import AnyTopic
     from shared.transport import TransportError, ZenohLink

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields
 from typing import Literal
 
-from deploy.pose_error import MODELS, Erring
+from deploy.runs.pose_error import MODELS, Erring
 from services.perception.config import Settings as PerceptionSettings
 from services.perception.service import Perception
 from shared import process

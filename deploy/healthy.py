@@ -15,7 +15,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from deploy.ports import port_taken
+from deploy.launch.ports import port_taken
 
 _CREDENTIALS = struct.Struct("3i")  # Linux' struct ucred: process, user, group
 _PATIENCE_S = 5.0  # where WATCHDOG_USEC says nothing

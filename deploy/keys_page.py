@@ -18,11 +18,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deploy.operator import Operator
+from deploy.judging.scorer import Scorer
 from deploy.order import Order
 from deploy.process_table import ROUTER_ENDPOINT, TABLE
 from deploy.ros2.bridge import Bridge
-from deploy.scorer import Scorer
+from deploy.runs.operator import Operator
 from shared import codec, messages, topics
 from shared.messages import Dims, Message, Mode, VelocityCommand
 from shared.service import AnyTopic

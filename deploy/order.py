@@ -10,7 +10,7 @@ from shared.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 What: TypeAlias = Literal["off", "stop", "ready", "stand", "walk", "sit"]
-_KEPT_BACK = f" may not put {topics.MODE.key}"  # as a router says it (`deploy.refusals`)
+_KEPT_BACK = f" may not put {topics.MODE.key}"  # as a router says it (`deploy.network.refusals`)
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the order
 _UNHEARD_NS = 5_000_000_000  # [ns] patience for the first word of the actuator
 _PATIENCE_NS = 15_000_000_000  # [ns] patience for what is ordered

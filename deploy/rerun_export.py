@@ -11,8 +11,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from deploy.pictures.terrain_mesh import terrain_mesh
 from deploy.progress import Progress
-from deploy.terrain_mesh import terrain_mesh
 from services.console.diary import Diary
 from services.console.recording.reader import Recording
 from shared import topics

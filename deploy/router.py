@@ -10,10 +10,10 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 
-from deploy import gate, refusals
-from deploy.gatekeeper import CaughtOutput, Gatekeeper, link_to, publish
-from deploy.knocking import Knocking
-from deploy.meeting import Meeting
+from deploy.network import gate, refusals
+from deploy.network.gatekeeper import CaughtOutput, Gatekeeper, link_to, publish
+from deploy.network.knocking import Knocking
+from deploy.network.meeting import Meeting
 from deploy.process_table import ROUTER_ENDPOINT
 from deploy.provenance import version
 from shared.access import AccessError

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from deploy import cli
-from deploy.launcher import free_port
+from deploy.launch.launcher import free_port
 from services.simulator.workbench import Workbench
 from shared.robot import load_profile
 from tests.test_readme import commands

@@ -19,7 +19,7 @@ RUN_BY = {
     "test_what_compose_offboard_yaml_starts_walks_a_robot_by_certificates_and_each_of_its_services_is_healthy",
     "service install": "tests/live/test_services.py::"
     "test_what_the_units_start_is_ready_in_order_gives_signs_of_life_and_ends_when_asked",
-    "service uninstall": "tests/unit/deploy/test_units.py::test_the_command_writes_prints_what_is_next_and_removes",
+    "service uninstall": "tests/unit/deploy/launch/test_units.py::test_the_command_writes_prints_what_is_next_and_removes",
     "up offboard": "tests/live/test_live_walk.py::test_two_machines_walk_together_whichever_is_there_first",
     "order stand": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",
     "order walk": "tests/live/test_live_walk.py::test_services_that_are_up_walk_for_whoever_joins_them",

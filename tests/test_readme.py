@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli, kept, passage_table
+from deploy import cli
 from deploy.bench import fleet, link
-from deploy.campaign_table import WALKED, Campaign, markdown, of_runs
 from deploy.faults import table as fault_table
 from deploy.fuzz import table as fuzz_table
+from deploy.trials import kept, passage_table
+from deploy.trials.campaign_table import WALKED, Campaign, markdown, of_runs
 
 ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
@@ -64,7 +65,7 @@ RUN_BY = {
     "bench passage": "tests/unit/deploy/test_bench.py::test_the_passage_command_leaves_its_table",
     "bench stages": "tests/unit/deploy/test_bench.py::test_the_stages_command_leaves_timings_and_a_picture",
     "compose": "tests/unit/deploy/test_cli.py::test_compose_prints_the_committed_file",
-    "service": "tests/unit/deploy/test_units.py::test_the_command_writes_prints_what_is_next_and_removes",
+    "service": "tests/unit/deploy/launch/test_units.py::test_the_command_writes_prints_what_is_next_and_removes",
     "faults": "tests/walk/test_faults_command.py::test_faults_are_injected_held_to_their_limits_and_not_done_again",
     "fuzz": "tests/unit/deploy/test_fuzz.py::test_the_command_says_what_it_found_and_gives_a_message_again",
     "faults --live": "tests/live/test_live_faults.py::"
@@ -72,7 +73,7 @@ RUN_BY = {
     "bench bus": "tests/unit/deploy/test_bench_bus.py::test_the_bus_command_leaves_its_table",
     "bench start": "tests/unit/deploy/test_bench_start.py::test_the_start_command_leaves_its_figures",
     "bench access": "tests/live/test_access.py::test_the_access_command_leaves_its_table",
-    "keys new": "tests/unit/deploy/test_gate.py::test_new_keys_are_for_their_owner_alone_and_are_not_overwritten",
+    "keys new": "tests/unit/deploy/network/test_gate.py::test_new_keys_are_for_their_owner_alone_and_are_not_overwritten",
     "bench servos": "tests/unit/deploy/test_bench_servos.py::test_the_servos_command_leaves_its_figures",
     "servos set-id": "tests/test_commissioning.py::test_the_tutorial_runs_as_it_is_written",
     "servos emulate": "tests/test_commissioning.py::test_the_tutorial_runs_as_it_is_written",

@@ -15,8 +15,8 @@ from deploy.bed import orders
 from deploy.bed.namespace import BedError
 from deploy.bed.relay import ROBOT
 from deploy.bed.tcp_relay import HERE
-from deploy.gate import SECURE_ENDPOINT
-from deploy.launcher import free_port
+from deploy.launch.launcher import free_port
+from deploy.network.gate import SECURE_ENDPOINT
 from deploy.process_table import ROUTER_ENDPOINT
 from shared.scenario import Link
 

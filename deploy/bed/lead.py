@@ -8,7 +8,7 @@ import math
 import sys
 import threading
 
-from deploy.operator import Operator
+from deploy.runs.operator import Operator
 from shared.robot import load_profile
 from shared.scenario import load_scenario
 from shared.service import run_live

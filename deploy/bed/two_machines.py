@@ -11,7 +11,7 @@ from typing import Self
 
 from deploy.bed.bed import PORT, TLS_PORT, Bed
 from deploy.bed.ear import Heard
-from deploy.launcher import Launcher
+from deploy.launch.launcher import Launcher
 from deploy.process_table import ENVIRONMENT, Command
 
 _CLI = ("-m", "deploy.cli")

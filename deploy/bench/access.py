@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.authority import Authority
 from deploy.bench import replayed
-from deploy.gate import Gate
-from deploy.launcher import free_port
+from deploy.launch.launcher import free_port
+from deploy.network.authority import Authority
+from deploy.network.gate import Gate
 from shared import codec, topics
 from shared.access import CERTIFICATE, KEY, ROLES, AccessError, Keys
 from shared.handshake import verdict

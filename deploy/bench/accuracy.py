@@ -13,8 +13,8 @@ from deploy.bench import model
 from deploy.bench.full_frame import FullFrames
 from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
 from deploy.bench.scenes import MAPPED, REGISTERED, Scene
-from deploy.listener import Listener
-from deploy.true_ground import INTERIOR, TrueGround, rms
+from deploy.judging.true_ground import INTERIOR, TrueGround, rms
+from deploy.replay.listener import Listener
 from deploy.workers import share_out
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.elevation import ElevationSnapshot

@@ -13,10 +13,10 @@ from typing import Any
 
 from deploy.bench.played_robot import Heard
 from deploy.bench.timing import machine
-from deploy.fleet import Base, Fleet, Member, Page
-from deploy.launcher import free_port
-from deploy.lockstep_run import run_lockstep
+from deploy.launch.fleet import Base, Fleet, Member, Page
+from deploy.launch.launcher import free_port
 from deploy.progress import Progress
+from deploy.runs.lockstep_run import run_lockstep
 from shared.scenario import load_scenario
 
 SEED = 1003

@@ -16,7 +16,7 @@ from deploy.bed.bed import Bed, two_machines
 from deploy.bed.cuts import BACK_S, HOLD_S, Cut, judge
 from deploy.bed.two_machines import TwoMachines
 from deploy.bench.timing import machine
-from deploy.statistics import wilson
+from deploy.trials.statistics import wilson
 from shared.scenario import Link
 
 LINKS = (Link(20.0, 20.0, 0.0), Link(20.0, 20.0, 0.05), Link(20.0, 2.0, 0.0))  # of the walks

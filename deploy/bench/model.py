@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.true_ground import INTERIOR, TrueGround, rms
+from deploy.judging.true_ground import INTERIOR, TrueGround, rms
 from shared import topics
 from shared.geometry import Array
 from shared.messages import Message, PassageMap, PassageRequest, TerrainMap, Tick

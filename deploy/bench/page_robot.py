@@ -9,10 +9,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy import tapped_robot
 from deploy.faults import tap
 from deploy.faults.wire import Recorder
-from deploy.launcher import Launcher, free_port
+from deploy.launch.launcher import Launcher, free_port
+from deploy.runs import tapped_robot
 from services.actuator.latch import Latch
 from shared import codec, topics
 from shared import dynamixel as dxl

@@ -17,7 +17,7 @@ from deploy.bench.passage_fields import BEYOND, GAP, NEAR, START, field_of, heig
 from deploy.bench.passage_ompl import BodyPlanner
 from deploy.bench.passage_peer import NumpyTests
 from deploy.bench.timing import Race, Timing, installed, one_core
-from deploy.passage_checker import violations
+from deploy.judging.passage_checker import violations
 from services.planner.passage import search
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, Roadmap, Stance

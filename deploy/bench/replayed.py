@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy import tapped_robot
-from deploy.authority import Authority
 from deploy.faults.live import commands
-from deploy.gate import Gate
-from deploy.launcher import Launcher, free_port
+from deploy.launch.launcher import Launcher, free_port
+from deploy.network.authority import Authority
+from deploy.network.gate import Gate
+from deploy.runs import tapped_robot
 from services.actuator.latch import Latch
 from shared import codec, topics
 from shared.access import ROLES, Keys

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from deploy.bench.timing import machine
-from deploy.launcher import Launcher, host_router
+from deploy.launch.launcher import Launcher, host_router
 from deploy.process_table import TABLE, Choices, commands
 from services.actuator.latch import Latch
 from services.simulator.tcp_port import TcpBusServer

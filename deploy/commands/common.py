@@ -79,7 +79,7 @@ def warm_up(progress: "Progress") -> None:
         KeyboardInterrupt: The operator has had enough.
     """
     from deploy.interrupts import Interrupts
-    from deploy.live_run import warm_up
+    from deploy.runs.live_run import warm_up
 
     with Interrupts() as interrupts:
         problem = warm_up(progress, interrupts)

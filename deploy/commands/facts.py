@@ -27,7 +27,7 @@ def doctor(arguments: argparse.Namespace) -> int:
 def _strange(endpoint: str, keys: str | None) -> "list[Check]":
     """Try to get in at an endpoint as a stranger."""
     try:
-        from deploy.stranger import examine
+        from deploy.network.stranger import examine
     except ImportError as error:
         raise InputError(f"{error}; their certificates are made with it: pip install 'sextant[access]'") from None
     try:
@@ -38,7 +38,7 @@ def _strange(endpoint: str, keys: str | None) -> "list[Check]":
 
 def compose(arguments: argparse.Namespace) -> int:
     """`sextant compose`: compose.yaml of a local launch, or of what runs beside a robot."""
-    from deploy.compose import compose_yaml, offboard_yaml
+    from deploy.launch.compose import compose_yaml, offboard_yaml
 
     sys.stdout.write(offboard_yaml() if arguments.offboard else compose_yaml(arguments.scenario, arguments.seed))
     return SUCCESS

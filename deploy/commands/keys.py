@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from deploy.commands.common import SUCCESS, InputError, say
 
 if TYPE_CHECKING:
-    from deploy.authority import Held
+    from deploy.network.authority import Held
 
 
 def new(arguments: argparse.Namespace) -> int:
@@ -49,7 +49,7 @@ def _what(role: str) -> str:
 
 def _authority() -> ModuleType:
     try:
-        from deploy import authority
+        from deploy.network import authority
     except ImportError as error:
         raise InputError(f"{error}; certificates are made with cryptography: pip install 'sextant[access]'") from None
     return authority

@@ -152,12 +152,12 @@ def replay(arguments: argparse.Namespace) -> int:
     out = out_folder(arguments, f"replay-{source.stem}")
     progress = open_progress(arguments.json)
     if run or parts:
-        from deploy import replay_walk
+        from deploy.replay import replay_walk
 
         table = replay_walk.replay_recording(source, out, progress, arguments.only or ())
         words = replay_walk.in_words(table)
     else:
-        from deploy import replay_sequence
+        from deploy.replay import replay_sequence
 
         if arguments.only:
             raise InputError("--only is for recorded runs: of a depth sequence everything is fed")

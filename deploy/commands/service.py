@@ -14,12 +14,12 @@ from deploy.commands.common import SUCCESS, InputError, say
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from deploy.units import Manager
+    from deploy.launch.units import Manager
 
 
 def install(arguments: argparse.Namespace) -> int:
     """`sextant service install`: a unit for each process of a role, and a target for all."""
-    from deploy import units
+    from deploy.launch import units
 
     manager = _manager(arguments)
     made = _made(arguments, manager)
@@ -42,7 +42,7 @@ def install(arguments: argparse.Namespace) -> int:
 
 def uninstall(arguments: argparse.Namespace) -> int:
     """`sextant service uninstall`: remove what `install` wrote, and nothing else."""
-    from deploy import units
+    from deploy.launch import units
 
     manager = _manager(arguments)
     folder = Path(arguments.folder) if arguments.folder else manager.usual_folder
@@ -59,7 +59,7 @@ def uninstall(arguments: argparse.Namespace) -> int:
 
 
 def _manager(arguments: argparse.Namespace) -> "Manager":
-    from deploy.units import DEVICE_GROUPS, Manager
+    from deploy.launch.units import DEVICE_GROUPS, Manager
 
     if not arguments.system:
         return Manager(sys.executable)
@@ -74,8 +74,9 @@ def _made(arguments: argparse.Namespace, manager: "Manager") -> "Mapping[str, st
     Raises:
         AccessError: Anybody would be let in, and it was not said that they should; or the keys are wrong.
     """
-    from deploy import process_table, units
+    from deploy import process_table
     from deploy.commands.up import asked, gate_of
+    from deploy.launch import units
     from shared.transport import Endpoints
 
     rows, chosen, extra = asked(arguments)

@@ -13,7 +13,7 @@ def trials(arguments: argparse.Namespace) -> int:
         return _campaign(arguments)
     scenario = asked_scenario(arguments)
     out = out_folder(arguments, f"trials-{scenario.name}")
-    from deploy import trials as batches
+    from deploy.trials import batch as batches
 
     progress = open_progress(arguments.json)
     seeing = batches.run_trials(scenario, arguments.seeds, arguments.jobs, out, say=progress.say)
@@ -32,10 +32,10 @@ def trials(arguments: argparse.Namespace) -> int:
 
 def _campaign(arguments: argparse.Namespace) -> int:
     """`sextant trials all`, `sextant trials passages`: the table of all terrains, or of all passages, and Masri's of these."""
-    from deploy import campaign_table as tables
-    from deploy import kept
-    from deploy.campaign import run_campaign
-    from deploy.passage_table import markdown as sections
+    from deploy.trials import campaign_table as tables
+    from deploy.trials import kept
+    from deploy.trials.campaign import run_campaign
+    from deploy.trials.passage_table import markdown as sections
 
     passages = arguments.scenario == "passages"
     asked = as_asked(arguments)
@@ -56,8 +56,8 @@ def _campaign(arguments: argparse.Namespace) -> int:
 
 def table(arguments: argparse.Namespace) -> int:
     """`sextant trials table`: a table of runs that were kept, nothing being run."""
-    from deploy import campaign_table as tables
-    from deploy import kept, passage_table
+    from deploy.trials import campaign_table as tables
+    from deploy.trials import kept, passage_table
 
     files = kept.files([Path(place) for place in arguments.kept])
     runs = [run for path in files for run in kept.read(path)]

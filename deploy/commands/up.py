@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, asked_robot, complain, say
 
 if TYPE_CHECKING:
-    from deploy.gate import Gate
+    from deploy.network.gate import Gate
     from deploy.process_table import Choices, Process
 
 
 def up(arguments: argparse.Namespace) -> int:
     """`sextant up`: the processes of a role until Ctrl-C."""
     from deploy import process_table
-    from deploy.half import Half
     from deploy.interrupts import Interrupts
+    from deploy.launch.half import Half
 
     rows, chosen, extra = asked(arguments)
     if arguments.print_zenoh:
@@ -84,7 +84,7 @@ def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str
     Raises:
         AccessError: Anybody would be let in, and it was not said that they should; or the keys are wrong.
     """
-    from deploy import gate
+    from deploy.network import gate
 
     keys, upstream = arguments.key_folder, tuple(arguments.connect or ())
     gated = gate.of_arguments(arguments.listen or [], keys, arguments.open, arguments.namespace, usual, upstream)
@@ -96,7 +96,7 @@ def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str
 
 def _usual(arguments: argparse.Namespace) -> str:
     """Where processes of this machine meet: as usual, or on a free port."""
-    from deploy.launcher import free_port, port_taken
+    from deploy.launch.launcher import free_port, port_taken
     from deploy.process_table import ROUTER_ENDPOINT
 
     if not (arguments.connect and port_taken(int(ROUTER_ENDPOINT.rpartition(":")[2]))):
@@ -105,7 +105,7 @@ def _usual(arguments: argparse.Namespace) -> str:
 
 
 def _choices(arguments: argparse.Namespace) -> "Choices":
-    from deploy.launcher import free_port
+    from deploy.launch.launcher import free_port
     from deploy.process_table import Choices, choices
     from shared.scenario import load_scenario
 
@@ -150,7 +150,7 @@ def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, t
 
 def _page_port(usual: int, settings: Sequence[str]) -> int:
     """Where the operator's page is served: as it is asked for, else where it usually is, else on any port that is free."""
-    from deploy.launcher import free_port, port_taken
+    from deploy.launch.launcher import free_port, port_taken
     from services.console.config import Settings
     from shared.process import load_settings
 

@@ -21,7 +21,7 @@ from deploy.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from deploy.report import Report
+    from deploy.judging.report import Report
     from shared.transport import Endpoints
 
 
@@ -82,8 +82,8 @@ def _run_lockstep(arguments: argparse.Namespace) -> int:
     out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
     import contextlib
 
-    from deploy.lockstep_run import run_lockstep
-    from deploy.tum_recording import DepthRecorder
+    from deploy.replay.tum_recording import DepthRecorder
+    from deploy.runs.lockstep_run import run_lockstep
     from shared.robot import load_profile
 
     with contextlib.ExitStack() as stack:
@@ -110,7 +110,7 @@ def _run_live(arguments: argparse.Namespace) -> int:
     with Interrupts() as interrupts:
         if getattr(arguments, "parent", None):
             end_with(arguments.parent)
-        from deploy import live_run
+        from deploy.runs import live_run
 
         attach = _attach(arguments)
         problem = "" if attach else live_run.warm_up(progress, interrupts)
@@ -127,7 +127,7 @@ def _run_live(arguments: argparse.Namespace) -> int:
 
 
 def _tell(report: "Report", out: Path, as_json: bool) -> int:
-    from deploy.report import to_json
+    from deploy.judging.report import to_json
 
     if as_json:
         sys.stdout.write(to_json(report))

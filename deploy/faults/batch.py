@@ -10,13 +10,14 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from deploy import kept, provenance
+from deploy import provenance
 from deploy.faults.cases import BY_NAME, Case
 from deploy.faults.live import LiveWalk
 from deploy.faults.score import Outcome, score
 from deploy.faults.walk import FaultWalk
 from deploy.faults.watched import SCENARIO, in_walks
-from deploy.trials import fingerprint, refuse_another_program
+from deploy.trials import kept
+from deploy.trials.batch import fingerprint, refuse_another_program
 from deploy.workers import share_out
 
 FILE = "faults.jsonl"

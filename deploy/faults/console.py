@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from deploy.faults.watched import SCENARIO
-from deploy.operator import Operator
+from deploy.runs.operator import Operator
 from shared import process
 from shared.robot import RobotProfile
 

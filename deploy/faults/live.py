@@ -14,13 +14,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy import tapped_robot
 from deploy.faults import hog, tap
 from deploy.faults.cases import Away, Case, Deed, Hogs, Off
 from deploy.faults.watched import LEAST_WATCH_S, Seen, Watched
-from deploy.gate import Gate
-from deploy.launcher import Launcher, free_port
+from deploy.launch.launcher import Launcher, free_port
+from deploy.network.gate import Gate
 from deploy.process_table import ENVIRONMENT, Command
+from deploy.runs import tapped_robot
 from services.actuator.latch import Latch
 from shared import codec, topics
 from shared import dynamixel as dxl

@@ -9,8 +9,8 @@ import numpy as np
 
 from deploy.faults.cases import Case
 from deploy.faults.timeline import Timeline, Truth, Word
-from deploy.scorer import FALL_TILT_DEG
-from deploy.walk_metrics import Flags, debounced, stability_margin
+from deploy.judging.scorer import FALL_TILT_DEG
+from deploy.judging.walk_metrics import Flags, debounced, stability_margin
 from shared import dynamixel as dxl
 from shared.geometry import Array
 from shared.messages import Mode

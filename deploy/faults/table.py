@@ -9,7 +9,7 @@ from typing import Any
 from deploy.faults.batch import Injection
 from deploy.faults.cases import BY_NAME, Case
 from deploy.faults.score import Outcome
-from deploy.statistics import wilson
+from deploy.trials.statistics import wilson
 
 _TOO_MANY = 5  # missed cycles in a row
 

@@ -13,7 +13,7 @@ import numpy as np
 from deploy.faults.cases import Away, Case, Clock, Deed, Meddling, Off, OnBus
 from deploy.faults.planner import Meddler
 from deploy.faults.watched import LEAST_WATCH_S, REPEAT_S, SCENARIO, Seen, Watched
-from deploy.lockstep_run import LockstepRun, assemble
+from deploy.runs.lockstep_run import LockstepRun, assemble
 from services.actuator.latch import Latch
 from services.simulator.service import Simulator
 from shared import dynamixel as dxl

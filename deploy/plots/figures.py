@@ -12,10 +12,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy import layers_picture, passage_picture, summary, walk_picture
+from deploy.pictures import layers_picture, passage_picture, summary, walk_picture
+from deploy.pictures.walk_picture import LEG_COLORS
 from deploy.plots.numbers import comparison
 from deploy.plots.recorded import RecordedRun
-from deploy.walk_picture import LEG_COLORS
 from shared.geometry import Array
 from shared.robot import JOINTS, LEGS
 

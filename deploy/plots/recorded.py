@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from deploy import report as reports
+from deploy.judging import report as reports
+from deploy.judging.report import Report
+from deploy.judging.scorer import Scorer
+from deploy.judging.trace import Trace
 from deploy.plots.own_words import SEED, WORDS, Frame, ground_of, scenario_of, with_truth
-from deploy.report import Report
-from deploy.scorer import Scorer
-from deploy.trace import Trace
 from services.console.recording.layout import RecordingError
 from services.console.recording.reader import Recording
 from shared import codec, topics

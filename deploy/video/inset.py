@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.relief import shaded
+from deploy.pictures.relief import shaded
 from deploy.video.ground import RELIEF
 from deploy.video.robot_figure import CARRIES, COLORS, SWINGS
 from deploy.video.story import Moment

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.launcher import free_port
+from deploy.launch.launcher import free_port
 from services.perception import tum
 from services.simulator.bus import ServoBusEmulator
 from services.simulator.servos import AX_12A_MOTOR, ServoBank

@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
-from deploy import meeting
 from deploy.bench import browser as browsers
 from deploy.bench import fleet
 from deploy.bench.browser import SMALL
-from deploy.launcher import free_port
+from deploy.launch.launcher import free_port
+from deploy.network import meeting
 from services.console.door import PROTOCOL
 from shared import codec, topics
 from shared.messages import Mode, ModeCommand, StopOrder

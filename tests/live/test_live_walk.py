@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 
 import deploy
-from deploy.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_UP
-from deploy.launcher import Launcher, free_port
+from deploy.judging.report import check
+from deploy.launch.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_UP
+from deploy.launch.launcher import Launcher, free_port
 from deploy.process_table import BUS_PORT
 from deploy.process_table import Command as LaunchedCommand
-from deploy.report import check
 from services.console.recording.reader import Recording
 from shared import topics
 from shared.messages import Health

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.launcher import host_router
+from deploy.launch.launcher import host_router
 from services.console.recording.reader import Recording
 from services.console.recording.recovery import recover
 from shared import codec, topics

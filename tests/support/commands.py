@@ -17,7 +17,7 @@ from typing import Self
 
 import pytest
 
-from deploy.ports import port_taken
+from deploy.launch.ports import port_taken
 from shared import codec, topics
 from shared.messages import ActuatorState, Mode, PlannerStatus
 from shared.service import AnyTopic

@@ -5,7 +5,7 @@ python -m tests.support.compiled steps 5.0     a process of its own: what anothe
 
 import sys
 
-from deploy.lockstep_run import assemble
+from deploy.runs.lockstep_run import assemble
 from deploy.warm_up import rehearse
 from shared.robot import load_profile
 from shared.scenario import load_scenario

@@ -12,7 +12,7 @@ from typing import Any
 
 import zenoh
 
-from deploy.authority import Authority
+from deploy.network.authority import Authority
 from shared.access import ROLES, Keys
 from shared.topics import Topic
 from shared.transport import Endpoints, ZenohLink

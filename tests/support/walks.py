@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from deploy.lockstep_run import LockstepRun, assemble
-from deploy.report import Report
+from deploy.judging.report import Report
+from deploy.runs.lockstep_run import LockstepRun, assemble
 from shared import codec, topics
 from shared.geometry import Array
 from shared.messages import ActuatorState, Message, PlannerStatus, TerrainMap

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from deploy.lockstep_run import run_lockstep
+from deploy.runs.lockstep_run import run_lockstep
 from services.console.recording.reader import Recording
 from shared import topics
 from shared.scenario import Rubble

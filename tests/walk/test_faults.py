@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deploy.lockstep_run import LockstepRun
-from deploy.walk_metrics import stability_margin
+from deploy.judging.walk_metrics import stability_margin
+from deploy.runs.lockstep_run import LockstepRun
 from services.actuator.bus import ServoBus
 from services.simulator.bus import MemoryPort
 from services.simulator.service import Simulator

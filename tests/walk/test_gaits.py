@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from deploy import cli
-from deploy.lockstep_run import run_lockstep
+from deploy.runs.lockstep_run import run_lockstep
 from shared.scenario import Goal, load_scenario
 
 _TWO_STEPS = """

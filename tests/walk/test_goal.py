@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deploy.report import as_table, check
+from deploy.judging.report import as_table, check
 from shared import topics
 from shared.messages import Mode
 from shared.scenario import load_scenario

@@ -2,8 +2,8 @@
 
 import pytest
 
-from deploy.lockstep_run import assemble
-from deploy.published import TESTS, Measured
+from deploy.pictures.published import TESTS, Measured
+from deploy.runs.lockstep_run import assemble
 from shared.robot import load_profile
 from shared.scenario import load_scenario
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.tum_recording import record_tum
+from deploy.replay.tum_recording import record_tum
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception.cameras.config import Settings as CameraSettings

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.report import as_table, check
+from deploy.judging.report import as_table, check
 from shared.messages import Mode
 from shared.robot import LEGS
 from tests.support.walks import course, walk

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from deploy import cli
-from deploy import replay_sequence as replay
 from deploy.progress import Silent
-from deploy.tum_recording import record_tum
+from deploy.replay import replay_sequence as replay
+from deploy.replay.tum_recording import record_tum
 from services.perception import tum
 from shared.geometry import apply
 from shared.robot import load_profile

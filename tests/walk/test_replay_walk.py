@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.attendance import about
-from deploy.lockstep_run import assemble
 from deploy.progress import Silent
-from deploy.replay_walk import Change, replay_recording
+from deploy.replay.replay_walk import Change, replay_recording
+from deploy.runs.attendance import about
+from deploy.runs.lockstep_run import assemble
 from deploy.video.story import Story
 from services.console.recording.foxglove.translation import Foxglove
 from services.console.recording.reader import Recording

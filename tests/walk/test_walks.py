@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from deploy import cli
-from deploy.lockstep_run import run_lockstep
-from deploy.report import check
+from deploy.judging.report import check
+from deploy.runs.lockstep_run import run_lockstep
 from shared.scenario import Walk, load_scenario
 from tests.support.walks import flat
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from deploy.scorer import Scorer
+from deploy.judging.scorer import Scorer
 from services.simulator.terrain import build_terrain
 from shared import codec, topics
 from shared.geometry import from_xyz_rpy

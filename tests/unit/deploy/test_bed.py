@@ -15,7 +15,7 @@ from deploy.bed.cuts import judge
 from deploy.bed.ear import Heard
 from deploy.bed.namespace import BedError
 from deploy.bed.stream import AGAIN_NS, SEGMENT, Air, Stream
-from deploy.launcher import free_port
+from deploy.launch.launcher import free_port
 from shared.messages import Mode
 from shared.scenario import Link
 

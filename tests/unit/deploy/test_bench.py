@@ -13,7 +13,7 @@ from deploy import cli
 from deploy.bench import accuracy, full_frame, model, reduction_peers, registration_peers, score_peers, speed, stages, timing
 from deploy.bench.ride import CarriedCamera, Errors, ride
 from deploy.bench.scenes import MAPPED, REGISTERED
-from deploy.true_ground import TrueGround
+from deploy.judging.true_ground import TrueGround
 from services.perception.registration import Registration
 from services.simulator.terrain import Terrain
 from shared.geometry import inverse

@@ -12,8 +12,9 @@ import pytest
 
 from deploy import cli
 from deploy.commands.common import out_folder
+from deploy.judging.report import Report
 from deploy.process_table import Command
-from deploy.report import Report
+from deploy.trials import batch
 from shared.messages import GaitName
 from shared.scenario import Scenario
 from shared.topics import TOPICS
@@ -111,7 +112,7 @@ class NoLink:
 def test_what_is_up_is_the_robot_that_is_asked_for(
     words: list[str], robot: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy import half
+    from deploy.launch import half
 
     started: list[tuple[str, ...]] = []
 
@@ -204,7 +205,7 @@ def report(success: bool, seed: int = 3) -> Report:
 def test_a_run_ends_in_0_only_on_success(
     success: bool, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy import lockstep_run
+    from deploy.runs import lockstep_run
 
     monkeypatch.setattr(lockstep_run, "run_lockstep", lambda _scenario, seed, *_: report(success, seed))
     assert cli.main(["run", "flat", "--lockstep", "--seed", "9", "--out", str(tmp_path)]) == status
@@ -225,7 +226,7 @@ def test_a_live_run_and_the_demo_end_as_the_walk_does(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    from deploy import live_run
+    from deploy.runs import live_run
 
     asked: list[tuple[str, str, int]] = []
 
@@ -253,7 +254,7 @@ def test_a_demo_of_another_course_is_refused(capsys: pytest.CaptureFixture[str])
 def test_a_machine_that_cannot_warm_up_does_not_walk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy import live_run
+    from deploy.runs import live_run
 
     monkeypatch.setattr(live_run, "warm_up", lambda *_: "warm-up ended (exit status 1); its last words: no mujoco")
     assert cli.main(["run", "flat", "--out", str(tmp_path)]) == 1
@@ -281,7 +282,7 @@ service = "mapper"
 def test_trials_tell_the_rate_and_the_baseline_beside_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy import lockstep_run
+    from deploy.runs import lockstep_run
 
     def run(scenario: Scenario, seed: int) -> Report:
         return replace(report(not scenario.walk.blind, seed), blind=scenario.walk.blind)
@@ -311,7 +312,8 @@ def test_the_commit_gives_seeds_that_nobody_chose(monkeypatch: pytest.MonkeyPatc
 def test_trials_of_all_terrains_print_one_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy import campaign_table, lockstep_run
+    from deploy.runs import lockstep_run
+    from deploy.trials import campaign_table
 
     left: list[Path] = []
 
@@ -341,8 +343,9 @@ def test_trials_of_all_terrains_print_one_table(
 def test_trials_of_all_passages_print_their_table_and_the_thesis_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy import campaign_table, lockstep_run
-    from deploy.report import Passage, Section
+    from deploy.judging.report import Passage, Section
+    from deploy.runs import lockstep_run
+    from deploy.trials import campaign_table
 
     passage = Passage(30, sections=(Section("complete", "", 640, 70, 9.0, 40),))
     monkeypatch.setattr(
@@ -376,9 +379,8 @@ def test_a_table_of_something_else_is_refused_and_the_file_left_as_it_is(
 def test_trials_of_a_changed_program_are_refused_in_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy import trials
 
-    monkeypatch.setattr(trials, "_begun_by", lambda: (b"another", "abc1234"))
+    monkeypatch.setattr(batch, "_begun_by", lambda: (b"another", "abc1234"))
     assert cli.main(["trials", "flat", "--seeds", "0:3", "--out", str(tmp_path)]) == 2
     assert "restore commit abc1234" in capsys.readouterr().err
 
@@ -386,7 +388,7 @@ def test_trials_of_a_changed_program_are_refused_in_words(
 def test_another_robot_and_gait_walk_in_place_of_the_scenarios(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy import lockstep_run
+    from deploy.runs import lockstep_run
 
     walked: list[str] = []
     ways: list[tuple[str, float]] = []

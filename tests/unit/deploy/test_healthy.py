@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deploy import healthy
-from deploy.launcher import free_port
+from deploy.launch.launcher import free_port
 
 # Gives signs of life as a service does, until it reads a line; then it hangs.
 _LIVING = """

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deploy import cli, rates, shown
-from deploy.launcher import free_port
+from deploy.launch.launcher import free_port
 from deploy.overheard import ONLY_BY_NAME, Heard, Mailbox, age_ns, listen, topics_named
 from shared import codec, topics
 from shared.codec import DecodeError, Timing

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from deploy import cli
-from deploy import replay_sequence as replay
-from deploy.attendance import about
 from deploy.progress import Silent
-from deploy.replay_error import ReplayError
-from deploy.replay_sequence import HandHeld, Player
-from deploy.replay_walk import in_words, map_difference, replay_recording
+from deploy.replay import replay_sequence as replay
+from deploy.replay.replay_error import ReplayError
+from deploy.replay.replay_sequence import HandHeld, Player
+from deploy.replay.replay_walk import in_words, map_difference, replay_recording
+from deploy.runs.attendance import about
 from services.console.recording.writer import Recorder
 from services.mapper.config import Settings
 from services.mapper.service import Mapper

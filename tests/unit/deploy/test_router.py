@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from deploy import meeting
+from deploy.network import meeting
 from deploy.provenance import version
 from shared import codec, topics
 from shared.messages import Presence

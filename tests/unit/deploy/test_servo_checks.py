@@ -10,7 +10,7 @@ import pytest
 
 from deploy import servo_checks
 from deploy.checks import Check, Level
-from deploy.launcher import free_port
+from deploy.launch.launcher import free_port
 from services.simulator.tcp_port import TcpBusServer
 from services.simulator.workbench import Workbench
 from shared import dynamixel as dxl

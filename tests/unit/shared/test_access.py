@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from deploy import access_page
-from deploy.authority import Authority
 from deploy.keys_page import _service
+from deploy.network.authority import Authority
 from deploy.process_table import TABLE, rows
 from services.console.recording.writer import LEFT_OUT
 from shared import access, topics

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy import report as reports
+from deploy.judging import report as reports
 from deploy.plots.recorded import RecordedRun, recorded_run
 from services.console.recording.writer import Recorder
 from shared import codec, topics

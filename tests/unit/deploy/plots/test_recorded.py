@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy import report as reports
+from deploy.judging import report as reports
 from deploy.plots.own_words import WORDS, MappedGround
 from deploy.plots.recorded import recorded_run
 from services.console.recording.layout import RecordingError

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from deploy import cli
-from deploy.launcher import free_port
+from deploy.launch.launcher import free_port
 from deploy.ros2 import cdr
 from deploy.ros2.bridge import MAX_TWIST_BYTES, PICTURES, PUBLISHED, SUBSCRIBED, TWIST, TWIST_STAMPED, Bridge, read_twist
 from deploy.ros2.definitions import DEFINITIONS

@@ -1,0 +1,59 @@
+"""What is judged of a gap that is crossed on pillars: where feet stood on them, whether one was off, what planning came to."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.judging.course import Course
+from deploy.judging.heard import Heard
+from deploy.judging.report import FootholdEdge, Passage, Section
+from deploy.judging.trace import Trace
+from deploy.judging.walk import Walk
+from deploy.judging.walk_metrics import runs
+from shared import topics
+from shared.geometry import Array
+from shared.messages import PassagePlan
+from shared.robot import LEGS
+
+_OVER_NOTHING = 0.03  # [m] of air under a standing foot's underside: what holds it, if anything, is an edge beside it
+_FALLEN = 0.08  # [m] under the other feet's undersides: it stands in the gap
+_LASTING = round(0.1 * topics.TRUTH.rate_hz)  # samples of truth: by plan a foot still swings, or does so already
+
+
+def passage_figures(walk: Walk, heard: Heard, trace: Trace, course: Course, passable: bool | None = None) -> Passage:
+    """The part of a report that is about a passage; see there. `passable` is what others have found out, None for nothing."""
+    edge = course.edge_distance(trace.touchdowns.p[:, :2])
+    edge = edge[np.isfinite(edge)]
+    p05, median = np.percentile(edge, [5, 50]).tolist() if len(edge) else (float("nan"), float("nan"))
+    return Passage(
+        pillar_touchdowns=len(edge),
+        foothold_edge_m=FootholdEdge(p05, median),
+        feet_off=feet_off(walk.feet[..., 2] - trace.profile.foot.radius, walk.ground, _standing(walk)),
+        passable=passable,
+        sections=tuple(
+            Section(plan.state, plan.reason, plan.generated, plan.expanded, plan.planning_ms, steps_of(plan))
+            for plan, _ in heard.passage_plans
+        ),
+    )
+
+
+def steps_of(plan: PassagePlan) -> int:
+    """How many steps of legs a plan has for walking: none where there is no way, for it shows only how far one would come."""
+    return 0 if plan.state == "no way" else int(np.count_nonzero(plan.leg < len(LEGS)))
+
+
+def feet_off(underside: Array, ground: Array, standing: NDArray[np.bool_]) -> int:
+    """How often a foot that stands, or should, is over nothing or in the gap, for a tenth of a second at least.
+
+    Args:
+        underside: (n, 6) [m] lowest points of the feet.
+        ground: (n, 6) [m] true ground under their centres, -inf where there is none.
+        standing: (n, 6) feet that are not in the air by plan.
+    """
+    fallen = underside < np.median(underside, axis=1, keepdims=True) - _FALLEN
+    off = standing & ((underside - ground > _OVER_NOTHING) | fallen)
+    return sum(int(end - begin >= _LASTING) for leg in off.T for begin, end in runs(leg))
+
+
+def _standing(walk: Walk) -> NDArray[np.bool_]:
+    """Feet (n, 6) that stand by plan, from the first step on."""
+    return np.asarray(~walk.swing & np.logical_or.accumulate(walk.walking)[:, None])

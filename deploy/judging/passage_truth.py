@@ -1,0 +1,60 @@
+"""Whether the true ground of a run whose seed decides has a way across: for the scorer, who may know it, and nobody else."""
+
+import numpy as np
+
+from deploy.bench.passage_fields import RESOLUTION, field_of, stance_at
+from deploy.judging.course import Course
+from services.planner.passage.errand import BEHIND, STRIP
+from services.planner.passage.exhaustive import passable
+from services.planner.passage.field import Field
+from services.planner.passage.mode import BEFORE
+from services.planner.passage.sections import goal_behind
+from services.planner.passage.settings import PassageSettings
+from shared.robot import RobotProfile
+from shared.scenario import PillarField, Scenario
+
+_HALF_WIDTH, _LEVEL, _CARRYING = 0.2, 0.02, 0.8  # [m] of a band whose share on a level [m] tells where the gap begins
+_CYCLES = 30  # of the gait: the whole way in one section
+
+
+def decided_by_seed(scenario: Scenario) -> bool:
+    """Whether it goes by the seed if there is a way across."""
+    return (
+        scenario.goal.passage and scenario.goal.expect == "either" and any(isinstance(p, PillarField) for p in scenario.terrain)
+    )
+
+
+def way_exists(profile: RobotProfile, scenario: Scenario, course: Course) -> bool | None:
+    """Whether a robot that stands before the first gap ahead can get behind it; as `passable` says it.
+
+    The strip lies along x of {start}; heights are the true ones, evaluated as the mapper does.
+
+    Args:
+        profile: The robot.
+        scenario: The run's.
+        course: Its true ground, laid under its start.
+    """
+    height = scenario.walk.body_height
+    near = gap_begins(course, scenario.goal.distance) - BEFORE - BEHIND
+    field = strip_from(course, near, height)
+    goal_x = goal_behind(field, BEHIND, scenario.goal.distance - near)
+    if goal_x is None:
+        return True
+    settings = PassageSettings(body_height=height, cycles=_CYCLES)
+    return passable(profile, settings, field, stance_at(profile, BEHIND, height), goal_x)
+
+
+def gap_begins(course: Course, until: float) -> float:
+    """Where [m] {start} the ground ahead ceases to carry at the start's level as anywhere; `until` [m] where it never does."""
+    x, y = np.arange(0.0, until, RESOLUTION), np.arange(-_HALF_WIDTH, _HALF_WIDTH, RESOLUTION)
+    heights = course.carrying_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(len(x), len(y))
+    bare = (np.abs(heights) < _LEVEL).mean(axis=1) < _CARRYING
+    return float(x[int(np.argmax(bare))]) if bare.any() else until
+
+
+def strip_from(course: Course, near: float, body_height: float) -> Field:
+    """The strip whose near side is at a place [m] {start}, for a robot that walks so high [m]."""
+    n = [round(length / RESOLUTION) for length in STRIP]
+    x, y = near + RESOLUTION * (np.arange(n[0]) + 0.5), RESOLUTION * (np.arange(n[1]) + 0.5 - 0.5 * n[1])
+    heights = course.carrying_at(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)).reshape(n)
+    return field_of(np.ascontiguousarray(heights, dtype=np.float32), body_height)

@@ -1,0 +1,362 @@
+"""Judges a run by the truth: ends it, and says afterwards how good it was.
+
+Per message it keeps what comes and looks only for the end (a fall, the goal, the time limit); once a second it compares the
+newest map. All else is computed once, in `result`, over whole arrays. Frame: {start}, as in `deploy.judging.course`.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from deploy.judging.course import Course, Ground
+from deploy.judging.heard import Heard
+from deploy.judging.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
+from deploy.judging.passage_figures import passage_figures
+from deploy.judging.report import ARRIVED, CourseMap, MapError, Report, StageTime
+from deploy.judging.trace import Trace, trace_of
+from deploy.judging.walk import Walk
+from deploy.judging.walk_figures import pose_error, walk_figures
+from shared import topics
+from shared.geometry import Array, inverse, rotation_z, transform, yaw_of
+from shared.messages import GroundTruth, Message, TerrainMap
+from shared.robot import JOINTS, LEGS, RobotProfile
+from shared.scenario import Scenario
+from shared.service import Inbox, Stages
+
+FALL_TILT_DEG = 35.0  # [deg]
+_FALL_COSINE = float(np.cos(np.radians(FALL_TILT_DEG)))
+_CLEARANCE = 0.005  # [m] the body's underside this near the ground is a fall
+_REST_NS = 500_000_000  # [ns] at rest once the body has kept still for so long
+_REST_MOTION = 0.003  # [m] stillness
+_LOST_NS = 2_000_000_000  # [ns] a run goes on after a servo has shut down: a latched error stays
+_MAP_PERIOD_NS = 1_000_000_000  # [ns]
+_COURSE_MARGIN = 1.2  # [m] of map around the course that is kept
+_PATH_MARGIN = 0.5  # [m] around the straight path where a fall is looked up on a grid
+_ROUTE_MARGIN = 2.0  # [m] likewise, where the planner finds the way
+_RESOLUTIONS, _FAR = (0.001, 1.0), 1e4  # [m] cells and places of maps that make sense
+
+
+class Scorer:
+    """Judge of one run; reads the truth, writes nothing."""
+
+    name = "scorer"
+    paced_by = topics.TRUTH
+    reads = (
+        topics.BODY_POSE,
+        topics.TERRAIN,
+        topics.ACTUATOR_STATE,
+        topics.STEP_PLAN,
+        topics.PASSAGE_PLAN,
+        topics.PASSAGE,
+        topics.PLANNER_STATUS,
+    )
+    writes = ()
+
+    def __init__(
+        self,
+        profile: RobotProfile,
+        scenario: Scenario,
+        seed: int,
+        terrain: Ground | None = None,
+        passable: bool | None = None,
+    ):
+        """Build the true ground.
+
+        Args:
+            profile: The robot.
+            scenario: What it is to do.
+            seed: The run's.
+            terrain: The ground, in place of the scenario's.
+            passable: Whether there is a way at all, where the seed decides; None for who has not looked: it looks itself.
+        """
+        self.stages = Stages()
+        self.finished = self._looked = False
+        self._profile, self._scenario, self._seed, self._passable = profile, scenario, seed, passable
+        self._course = Course(scenario, seed, terrain)
+        self._heard = Heard()
+        self._recent: deque[tuple[int, float, float]] = deque()  # stamp, x, y of the last half second
+        self._goal_ns: int | None = None
+        self._stood = False  # a robot that starts on its belly has not fallen
+        self._fall = ""
+        self._shutdown_ns: int | None = None
+        self._shutdown = np.zeros((6, 3), dtype=bool)  # servos that have, even if they are back
+        self._end = ""
+        self._x = 0.0
+        self._maps: MapJudge | None = None
+        self._map_due_ns = 0
+        self._lowest = profile.body.size[2] / 2 + _CLEARANCE
+        self._walk: Walk | None = None
+        self._trace: Trace | None = None
+
+    # -- while it runs
+
+    def step(self, truth: GroundTruth, inbox: Inbox) -> Iterable[Message]:
+        """Take in one message of truth and what the services have said."""
+        heard = self._heard
+        stood = heard.first_step_ns is None
+        heard.take_in(truth, inbox)
+        self._walk = self._trace = None
+        if len(heard.truth) == 1:
+            self._lay_start(truth.T_world_body)
+            self._end = self._mistaken(truth)
+            self.finished = bool(self._end)
+        if stood and heard.first_step_ns is not None:
+            self._anchor()
+        if truth.stamp_ns >= self._map_due_ns:
+            terrain = inbox.latest(topics.TERRAIN)
+            if terrain is not None and heard.poses:
+                self._map_due_ns = truth.stamp_ns + _MAP_PERIOD_NS
+                self._look_at(terrain)
+        if not self.finished:
+            self._judge(truth)
+        return ()
+
+    def doing(self) -> str:
+        """How far it is, by the truth."""
+        return self._end or f"judging: truly {self._x:.2f} of {self._scenario.goal.distance:.2f} m"
+
+    @property
+    def reason(self) -> str:
+        """Why the run is over, in words; empty while it is not."""
+        return self._end
+
+    def _lay_start(self, T: Array) -> None:
+        """Lay {start} under a pose (4, 4) of the body in the simulator's world."""
+        self._course.lay(T, float(self._heard.truth[-1].feet[:, 2].min()) - self._profile.foot.radius)
+        self._maps = None  # what was laid over the old frame
+        self._rows = self._course.T_start_sim[:3].tolist()
+        margin = _ROUTE_MARGIN if self._scenario.goal.route else _PATH_MARGIN
+        self._ground = GroundHeights(self._course.around(margin), self._course.T_start_sim, self._course.height_at)
+
+    def _anchor(self) -> None:
+        """Lay {start} anew where the robot stands before its first step, so that truth and estimate agree there."""
+        heard = self._heard
+        newest = heard.poses[-1].stamp_ns if heard.poses else 0
+        poses = [p for p in heard.poses if p.stamp_ns > newest - _REST_NS and heard.begin_ns <= p.stamp_ns]
+        if not poses:
+            return
+        t = np.array([p.stamp_ns - heard.begin_ns for p in poses], dtype=np.float64)
+        nearest = np.minimum(np.searchsorted(heard.stamps(), t), len(heard.truth) - 1)
+        both = zip(nearest, poses, strict=True)
+        mean = np.mean([_flat(heard.truth[k].T_world_body) @ inverse(_flat(p.T_world_body)) for k, p in both], axis=0)
+        self._lay_start(transform(rotation_z(yaw_of(mean)), mean[:3, 3]))
+
+    def _mistaken(self, truth: GroundTruth) -> str:
+        """Why this is not the run that is to be judged, in words; empty where it is."""
+        wanted = (self._scenario.name, self._seed, self._profile.name)
+        found = (truth.scenario, truth.seed, truth.robot)
+        words = "{} with seed {} and robot {}"
+        if found == wanted:
+            return ""
+        return (
+            f"{words.format(*wanted)} expected, but the simulator runs {words.format(*found)}; ask for that, or start another"
+        )
+
+    def _judge(self, truth: GroundTruth) -> None:
+        now, goal = truth.stamp_ns, self._scenario.goal
+        position = truth.T_world_body[:3, 3].tolist()
+        x, y, z = (sum(a * b for a, b in zip(row, position, strict=False)) + row[3] for row in self._rows)
+        self._x = x
+        seconds = (now - self._heard.begin_ns) * 1e-9
+        how = self._falling(truth, z)
+        if how:
+            self._fall = f"fell {x:.2f} m along after {seconds:.1f} s: {how}"
+        self._shutdown |= truth.shutdown
+        if self._shutdown_ns is None and truth.shutdown.any():
+            self._shutdown_ns = now
+        if self._goal_ns is None and x >= goal.distance and abs(y) <= goal.corridor:
+            self._goal_ns = now
+        self._end = self._ending(now, x, y)
+        self.finished = bool(self._end)
+
+    def _falling(self, truth: GroundTruth, z: float) -> str:
+        """How the robot is falling, its body at a height [m] {start}, in words; empty while it is not."""
+        T = truth.T_world_body
+        on_ground = z - self._ground.under(float(T[0, 3]), float(T[1, 3])) < self._lowest
+        self._stood |= not on_ground
+        cos_tilt = max(-1.0, float(T[2, 2]))
+        if cos_tilt < _FALL_COSINE:
+            return f"tilted by {np.degrees(np.arccos(cos_tilt)):.0f} deg"
+        return "the body touched the ground" if on_ground and self._stood else ""
+
+    def _ending(self, now: int, x: float, y: float) -> str:
+        """Why the run is over now [ns], the body at a place [m] {start}, in words; empty while it is not."""
+        goal, at_rest = self._scenario.goal, self._rests(now, x, y)
+        if self._fall:
+            return self._fall
+        if self._shutdown_ns is not None and now - self._shutdown_ns >= _LOST_NS:
+            return self._shutdown_words()
+        if x >= goal.distance and at_rest:
+            beside = f"passed the goal line {abs(y):.2f} m beside its middle; the corridor is {goal.corridor:.2f} m wide"
+            return beside if self._goal_ns is None else ARRIVED
+        if goal.expect != "arrival" and self._heard.refusal and at_rest:
+            return f"stood and said why: {self._heard.refusal}"
+        if (now - self._heard.begin_ns) * 1e-9 >= self._scenario.time_limit_s:
+            return f"time limit of {self._scenario.time_limit_s:g} s, {x:.2f} of {goal.distance:.2f} m done"
+        return ""
+
+    def _rests(self, now: int, x: float, y: float) -> bool:
+        """Whether the body has kept still for a while."""
+        recent = self._recent
+        recent.append((now, x, y))
+        while now - recent[0][0] > _REST_NS:
+            recent.popleft()
+        then, x0, y0 = recent[0]
+        return now - then > 0.9 * _REST_NS and (x - x0) ** 2 + (y - y0) ** 2 < _REST_MOTION**2
+
+    def _shutdown_words(self) -> str:
+        legs, joints = np.nonzero(self._shutdown)
+        names = [f"{LEGS[leg]} {JOINTS[joint]}" for leg, joint in zip(legs, joints, strict=True)]
+        return f"servo shut down: {', '.join(names[:4])}" + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+    def _look_at(self, terrain: TerrainMap) -> None:
+        low, high = _RESOLUTIONS
+        if not low <= terrain.resolution <= high or np.abs(terrain.origin).max() > _FAR or not terrain.elevation.size:
+            return  # no map of anything, which the planner says; it must not end the judging
+        if self._maps is None or not self._maps.grid.fits(terrain):
+            grid = Grid.of(self._course.around(_COURSE_MARGIN), terrain)
+            self._maps = MapJudge(grid, self._course.height_at)
+        self._maps.add(terrain, self._heard.poses[-1].T_world_body, compare=self._heard.first_step_ns is not None)
+
+    # -- when it is over
+
+    @property
+    def walk(self) -> Walk:
+        """The walk sample by sample, empty where nothing came."""
+        if self._walk is None:
+            self._walk = Walk(self._heard, self._course, self._profile)
+        return self._walk
+
+    @property
+    def trace(self) -> Trace:
+        """The run as arrays, empty where nothing came."""
+        if self._trace is None:
+            mosaic = self._maps.mosaic() if self._maps is not None else None
+            self._trace = trace_of(self.walk, self._heard, self._course, self._scenario, self._profile, mosaic)
+        return self._trace
+
+    def result(
+        self,
+        reason: str = "",
+        real_time_factor: float = float("nan"),
+        stages_ms: Mapping[str, StageTime] | None = None,
+        in_a_hurry: bool = False,
+    ) -> Report:
+        """Judge the run as far as it has come.
+
+        Args:
+            reason: Why the run was ended, where the scorer did not end it (what the operator or the launcher says).
+            real_time_factor: Simulated over elapsed time.
+            stages_ms: How long the services' stages took.
+            in_a_hurry: Leave out the map of the whole course, whose judge takes a second or two to get going, and whether there
+                is a way at all, which may take a minute.
+        """
+        scenario, profile = self._scenario, self._profile
+        if not in_a_hurry and len(self._heard.truth) > 1:
+            self._look_for_a_way()
+        shutdowns = int(self._shutdown.sum())
+        arrived, right = self._goal_ns is not None, self._did_right()
+        collisions = self.walk.collisions if len(self._heard.truth) > 1 else 0
+        success = right and not self._fall and not shutdowns and not (scenario.goal.route and collisions)
+        report = Report(
+            scenario=scenario.name,
+            seed=self._seed,
+            robot=profile.name,
+            gait=scenario.walk.gait,
+            blind=scenario.walk.blind,
+            success=success,
+            reason=(ARRIVED if arrived else self._end) if success else self._failure(shutdowns, collisions, reason),
+            distance_m=self._x,
+            duration_s=0.0,
+            speed_mps=0.0,
+            falls=int(bool(self._fall)),
+            shutdowns=shutdowns,
+            steps=0,
+            collisions=collisions,
+            real_time_factor=real_time_factor,
+            stages_ms=dict(stages_ms or {}),
+        )
+        if len(self._heard.truth) < 2:
+            return report
+        return self._measured(report, in_a_hurry)
+
+    def _look_for_a_way(self) -> None:
+        """Find out whether there is a way at all, once, where the seed decides and nobody has looked."""
+        if self._looked or self._passable is not None:
+            return
+        from deploy.judging.passage_truth import (  # the planner, which not every scorer has beside it
+            decided_by_seed,
+            way_exists,
+        )
+
+        self._looked = True
+        if decided_by_seed(self._scenario):
+            self._passable = way_exists(self._profile, self._scenario, self._course)
+
+    def _did_right(self) -> bool:
+        """Whether the robot arrived, or stood and said why, whichever is right here; who turns back on a pillar is wrong."""
+        expect, arrived = self._scenario.goal.expect, self._goal_ns is not None
+        refused = bool(self._heard.refusal) and not arrived
+        if expect == "either":
+            refused = refused and not np.isfinite(self._course.edge_distance(self.trace.touchdowns.p[:, :2])).any()
+            expect = "either" if self._passable is None else "arrival" if self._passable else "refusal"
+        return (expect != "refusal" and arrived) or (expect != "arrival" and refused)
+
+    def _failure(self, shutdowns: int, collisions: int, reason: str) -> str:
+        if not self._heard.truth:
+            return reason or "no ground truth came: is the simulator running?"
+        if self._fall:
+            return self._fall
+        if shutdowns:
+            return self._shutdown_words()
+        if collisions and self._scenario.goal.route:
+            return f"walked into something {collisions} times"
+        if self._end == ARRIVED:
+            return "crossed what an exhaustive search calls impassable"
+        stopped = f"stopped {self._x:.2f} of {self._scenario.goal.distance:.2f} m along"
+        return self._end or (f"{reason} ({stopped})" if reason else stopped)
+
+    def _measured(self, report: Report, in_a_hurry: bool) -> Report:
+        trace = self.trace
+        speed, duration = self._speed()
+        report = replace(
+            report,
+            distance_m=float(trace.p_true[-1, 0]),
+            duration_s=duration,
+            speed_mps=speed,
+            pose_error_m=pose_error(trace),
+            map_error_m=self._maps.error() if self._maps is not None else MapError(),
+            course_map_m=CourseMap() if in_a_hurry else self._course_map(trace.mosaic),
+        )
+        if not trace.walking.any():
+            return report
+        report = walk_figures(report, self.walk, trace, self._course)
+        return replace(report, passage=passage_figures(self.walk, self._heard, trace, self._course, self._passable))
+
+    def _speed(self) -> tuple[float, float]:
+        """Mean speed [m/s] from the first step to the goal, or to the end, and the time [s] that took."""
+        heard = self._heard
+        if heard.first_step_ns is None:
+            return 0.0, 0.0
+        until = self._goal_ns if self._goal_ns is not None else heard.truth[-1].stamp_ns
+        duration = (until - heard.first_step_ns) * 1e-9
+        if duration <= 0:
+            return 0.0, 0.0
+        ends = np.array([heard.first_step_ns - heard.begin_ns, until - heard.begin_ns]) * 1e-9
+        x = np.interp(ends, self.trace.t, self.trace.p_true[:, 0])
+        return float(x[1] - x[0]) / duration, duration
+
+    def _course_map(self, mosaic: Mosaic | None) -> CourseMap:
+        if mosaic is None:
+            return CourseMap()
+        every = max(1, round(topics.TRUTH.rate_hz * _MAP_PERIOD_NS * 1e-9))
+        camera = self._profile.camera
+        views = self._course.views((m.T_world_body @ camera.T_body_camera for m in self._heard.truth[::every]), camera)
+        return judge_course(mosaic, self._course.height_at, None if views is None else mosaic.in_view(views, camera))
+
+
+def _flat(T: Array) -> Array:
+    """Place and heading of a pose (4, 4): the part that lies in the plane."""
+    return transform(rotation_z(yaw_of(T)), np.array([T[0, 3], T[1, 3], 0.0]))

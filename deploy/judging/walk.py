@@ -1,0 +1,129 @@
+"""A walk as arrays, a row per sample of the truth: what was heard of a run, brought together.
+
+Frame: {start}, as in `deploy.judging.course`. Times count from the first message of truth.
+"""
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.judging.course import Course
+from deploy.judging.heard import Heard
+from deploy.judging.walk_metrics import debounced, in_the_way, runs, stability_margin
+from shared import topics
+from shared.geometry import Array, apply
+from shared.kinematics import leg_points
+from shared.messages import Mode
+from shared.robot import RobotProfile
+
+Flags = NDArray[np.bool_]
+
+DEBOUNCE = max(1, round(0.02 * topics.TRUTH.rate_hz))  # samples of truth, 20 ms
+_STALE_NS = 250_000_000  # [ns] an actuator that has been silent for longer is not walking
+_GROUNDED = 0.2  # [1] of a swing at its ends, in which a touching foot carries and does not brush
+_EVERY = 5  # samples of truth, of which one is looked at for what was walked into
+_HANGING = 0.003  # [m] a foot so far over its ground catches the body after a degree of tilt
+
+
+class Walk:
+    """What the truth shows of a walk, beside what the actuator said and was told to do."""
+
+    def __init__(self, heard: Heard, course: Course, profile: RobotProfile):
+        self._heard, self._course, self._profile = heard, course, profile
+        truth = heard.truth
+        self.t_ns = heard.stamps()  # (n,)
+        self.T = course.T_start_sim @ np.array([m.T_world_body for m in truth]).reshape(-1, 4, 4)  # (n, 4, 4) body
+        self.p: Array = self.T[:, :3, 3]  # (n, 3) [m] body
+        self.up = np.array([m.T_world_body[2, :3] for m in truth]).reshape(-1, 3)  # (n, 3) {body} the vertical
+        self.feet = apply(course.T_start_sim, np.array([m.feet for m in truth]).reshape(-1, 6, 3))  # (n, 6, 3) [m] centres
+        self.torque = np.abs(np.array([m.torque for m in truth]).reshape(-1, 6, 3))  # (n, 6, 3) [N m]
+        self.contact: Flags = debounced(np.array([m.contact for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
+        self.bears: Flags = debounced(np.array([m.bears for m in truth], dtype=bool).reshape(-1, 6), DEBOUNCE)  # (n, 6)
+        self.shutdown: Flags = np.array([m.shutdown for m in truth], dtype=bool).reshape(-1, 6, 3)  # servos with an error
+        self._align()
+
+    @cached_property
+    def ground(self) -> Array:
+        """True height (n, 6) [m] {start} of what is seen under the feet."""
+        return self._course.height_at(self.feet[..., :2].reshape(-1, 2)).reshape(-1, 6)
+
+    @cached_property
+    def shanks(self) -> Array:
+        """Unit vectors (n, 6, 3) {start} from the feet up the shanks."""
+        truth = self._heard.truth
+        legs = leg_points(self._profile, np.array([m.q for m in truth]).reshape(-1, 6, 3))
+        R = self._course.T_start_sim[:3, :3] @ np.array([m.T_world_body[:3, :3] for m in truth]).reshape(-1, 3, 3)
+        shanks = (legs[:, :, 2] - legs[:, :, 3]) / self._profile.links.tibia
+        return np.asarray(np.einsum("nij,nkj->nki", R, shanks))
+
+    @cached_property
+    def carrying(self) -> Flags:
+        """Legs (n, 6) that carry, or would as soon as the body leaned on them.
+
+        They bear load or their feet are no more than a little over their ground, and are in stance by plan, about to leave or
+        just landed.
+        """
+        if not self._heard.states:
+            return self.bears
+        phase = np.array([s.phase for s in self._heard.states])[self._state_of]
+        grounded = (phase < _GROUNDED) | (phase > 1.0 - _GROUNDED)
+        hangs_low = self.feet[..., 2] - self._profile.foot.radius - self.ground < _HANGING
+        return np.asarray((self.bears | hangs_low) & (~self.swing | grounded[:, None]))
+
+    @cached_property
+    def margin(self) -> Array:
+        """Distance (n,) [m] of the body's centre to the edge of what supports it, negative outside; NaN where nothing does."""
+        if not self._heard.states:
+            return np.full(len(self.t_ns), np.nan)
+        return stability_margin(self.feet[..., :2], self.carrying, self.p[:, :2])
+
+    @cached_property
+    def in_the_way(self) -> Flags:
+        """Feet, and last the body, (n, 7) that have walked into something; every few samples, and False between."""
+        flags = np.zeros((len(self.t_ns), 7), dtype=bool)
+        some = self._heard.truth[::_EVERY]
+        if some:
+            feet, bodies = np.array([m.feet for m in some]), np.array([m.T_world_body for m in some])
+            size, ground = self._profile.body.size, self._course.terrain.height_at
+            flags[::_EVERY] = in_the_way(ground, feet, bodies, self._profile.foot.radius, size)
+        return flags
+
+    @property
+    def collisions(self) -> int:
+        """How often a foot or the body ran into what is higher than a step, or a foot hung in a hole."""
+        return len(runs(np.asarray(self.in_the_way[::_EVERY].any(axis=1))))
+
+    def _align(self) -> None:
+        """For each sample of truth the actuator's word that held then."""
+        states, n = self._heard.states, len(self.t_ns)
+        self.height_reference: Array = np.full(n, np.nan)  # (n,) [m] {start} of the body; NaN before the actuator spoke
+        self.up_reference: Array = np.tile([0.0, 0.0, 1.0], (n, 1))  # (n, 3) the vertical in the commanded body
+        self.walking: Flags = np.zeros(n, dtype=bool)  # (n,)
+        self.swing: Flags = np.zeros((n, 6), dtype=bool)  # (n, 6) by plan
+        self.step: NDArray[np.int64] = np.zeros(n, dtype=np.int64)  # (n,) number of the step that is walked
+        if not states:
+            return
+        t = np.array([s.stamp_ns - self._heard.begin_ns for s in states], dtype=np.float64)
+        self._state_of = np.clip(np.searchsorted(t, self.t_ns, side="right") - 1, 0, None)
+        age = self.t_ns - t[self._state_of]
+        walk = np.array([s.mode is Mode.WALK for s in states])
+        self.walking = np.asarray(walk[self._state_of] & (age >= 0) & (age < _STALE_NS))
+        self.swing = np.asarray(np.array([s.swing for s in states]).reshape(-1, 6)[self._state_of] & self.walking[:, None])
+        self.step = np.asarray(np.array([s.step for s in states])[self._state_of])
+        height, up = self._references()
+        self.height_reference = np.where(self.t_ns < t[0], np.nan, np.interp(self.t_ns, t, height))
+        self.up_reference = up[self._state_of]
+
+    def _references(self) -> tuple[Array, Array]:
+        """Commanded height (m,) [m] {start} and the vertical in the commanded body (m, 3), for each word of the actuator.
+
+        A reference is {odom}'s; the plan of its step ties it to {world}.
+        """
+        plans, states = self._heard.plans, self._heard.states
+        numbers = np.array(sorted(plans) or [0])
+        ties = np.array([plans[n].T_world_odom for n in numbers]) if plans else np.eye(4)[None]
+        steps = np.array([s.step for s in states])
+        tie = ties[np.clip(np.searchsorted(numbers, steps, side="right") - 1, 0, None)]
+        reference = tie @ np.array([s.body_ref for s in states])
+        return reference[:, 2, 3], reference[:, 2, :3]

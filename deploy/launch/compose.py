@@ -1,0 +1,215 @@
+"""Compose files, made from the process table: the same commands and environments as anywhere else, a container each.
+
+`compose.yaml` is a local launch, robot simulated; `compose.offboard.yaml` is what runs beside a robot, with a router that is
+chained to the robot's. YAML is written by hand, its scalars as JSON, which YAML contains: one thing to write needs no library.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from deploy.process_table import (
+    ENVIRONMENT,
+    ROUTER_ENDPOINT,
+    Choices,
+    Command,
+    choices,
+    commands,
+    router_command,
+    rows,
+)
+from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE
+from shared.config import ConfigError
+from shared.scenario import load_scenario
+from shared.transport import Endpoints
+
+NAMESPACE = "sextant"
+KEYS = "/run/secrets/sextant"  # where a container finds its machine's certificates
+RECORDINGS = "/recordings"
+LATCH = "/run/sextant"  # holds the file that says that torque is to be off
+CACHE = "/cache"  # of what is compiled
+NOTIFY_SOCKET = "/tmp/notify"  # signs of life come there while a health check listens
+WARM_UP = "warm-up"  # ends once all is compiled
+_LATCHED = ("actuator", "stop")
+PIDS = 128  # processes and threads of a container; the most that were counted are 55
+_HANG_S = 5.0  # that a health check may take beside waiting for a sign of life
+_HEAD = """\
+# Made by `sextant compose{option}`; change deploy/process_table.py or deploy/launch/compose.py and make it again.
+{usage}
+name: {name}
+
+x-image: &image
+  image: sextant-{target}
+  user: "${{SEXTANT_USER:-1000:1000}}"
+  network_mode: host
+  init: true
+  read_only: true
+  cap_drop: [ALL]
+  security_opt: ["no-new-privileges:true"]
+  tmpfs: ["/tmp:mode=1777"]
+
+services:
+"""
+_USAGE = "# mkdir -p runs && docker compose -f deploy/compose.yaml up --build --exit-code-from operator"
+_USAGE_OFFBOARD = """\
+# SEXTANT_ROBOT=tls/robot.local:7448 SEXTANT_KEYS=$PWD/keys/base SEXTANT_USER=$(id -u):$(id -g) \\
+#   docker compose -f deploy/compose.offboard.yaml up --build --detach"""
+_ROBOT = "${SEXTANT_ROBOT:?the endpoint of the robot, tls/robot.local:7448}"
+_KEY_FOLDER = "${SEXTANT_KEYS:?the folder keys/base of sextant keys new, by its whole path}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """What the services of a file have in common."""
+
+    target: str  # of the Dockerfile
+    restart: str = ""  # policy in place of the table's number of restarts
+    secrets: Mapping[str, str] = field(default_factory=dict)  # file in the folder of keys -> where it is mounted
+
+
+_LOCAL = _Kind("all")
+_OFFBOARD = _Kind(
+    "offboard",
+    restart="unless-stopped",
+    secrets={file: f"{KEYS}/{file}" for file in (AUTHORITY, CERTIFICATE, KEY, ROLE)},
+)
+
+
+def compose_commands(scenario: str, seed: int) -> tuple[Command, ...]:
+    """What compose starts: the router, the services, and an operator that runs the scenario on them."""
+    if scenario.endswith(".toml"):
+        raise ConfigError(
+            "scenario", ["the name of a scenario that comes with sextant expected: containers do not see the file"]
+        )
+    chosen: Choices = choices(load_scenario(scenario), scenario, seed)
+    services = commands(rows("all", simulated=True), chosen, _ENDPOINTS)
+    operator = Command(
+        "operator",
+        (
+            *("-m", "deploy.cli", "run", scenario, "--seed", str(seed)),
+            *("--connect", ROUTER_ENDPOINT, "--namespace", NAMESPACE, "--out", "runs/compose"),
+        ),
+        ENVIRONMENT,
+        memory_mb=1024,
+    )
+    # Each would compile its own beside all others; after this one there is nothing left to compile.
+    warm_up = Command(WARM_UP, ("-m", "deploy.warm_up"), ENVIRONMENT, memory_mb=1024)
+    waiting = [replace(command, after=(WARM_UP, *command.after)) for command in (*services, operator)]
+    return _together(router_command(ROUTER_ENDPOINT), (warm_up, *waiting))
+
+
+def offboard_commands() -> tuple[Command, ...]:
+    """What compose starts beside a robot: a router chained to the robot's, and the processes of the role offboard."""
+    chosen = Choices(recordings=RECORDINGS)
+    processes = rows("offboard", simulated=False, page=True)
+    services = commands(processes, chosen, _ENDPOINTS, elsewhere=True)
+    words = ("--listen", ROUTER_ENDPOINT, "--connect", _ROBOT, "--namespace", NAMESPACE, "--keys", KEYS)
+    return _together(router_command(ROUTER_ENDPOINT, words, "offboard", processes), services)
+
+
+def compose_yaml(scenario: str, seed: int) -> str:
+    """The text of compose.yaml.
+
+    Raises:
+        ConfigError: No such scenario.
+    """
+    option = "" if (scenario, seed) == ("steps", 3) else f" --scenario {scenario} --seed {seed}"
+    head = _HEAD.format(option=option, usage=_USAGE, name="sextant", target=_LOCAL.target)
+    volumes = ["cache: {}", 'latch: {driver_opts: {type: tmpfs, device: tmpfs, o: "mode=1777"}}']
+    return head + _body(compose_commands(scenario, seed), _LOCAL, volumes)
+
+
+def offboard_yaml() -> str:
+    """The text of compose.offboard.yaml."""
+    head = _HEAD.format(option=" --offboard", usage=_USAGE_OFFBOARD, name="sextant-offboard", target=_OFFBOARD.target)
+    return head + _body(offboard_commands(), _OFFBOARD, ["cache: {}", "recordings: {}"])
+
+
+_ENDPOINTS = Endpoints((ROUTER_ENDPOINT,), namespace=NAMESPACE)
+
+
+def _together(router: Command, others: Sequence[Command]) -> tuple[Command, ...]:
+    """All that waits for the router, and gives its signs of life where the health checks listen."""
+    return (router, *(_watched(replace(command, after=("router", *command.after))) for command in others))
+
+
+def _watched(command: Command) -> Command:
+    if not command.watchdog_s:
+        return command
+    told = {"NOTIFY_SOCKET": NOTIFY_SOCKET, "WATCHDOG_USEC": str(round(command.watchdog_s * 1e6))}
+    return replace(command, environment={**command.environment, **told})
+
+
+def _body(made: Sequence[Command], kind: _Kind, volumes: Sequence[str]) -> str:
+    services = "\n".join(_service(command, kind) for command in made)
+    lines = ["", "volumes:", *(f"  {volume}" for volume in volumes)]
+    if kind.secrets:
+        lines += [
+            "",
+            "secrets:",
+            *(f"  {_secret(file)}: {{file: {json.dumps(f'{_KEY_FOLDER}/{file}')}}}" for file in kind.secrets),
+        ]
+    return services + "\n".join(lines) + "\n"
+
+
+def _service(command: Command, kind: _Kind) -> str:
+    lines = [f"  {command.name}:", "    <<: *image"]
+    if command.name == "router":
+        lines += [f"    build: {{context: .., dockerfile: deploy/Dockerfile, target: {kind.target}}}"]
+    lines += [f"    command: {json.dumps(['python', *command.arguments])}"]
+    lines += ["    environment:", *(f"      {key}: {json.dumps(value)}" for key, value in command.environment.items())]
+    lines += [f"    restart: {json.dumps(_restart(command, kind))}"]
+    if command.after:
+        lines += ["    depends_on:"]
+        lines += [f"      {name}: {{condition: {_condition(name)}}}" for name in command.after]
+    lines += _health(command)
+    lines += [f"    mem_limit: {command.memory_mb}m", f"    pids_limit: {PIDS}"]
+    if "--urgent" in command.arguments:
+        lines += ["    ulimits: {rtprio: 10}"]
+    if found := _volumes(command):
+        lines += ["    volumes:", *(f"      - {volume}" for volume in found)]
+    if kind.secrets and KEYS in command.arguments:
+        lines += ["    secrets:"]
+        lines += [f"      - {{source: {_secret(file)}, target: {target}}}" for file, target in kind.secrets.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _restart(command: Command, kind: _Kind) -> str:
+    return kind.restart or (f"on-failure:{command.restarts}" if command.restarts else "no")
+
+
+def _condition(name: str) -> str:
+    return "service_completed_successfully" if name == WARM_UP else "service_healthy"
+
+
+def _health(command: Command) -> list[str]:
+    """The lines of a health check: that it listens where it should, and gives signs of life; what hangs is ended."""
+    if not (command.ready_port or command.watchdog_s):
+        return []
+    port = ("--port", str(command.ready_port)) if command.ready_port else ()
+    ends = ("--end-hung",) if command.watchdog_s else ()
+    return [
+        "    healthcheck:",
+        f"      test: {json.dumps(['CMD', 'python', '-m', 'deploy.healthy', *port, *ends])}",
+        "      interval: 10s",
+        f"      timeout: {round(command.watchdog_s + _HANG_S)}s",
+        "      retries: 1",
+        "      start_period: 600s",  # something may have to be compiled first
+        "      start_interval: 1s",
+    ]
+
+
+def _volumes(command: Command) -> list[str]:
+    """What a container shares with others, or keeps."""
+    found = [f"latch:{LATCH}"] if command.name in _LATCHED else []
+    if command.name not in ("router", "actuator", "stop", "console", "recorder"):
+        found += [f"cache:{CACHE}"]  # of what compiles
+    if command.name == "recorder":
+        found += [f"recordings:{RECORDINGS}"]
+    if command.name == "operator":
+        found += ["{type: bind, source: ../runs, target: /sextant/runs, bind: {create_host_path: false}}"]
+    return found
+
+
+def _secret(file: str) -> str:
+    return file.partition(".")[0]

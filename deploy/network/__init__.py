@@ -1,0 +1,1 @@
+"""Who meets whom at which router, and who is let in."""

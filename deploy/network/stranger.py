@@ -1,0 +1,85 @@
+"""Whether a stranger is refused, tried from outside: without a certificate, with a foreign or an expired one, by ear.
+
+Nothing is put where it could move a robot: who is let in is found out by the handshake, and by what can be overheard.
+"""
+
+import ssl
+import tempfile
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from deploy.checks import Check, Level
+from deploy.network.authority import OF_AUTHORITY, Authority
+from shared.access import CERTIFICATE, KEY
+from shared.handshake import place, verdict
+from shared.transport import TransportError, overhear, scout
+
+_LISTEN_S = 2.0
+_ADVICE = "start the robot with --keys DIR and without --open (docs/access.md)"
+
+
+def examine(
+    endpoint: str, keys: Path | None = None, find: Callable[[float], list[str]] = scout, listen_s: float = _LISTEN_S
+) -> list[Check]:
+    """Try to get in.
+
+    Args:
+        endpoint: Of the robot, e.g. tls/hexapod.local:7448.
+        keys: Folder of `sextant keys new` with its authority, to sign a certificate that has expired.
+        find: Looks for [s] who answers to scouting; their endpoints.
+        listen_s: [s] for which is listened, where somebody lets us in.
+    """
+    checks = [_plain(endpoint, listen_s)]
+    if endpoint.startswith("tls/"):
+        checks.append(_shown(endpoint, "stranger without a certificate", None))
+        with tempfile.TemporaryDirectory() as folder:
+            Authority(days=1).issue(Path(folder) / "foreign", "console")
+            checks.append(_shown(endpoint, "stranger with a certificate of its own authority", Path(folder) / "foreign"))
+            checks.append(_expired(endpoint, keys, Path(folder) / "expired"))
+    return [*checks, _scouting(endpoint, find)]
+
+
+def _plain(endpoint: str, listen_s: float) -> Check:
+    """Somebody who speaks Zenoh without TLS."""
+    name, (host, port) = "stranger without TLS", place(endpoint)
+    try:
+        heard = overhear(f"tcp/{host}:{port}", listen_s)
+    except TransportError:
+        return Check(name, Level.OK, f"{endpoint}: not let in")
+    said = f"; it heard {sum(heard.values())} messages on {', '.join(sorted(heard)[:4])}" if heard else ""
+    return Check(name, Level.FAIL, f"{endpoint}: let in, and may put what it likes{said}", _ADVICE)
+
+
+def _shown(endpoint: str, name: str, folder: Path | None) -> Check:
+    """Somebody who takes the robot for whom it says it is, and shows a certificate, or none."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    if folder is not None:
+        context.load_cert_chain(folder / CERTIFICATE, folder / KEY)
+    refused = verdict(endpoint, context)
+    if "cannot be reached" in refused:
+        return Check(name, Level.FAIL, refused, "give the endpoint on which the robot listens for other machines")
+    if refused:
+        return Check(name, Level.OK, f"not let in: {refused}")
+    return Check(name, Level.FAIL, f"{endpoint}: let in", _ADVICE)
+
+
+def _expired(endpoint: str, keys: Path | None, folder: Path) -> Check:
+    name = "stranger with a certificate that has expired"
+    if keys is None or not (keys / OF_AUTHORITY / KEY).is_file():
+        advice = "give --keys DIR, the folder of `sextant keys new` with its ca/, to try that, too"
+        return Check(name, Level.WARN, "not tried: only the robot's own authority can make one", advice)
+    Authority.load(keys / OF_AUTHORITY).issue(folder, "console", ends=datetime.now(UTC) - timedelta(hours=1))
+    return _shown(endpoint, name, folder)
+
+
+def _scouting(endpoint: str, find: Callable[[float], list[str]]) -> Check:
+    """Somebody who asks by multicast who is there."""
+    name, (host, _) = "stranger that scouts", place(endpoint)
+    found = find(1.0)
+    if not found:
+        return Check(name, Level.OK, "nobody answers")
+    level = Level.FAIL if any(place(one)[0] == host for one in found) else Level.WARN
+    advice = "Sextant never answers to scouting: it is another program of Zenoh; see that it is no way around the router"
+    return Check(name, level, f"{', '.join(found[:4])} answered", advice)

@@ -1,0 +1,291 @@
+"""A recorded depth sequence through the real perception and mapper."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.judging.stage_times import rounded, stages_ms
+from deploy.pictures import layers_picture
+from deploy.pictures.relief import shaded
+from deploy.progress import Progress
+from deploy.replay.listener import Listener
+from deploy.replay.replay_error import ReplayError
+from services.mapper.config import Settings as MapperSettings
+from services.mapper.service import Mapper
+from services.perception import tum
+from services.perception.config import Settings as PerceptionSettings
+from services.perception.motion import constant_velocity
+from services.perception.service import Perception
+from services.perception.trajectory import TrajectoryError, trajectory_error
+from shared import topics
+from shared.camera import DepthSensor
+from shared.geometry import Array, inverse, log_so3, transform
+from shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
+from shared.robot import Camera, RobotProfile, load_profile
+from shared.service import AnyTopic, Every, Inbox, Lockstep, Service, Stages
+
+_FLAT = 0.05  # [m] of height that a picture's colours span at least: noise is no relief
+_SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
+_SHOW_NS = 1_000_000_000
+_HAND_CELLS = 512  # along each edge of the map: a hand-held camera sees further than the robot steps
+_HAND_SIGMA = 0.01  # [m] and [rad] by which a hand's motion from picture to picture differs from the one before
+
+
+@dataclass(frozen=True, slots=True)
+class HandHeld(Camera):
+    """A camera that nobody mounted: the body frame is level below it, as gravity says at the first picture."""
+
+    down: tuple[float, float, float] = (0.0, 1.0, 0.0)  # {camera}
+
+    @property
+    def T_body_camera(self) -> Array:
+        """Optical frame in a body frame whose z is up and whose x is where the camera looks."""
+        up = -np.array(self.down) / np.linalg.norm(self.down)
+        ahead = np.array([0.0, 0.0, 1.0]) - up[2] * up
+        if np.linalg.norm(ahead) < 1e-6:  # it looks straight down: its upper edge is ahead
+            ahead = np.array([0.0, -1.0, 0.0])
+        ahead /= np.linalg.norm(ahead)
+        return transform(np.stack([ahead, np.cross(up, ahead), up]), np.array(self.mount_xyz))
+
+
+class Player:
+    """A camera that plays a sequence: a service that writes the pictures when their time has come.
+
+    It also says where {odom} begins, for the guess of `ConstantVelocity` to start from.
+    """
+
+    name = "player"
+    paced_by = Every(5_000_000)
+    reads: tuple[AnyTopic, ...] = ()
+    writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.ODOMETRY)
+
+    def __init__(self, sequence: tum.Recording):
+        self.stages = Stages()
+        self.played = 0
+        self._sequence = sequence
+        self._color_due_ns = 0
+        self._stamps_ns = [int(stamp) for stamp in sequence.stamps_ns - sequence.stamps_ns[0]]
+
+    @property
+    def finished(self) -> bool:
+        """Whether all pictures have been played."""
+        return self.played == len(self._stamps_ns)
+
+    def step(self, tick: Tick, _: Inbox) -> Iterator[Message]:
+        """The pictures that are due."""
+        if self.played == 0:
+            yield odometry(0, np.eye(4), 0.0, 0.0)
+        while not self.finished and self._stamps_ns[self.played] <= tick.stamp_ns:
+            stamp_ns = self._stamps_ns[self.played]
+            yield DepthImage(stamp_ns, self._depth(self.played))
+            color = self._color(self.played) if stamp_ns >= self._color_due_ns else None
+            if color is not None:
+                self._color_due_ns = stamp_ns + round(1e9 / topics.COLOR.rate_hz)
+                yield ColorImage(stamp_ns, color)
+            self.played += 1
+
+    def _color(self, index: int) -> NDArray[np.uint8] | None:
+        try:
+            return self._sequence.color(index)
+        except ValueError as error:
+            raise ReplayError(str(error)) from None
+
+    def _depth(self, index: int) -> NDArray[np.uint16]:
+        try:
+            return self._sequence.depth(index)
+        except (FileNotFoundError, ValueError) as error:
+            raise ReplayError(str(error)) from None
+
+    def doing(self) -> str:
+        """How far it is."""
+        return f"playing picture {self.played} of {len(self._stamps_ns)}"
+
+
+class ConstantVelocity:
+    """Stands in for the legs where there are none: after each pose, where the next is if the motion goes on."""
+
+    name = "constant velocity"
+    paced_by = topics.BODY_POSE
+    reads: tuple[AnyTopic, ...] = ()
+    writes: tuple[AnyTopic, ...] = (topics.ODOMETRY,)
+
+    def __init__(self, period_ns: int):
+        self.stages = Stages()
+        self._period_ns = period_ns
+        self._before: BodyPose | None = None
+        self._travelled = 0.0
+        self._turned = 0.0
+
+    def step(self, pose: BodyPose, _: Inbox) -> Iterator[Message]:
+        """The expected pose one picture on, in {odom}: what registration corrected since is in `T_world_odom`."""
+        before, self._before = self._before or pose, pose
+        span_ns = pose.stamp_ns - before.stamp_ns
+        T_next = constant_velocity(before.T_world_body, pose.T_world_body, span_ns, self._period_ns)
+        motion = inverse(pose.T_world_body) @ T_next
+        self._travelled += float(np.linalg.norm(motion[:3, 3]))
+        self._turned += float(np.linalg.norm(log_so3(motion[:3, :3])))
+        yield odometry(pose.stamp_ns + self._period_ns, inverse(pose.T_world_odom) @ T_next, self._travelled, self._turned)
+
+    def doing(self) -> str:
+        """How far it has come."""
+        return f"guessing, {self._travelled:.2f} m so far"
+
+
+def odometry(stamp_ns: int, T_odom_body: Array, travelled: float, turned: float) -> Odometry:
+    """Odometry (lengths [m], angles [rad]) of a body that does not stand on legs."""
+    return Odometry(stamp_ns, T_odom_body, travelled, turned, stance=np.zeros(6, dtype=np.bool_), reliable=True)
+
+
+def replay_folder(
+    folder: Path, out: Path, progress: Progress, registration: Literal["projective", "kiss-icp"] = "projective"
+) -> dict[str, Any]:
+    """Run perception and mapper on a depth sequence; there is no odometry, so perception expects constant velocity.
+
+    Writes to `out` the estimated camera trajectory (trajectory.txt, the layout of groundtruth.txt) and the last map with its
+    foothold layers (map.png, layers.png).
+
+    Returns:
+        Plain table: frames, pose_error_m after alignment, map_error_m (nothing to compare with), stages_ms.
+    """
+    # 1. The sequence, and a profile that has its camera.
+    try:
+        sequence = tum.read_recording(folder)
+    except (FileNotFoundError, ValueError) as unreadable:
+        raise ReplayError(str(unreadable)) from None
+    profile = profile_for(sequence)
+    # 2. Play it to perception and mapper on simulated time.
+    poses, terrain, stages, lost = _play(sequence, profile, registration, progress)
+    # 3. Compare the camera's way with the truth.
+    stamps_ns = np.array([pose.stamp_ns for pose in poses], dtype=np.int64) + sequence.stamps_ns[0]
+    T_estimate = np.array([pose.T_world_body for pose in poses]).reshape(-1, 4, 4) @ profile.camera.T_body_camera
+    error = _error(sequence.truth, stamps_ns, T_estimate)
+    # 4. Leave trajectory and map behind.
+    tum.write_trajectory(out / "trajectory.txt", tum.Trajectory(stamps_ns, T_estimate))
+    if terrain is not None:
+        _draw(out / "map.png", terrain, T_estimate)
+        layers_picture.draw(out / "layers.png", terrain, T_estimate)
+    return {
+        "source": folder.name,
+        "frames": len(sequence),
+        "poses": len(poses),
+        "poses_not_ok": lost,
+        "pose_error_m": {"rms": error and rounded(error.rms), "final": error and rounded(error.final)},
+        "map_error_m": {"rmse": None, "bias": None, "p95": None, "coverage": None},
+        "stages_ms": stages,
+    }
+
+
+def hand_held_settings(registration: Literal["projective", "kiss-icp"]) -> PerceptionSettings:
+    """Perception that believes a guess of constant velocity as far as a hand keeps to one, and maps as far as a Kinect sees."""
+    return PerceptionSettings(
+        settle_s=0.0,
+        scan_rate_hz=1e3,  # every picture counts: the guess reaches from one to the next
+        method=registration,
+        blocks_across=320,  # rooms are full of small things
+        scan_range=3.0,
+        odometry_drift=0.1,
+        odometry_turn=0.1,
+        odometry_floor=_HAND_SIGMA,
+        odometry_level=_HAND_SIGMA,
+        tilt_s=1e-6,  # the guess takes the correction at its word, and a hand has no two tripods to average over
+    )
+
+
+def profile_for(sequence: tum.Recording) -> RobotProfile:
+    """The default robot with the sequence's camera in its hand."""
+    camera = sequence.camera
+    T_first = sequence.truth.at(int(sequence.stamps_ns[0])) if sequence.truth is not None else None
+    down = np.array([0.0, 1.0, 0.0])  # held upright, where nothing is known
+    if T_first is not None:
+        gravity = np.array([0.0, 0.0, -1.0]) if camera.gravity_world is None else camera.gravity_world
+        down = T_first[:3, :3].T @ gravity
+    hand_held = HandHeld(
+        intrinsics=camera.intrinsics,
+        sensor=DepthSensor(rate_hz=camera.rate_hz, depth_scale=camera.depth_scale),
+        mount_xyz=(0.0, 0.0, 0.0),
+        pitch_down_deg=0.0,
+        color=sequence.colors is not None,
+        down=(float(down[0]), float(down[1]), float(down[2])),
+    )
+    return replace(load_profile("phantomx_mk2"), camera=hand_held)
+
+
+def in_words(table: dict[str, Any]) -> str:
+    """A replay's result for people."""
+    lines = [f"{table['source']}:"]
+    lines.append(f"  {table['poses']} poses of {table['frames']} pictures, {table['poses_not_ok']} of them by the prior alone")
+    if table["pose_error_m"]["rms"] is not None:
+        error = table["pose_error_m"]
+        lines.append(
+            f"  trajectory error after alignment: {error['rms'] * 1e3:.1f} mm rms, {error['final'] * 1e3:.1f} mm at the end"
+        )
+    else:
+        lines.append("  no groundtruth.txt that covers it: no trajectory error")
+    lines += [f"  {name}: {t['p50']:.2f} ms, 99 % below {t['p99']:.2f} ms" for name, t in table["stages_ms"].items()]
+    return "\n".join(lines)
+
+
+def _play(
+    sequence: tum.Recording, profile: RobotProfile, registration: Literal["projective", "kiss-icp"], progress: Progress
+) -> tuple[list[BodyPose], TerrainMap | None, dict[str, Any], int]:
+    heard = Listener()
+    player = Player(sequence)
+    makers: dict[str, Callable[[], Service]] = {
+        "player": lambda: player,
+        "perception": lambda: Perception(profile, hand_held_settings(registration)),
+        "mapper": lambda: Mapper(profile, MapperSettings(cells=_HAND_CELLS)),
+        "constant velocity": lambda: ConstantVelocity(round(1e9 / profile.camera.sensor.rate_hz)),
+    }
+    # The guess must be there before the next picture, as a hand-held camera's perception would make it by itself.
+    lockstep = Lockstep(makers, heard.tap, latency_s={topics.BODY_POSE.key: 0.001, topics.ODOMETRY.key: 0.001})
+    while not player.finished:
+        lockstep.run(lockstep.now_ns + _SHOW_NS)
+        progress.say(f"{player.doing()}, {len(heard.poses)} poses")
+    lockstep.run(lockstep.now_ns + _SETTLE_NS)
+    stages = stages_ms(lockstep.service("perception"), lockstep.service("mapper"))
+    return heard.poses, heard.terrain, stages, sum(not pose.ok for pose in heard.poses)
+
+
+def _error(truth: tum.Trajectory | None, stamps_ns: NDArray[np.int64], T_estimate: Array) -> TrajectoryError | None:
+    """Error of the camera's way where the truth covers it; None where it does so for less than three poses."""
+    if truth is None:
+        return None
+    pairs = [
+        (T, T_true) for stamp, T in zip(stamps_ns, T_estimate, strict=True) if (T_true := truth.at(int(stamp))) is not None
+    ]
+    if len(pairs) < 3:
+        return None
+    return trajectory_error(np.array([T for T, _ in pairs]), np.array([T for _, T in pairs]))
+
+
+def _draw(path: Path, terrain: TerrainMap, T: Array) -> None:
+    """The map as a picture, x up and y left, unknown grey, the camera's way in white: in its own colours under a lamp where it
+    has some, else heights from blue to red."""
+    scale = max(1, math.ceil(640 / max(terrain.elevation.shape)))
+    known = np.isfinite(terrain.elevation)
+    low, high = np.percentile(terrain.elevation[known], (1, 99)) if known.any() else (0.0, 1.0)
+    middle, half = (low + high) / 2, max((high - low) / 2, _FLAT / 2)
+    low, high = middle - half, middle + half
+    level = np.clip((np.where(known, terrain.elevation, low) - low) / (high - low), 0, 1)
+    picture = cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_TURBO)
+    colored = known & terrain.color.any(axis=-1) if terrain.color.size else np.zeros_like(known)
+    if colored.any():
+        picture[colored] = shaded(terrain.color, terrain.elevation, terrain.resolution)[colored][:, ::-1]
+    picture[~known] = (96, 96, 96)
+    picture = np.ascontiguousarray(picture[::-1, ::-1])
+    picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
+    cells = (T[:, :2, 3] - terrain.origin) / terrain.resolution
+    nx, ny = terrain.elevation.shape
+    way = np.stack([(ny - 0.5 - cells[:, 1]) * scale, (nx - 0.5 - cells[:, 0]) * scale], axis=-1)
+    cv2.polylines(picture, [np.clip(way, -1e6, 1e6).round().astype(np.int32)], False, (255, 255, 255), 2, cv2.LINE_AA)
+    words = f"{low:.2f} m (blue) to {high:.2f} m (red), cell {terrain.resolution * 100:.0f} cm"
+    if colored.any():
+        words = f"heights {low:.2f} to {high:.2f} m in the ground's colours, cell {terrain.resolution * 100:.0f} cm"
+    cv2.putText(picture, words, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
+    cv2.imwrite(str(path), picture)

@@ -1,0 +1,321 @@
+"""A recorded run through the real mapper and planner: what came of what they heard then, and what comes of it now."""
+
+import difflib
+import heapq
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deploy.judging.stage_times import rounded, stages_ms
+from deploy.pictures import layers_picture
+from deploy.progress import Progress
+from deploy.replay.replay_error import ReplayError
+from services.console.recording.reader import Recording
+from services.mapper.config import Settings as MapperSettings
+from services.mapper.service import Mapper
+from services.planner.config import Settings as PlannerSettings
+from services.planner.service import Planner
+from shared import codec, topics
+from shared.messages import ActuatorState, Message, StepPlan, TerrainMap
+from shared.robot import load_profile
+from shared.service import AnyTopic, Lockstep, Service
+
+_SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
+_SHOW_FRAMES = 5000
+
+Change = Callable[[AnyTopic, Message, int], Iterable[tuple[Message, int]]]  # message, time [ns] -> what is fed in its place
+
+
+def as_recorded(_: AnyTopic, message: Message, at_ns: int) -> Iterable[tuple[Message, int]]:
+    """Everything as it was and when it came."""
+    return ((message, at_ns),)
+
+
+def replay_recording(
+    path: Path, out: Path, progress: Progress, only: Sequence[str] = (), change: Change = as_recorded
+) -> dict[str, Any]:
+    """Run mapper and planner on what they heard in a recorded run; compare maps and plans with the recorded ones.
+
+    Draws the last map with its foothold layers (layers.png) to `out`.
+
+    Args:
+        path: The recording.
+        out: Folder for the picture.
+        progress: Where to show it.
+        only: Keys of the recorded topics that are fed; none for all that the services do not make themselves. A service is
+            left out where what it makes is fed.
+        change: What is fed in place of each message, in the order of time; for tests that break something.
+
+    Returns:
+        Plain table: topics with their counts, maps and plans compared, map_error_m and plan_error_m of the new ones against
+        the recorded ones, stages_ms.
+    """
+    # 1. What there is, and who hears it now.
+    recording = Recording(path)
+    replay: _Replay | None = None
+    counts: dict[str, int] = {}
+    for topic, message, at_ns in recording.messages():
+        counts[topic.key] = counts.get(topic.key, 0) + 1
+        if replay is None:  # now it is known whose run this was
+            replay = _Replay(recording, _fed(only))
+        # 2. Feed it at its time.
+        replay.hear(topic, message, at_ns, change)
+        if sum(counts.values()) % _SHOW_FRAMES == 0:
+            progress.say(f"{sum(counts.values())} messages, {len(replay.maps)} maps, {len(replay.plans)} plans")
+    if replay is None:
+        raise ReplayError(f"{path}: no messages in it: the run ended before anybody spoke, or the file was cut off")
+    if not recording.complete:
+        progress.say(f"{path} was cut off; replayed as far as it goes")
+    replay.settle()
+    # 3. Compare what came of it.
+    maps, plans = replay.compared_maps(), compared_plans(replay.recorded_plans, replay.plans)
+    if replay.maps:
+        layers_picture.draw(out / "layers.png", replay.maps[max(replay.maps)])
+    return {
+        "source": path.name,
+        "about": {key: value for key, value in recording.about.items() if key != "frame_layout"},
+        "complete": recording.complete,
+        "topics": dict(sorted(counts.items())),
+        "fed": sorted(replay.fed_keys),
+        "maps": {"made": len(replay.maps), "recorded": len(replay.recorded_maps), "compared": len(maps)},
+        "plans": {"made": len(replay.plans), "recorded": len(replay.recorded_plans), "compared": len(plans)},
+        "pose_error_m": {"rms": None, "final": None},
+        "map_error_m": map_difference(maps),
+        "plan_error_m": plan_difference(plans),
+        "said": replay.said,
+        "stages_ms": stages_ms(*replay.services()),
+    }
+
+
+class _Replay:
+    """Mapper and planner on simulated time, and what they make of what they hear."""
+
+    def __init__(self, recording: Recording, only: frozenset[str]):
+        profile = load_profile(recording.about.get("robot", "phantomx_mk2"))
+        every: dict[str, Service] = {
+            "mapper": Mapper(profile, _map_settings(recording)),
+            "planner": Planner(profile, _planner_settings(recording)),
+        }
+        self._path = recording.path
+        self._running = {
+            name: service
+            for name, service in every.items()
+            if not any(topic.key in only for topic in service.writes)  # what it makes is fed
+        }
+        made = {topic.key for service in self._running.values() for topic in service.writes}
+        self._feeds = frozenset(only or {topic.key for topic in topics.TOPICS}) - made
+        self.fed_keys: set[str] = set()
+        self.maps: dict[int, TerrainMap] = {}  # made now, by stamp
+        self.recorded_maps: dict[int, TerrainMap] = {}
+        self.plans: list[StepPlan] = []
+        self.recorded_plans: list[StepPlan] = []
+        self.said: dict[str, int] = {}  # how often the planner said what of its state
+        # A lockstep run records frames as they are sent, a live one as they come.
+        late = recording.about.get("run") == "lockstep"
+        latency_s = {} if late else dict.fromkeys(self._feeds, 0.0)
+        self._lockstep = Lockstep({n: lambda s=s: s for n, s in self._running.items()}, self._take, latency_s)  # type: ignore[misc]
+        self._waiting: list[tuple[int, int, Any]] = []  # time [ns] at which it is fed, order, message
+        self._order = itertools.count()
+
+    def hear(self, topic: AnyTopic, message: Message, at_ns: int, change: Change) -> None:
+        """What was recorded next: fed to the services, or kept to compare with."""
+        if isinstance(message, TerrainMap):
+            self.recorded_maps[message.stamp_ns] = message
+        if isinstance(message, StepPlan):
+            self.recorded_plans.append(message)
+        if topic.key not in self._feeds:
+            return
+        self.fed_keys.add(topic.key)
+        for fed, fed_ns in change(topic, message, at_ns):
+            heapq.heappush(self._waiting, (fed_ns, next(self._order), fed))
+        self._feed(at_ns)
+
+    def _feed(self, until_ns: float) -> None:
+        """Let everything be said whose time has come."""
+        while self._waiting and self._waiting[0][0] <= until_ns:
+            at_ns, _, message = heapq.heappop(self._waiting)
+            self._lockstep.run(max(at_ns, self._lockstep.now_ns))
+            walking = isinstance(message, ActuatorState) and "planner" in self._running
+            self._lockstep.say(self._as_walked(message) if walking else message)
+
+    def settle(self) -> None:
+        """Let what is still on its way arrive."""
+        self._feed(math.inf)
+        self._lockstep.run(self._lockstep.now_ns + _SETTLE_NS)
+
+    def services(self) -> Iterable[Service]:
+        """Who has heard it."""
+        return self._running.values()
+
+    def compared_maps(self) -> list[tuple[TerrainMap, TerrainMap]]:
+        """Recorded maps, with those made now of the same moment.
+
+        Raises:
+            ReplayError: None has the cells of those that are made now.
+        """
+        pairs = [(a, b) for a in self.recorded_maps.values() if (b := self._map_of(a.stamp_ns)) is not None]
+        if pairs and not any(_same_cells(before, after) for before, after in pairs):
+            raise ReplayError(
+                f"{self._path}: none of its maps has the cells of those made now: {_cells(pairs[0][0])} recorded, "
+                f"{_cells(pairs[0][1])} made; replay it with the version that wrote it"
+            )
+        return pairs
+
+    def _map_of(self, stamp_ns: int) -> TerrainMap | None:
+        """The map made now of a moment, or of one scan before or after: a mapper tells of every second scan that it mapped."""
+        nearest = min(self.maps, key=lambda stamp: abs(stamp - stamp_ns), default=None)
+        near_ns = 1.5e9 / topics.SCAN.rate_hz
+        return None if nearest is None or abs(nearest - stamp_ns) > near_ns else self.maps[nearest]
+
+    def _as_walked(self, state: ActuatorState) -> ActuatorState:
+        """The state, as if the legs walked the plan made now of the step that they did walk: the planner follows its own."""
+        walked = next((p for p in reversed(self.recorded_plans) if p.stamp_ns == state.plan_ns), None)
+        if walked is None or any(p.stamp_ns == state.plan_ns for p in self.plans):
+            return state
+        own = [p for p in self.plans if _step_of(p) == _step_of(walked)]
+        return replace(state, plan_ns=own[-1].stamp_ns) if own else state
+
+    def _take(self, topic: AnyTopic, frame: bytes, _: int) -> None:
+        """A frame that somebody has sent; those that are fed are of no interest."""
+        if topic.key in self._feeds:
+            return
+        if topic is topics.TERRAIN:
+            terrain = codec.decode(frame, TerrainMap)[0]
+            self.maps[terrain.stamp_ns] = terrain
+        elif topic is topics.STEP_PLAN:
+            self.plans.append(codec.decode(frame, StepPlan)[0])
+        elif topic is topics.PLANNER_STATUS:
+            status = codec.decode(frame, topics.PLANNER_STATUS.type)[0]
+            words = status.state if status.state == "stepping" else f"{status.state}: {status.reason}"
+            self.said[words] = self.said.get(words, 0) + 1
+
+
+def map_difference(pairs: Iterable[tuple[TerrainMap, TerrainMap]]) -> dict[str, float | None]:
+    """How far the second map of each pair is off the first: errors [m] over cells known to both, coverage the share of the
+    first's cells that the second knows."""
+    differences, known, shared_cells = [], 0, 0
+    for before, after in pairs:
+        if not _same_cells(before, after):
+            continue
+        both = np.isfinite(before.elevation) & np.isfinite(after.elevation)
+        known += int(np.isfinite(before.elevation).sum())
+        shared_cells += int(both.sum())
+        differences.append((after.elevation[both] - before.elevation[both]).astype(np.float64))
+    d = np.concatenate(differences) if differences else np.zeros(0)
+    if d.size == 0:
+        return {"rmse": None, "bias": None, "p95": None, "coverage": None}
+    return {
+        "rmse": rounded(float(np.sqrt(np.mean(d**2)))),
+        "bias": rounded(float(d.mean())),
+        "p95": rounded(float(np.percentile(np.abs(d), 95))),
+        "coverage": rounded(shared_cells / known),
+    }
+
+
+def compared_plans(recorded: Iterable[StepPlan], made: Iterable[StepPlan]) -> list[tuple[StepPlan, StepPlan]]:
+    """The last plan of each step that was recorded, with the last that was made now for the same legs."""
+    last, now = _last_of_each_step(recorded), _last_of_each_step(made)
+    return [(plan, now[key]) for key, plan in last.items() if key in now]
+
+
+def plan_difference(pairs: Sequence[tuple[StepPlan, StepPlan]]) -> dict[str, float | None]:
+    """How far touchdowns [m], in the ground's plane and in height, and the body's goals are off in the second of each pair."""
+    if not pairs:
+        return {"touchdown_p50": None, "touchdown_p95": None, "touchdown_max": None, "body_max": None}
+    feet = [np.linalg.norm((a.touchdown - b.touchdown)[a.swing], axis=1) for a, b in pairs]
+    body = [float(np.linalg.norm(a.body_goal[:3, 3] - b.body_goal[:3, 3])) for a, b in pairs]
+    d = np.concatenate(feet)
+    return {
+        "touchdown_p50": rounded(float(np.median(d))),
+        "touchdown_p95": rounded(float(np.percentile(d, 95))),
+        "touchdown_max": rounded(float(d.max())),
+        "body_max": rounded(max(body)),
+    }
+
+
+def in_words(table: Mapping[str, Any]) -> str:
+    """A replay's result for people."""
+    lines = [f"{table['source']}:"]
+    lines += [f"  {key:<20} {count:>6} messages" for key, count in table["topics"].items()]
+    maps, plans, error, off = table["maps"], table["plans"], table["map_error_m"], table["plan_error_m"]
+    lines.append(f"  the mapper made {maps['made']} maps of what was recorded; {maps['compared']} compared with recorded ones")
+    if error["rmse"] is not None:
+        lines.append(
+            f"  they differ by {error['rmse'] * 1e3:.2f} mm rms, {error['coverage']:.1%} of the cells are known to both"
+        )
+    if plans["made"]:
+        lines.append(
+            f"  the planner made {plans['made']} plans; the last of {plans['compared']} steps compared with recorded ones"
+        )
+    if off["touchdown_max"] is not None:
+        off_mm = [1e3 * off[name] for name in ("touchdown_p50", "touchdown_p95", "touchdown_max")]
+        lines.append(
+            f"  touchdowns are {off_mm[0]:.1f} mm off in the median, {off_mm[1]:.1f} mm at 95 %, {off_mm[2]:.1f} mm at most"
+        )
+    said = sorted(table["said"].items(), key=lambda item: -item[1])[:8]
+    lines += [f"  {count:>6} times the planner was {words}" for words, count in said]
+    lines += [f"  {name}: {t['p50']:.2f} ms, 99 % below {t['p99']:.2f} ms" for name, t in table["stages_ms"].items()]
+    return "\n".join(lines)
+
+
+def _fed(only: Sequence[str]) -> frozenset[str]:
+    """The keys that were asked for.
+
+    Raises:
+        ReplayError: One that is not in the topic table.
+    """
+    known = [topic.key for topic in topics.TOPICS]
+    for key in only:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=1)
+            instead = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+            raise ReplayError(f"--only: no topic {key!r}; {instead}")
+    return frozenset(only)
+
+
+def _last_of_each_step(plans: Iterable[StepPlan]) -> dict[tuple[int, int, bytes], StepPlan]:
+    return {_step_of(plan): plan for plan in plans}
+
+
+def _step_of(plan: StepPlan) -> tuple[int, int, bytes]:
+    """Which step a plan is a revision of: of one {odom}, by number, with the legs that swing."""
+    return plan.epoch, plan.step, plan.swing.tobytes()
+
+
+def _same_cells(a: TerrainMap, b: TerrainMap) -> bool:
+    same = a.elevation.shape == b.elevation.shape and math.isclose(a.resolution, b.resolution)
+    return same and np.allclose(a.origin, b.origin)
+
+
+def _cells(terrain: TerrainMap) -> str:
+    nx, ny = terrain.elevation.shape
+    x, y = terrain.origin
+    return f"{nx}x{ny} cells of {terrain.resolution:g} m from ({x:.3f}, {y:.3f}) m on"
+
+
+def _map_settings(recording: Recording) -> MapperSettings:
+    """The mapper's settings of a recorded run; older recordings say nothing of them."""
+    about, usual = recording.about, MapperSettings()
+    try:
+        return MapperSettings(
+            cells=int(about.get("map.cells", usual.cells)),
+            cells_y=int(about.get("map.cells_y", usual.cells_y)),
+            resolution=float(about.get("map.resolution", usual.resolution)),
+        )
+    except ValueError as error:
+        raise ReplayError(f"{recording.path}: its map options make no sense: {error}") from None
+
+
+def _planner_settings(recording: Recording) -> PlannerSettings:
+    """Likewise of the planner."""
+    usual = PlannerSettings()
+    blind = recording.about.get("walk.blind", str(usual.blind)) == "True"
+    try:
+        return PlannerSettings(blind=blind, footholds=recording.about.get("walk.footholds", usual.footholds))  # type: ignore[arg-type]
+    except ValueError as error:
+        raise ReplayError(f"{recording.path}: its walk options make no sense: {error}") from None

@@ -1,0 +1,96 @@
+"""What the depth camera of a simulated run sees and where it truly is, in the TUM RGB-D layout that `sextant replay` reads."""
+
+from collections import deque
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.runs.lockstep_run import assemble
+from services.perception import tum
+from shared import codec, topics
+from shared.geometry import Array, interpolate
+from shared.messages import DepthImage, GroundTruth
+from shared.robot import RobotProfile, load_profile
+from shared.scenario import Scenario
+from shared.service import AnyTopic
+
+_DOWN = np.array([0.0, 0.0, -1.0])  # gravity in the simulator's world
+
+
+class DepthRecorder:
+    """Writes depth.txt, groundtruth.txt and camera.toml out of a run's frames; a context manager.
+
+    Give `tap` to whoever moves the frames. A picture is written once the truth around it is known; pictures that the truth does
+    not reach any more are written without a pose.
+    """
+
+    def __init__(self, folder: Path, profile: RobotProfile):
+        """Start a recording.
+
+        Args:
+            folder: Made if missing; must not hold a recording already.
+            profile: The robot, for its camera.
+
+        Raises:
+            FileExistsError: The folder holds a recording.
+        """
+        camera = profile.camera
+        self._T_body_camera = camera.T_body_camera
+        self._writer = tum.RecordingWriter(
+            folder, tum.Camera(camera.intrinsics, camera.sensor.depth_scale, camera.sensor.rate_hz, _DOWN)
+        )
+        self._waiting: deque[tuple[int, NDArray[np.uint16]]] = deque()  # pictures newer than the truth
+        self._truth: tuple[int, Array] | None = None  # stamp, T_world_body
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def tap(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        """See one frame of the run; all but the camera's and the truth's are passed over."""
+        if topic is topics.DEPTH:
+            image = codec.decode(frame, DepthImage, topics.DEPTH.max_bytes)[0]
+            self._waiting.append((image.stamp_ns, image.depth))
+        elif topic is topics.TRUTH:
+            truth = codec.decode(frame, GroundTruth, topics.TRUTH.max_bytes)[0]
+            self._pose_waiting(truth.stamp_ns, truth.T_world_body)
+
+    def close(self) -> None:
+        """Write what waits and finish the text files; safe to call twice."""
+        while self._waiting:
+            self._writer.add(*self._waiting.popleft())
+        self._writer.close()
+
+    def _pose_waiting(self, stamp_ns: int, T_world_body: Array) -> None:
+        """Write the pictures up to a moment of truth, their poses between it and the one before."""
+        before_ns, T_before = self._truth or (stamp_ns, T_world_body)
+        self._truth = stamp_ns, T_world_body
+        while self._waiting and self._waiting[0][0] <= stamp_ns:
+            taken_ns, depth = self._waiting.popleft()
+            if taken_ns < before_ns:  # before the first truth
+                self._writer.add(taken_ns, depth)
+                continue
+            share = (taken_ns - before_ns) / (stamp_ns - before_ns) if stamp_ns > before_ns else 1.0
+            self._writer.add(taken_ns, depth, interpolate(T_before, T_world_body, share) @ self._T_body_camera)
+
+
+def record_tum(scenario: Scenario, seed: int, folder: Path, duration_s: float) -> None:
+    """Walk a scenario in lockstep and record its depth camera.
+
+    Args:
+        scenario: The course and the way to walk it.
+        seed: Of everything random.
+        folder: Made if missing; must not hold a recording already.
+        duration_s: [s] simulated.
+
+    Raises:
+        FileExistsError: The folder holds a recording.
+    """
+    profile = load_profile(scenario.robot)
+    with DepthRecorder(folder, profile) as recorder:
+        assemble(scenario, seed, profile, recorder.tap).run(round(duration_s * 1e9))

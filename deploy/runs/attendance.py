@@ -1,0 +1,87 @@
+"""Who attends a run beside the robot's own services: operator, scorer and monitor; and what is left behind at its end."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+
+from deploy.judging import report as reports
+from deploy.runs.operator import Operator
+from deploy.progress import Monitor
+from deploy.judging.report import Report, StageTime
+from deploy.judging.scorer import Scorer
+from shared import topics
+from shared.robot import RobotProfile
+from shared.scenario import Scenario
+from shared.service import Service
+
+_LAST_LOOK_S = 6.0  # [s] simulated that the scorer has for its verdict once the operator is done
+
+
+class Attendance:
+    """Commands, judges and watches one run, however the services are run."""
+
+    def __init__(self, profile: RobotProfile, scenario: Scenario, seed: int):
+        self.operator = Operator(profile, scenario)
+        self.scorer = Scorer(profile, scenario, seed)
+        self.monitor = Monitor(scenario.goal.distance)
+        self._operator_done_s: float | None = None
+
+    def services(self) -> Mapping[str, Service]:
+        """The three, by name."""
+        return {"operator": self.operator, "scorer": self.scorer, "monitor": self.monitor}
+
+    def over(self) -> bool:
+        """Whether the run has come to its end: the scorer's verdict, or its time is up after the operator was done."""
+        if self.scorer.finished:
+            return True
+        if self.operator.finished and self._operator_done_s is None:
+            self._operator_done_s = self.monitor.view.time_s
+        return self._operator_done_s is not None and self.monitor.view.time_s > self._operator_done_s + _LAST_LOOK_S
+
+    def kept_up(self) -> float:
+        """Share [1] of real time that a live simulator has simulated: where it falls behind, truth is missing."""
+        try:
+            t = self.scorer.trace.t
+        except ValueError:  # no truth came
+            return math.nan
+        return float((len(t) - 1) / (topics.TRUTH.rate_hz * (t[-1] - t[0]))) if len(t) > 1 else math.nan
+
+    def judge(self, real_time_factor: float, ended_by: str = "", in_a_hurry: bool = False) -> Report:
+        """The verdict.
+
+        Args:
+            real_time_factor: Simulated over elapsed time.
+            ended_by: What ended the run from outside, in words: it has failed then, for that reason.
+            in_a_hurry: Leave out what takes long to judge.
+        """
+        stages = {name: StageTime(p50, p99) for name, (p50, p99) in self.monitor.stages_ms().items()}
+        report = self.scorer.result(self.operator.reason, real_time_factor, stages, in_a_hurry)
+        return replace(report, success=False, reason=ended_by) if ended_by else report
+
+    def leave_behind(self, report: Report, out: Path, picture: bool = True) -> None:
+        """Write report.json and, if asked for and where there is anything to see, pictures into a folder.
+
+        They are summary.png; walk.png of a robot that walked; and passage.png of one that planned its way over a passage.
+        """
+        reports.write(report, out)
+        if not picture:
+            return
+        from deploy.pictures import passage_picture, walk_picture
+        from deploy.pictures import summary as summaries  # takes a second to import, which an interrupted run does not have
+
+        try:
+            trace = self.scorer.trace
+        except ValueError:  # the run ended before the simulator said a word
+            return
+        summaries.draw(out / "summary.png", report, trace)
+        if trace.sections:
+            passage_picture.draw(out / "passage.png", report, trace)
+        walk_picture.draw(out / "walk.png", report, trace)
+
+
+def about(scenario: Scenario, seed: int, way: str) -> dict[str, str]:
+    """What a recording says about its run, the size of its map and what it walks by included: replays do likewise."""
+    size = {f"map.{field.name}": str(getattr(scenario.map, field.name)) for field in fields(scenario.map)}
+    walk = {"walk.blind": str(scenario.walk.blind), "walk.footholds": scenario.walk.footholds}
+    return {"scenario": scenario.name, "seed": str(seed), "robot": scenario.robot, "run": way, **size, **walk}

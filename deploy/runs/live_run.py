@@ -1,0 +1,236 @@
+"""A whole run over Zenoh at real time: the services in processes of their own, the attendants in this one."""
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self, TextIO
+
+from deploy import process_table
+from deploy.runs.attendance import Attendance, about
+from deploy.interrupts import Interrupts
+from deploy.launch.launcher import Launcher, free_port, host_router
+from deploy.process_table import ENVIRONMENT, Command
+from deploy.progress import Progress
+from deploy.judging.report import Report
+from services.console.recording.foxglove.translation import Foxglove
+from services.console.recording.live import LiveRecorder
+from services.console.recording.writer import Recorder
+from shared.robot import load_profile
+from shared.scenario import Fault, Scenario
+from shared.service import Service, run_live
+from shared.transport import Endpoints, ZenohLink
+
+_LOOK_S = 0.1  # between two looks at the run
+_SHOW_S = 0.25  # between two views of it
+_START_S = 60.0  # within which the robot must have come up
+_WARM_S = 10.0  # the warm-up takes less when everything is compiled already
+_WARM_UP = Command("warm-up", ("-m", "deploy.warm_up"), ENVIRONMENT)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a live run came to."""
+
+    report: Report
+    interrupted: bool  # the operator ended it
+
+
+def run_live_scenario(
+    scenario: Scenario,
+    source: str,
+    seed: int,
+    out: Path,
+    progress: Progress,
+    interrupts: Interrupts,
+    attach: Endpoints | None = None,
+    started: Callable[[Launcher], None] = lambda _: None,
+) -> Outcome:
+    """Run a scenario over Zenoh to its end, leaving report.json, pictures, recording.mcap and services.log in `out`.
+
+    Args:
+        scenario: The course and the way to walk it.
+        source: Its name or path, for the simulator.
+        seed: Of the simulator's randomness.
+        out: Folder, made where it is missing.
+        progress: Where to show it.
+        interrupts: The operator's wish to end it; entered by the caller, in the main thread.
+        attach: Where services that somebody else started are met; None starts them.
+        started: Is given the launcher once all runs, for tests that break something.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    attendance = Attendance(load_profile(scenario.robot), scenario, seed)
+    with contextlib.ExitStack() as stack:
+        # 1. Host the router and start the services, each in its own process.
+        log = stack.enter_context(Path(os.devnull if attach else out / "services.log").open("w", encoding="utf-8"))
+        endpoints = attach or stack.enter_context(host_router())
+        chosen = process_table.choices(scenario, source, seed, free_port())
+        rows = () if attach else process_table.rows("all", simulated=True)
+        # 2. Record, command, judge and watch from this process, each over a link of its own. They connect before the
+        #    services start, so that the recording has the first word.
+        profile = load_profile(scenario.robot)
+        recorder = Recorder(out / "recording.mcap", about(scenario, seed, "live"), Foxglove(profile))
+        recording = stack.enter_context(_recording(recorder, endpoints))
+        attendants = stack.enter_context(Attendants(attendance.services(), endpoints))
+        process_table.new_robot(chosen)
+        launcher = Launcher(process_table.commands(rows, chosen, endpoints), hear=_log_to(log))
+        stack.callback(lambda: launcher.stop(interrupts.insisted))
+        launcher.__enter__()
+        started(launcher)
+        # 3. Watch until something ends it, breaking what the scenario wants broken.
+        ended_by = _watch(attendance, attendants, launcher, Faults(scenario.faults), progress, interrupts)
+        # 4. Stop everything.
+        for name in launcher.stop(interrupts.insisted):
+            progress.say(f"{name} did not end when asked and was killed")
+    # 5. Judge it and write what it leaves behind.
+    for problem in filter(None, (recording.problem, _loss(recording.dropped))):
+        progress.say(f"warning: {problem}")
+    report = attendance.judge(attendance.kept_up(), ended_by, interrupts.asked())
+    attendance.leave_behind(report, out, picture=not interrupts.asked())
+    progress.finish()
+    return Outcome(report, interrupts.asked())
+
+
+def warm_up(progress: Progress, interrupts: Interrupts) -> str:
+    """Compile what is compiled at first use, in a process of its own; returns what went wrong, in words, or nothing."""
+    began = time.monotonic()
+    with Launcher([_WARM_UP]) as launcher:
+        told = False
+        while not interrupts.asked():
+            ended = launcher.wait(_LOOK_S)
+            if ended:
+                return "" if ended[0].how == "exit status 0" else str(ended[0])
+            if not told and time.monotonic() - began > _WARM_S:
+                told = True
+                progress.say("warming up: compiling the inner loops takes about a minute, the first time only")
+        launcher.stop(interrupts.insisted)
+    return ""
+
+
+class Attendants:
+    """Services that run in threads of this process, each over its own link; a context manager.
+
+    An exception in one of them comes out of `check`, in the thread that asks.
+    """
+
+    def __init__(self, services: Mapping[str, Service], endpoints: Endpoints):
+        self._services = services
+        self._endpoints = endpoints
+        self._stop = threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._errors: list[Exception] = []
+        self._ready = threading.Semaphore(0)
+
+    def __enter__(self) -> Self:
+        for name, service in self._services.items():
+            thread = threading.Thread(target=self._run, args=(service,), name=name, daemon=True)
+            thread.start()
+            self._threads.append(thread)
+        for _ in self._threads:
+            self._ready.acquire()
+        if self._errors:
+            self.__exit__()
+            raise self._errors[0]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        for thread in self._threads:
+            thread.join(2.0)
+
+    def check(self) -> None:
+        """Raise what has gone wrong in one of them."""
+        if self._errors:
+            raise self._errors[0]
+
+    def _run(self, service: Service) -> None:
+        try:
+            with ZenohLink(self._endpoints) as link:
+                self._ready.release()
+                run_live(service, link, self._stop)
+        except Exception as error:  # noqa: BLE001 - it is raised again by check, in the thread that watches
+            self._errors.append(error)
+            self._ready.release()
+
+
+class Faults:
+    """Breaks running processes when their time has come, and mends those that hang."""
+
+    def __init__(self, faults: tuple[Fault, ...]):
+        self._due: list[tuple[float, str, str]] = []  # time [s], act, service
+        for fault in faults:
+            if fault.of_camera:
+                continue  # the simulator's own
+            if fault.kind == "kill":
+                self._due.append((fault.at_s, "kill", fault.service))
+            else:
+                self._due += [(fault.at_s, "freeze", fault.service), (fault.at_s + fault.for_s, "thaw", fault.service)]
+        self._due.sort()
+
+    def act(self, time_s: float, launcher: Launcher) -> list[str]:
+        """Do what is due at a time [s]; says what it did."""
+        done: list[str] = []
+        while self._due and self._due[0][0] <= time_s:
+            _, act, service = self._due.pop(0)
+            {"kill": launcher.kill, "freeze": launcher.freeze, "thaw": launcher.thaw}[act](service)
+            done.append(f"{time_s:6.1f} s  the scenario's fault: {act} {service}")
+        return done
+
+
+@contextlib.contextmanager
+def _recording(recorder: Recorder, endpoints: Endpoints) -> Iterator[LiveRecorder]:
+    with LiveRecorder(recorder) as recording, ZenohLink(endpoints) as link:
+        recording.listen(link, time.monotonic_ns)
+        yield recording
+
+
+def _watch(
+    attendance: Attendance,
+    attendants: Attendants,
+    launcher: Launcher,
+    faults: Faults,
+    progress: Progress,
+    interrupts: Interrupts,
+) -> str:
+    """Watch a run; returns what ended it from outside, in words, or nothing."""
+    began = shown = time.monotonic()
+    while not attendance.over():
+        for ended in launcher.wait(_LOOK_S):
+            progress.say(str(ended))
+            if not ended.restarted:
+                return str(ended)
+        attendants.check()
+        view = attendance.monitor.view
+        if interrupts.asked():
+            return "stopped by the operator"
+        if not view.up and time.monotonic() - began > _START_S:
+            return f"the robot did not come up within {_START_S:.0f} s; heard so far: {_heard(view.doing)}"
+        for done in faults.act(view.time_s if view.up else -1.0, launcher):
+            progress.say(done)
+        if time.monotonic() - shown >= _SHOW_S:
+            shown = time.monotonic()
+            progress.update(view)
+    return ""
+
+
+def _log_to(log: TextIO) -> Callable[[str, str], None]:
+    lock = threading.Lock()
+
+    def hear(_name: str, line: str) -> None:
+        with lock:
+            if not log.closed:
+                log.write(line + "\n")
+                log.flush()
+
+    return hear
+
+
+def _heard(doing: Mapping[str, str]) -> str:
+    return "; ".join(f"{name}: {what}" for name, what in doing.items()) or "nobody"
+
+
+def _loss(dropped: int) -> str:
+    return f"the recording lacks {dropped} messages: the disk was too slow" if dropped else ""

@@ -1,0 +1,249 @@
+"""A whole run in one process on simulated time: the same services, as fast as the machine allows.
+
+The same frames, too, but for depth frames that nobody would look at: where it changes nothing they are not made.
+"""
+
+import contextlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from deploy.runs.attendance import Attendance, about
+from deploy.runs.pose_error import MODELS, Erring
+from deploy.progress import Progress, Silent
+from deploy.runs.radio import Radio
+from deploy.judging.report import Report
+from services.actuator.config import Settings as ActuatorSettings
+from services.actuator.latch import Latch
+from services.actuator.service import Actuator
+from services.actuator.servos import read_timeout_ns
+from services.actuator.stop.config import Settings as StopSettings
+from services.actuator.stop.service import Stop
+from services.console.recording.foxglove.translation import Foxglove
+from services.console.recording.writer import Recorder
+from services.mapper.config import Settings as MapperSettings
+from services.mapper.service import Mapper
+from services.perception.config import Settings as PerceptionSettings
+from services.perception.service import Perception
+from services.planner import rehearsal
+from services.planner.config import Settings as PlannerSettings
+from services.planner.service import Planner
+from services.simulator.bus import MemoryPort
+from services.simulator.config import Settings as SimulatorSettings
+from services.simulator.service import Simulator
+from shared.host import keep_memory, spare_collector
+from shared.messages import Message
+from shared.robot import RobotProfile, load_profile
+from shared.scenario import Fault, Scenario
+from shared.service import AnyTopic, Lockstep, Outage, Service
+
+_LOOK_NS = 250_000_000  # simulated time between two looks at whether it is over
+
+Tap = Callable[[AnyTopic, bytes, int], object]
+
+
+@cache
+def _rehearse_passage(robot: str) -> None:
+    rehearsal.rehearse(load_profile(robot), PlannerSettings())
+
+
+class LockstepRun:
+    """The services of a run on simulated time, with those who attend it."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        profile: RobotProfile,
+        tap: Tap = lambda _topic, _frame, _at_ns: None,
+        guests: Sequence[Service] = (),
+        every_frame: bool = True,
+        around: Mapping[str, Callable[[Service], Service]] | None = None,
+        stop_port: str = "",
+    ):
+        keep_memory()
+        if scenario.goal.passage:
+            _rehearse_passage(scenario.robot)  # no time of planning is to hold compiling
+        self.scenario = scenario
+        self.attendance = Attendance(profile, scenario, seed)
+        self._lockstep: Lockstep | None = None
+        self._socket: _Socket | None = None
+        looks = PerceptionSettings(method=scenario.variation.registration, scan_resolution=scenario.map.scan_resolution)
+        frames_per_picture = 1
+        # Colours are laid over every frame, and what a fault does depends on the frame that it comes upon.
+        if not (every_frame or guests or scenario.faults or profile.camera.color):
+            rate_hz = profile.camera.sensor.rate_hz
+            frames_per_picture = looks.frames_per_scan(rate_hz)
+            looks = replace(looks, scan_rate_hz=rate_hz)  # it uses all that are left
+        simulator = Simulator(
+            profile, SimulatorSettings(seed=seed, bridge=scenario.bridge, frames_per_picture=frames_per_picture), scenario
+        )
+        makers: dict[str, Callable[[], Service]] = {
+            "simulator": lambda: simulator,
+            "actuator": self._actuator(profile, scenario, simulator, Latch.of_port(stop_port) if stop_port else None),
+            "perception": lambda: _perception(profile, looks, scenario, seed),
+            "mapper": lambda: Mapper(profile, _map_settings(scenario)),
+            "planner": lambda: Planner(profile, PlannerSettings(blind=scenario.walk.blind, footholds=scenario.walk.footholds)),
+        }
+        if stop_port:
+            makers["stop"] = lambda: Stop(profile, StopSettings(stop_port))
+        for name, service in [*self.attendance.services().items(), *((guest.name, guest) for guest in guests)]:
+            makers[name] = lambda service=service: service  # type: ignore[misc]
+        for name, wrap in (around or {}).items():
+            makers[name] = lambda make=makers[name], wrap=wrap: wrap(make())  # type: ignore[misc]
+        spare_collector()
+        radio = Radio(scenario.link, seed) if scenario.link.exists else None
+        outages = [_outage(fault) for fault in scenario.faults if not fault.of_camera]
+        self._lockstep = Lockstep(makers, tap, outages=outages, busy_until={"actuator": self._busy_until}, radio=radio)
+
+    def now_ns(self) -> int:
+        """Simulated time [ns]."""
+        return 0 if self._lockstep is None else self._lockstep.now_ns
+
+    def run(self, until_ns: int) -> None:
+        """Let simulated time pass up to and including an instant."""
+        assert self._lockstep is not None
+        self._lockstep.run(until_ns)
+
+    def service(self, name: str) -> Service:
+        """The object that runs now under a name."""
+        assert self._lockstep is not None
+        return self._lockstep.service(name)
+
+    def _actuator(
+        self, profile: RobotProfile, scenario: Scenario, simulator: Simulator, latch: Latch | None
+    ) -> Callable[[], Actuator]:
+        settings = ActuatorSettings(arc=scenario.walk.arc, bridge=scenario.bridge)
+
+        def make() -> Actuator:
+            self._socket = socket = _Socket(simulator, self.now_ns, read_timeout_ns(settings) * 1e-9)
+            return Actuator(profile, settings, socket.open, socket.now_ns, latch)
+
+        return make
+
+    def _busy_until(self) -> int:
+        """Until when [ns] the actuator waits for its bus; with the first port it has done so before time begins."""
+        return 0 if self._socket is None or self._socket.is_first else self._socket.now_ns()
+
+    def lose(self, outage: Outage) -> None:
+        """Let a service be away between two times, beside those of the scenario."""
+        assert self._lockstep is not None
+        self._lockstep.lose(outage)
+
+    def say(self, message: Message) -> None:
+        """Send a message now, as somebody who is none of the services."""
+        assert self._lockstep is not None
+        self._lockstep.say(message)
+
+
+def assemble(
+    scenario: Scenario,
+    seed: int,
+    profile: RobotProfile,
+    tap: Tap = lambda _topic, _frame, _at_ns: None,
+    guests: Sequence[Service] = (),
+    every_frame: bool = True,
+    around: Mapping[str, Callable[[Service], Service]] | None = None,
+    stop_port: str = "",
+) -> LockstepRun:
+    """All services of a run in this process, the actuator's port being the other end of the simulator's servo bus.
+
+    Args:
+        scenario: The course and the way to walk it.
+        seed: Of everything random.
+        profile: The robot.
+        tap: Sees every frame as it is sent, with the simulated time [ns].
+        guests: Further services that take part.
+        every_frame: Make the depth frames, too, that nobody but the tap would look at; it costs a tenth of the run.
+        around: Name of a service -> what takes its place, made of it.
+        stop_port: The stop path takes part, its latch being that of such a port.
+    """
+    return LockstepRun(scenario, seed, profile, tap, guests, every_frame, around, stop_port)
+
+
+def run_lockstep(
+    scenario: Scenario,
+    seed: int,
+    out: Path | None = None,
+    progress: Progress | None = None,
+    taps: Sequence[Tap] = (),
+) -> Report:
+    """Run a scenario in lockstep to its end.
+
+    Args:
+        scenario: The course and the way to walk it.
+        seed: Of everything random; one seed makes one report, its timing fields apart.
+        out: Folder for report.json, pictures and recording.mcap; None leaves nothing behind.
+        progress: Where to show it.
+        taps: Each sees every frame as it is sent, with the simulated time [ns].
+    """
+    progress = progress or Silent()
+    profile = load_profile(scenario.robot)
+    with contextlib.ExitStack() as stack:
+        # 1. Assemble the services, and a recorder that hears all they say.
+        recorder = None
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            saying = about(scenario, seed, "lockstep")
+            recorder = stack.enter_context(Recorder(out / "recording.mcap", saying, Foxglove(profile)))
+        hear = [*taps, *([recorder.write] if recorder else [])]
+
+        def tell(topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+            for hears in hear:
+                hears(topic, frame, at_ns)
+
+        run = assemble(scenario, seed, profile, tell, every_frame=bool(taps))
+        # 2. Let simulated time pass until the run is over.
+        began = time.perf_counter()
+        ended_by = _run_to_the_end(run, progress)
+        elapsed = time.perf_counter() - began
+    # 3. Judge it and write what it leaves behind.
+    report = run.attendance.judge(run.now_ns() * 1e-9 / elapsed, ended_by)
+    if out is not None:
+        run.attendance.leave_behind(report, out)
+    progress.finish()
+    return report
+
+
+def _run_to_the_end(run: LockstepRun, progress: Progress) -> str:
+    """Run; returns what ended it from outside, in words, or nothing."""
+    # The scorer ends it at the time limit; twice that is for a run whose robot never came up.
+    limit_ns = round(2e9 * run.scenario.time_limit_s)
+    while not run.attendance.over():
+        if run.now_ns() >= limit_ns:
+            return f"no verdict within {limit_ns * 1e-9:.0f} s of simulated time"
+        run.run(run.now_ns() + _LOOK_NS)
+        progress.update(run.attendance.monitor.view)
+    return ""
+
+
+def _perception(profile: RobotProfile, settings: PerceptionSettings, scenario: Scenario, seed: int) -> Service:
+    perception = Perception(profile, settings)
+    return perception if scenario.pose_error == "none" else Erring(perception, MODELS[scenario.pose_error], seed)
+
+
+def _map_settings(scenario: Scenario) -> MapperSettings:
+    return MapperSettings(scenario.map.cells, scenario.map.cells_y, scenario.map.resolution)
+
+
+class _Socket:
+    """Where the actuator opens the emulated bus, again where it was unplugged; one clock for all of its ports."""
+
+    def __init__(self, simulator: Simulator, clock: Callable[[], int], timeout: float):
+        self._simulator, self._clock, self._timeout = simulator, clock, timeout
+        self._port: MemoryPort | None = None
+        self.is_first = clock() == 0  # whether no port has been open before this one
+
+    def now_ns(self) -> int:
+        return self._clock() if self._port is None else self._port.now_ns()
+
+    def open(self) -> MemoryPort:
+        self.is_first &= self._port is None
+        self._port = MemoryPort(self._simulator.device, self._clock, self._timeout, start_ns=self.now_ns())
+        return self._port
+
+
+def _outage(fault: Fault) -> Outage:
+    return Outage(fault.service, round(fault.at_s * 1e9), round((fault.at_s + fault.for_s) * 1e9), fault.kind == "kill")

@@ -1,0 +1,403 @@
+"""Many runs of one scenario, a seed each: how often it succeeds, and how sure that is.
+
+Every finished seed is a line of JSON in `trials.jsonl`, so a batch that was stopped goes on where it was. Lines of another
+scenario, or of the same one changed since, or of another version of the program, are not counted.
+"""
+
+import hashlib
+import json
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deploy import provenance
+from deploy.judging import report as reports
+from deploy.judging.report import Report
+from deploy.provenance import Made
+from deploy.trials import kept
+from deploy.trials.kept import Run
+from deploy.trials.statistics import Difference, Rate, difference, wilson
+from deploy.workers import share_out
+from shared import config
+from shared.scenario import HeightMap, Scenario
+
+_PACKAGES = ("shared", "services", "deploy")
+Runner = Callable[[Scenario, int], Report]
+
+
+class ChangedError(ValueError):
+    """The program on disk is no longer the one that was begun with, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One quantity over the runs that measured it, NaN where none did."""
+
+    median: float
+    worst: float
+
+
+@dataclass(frozen=True, slots=True)
+class Passages:
+    """What a batch came to in which a gap was crossed on pillars."""
+
+    feet_off: int  # of all runs
+    pillar_touchdowns: int
+    foothold_edge_m: Figure  # median of a run; the worst is the least
+    foothold_edge_p05_m: Figure  # of a run, likewise
+    stops: Figure  # to plan, of a run
+    generated: Figure  # nodes of a section, Masri's n_g
+    expanded: Figure  # of them, his n_e
+    planning_p50_ms: float  # over all sections; those without a way count with all that was spent on them
+    planning_p99_ms: float
+    expansions_per_s: float  # of all sections together
+    passable: int  # grounds on which there is a way, where the seed decides
+    crossed: int  # runs over those that came to their goal
+    impassable: int
+    entered_in_vain: int  # runs on pillars of those on which there is none
+    undecided: int  # grounds of which the search cannot tell, beside others of which it can
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """What a batch came to."""
+
+    scenario: str
+    robot: str
+    gait: str
+    blind: bool
+    success: Rate
+    refusals: int  # runs that are a success because the robot stood and said why
+    collisions: int  # runs in which it walked into something
+    falls: int
+    runs_with_shutdown: int
+    mean_speed_mps: float  # of the successful runs
+    block_touchdowns: Figure  # of a run, on raised blocks; the worst is the fewest
+    missteps: Figure  # of a run, touchdowns on what is truly no foothold
+    missteps_per_step: float  # [1] of all runs together
+    tilt_p95_deg: Figure  # against the commanded attitude
+    commanded_tilt_p95_deg: Figure
+    height_error_m: Figure  # mean of a run, its size
+    height_rms_m: Figure
+    slip_p50_m: Figure  # per step
+    stability_margin_m: Figure  # least of a run; the worst is the least
+    torque_rms_nm: Figure  # of the worst joint
+    height_oscillation_m: Figure
+    final_pose_error: Figure  # [1] share of the way
+    map_rmse_m: Figure  # of the whole course; see `deploy.judging.report.CourseMap`
+    map_off_edges_m: Figure
+    map_bias_m: Figure  # its size
+    map_edge_m: Figure
+    map_coverage: Figure  # [1] the worst is the least
+    real_time_factor: Figure  # with other jobs beside it
+    failures: dict[str, int]  # reason without its figures -> runs, most frequent first
+    failed_seeds: tuple[int, ...]
+    made: Made
+    passages: Passages | None = None  # None where nobody stood on pillars or planned for them
+
+
+def run_trials(
+    scenario: Scenario,
+    seeds: Iterable[int],
+    jobs: int,
+    out: Path,
+    blind: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+    run: Runner | None = None,
+    keep_in: Path | None = None,
+) -> Trials:
+    """Run every seed that has not been run yet, each in lockstep.
+
+    Args:
+        scenario: The course and the way to walk it.
+        seeds: Of the runs; each counts once.
+        jobs: How many at a time, each in a process of its own; 1 runs them in this process.
+        out: Folder for `trials.jsonl`.
+        blind: Run the baseline without a map.
+        say: Hears a line per seed.
+        run: What runs one seed, `deploy.runs.lockstep_run.run_lockstep` by default.
+        keep_in: A file that gets a short line of every run, too, and whose runs count as done; see `deploy.trials.kept`.
+
+    Raises:
+        ValueError: No seeds, no jobs, or a line on file that is none.
+        ChangedError: The program has changed since this process first ran trials: new processes would run another one.
+    """
+    wanted = sorted(set(seeds))
+    if not wanted or jobs < 1:
+        raise ValueError(f"at least one seed and one job expected, found {len(wanted)} seeds and {jobs} jobs")
+    refuse_another_program()
+    scenario = replace(scenario, walk=replace(scenario.walk, blind=scenario.walk.blind or blind))
+    out.mkdir(parents=True, exist_ok=True)
+    path, mark = out / "trials.jsonl", fingerprint(scenario)
+    done = _done(path, keep_in, mark, wanted)
+    if done:
+        say(f"{len(done)} of {len(wanted)} seeds are done already; see {keep_in or path}")
+    left = [seed for seed in wanted if seed not in done]
+    successes = sum(one.success for one in done.values())
+    made_by, machine = provenance.commit(), provenance.machine()
+    kept.mend(path)
+    with path.open("a", encoding="utf-8") as lines:
+        tasks = [(scenario, seed) for seed in left]
+        for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
+            marks = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "machine": machine}
+            entry = marks | {"report": reports.as_table(report)}
+            lines.write(json.dumps(entry, ensure_ascii=False) + "\n")
+            lines.flush()
+            done[report.seed] = Run.read(entry)
+            if keep_in is not None:
+                kept.keep(keep_in, [done[report.seed]])
+            successes += report.success
+            say(_line(report, len(done), len(wanted), successes))
+    return summarise([done[seed] for seed in wanted])
+
+
+def compare(seeing: Trials, blind: Trials) -> Difference:
+    """How much more often the robot gets there with a map than without."""
+    return difference(seeing.success, blind.success)
+
+
+def summarise(runs: Sequence[Run]) -> Trials:
+    """What a batch came to, from its runs: one at least, all of one scenario, robot and gait, sighted or blind."""
+    good = [run for run in runs if run.success]
+    failures = Counter(_without_figures(run.reason) for run in runs if not run.success)
+    first = runs[0]
+    return Trials(
+        scenario=first.scenario,
+        robot=first.robot,
+        gait=first.gait,
+        blind=first.blind,
+        success=wilson(len(good), len(runs)),
+        refusals=sum(run.reason != reports.ARRIVED for run in good),
+        collisions=sum(run.collisions > 0 for run in runs),
+        falls=sum(run.falls > 0 for run in runs),
+        runs_with_shutdown=sum(run.shutdowns > 0 for run in runs),
+        mean_speed_mps=_over(np.mean, [run.speed_mps for run in good]),
+        block_touchdowns=_figure([run.raised_block_touchdowns for run in runs], min),
+        missteps=_figure([run.missteps for run in runs]),
+        missteps_per_step=sum(run.missteps for run in runs) / max(sum(run.steps for run in runs), 1),
+        tilt_p95_deg=_figure([run.tilt_p95_deg for run in runs]),
+        commanded_tilt_p95_deg=_figure([run.commanded_tilt_p95_deg for run in runs]),
+        height_error_m=_figure([abs(run.height_mean_m) for run in runs]),
+        height_rms_m=_figure([run.height_rms_m for run in runs]),
+        slip_p50_m=_figure([run.slip_p50_m for run in runs]),
+        stability_margin_m=_figure([run.stability_margin_m for run in runs], min),
+        torque_rms_nm=_figure([run.torque_rms_nm for run in runs]),
+        height_oscillation_m=_figure([run.height_oscillation_m for run in runs]),
+        final_pose_error=_figure([_share(run.final_pose_error_m, run.distance_m) for run in runs]),
+        map_rmse_m=_figure([run.map_rmse_m for run in runs]),
+        map_off_edges_m=_figure([run.map_off_edges_m for run in runs]),
+        map_bias_m=_figure([abs(run.map_bias_m) for run in runs]),
+        map_edge_m=_figure([run.map_edge_m for run in runs]),
+        map_coverage=_figure([run.map_coverage for run in runs], min),
+        real_time_factor=_figure([run.real_time_factor for run in runs], min),
+        failures=dict(sorted(failures.items(), key=lambda item: (-item[1], item[0]))),
+        failed_seeds=tuple(run.seed for run in runs if not run.success),
+        made=Made.of([(run.commit, run.time) for run in runs]),
+        passages=_passages(runs),
+    )
+
+
+def _passages(runs: Sequence[Run]) -> Passages | None:
+    passages = [run.passage for run in runs]
+    sections = [section for passage in passages for section in passage.sections]
+    if not sections and not any(passage.pillar_touchdowns for passage in passages):
+        return None
+    times, looked = [section.planning_ms for section in sections], any(p.passable is not None for p in passages)
+    seconds = sum(times) / 1e3
+    return Passages(
+        feet_off=sum(passage.feet_off for passage in passages),
+        pillar_touchdowns=sum(passage.pillar_touchdowns for passage in passages),
+        foothold_edge_m=_figure([passage.foothold_edge_m.median for passage in passages], min),
+        foothold_edge_p05_m=_figure([passage.foothold_edge_m.p05 for passage in passages], min),
+        stops=_figure([float(len(passage.sections)) for passage in passages]),
+        generated=_figure([float(section.generated) for section in sections]),
+        expanded=_figure([float(section.expanded) for section in sections]),
+        planning_p50_ms=_over(np.median, times),
+        planning_p99_ms=_over(lambda known: np.percentile(known, 99), times),
+        expansions_per_s=sum(section.expanded for section in sections) / seconds if seconds > 0 else float("nan"),
+        passable=sum(passage.passable is True for passage in passages),
+        crossed=sum(run.success and run.passage.passable is True for run in runs),
+        impassable=sum(passage.passable is False for passage in passages),
+        entered_in_vain=sum(passage.passable is False and passage.pillar_touchdowns > 0 for passage in passages),
+        undecided=sum(passage.passable is None for passage in passages) if looked else 0,
+    )
+
+
+def to_json(trials: Trials, baseline: Trials | None = None) -> str:
+    """A batch as JSON text, beside its blind baseline and the difference of the two when there is one."""
+    table: dict[str, Any] = reports.plain(trials)
+    if baseline is not None:
+        table |= {"baseline": reports.plain(baseline), "compared": reports.plain(compare(trials, baseline))}
+    return json.dumps(table, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def words(trials: Trials, baseline: Trials | None = None) -> str:
+    """A batch in a few lines for people."""
+    lines = [_rate_words(trials)]
+    lines.append(
+        f"  mean speed {_speed(trials.mean_speed_mps)}, falls {trials.falls}, walked into something {trials.collisions}, "
+        f"with a servo shut down {trials.runs_with_shutdown}"
+    )
+    figures = (
+        ("touchdowns on blocks", trials.block_touchdowns, 1.0, ".0f", ""),
+        ("missteps", trials.missteps, 1.0, ".0f", ""),
+        ("missteps of all steps", Figure(trials.missteps_per_step, float("nan")), 1e2, ".2f", " %"),
+        ("tilt p95 off the command", trials.tilt_p95_deg, 1.0, ".2f", " deg"),
+        ("commanded tilt p95", trials.commanded_tilt_p95_deg, 1.0, ".2f", " deg"),
+        ("height error", trials.height_error_m, 1e3, ".1f", " mm"),
+        ("height error, rms", trials.height_rms_m, 1e3, ".1f", " mm"),
+        ("slip per step p50", trials.slip_p50_m, 1e3, ".1f", " mm"),
+        ("least stability margin", trials.stability_margin_m, 1e3, ".0f", " mm"),
+        ("torque rms of the worst joint", trials.torque_rms_nm, 1.0, ".2f", " N m"),
+        ("height oscillation", trials.height_oscillation_m, 1e3, ".1f", " mm"),
+        ("pose error at the end", trials.final_pose_error, 1e2, ".2f", " % of the way"),
+        ("map of the course, rmse", trials.map_rmse_m, 1e3, ".1f", " mm"),
+        ("map off edges, rmse", trials.map_off_edges_m, 1e3, ".1f", " mm"),
+        ("map bias", trials.map_bias_m, 1e3, ".1f", " mm"),
+        ("map edges", trials.map_edge_m, 1e3, ".1f", " mm"),
+        ("ground in view known", trials.map_coverage, 1e2, ".1f", " %"),
+        ("speed of computing", trials.real_time_factor, 1.0, ".1f", " x real time"),
+    )
+    lines.append("  median (worst) of a run:")
+    for name, figure, unit, form, of in figures:
+        if np.isfinite(figure.median):
+            lines.append(f"    {name} {in_words(figure, unit, form)}{of}")
+    lines += _passage_words(trials.passages) if trials.passages is not None else []
+    lines += [f"  {count:3d} x {reason}" for reason, count in trials.failures.items()]
+    if trials.failed_seeds:
+        lines.append(f"  failed seeds: {', '.join(map(str, trials.failed_seeds))}")
+    lines.append(f"  made {trials.made.words}")
+    if baseline is not None:
+        d = compare(trials, baseline)
+        lines += words(baseline).splitlines()
+        lines.append(
+            f"difference {100 * d.difference:+.0f} points ({100 * d.low:+.0f} to {100 * d.high:+.0f}), 95 % intervals "
+            + ("disjoint" if d.disjoint else "overlap")
+        )
+    return "\n".join(lines)
+
+
+def _passage_words(p: Passages) -> list[str]:
+    edge = f"{in_words(p.foothold_edge_m, 1e3, '.0f')} mm, p05 {in_words(p.foothold_edge_p05_m, 1e3, '.0f')} mm"
+    lines = [
+        f"  feet off a pillar {p.feet_off}, touchdowns on pillars {p.pillar_touchdowns}; from the nearest edge {edge}",
+        f"  planned {in_words(p.stops, 1.0, '.0f')} times; of a section n_g {in_words(p.generated, 1.0, '.0f')}, "
+        f"n_e {in_words(p.expanded, 1.0, '.0f')}, p50 {p.planning_p50_ms:.1f} ms, p99 {p.planning_p99_ms:.1f} ms, "
+        f"{p.expansions_per_s:.0f} expansions/s",
+    ]
+    if p.passable + p.impassable:
+        lines.append(
+            f"  passable {p.passable}, of which crossed {p.crossed}; impassable {p.impassable}, "
+            f"of which entered {p.entered_in_vain}; undecided {p.undecided}"
+        )
+    return lines
+
+
+def in_words(figure: Figure, unit: float, form: str) -> str:
+    """A figure as `median (worst)` in a unit, a dash where nothing was measured."""
+    if not np.isfinite(figure.median):
+        return "-"
+    worst = f" ({unit * figure.worst:{form}})" if np.isfinite(figure.worst) else ""
+    return f"{unit * figure.median:{form}}{worst}"
+
+
+def fingerprint(scenario: Scenario) -> str:
+    """Changes with whatever decides about a run but its seed: the scenario, the files that it names, and the program."""
+    table = config.as_table(replace(scenario, folder="."))
+    digest = hashlib.blake2s(json.dumps(table, sort_keys=True).encode() + _begun_by()[0], digest_size=6)
+    named = [part.path(Path(scenario.folder)) for part in scenario.terrain if isinstance(part, HeightMap)]
+    for path in [*named, Path(scenario.robot)]:
+        if path.is_file():
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+@cache
+def _begun_by() -> tuple[bytes, str]:
+    """The program, and its commit, as this process first found them: those of all its runs."""
+    return _program(), provenance.commit()
+
+
+def refuse_another_program() -> None:
+    """Remember the program as it is now, the first time; see from then on that it is still the same.
+
+    Raises:
+        ChangedError: It is another one.
+    """
+    begun_by, commit = _begun_by()
+    if _program() != begun_by:
+        raise ChangedError(f"the program has changed since this campaign began; begin it anew, or restore commit {commit}")
+
+
+def _program() -> bytes:
+    """A digest of Sextant's code, profiles and scenarios, as they are on disk now."""
+    digest = hashlib.blake2s()
+    root = Path(__file__).parents[2]
+    for package in _PACKAGES:
+        for path in sorted((root / package).rglob("*")):
+            if path.suffix in (".py", ".toml"):
+                digest.update(f"{path.relative_to(root).as_posix()}\0".encode() + path.read_bytes())
+    return digest.digest()
+
+
+def _run_lockstep(scenario: Scenario, seed: int) -> Report:
+    from deploy.runs.lockstep_run import run_lockstep  # brings in every service
+
+    return run_lockstep(scenario, seed)
+
+
+def _done(path: Path, keep_in: Path | None, mark: str, wanted: Iterable[int]) -> dict[int, Run]:
+    """Wanted runs on file, by seed; those that only a batch's own file has are kept with the others from now on."""
+    here = {run.seed: run for run in kept.read(path, mark)}
+    if keep_in is not None:
+        there = {run.seed: run for run in kept.read(keep_in, mark)}
+        kept.keep(keep_in, [run for seed, run in here.items() if seed not in there])
+        here |= there
+    return {seed: here[seed] for seed in wanted if seed in here}
+
+
+def _line(report: Report, done: int, wanted: int, successes: int) -> str:
+    arrived = report.success and report.reason == reports.ARRIVED
+    verdict = "goal" if arrived else "good" if report.success else "FAIL"
+    tail = f"{report.duration_s:5.1f} s  {100 * report.speed_mps:4.1f} cm/s" if arrived else report.reason
+    return f"[{done:3d}/{wanted}] seed {report.seed:3d}  {verdict}  {tail}  ({successes} of {done})"
+
+
+def _rate_words(trials: Trials) -> str:
+    r = trials.success
+    what = f"{trials.scenario}, blind" if trials.blind else trials.scenario
+    interval = f"95 %: {100 * r.low:.0f} to {100 * r.high:.0f} %"
+    did = "rightly refused" if trials.refusals else "reached the goal"
+    return f"{what}: {r.successes} of {r.n} {did}, {100 * r.rate:.0f} % ({interval})"
+
+
+def _without_figures(reason: str) -> str:
+    """A reason with its numbers taken out, so that alike ones count together."""
+    out = "".join("#" if c.isdigit() else c for c in reason)
+    while "##" in out or "#.#" in out:
+        out = out.replace("#.#", "#").replace("##", "#")
+    return out
+
+
+def _figure(values: Sequence[float], worst: Callable[[list[float]], float] = max) -> Figure:
+    return Figure(_over(np.median, values), _over(worst, values))
+
+
+def _share(error: float, way: float) -> float:
+    return error / abs(way) if way else float("nan")
+
+
+def _over(reduce: Callable[[list[float]], Any], values: Sequence[float]) -> float:
+    known = [value for value in values if not math.isnan(value)]
+    return float(reduce(known)) if known else float("nan")
+
+
+def _speed(speed_mps: float) -> str:
+    """A speed in words; without a successful run there is none."""
+    return f"{100 * speed_mps:.1f} cm/s" if math.isfinite(speed_mps) else "-"

@@ -1,0 +1,260 @@
+"""Finished runs on file, a line of JSON each: what batches go on from and tables are told from, here or on another machine.
+
+A line holds the run's whole report (a batch's `trials.jsonl`), or, to be kept for long, only what a batch is summarised from (a
+campaign's `campaign.jsonl`); it says what made it and when, and by a fingerprint whether it still holds. Both are read alike.
+"""
+
+import contextlib
+import json
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Self
+
+from deploy.judging import report as reports
+from deploy.judging.report import Passage
+
+
+class KeptError(ValueError):
+    """A file of runs that cannot be read, in words."""
+
+
+_MARKS = ("fingerprint", "commit", "time", "machine")
+_BEGINS = b'{"fingerprint":'  # as every line of runs does
+
+
+_NO_PASSAGE = Passage()
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A finished run as far as a batch is summarised from it, in the words of its report; NaN is what was not measured."""
+
+    fingerprint: str  # of all that decides about the run but its seed; see `deploy.trials.batch.fingerprint`
+    commit: str
+    time: str  # UTC, ISO 8601
+    scenario: str
+    robot: str
+    gait: str
+    blind: bool
+    seed: int
+    success: bool
+    reason: str
+    falls: int
+    shutdowns: int
+    collisions: int
+    steps: int
+    missteps: int
+    raised_block_touchdowns: int
+    distance_m: float
+    speed_mps: float
+    tilt_p95_deg: float
+    commanded_tilt_p95_deg: float
+    height_mean_m: float
+    height_rms_m: float
+    height_oscillation_m: float
+    slip_p50_m: float
+    stability_margin_m: float
+    torque_rms_nm: float
+    final_pose_error_m: float
+    map_rmse_m: float
+    map_off_edges_m: float
+    map_bias_m: float
+    map_edge_m: float
+    map_coverage: float
+    real_time_factor: float
+    passage: Passage = _NO_PASSAGE  # the lines of walks without any leave it out
+    machine: str = ""  # that made it, as far as its line says
+
+    @classmethod
+    def of(cls, report: dict[str, Any], fingerprint: str, commit: str, time: str, machine: str = "") -> Self:
+        """Of a report as a table."""
+        values = {name: _at(report, _PLACES.get(name, name)) for name in _NAMES if name not in _MARKS}
+        marks = dict(zip(_MARKS, (fingerprint, commit, time, machine), strict=True))
+        return cls._numbered(marks | values)
+
+    @classmethod
+    def read(cls, entry: dict[str, Any]) -> Self:
+        """Of a line on file as a table.
+
+        Raises:
+            ValueError: It lacks something, or has something of another type.
+        """
+        report = entry.get("report")
+        entry = _LEFT_OUT | entry
+        problems = reports.check(entry, cls) if report is None else reports.check(report)
+        if problems:
+            raise ValueError("; ".join(problems))
+        if report is None:
+            return cls._numbered({name: entry[name] for name in _NAMES})
+        return cls.of(report, *(str(entry.get(name, "")) for name in _MARKS))
+
+    @classmethod
+    def _numbered(cls, values: dict[str, Any]) -> Self:
+        numbered: dict[str, Any] = {name: float("nan") if value is None else value for name, value in values.items()}
+        return cls(**{**numbered, "passage": reports.passage_of(values["passage"])})
+
+    def line(self) -> dict[str, Any]:
+        """As a table, without what says nothing."""
+        table: dict[str, Any] = reports.plain(self)
+        return {name: value for name, value in table.items() if name not in _LEFT_OUT or value != _LEFT_OUT[name]}
+
+
+_LEFT_OUT = {"passage": reports.plain(_NO_PASSAGE), "machine": ""}
+_NAMES = tuple(field.name for field in fields(Run))
+_PLACES = {  # in a report, where that is another than the field's own name
+    "tilt_p95_deg": "tilt_deg.p95",
+    "commanded_tilt_p95_deg": "commanded_tilt_deg.p95",
+    "height_mean_m": "body_height_error_m.mean",
+    "height_rms_m": "body_height_error_m.rms",
+    "height_oscillation_m": "body_height_oscillation_m",
+    "slip_p50_m": "slip_m_per_step.p50",
+    "stability_margin_m": "min_stability_margin_m",
+    "torque_rms_nm": "torque_nm.rms_worst_joint",
+    "final_pose_error_m": "pose_error_m.final",
+    "map_rmse_m": "course_map_m.rmse",
+    "map_off_edges_m": "course_map_m.off_edges",
+    "map_bias_m": "course_map_m.bias",
+    "map_edge_m": "course_map_m.edge",
+    "map_coverage": "course_map_m.coverage",
+}
+
+
+def read(path: Path, fingerprint: str | None = None) -> list[Run]:
+    """Runs on file, those of one fingerprint if one is given; none where there is no file. The file stays as it is.
+
+    A last line that was cut off, or is being written at this moment, counts as not run.
+
+    Raises:
+        KeptError: A line is no finished run, it says which; or the file cannot be read.
+    """
+    *lines, tail = _lines(path)
+    found: list[Run] = []
+    for number, line in enumerate(lines, 1):
+        try:
+            found += _runs(line, fingerprint)
+        except ValueError:
+            raise _no_run(path, number, line) from None
+    with contextlib.suppress(ValueError):
+        found += _runs(tail, fingerprint)
+    return found
+
+
+def mend(path: Path) -> None:
+    """Make a file ready to be appended to: a last line that lacks its end gets it if it is a run, and is cut off if it is not.
+
+    Raises:
+        KeptError: The file is not one of runs, so that nothing was done to it; or it cannot be read.
+    """
+    *lines, tail = _lines(path)
+    if not tail:
+        return
+    for number, line in enumerate(lines, 1):
+        if not _is_run(line):
+            raise _no_run(path, number, line)
+    if _is_run(tail):
+        with path.open("ab") as file:
+            file.write(b"\n")
+    elif tail.startswith(_BEGINS) or _BEGINS.startswith(tail):
+        os.truncate(path, sum(len(line) + 1 for line in lines))
+    else:
+        raise _no_run(path, len(lines) + 1, tail)
+
+
+def keep(path: Path, runs: Iterable[Run]) -> None:
+    """Append runs to a file, a short line each.
+
+    Raises:
+        KeptError: What is there is not a file of runs, or cannot be read.
+    """
+    mend(path)
+    lines = [json.dumps(run.line(), ensure_ascii=False, separators=(",", ":")) + "\n" for run in runs]
+    with path.open("a", encoding="utf-8") as file:
+        file.writelines(lines)
+
+
+def newest(runs: Iterable[Run]) -> tuple[list[list[Run]], int]:
+    """Batches - the runs of one scenario, robot and gait, sighted or blind - and how many runs were left out.
+
+    A batch is of one fingerprint, that of its last run; what an earlier program made, or an earlier form of the scenario, is
+    left out. A seed that is on file twice counts once.
+    """
+    batches: dict[tuple[str, str, str, bool], list[Run]] = {}
+    for run in runs:
+        batches.setdefault((run.scenario, run.robot, run.gait, run.blind), []).append(run)
+    found, older = [], 0
+    for batch in batches.values():
+        last = max(batch, key=lambda run: run.time).fingerprint
+        valid = {run.seed: run for run in batch if run.fingerprint == last}
+        older += sum(run.fingerprint != last for run in batch)
+        found.append([valid[seed] for seed in sorted(valid)])
+    return found, older
+
+
+def files(places: Sequence[Path]) -> list[Path]:
+    """The files of runs at places: files as they are, of a folder what a campaign keeps, or else a batch's.
+
+    Raises:
+        KeptError: There is none at one of them, or it cannot be looked for.
+    """
+    found = []
+    for place in places:
+        try:
+            candidates = (place / "campaign.jsonl", place / "trials.jsonl") if place.is_dir() else (place,)
+            path = next((path for path in candidates if path.is_file()), None)
+        except OSError as error:
+            raise _unreadable(place, error) from None
+        if path is None:
+            raise KeptError(f"{place}: a file of kept runs, or a folder with campaign.jsonl or trials.jsonl, expected")
+        found.append(path)
+    return found
+
+
+def _lines(path: Path) -> list[bytes]:
+    """The lines of a file, then what follows its last line break, which is nothing where the file is whole or missing."""
+    try:
+        return path.read_bytes().split(b"\n")
+    except FileNotFoundError:
+        return [b""]
+    except OSError as error:
+        raise _unreadable(path, error) from None
+
+
+def _runs(line: bytes, fingerprint: str | None) -> list[Run]:
+    """The run of a line, unless it has another fingerprint than is wanted; a ValueError where it is none."""
+    entry = _entry(line)
+    return [Run.read(entry)] if fingerprint in (None, entry.get("fingerprint")) else []
+
+
+def _entry(line: bytes) -> dict[str, Any]:
+    try:
+        entry = json.loads(line)
+    except RecursionError:  # brackets within brackets
+        raise ValueError("no run") from None
+    if not isinstance(entry, dict) or ("report" not in entry and "scenario" not in entry):
+        raise ValueError("no run")
+    return entry
+
+
+def _is_run(line: bytes) -> bool:
+    """Whether a line is a run of this or of another version of the program."""
+    try:
+        return bool(_entry(line))
+    except ValueError:
+        return False
+
+
+def _no_run(path: Path, number: int, line: bytes) -> KeptError:
+    return KeptError(f"{path}, line {number}: a finished seed as JSON expected, found {line[:60]!r}; remove the line")
+
+
+def _unreadable(path: Path, error: OSError) -> KeptError:
+    return KeptError(f"{path}: cannot be read ({error.strerror}); a file of kept runs that you may read expected")
+
+
+def _at(table: dict[str, Any], place: str) -> Any:
+    value: Any = table
+    for key in place.split("."):
+        value = value[key]
+    return value

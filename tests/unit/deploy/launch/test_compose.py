@@ -1,0 +1,174 @@
+import re
+import shutil
+import subprocess
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import deploy
+from deploy.launch.compose import KEYS, NOTIFY_SOCKET, WARM_UP, compose_commands, compose_yaml, offboard_commands, offboard_yaml
+from deploy.process_table import TABLE
+from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE
+from shared.config import ConfigError
+from tests.support.composed import commands_of, services_of
+
+DEPLOY = Path(deploy.__file__).parent
+ROOT = DEPLOY.parent
+VARIABLES = {"SEXTANT_ROBOT": "tls/robot.local:7448", "SEXTANT_KEYS": "/home/me/keys/base"}
+MADE = {"compose.yaml": compose_yaml("steps", 3), "compose.offboard.yaml": offboard_yaml()}
+COMMANDS = {"compose.yaml": compose_commands("steps", 3), "compose.offboard.yaml": offboard_commands()}
+
+
+@pytest.fixture(params=sorted(MADE))
+def file(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def test_the_committed_file_is_the_generated_one(file: str) -> None:
+    option = " --offboard" if "offboard" in file else ""
+    assert (DEPLOY / file).read_text() == MADE[file], f"run `sextant compose{option} > deploy/{file}`"
+
+
+def test_it_starts_exactly_the_table(file: str) -> None:
+    composed = yaml.safe_load(MADE[file])["services"]
+    assert list(composed) == [c.name for c in COMMANDS[file]]
+    for command in COMMANDS[file]:
+        service = composed[command.name]
+        assert service["command"] == ["python", *command.arguments]
+        assert service["environment"] == dict(command.environment)
+        assert service["network_mode"] == "host"
+        assert set(service.get("depends_on", {})) == set(command.after)
+        assert service["mem_limit"] == f"{command.memory_mb}m"
+
+
+def test_the_offboard_file_has_what_no_robot_needs_on_itself() -> None:
+    offboard = {p.name for p in TABLE if p.side in ("either", "page")}
+    assert {c.name for c in offboard_commands()} == offboard | {"router"}
+
+
+def test_commands_read_back_from_the_file_are_those_of_the_table_but_that_the_launcher_watches_none() -> None:
+    unwatched = tuple(replace(command, watchdog_s=0.0) for command in compose_commands("flat", 5))
+    assert commands_of(compose_yaml("flat", 5)) == unwatched
+
+
+def test_what_is_waited_for_can_become_healthy(file: str) -> None:
+    services = services_of(MADE[file], VARIABLES)
+    for service in services.values():
+        for name, wanted in service.get("depends_on", {}).items():
+            if name == WARM_UP:
+                assert wanted == {"condition": "service_completed_successfully"}
+            else:
+                assert wanted == {"condition": "service_healthy"}
+                assert services[name]["healthcheck"]["test"][0] == "CMD"
+
+
+def test_whoever_gives_signs_of_life_is_listened_to_for_as_long_as_the_table_allows(file: str) -> None:
+    patience = {p.name: p.watchdog_s for p in TABLE}
+    for name, service in services_of(MADE[file], VARIABLES).items():
+        if name not in patience:
+            continue
+        assert service["environment"]["NOTIFY_SOCKET"] == NOTIFY_SOCKET
+        assert int(service["environment"]["WATCHDOG_USEC"]) == patience[name] * 1e6
+        assert service["healthcheck"]["test"][:4] == ["CMD", "python", "-m", "deploy.healthy"]
+        assert float(service["healthcheck"]["timeout"].removesuffix("s")) > patience[name]
+
+
+def test_containers_may_little(file: str) -> None:
+    for service in services_of(MADE[file], VARIABLES).values():
+        assert service["read_only"]
+        assert service["cap_drop"] == ["ALL"]
+        assert not service["user"].startswith("0")
+        assert service["tmpfs"] == ["/tmp:mode=1777"], "where its health check listens"
+        assert service["pids_limit"] > 0
+    urgent = {name for name, service in services_of(MADE[file], VARIABLES).items() if "ulimits" in service}
+    assert urgent == {p.name for p in TABLE if p.urgent} & set(services_of(MADE[file], VARIABLES))
+
+
+def test_certificates_come_as_files_to_the_router_alone() -> None:
+    services, secrets = services_of(MADE["compose.offboard.yaml"], VARIABLES), _top("secrets")
+    given = services.pop("router")["secrets"]
+    assert {secret["target"] for secret in given} == {f"{KEYS}/{name}" for name in (AUTHORITY, CERTIFICATE, KEY, ROLE)}
+    assert all(secrets[secret["source"]]["file"].endswith(Path(secret["target"]).name) for secret in given)
+    assert not any("secrets" in service for service in services.values())
+
+
+def test_what_a_container_is_to_keep_is_a_volume_that_the_file_names(file: str) -> None:
+    volumes = yaml.safe_load(MADE[file])["volumes"]
+    for service in services_of(MADE[file], VARIABLES).values():
+        named = [volume.partition(":")[0] for volume in service.get("volumes", ()) if isinstance(volume, str)]
+        assert set(named) <= set(volumes)
+
+
+def test_without_the_robot_or_the_keys_it_says_what_is_missing() -> None:
+    for name in VARIABLES:
+        with pytest.raises(KeyError, match=name):
+            services_of(MADE["compose.offboard.yaml"], {k: v for k, v in VARIABLES.items() if k != name})
+
+
+def test_all_meet_at_the_router_it_starts(file: str) -> None:
+    words = {name: s["command"] for name, s in services_of(MADE[file], VARIABLES).items() if name != WARM_UP}
+    (listen,) = [word for word in words.pop("router") if word.startswith("tcp/")]
+    assert all(listen in command for command in words.values())
+
+
+def test_each_service_runs_in_an_image_that_the_dockerfile_makes(file: str) -> None:
+    services, targets = services_of(MADE[file], VARIABLES), _targets()
+    build = services["router"]["build"]
+    assert (DEPLOY / build["context"] / build["dockerfile"]).resolve() == DEPLOY / "Dockerfile"
+    assert build["target"] in targets
+    assert {service["image"] for service in services.values()} == {f"sextant-{build['target']}"}
+
+
+def test_each_image_installs_the_extra_of_its_role_pinned_and_without_a_compiler() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    targets = _targets()
+    assert set(targets) == {"base", "wheel", "actuator", "onboard", "offboard", "simulator", "all"}
+    for name in set(targets) - {"base", "wheel"}:
+        assert name in extras
+        (install,) = [line for line in targets[name].splitlines() if "pip install" in line]
+        assert install.endswith(f'sextant-*.whl)[{name}]"')
+        assert "--constraint /constraints.txt" in install
+        assert "--only-binary :all:" in install
+        assert targets[name].splitlines()[-1] == "USER 1000:1000"
+    assert not re.search(r"gcc|build-essential|g\+\+", "".join(targets.values()))
+    assert re.search(r"^FROM python:\d+\.\d+\.\d+-slim-\w+ AS base$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
+
+
+def test_what_the_dockerfile_copies_reaches_the_engine() -> None:
+    sent = re.findall(r"^!(.+)$", (DEPLOY / "Dockerfile.dockerignore").read_text(), re.MULTILINE)
+    copied = re.findall(r"^COPY (.+) \S+$", (DEPLOY / "Dockerfile").read_text(), re.MULTILINE)
+    copied += re.findall(r"source=(\w\S+?),", (DEPLOY / "Dockerfile").read_text())
+    assert {word for words in copied for word in words.split()} == set(sent)
+    assert all((ROOT / name).exists() for name in sent)
+
+
+def test_a_scenario_that_containers_cannot_see_is_refused() -> None:
+    with pytest.raises(ConfigError, match="containers do not see"):
+        compose_yaml("/tmp/mine.toml", 3)
+    with pytest.raises(ConfigError, match=r"known: .*flat"):
+        compose_yaml("nope", 3)
+
+
+def test_docker_compose_takes_the_file(file: str) -> None:
+    docker = shutil.which("docker")
+    if docker is None or subprocess.run([docker, "compose", "version"], capture_output=True, check=False).returncode:
+        pytest.skip("docker has no `compose` here, so it is not asked whether it takes the file; install docker-compose-plugin")
+    words = [docker, "compose", "--file", str(DEPLOY / file), "config", "--quiet"]
+    done = subprocess.run(words, env=VARIABLES, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def _top(key: str) -> dict[str, Any]:
+    table = yaml.safe_load(MADE["compose.offboard.yaml"])[key]
+    assert isinstance(table, dict)
+    return table
+
+
+def _targets() -> dict[str, str]:
+    """The text of each target of the Dockerfile."""
+    parts = re.split(r"^FROM \S+ AS (\w+)\n", (DEPLOY / "Dockerfile").read_text(), flags=re.MULTILINE)[1:]
+    return {name: text.strip() for name, text in zip(parts[::2], parts[1::2], strict=True)}

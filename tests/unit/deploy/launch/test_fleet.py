@@ -1,0 +1,120 @@
+"""A fleet as it is written down, and what is started for it."""
+
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+from deploy.launch import fleet
+from deploy.launch.fleet import Base, FleetError
+from services.console.lobby.config import Settings
+from shared.config import ConfigError
+from shared.process import load_settings
+
+TWO = """
+[robots.alpha-1]
+connect = ["tcp/127.0.0.1:7001"]
+[robots.beta]
+connect = ["tcp/127.0.0.1:7002"]
+robot = "lotriet_rx64"
+namespace = "old"
+without = ["recorder"]
+set = ["planner.blind=true"]
+[page]
+port = 8123
+token = "a-long-secret-word"
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "fleet.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_each_robot_has_processes_a_router_and_keys_of_its_own(tmp_path: Path) -> None:
+    base = Base(fleet.load(written(tmp_path, TWO)), False, print)
+    alpha, beta = base.planned["alpha-1"], base.planned["beta"]
+    assert alpha.names == ["mapper", "planner", "console", "recorder"]
+    assert beta.names == ["mapper", "planner", "console"]
+    said = {name: [" ".join(command.arguments) for command in half.commands] for name, half in base.planned.items()}
+    assert all("--namespace alpha-1" in words and "--elsewhere" in words for words in said["alpha-1"])
+    assert all("--namespace old" in words and "--robot lotriet_rx64" in words for words in said["beta"])
+    assert [("blind=true" in words) for words in said["beta"]] == [False, True, False]
+    assert "recordings/alpha-1" in said["alpha-1"][3]
+    routers = {words.partition("--connect ")[2].split()[0] for words in (said["alpha-1"][0], said["beta"][0])}
+    ports = {words.rpartition("port=")[2].split()[0] for words in (said["alpha-1"][2], said["beta"][2])}
+    assert len(routers) == len(ports) == 2
+    (lobby,) = base.lobby
+    told = load_settings(Settings, None, [word for word in lobby.arguments if "=" in word])
+    assert told == Settings(port=8123, token="a-long-secret-word", robots=base.pages)
+    assert {int(port) for port in ports} == set(told.robots.values())
+    for console in (said["alpha-1"][2], said["beta"][2]):
+        assert "token=a-long-secret-word" in console, "who knows one page's address knows none of the others"
+
+
+def test_where_no_robot_has_a_console_there_is_no_page(tmp_path: Path) -> None:
+    made = fleet.load(written(tmp_path, '[robots.a]\nconnect = ["tcp/127.0.0.1:1"]\nwithout = ["console"]\n'))
+    assert Base(made, False, print).lobby == ()
+
+
+def test_folders_and_profiles_are_seen_from_the_file(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_bytes((Path("shared/profiles") / "phantomx_mk2.toml").read_bytes())
+    text = '[robots.a]\nconnect = ["tcp/127.0.0.1:1"]\nkeys = "keys/base"\nrobot = "mine.toml"\n'
+    (member,) = fleet.load(written(tmp_path, text)).robots.values()
+    assert member.keys == str(tmp_path / "keys" / "base")
+    assert member.robot == str(tmp_path / "mine.toml")
+
+
+@pytest.mark.parametrize(
+    ("text", "hints"),
+    [
+        ("", ("robots: missing",)),
+        ("[robots]", ("one table [robots.NAME] at least",)),
+        ("[robots.a]\n[robots.b]\nconnect = []", ("robots.a.connect: missing", "robots.b.connect: one endpoint at least")),
+        ('[robots."a b"]\nconnect = ["tcp/1:1"]', ("a name of at most 32 letters",)),
+        ('[robots.a]\nconnect = ["alpha.local"]', ("robots.a.connect[0]: an endpoint",)),
+        ('[robots.a]\nconnect = ["tcp/1:1"]\nkey = "x"', ("robots.a.key: unknown key; did you mean 'keys'?",)),
+        ('[robots.a]\nconnect = ["tcp/1:1"]\nrobot = "nobody"', ("robots.a.robot", "nobody")),
+        ('[robots.a]\nconnect = ["tcp/1:1"]\n[page]\nhost = "0.0.0.0"', ("token",)),
+    ],
+)
+def test_what_is_wrong_is_listed_all_at_once(tmp_path: Path, text: str, hints: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        fleet.load(written(tmp_path, text))
+    for hint in hints:
+        assert hint in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("lines", "hint"),
+    [
+        ('connect = ["tcp/192.0.2.1:7447"]', "another machine without certificates"),
+        ('connect = ["tls/192.0.2.1:7448"]', "needs certificates"),
+        ('connect = ["tls/192.0.2.1:7448"]\nkeys = "nowhere"', "`sextant keys new DIR` makes keys"),
+        ('connect = ["tcp/127.0.0.1:1"]\nwithout = ["maper"]', "did you mean 'mapper'?"),
+        ('connect = ["tcp/127.0.0.1:1"]\nset = ["mapper"]', "SERVICE.KEY=VALUE expected"),
+        ('connect = ["tcp/127.0.0.1:1"]\nset = ["camera.device=none"]', "no service 'camera' is started"),
+    ],
+)
+def test_a_robot_that_cannot_be_met_is_named_before_anything_starts(
+    tmp_path: Path, lines: str, hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = written(tmp_path, f"[robots.alpha]\n{lines}\n")
+    with pytest.raises(FleetError, match=r"robots\.alpha: ") as caught:
+        Base(fleet.load(path), False, print)
+    assert hint in str(caught.value)
+    assert cli.main(["fleet", str(path)]) == 2
+    assert f"sextant fleet: robots.alpha: {caught.value}".replace("robots.alpha: robots.alpha: ", "robots.alpha: ") in (
+        capsys.readouterr().err
+    )
+
+
+def test_who_is_met_without_certificates_is_met_only_if_it_was_said(tmp_path: Path) -> None:
+    path = written(tmp_path, '[robots.alpha]\nconnect = ["tcp/192.0.2.1:7447"]\n')
+    assert set(Base(fleet.load(path), True, print).planned) == {"alpha"}
+
+
+def test_a_fleet_that_is_not_there_is_said_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["fleet", str(tmp_path / "none.toml")]) == 2
+    assert "no such file" in capsys.readouterr().err

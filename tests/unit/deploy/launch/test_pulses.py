@@ -1,0 +1,91 @@
+"""Signs of life from this process and from another, heard by the watcher; the clock is the test's."""
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from math import inf
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deploy.launch.pulses import Pulses, unwatched
+from shared.watchdog import Watchdog
+
+ME = os.getpid()
+SEND = "import socket; socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).sendto(b'WATCHDOG=1', {!r})"
+
+
+@pytest.fixture
+def pulses() -> Iterator[Pulses]:
+    made = Pulses(0.0)
+    yield made
+    made.close()
+
+
+def beat(pulses: Pulses, at_s: float) -> None:
+    with Watchdog(pulses.environment(10.0)) as watchdog:
+        watchdog.beat(round(at_s * 1e9))
+
+
+def test_silence_counts_from_the_first_sign_and_ends_with_the_next(pulses: Pulses) -> None:
+    pulses.watch(ME)
+    pulses.look(0.3)
+    assert pulses.silent_s(ME) == -inf, "what starts is not late"
+    beat(pulses, 0.4)
+    pulses.look(0.5)
+    assert pulses.silent_s(ME) == 0.0
+    for k in range(1, 11):
+        pulses.look(0.5 + 0.1 * k)
+        assert pulses.silent_s(ME) == pytest.approx(0.1 * k)
+    beat(pulses, 1.6)
+    pulses.look(1.7)
+    assert pulses.silent_s(ME) == 0.0
+    pulses.forget(ME)
+    assert pulses.silent_s(ME) == -inf
+
+
+@given(away_s=st.lists(st.floats(0.0, 1e4), min_size=1, max_size=3))
+def test_who_watches_again_after_an_absence_blames_nobody_for_it(away_s: list[float]) -> None:
+    pulses, now = Pulses(0.0), 0.0
+    pulses.watch(ME)
+    beat(pulses, now)
+    pulses.look(now)
+    for away in away_s:
+        now += away
+        pulses.look(now)
+    assert pulses.silent_s(ME) <= 0.5 * len(away_s)
+    assert pulses.silent_s(ME) <= now
+    pulses.close()
+
+
+def test_nobody_speaks_for_another(pulses: Pulses) -> None:
+    """The name is no secret: what another process says there counts for that one alone, and for a stranger not at all."""
+    name = "\0" + pulses.environment(10.0)["NOTIFY_SOCKET"][1:]
+    pulses.watch(ME)
+    subprocess.run([sys.executable, "-c", SEND.format(name)], check=True)
+    pulses.look(0.1)
+    assert pulses.silent_s(ME) == -inf
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as mine:
+        mine.sendto(b"", name)
+    pulses.look(0.2)
+    assert pulses.silent_s(ME) == 0.0
+
+
+def test_two_watchers_are_two(pulses: Pulses) -> None:
+    other = Pulses(0.0)
+    pulses.watch(ME)
+    other.watch(ME)
+    beat(other, 0.0)
+    pulses.look(0.1)
+    other.look(0.1)
+    assert (pulses.silent_s(ME), other.silent_s(ME)) == (-inf, 0.0)
+    other.close()
+
+
+def test_a_process_does_not_take_its_parent_s_watcher_for_its_own(pulses: Pulses) -> None:
+    watched = {"PATH": "/bin", "WATCHDOG_PID": "1", **pulses.environment(1.5)}
+    assert watched["WATCHDOG_USEC"] == "1500000"
+    assert unwatched(watched) == {"PATH": "/bin"}

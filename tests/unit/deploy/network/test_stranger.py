@@ -1,0 +1,93 @@
+"""The doctor from outside: where certificates are asked for every stranger is refused; where anybody is let in it says so."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+from deploy.checks import Check, Level
+from deploy.network import authority, stranger
+from deploy.network.gate import Gate
+from shared import topics
+from shared.transport import Router
+from tests.support.gated import NAMESPACE, Inside, free_port
+
+
+def nobody(_seconds: float) -> list[str]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("keys") / "keys"
+    authority.new(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def guarded(keys: Path) -> Iterator[str]:
+    here = Gate((f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"), NAMESPACE, keys / "robot")
+    with Router(here.listen, access=here.configuration()):
+        yield here.listen[1]
+
+
+def by_name(checks: list[Check]) -> dict[str, Check]:
+    return {check.name.removeprefix("stranger "): check for check in checks}
+
+
+def test_every_stranger_is_refused_where_certificates_are_asked_for(guarded: str, keys: Path) -> None:
+    found = by_name(stranger.examine(guarded, keys, nobody, listen_s=0.5))
+    assert list(found) == [
+        "without TLS",
+        "without a certificate",
+        "with a certificate of its own authority",
+        "with a certificate that has expired",
+        "that scouts",
+    ]
+    assert {name: check.level for name, check in found.items()} == dict.fromkeys(found, Level.OK), found
+    assert "asks for a certificate" in found["without a certificate"].found
+    assert "does not know the authority" in found["with a certificate of its own authority"].found
+    assert "has expired" in found["with a certificate that has expired"].found
+
+
+def test_what_is_not_tried_is_said(guarded: str) -> None:
+    found = by_name(stranger.examine(guarded, None, nobody, listen_s=0.5))
+    assert found["with a certificate that has expired"].level is Level.WARN
+    assert "not tried" in found["with a certificate that has expired"].found
+
+
+def test_a_router_that_is_open_is_found_out_by_what_is_heard_there() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with Router((endpoint,)):
+        inside = Inside(endpoint)
+        try:
+            inside.link.wanted(topics.ACTUATOR_STATE)  # declared
+            (plain, scouts) = stranger.examine(endpoint, None, lambda _: [endpoint, "tcp/10.0.0.9:7447"], listen_s=0.5)
+        finally:
+            inside.close()
+    assert plain.level is Level.FAIL
+    assert "let in, and may put what it likes" in plain.found
+    assert "start the robot with --keys DIR" in plain.advice
+    assert scouts.level is Level.FAIL, "it is the robot that answers"
+
+
+def test_a_certificate_that_is_taken_is_a_failure(guarded: str, keys: Path) -> None:
+    assert stranger._shown(guarded, "console", keys / "console").level is Level.FAIL
+    assert stranger._scouting(guarded, lambda _: ["tcp/10.0.0.9:7447"]).level is Level.WARN
+
+
+def test_the_command_says_it(
+    guarded: str, keys: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        stranger, "_scouting", lambda _endpoint, _find: Check("stranger that scouts", Level.OK, "nobody answers")
+    )
+    assert cli.main(["doctor", "--stranger", guarded, "--keys", str(keys), "--json"]) == 0
+    assert {check["level"] for check in json.loads(capsys.readouterr().out)} == {"OK"}
+    nowhere = f"tls/127.0.0.1:{free_port()}"
+    assert cli.main(["doctor", "--stranger", nowhere]) == 1
+    assert "cannot be reached" in capsys.readouterr().out
+    assert cli.main(["doctor", "--stranger", "hexapod"]) == 2
+    assert "PROTOCOL/HOST:PORT expected" in capsys.readouterr().err

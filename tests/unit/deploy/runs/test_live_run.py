@@ -1,0 +1,102 @@
+import threading
+from collections.abc import Iterable, Iterator
+
+import pytest
+
+from deploy.launch.launcher import host_router
+from deploy.runs.live_run import Attendants, Faults
+from shared import topics
+from shared.messages import Message, ModeCommand, Tick
+from shared.scenario import Fault
+from shared.service import AnyTopic, Every, Inbox, Stages
+
+PATIENCE_S = 20.0
+
+
+class Caller:
+    """Orders the robot to stand, fifty times a second."""
+
+    name = "caller"
+    paced_by = Every.hz(50.0)
+    reads: tuple[AnyTopic, ...] = ()
+    writes: tuple[AnyTopic, ...] = (topics.MODE,)
+
+    def __init__(self) -> None:
+        self.stages = Stages()
+
+    def step(self, tick: Tick, _: Inbox) -> Iterator[Message]:
+        yield ModeCommand(tick.stamp_ns, "stand", 1)
+
+    def doing(self) -> str:
+        return "calling"
+
+
+class Listener:
+    """Hears the orders; breaks when it has heard enough."""
+
+    name = "listener"
+    paced_by = topics.MODE
+    reads: tuple[AnyTopic, ...] = ()
+    writes: tuple[AnyTopic, ...] = ()
+
+    def __init__(self, breaks: bool = False) -> None:
+        self.stages = Stages()
+        self.heard = threading.Event()
+        self._breaks = breaks
+
+    def step(self, order: ModeCommand, _: Inbox) -> Iterable[Message]:
+        self.heard.set()
+        if self._breaks:
+            raise ValueError(f"cannot {order.mode}")
+        return ()
+
+    def doing(self) -> str:
+        return "listening"
+
+
+def test_attendants_hear_each_other_and_end() -> None:
+    listener = Listener()
+    with host_router() as endpoints, Attendants({"caller": Caller(), "listener": listener}, endpoints) as attendants:
+        assert listener.heard.wait(PATIENCE_S)
+        attendants.check()
+    assert not [t for t in threading.enumerate() if t.name in ("caller", "listener")]
+
+
+def test_what_breaks_in_an_attendant_comes_out_where_the_run_is_watched() -> None:
+    listener = Listener(breaks=True)
+    with host_router() as endpoints, Attendants({"caller": Caller(), "listener": listener}, endpoints) as attendants:
+        assert listener.heard.wait(PATIENCE_S)
+        for thread in threading.enumerate():
+            if thread.name == "listener":
+                thread.join(PATIENCE_S)
+        with pytest.raises(ValueError, match="cannot stand"):
+            attendants.check()
+
+
+class Hand:
+    """Takes the launcher's place and notes what is done to whom."""
+
+    def __init__(self) -> None:
+        self.acts: list[tuple[str, str]] = []
+
+    def kill(self, name: str) -> None:
+        self.acts.append(("kill", name))
+
+    def freeze(self, name: str) -> None:
+        self.acts.append(("freeze", name))
+
+    def thaw(self, name: str) -> None:
+        self.acts.append(("thaw", name))
+
+
+def test_faults_happen_once_when_their_time_has_come() -> None:
+    hand = Hand()
+    camera = Fault(1.0, "camera", "blind")  # the simulator's own
+    faults = Faults((Fault(5.0, "planner", "hang", for_s=2.0), Fault(6.0, "mapper"), camera))
+    told = []
+    for tenth in range(100):
+        told += faults.act(tenth / 10, hand)  # type: ignore[arg-type]
+        assert len(hand.acts) == (tenth >= 50) + (tenth >= 60) + (tenth >= 70)
+    assert hand.acts == [("freeze", "planner"), ("kill", "mapper"), ("thaw", "planner")]
+    assert len(told) == 3
+    assert "kill mapper" in told[1]

@@ -1,0 +1,93 @@
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from deploy.runs.lockstep_run import assemble, run_lockstep
+from deploy.judging.report import without_timing
+from services.console.recording.reader import Recording
+from shared import topics
+from shared.robot import load_profile
+from shared.scenario import Fault, Goal, Plane, Scenario
+from shared.service import AnyTopic
+
+S = 1_000_000_000
+FLAT = Scenario("short", (Plane(),), Goal(1.0), time_limit_s=1.5)
+PROFILE = load_profile("phantomx_mk2")
+
+
+def frames(seed: int, until_ns: int, scenario: Scenario = FLAT, every_frame: bool = True) -> list[tuple[str, bytes, int]]:
+    """All that is said in a run but health, which holds how long things took."""
+    heard: list[tuple[str, bytes, int]] = []
+
+    def tap(topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        if topic is not topics.HEALTH:
+            heard.append((topic.key, frame, at_ns))
+
+    assemble(scenario, seed, PROFILE, tap, every_frame=every_frame).run(until_ns)
+    return heard
+
+
+def test_one_seed_makes_one_run_to_the_byte() -> None:
+    first = frames(3, S)
+    assert frames(3, S) == first
+    assert frames(4, S) != first
+
+
+def test_depth_frames_that_nobody_looks_at_can_be_left_out_without_a_difference() -> None:
+    every, used = frames(3, 3 * S), frames(3, 3 * S, every_frame=False)
+    pictures = [{at_ns: frame for key, frame, at_ns in heard if key == topics.DEPTH.key} for heard in (every, used)]
+    assert len(pictures[1]) == len(pictures[0]) // 2
+    assert pictures[1].items() <= pictures[0].items()
+    others = [[frame for frame in heard if frame[0] != topics.DEPTH.key] for heard in (every, used)]
+    assert any(key == topics.SCAN.key for key, _, _ in others[0])
+    assert others[0] == others[1]
+
+
+def test_where_something_breaks_every_frame_is_made() -> None:
+    scenario = replace(FLAT, faults=(Fault(0.5, "mapper", "kill", for_s=0.1),))
+    assert frames(3, S, scenario, every_frame=False) == frames(3, S, scenario)
+
+
+def test_all_services_are_heard_at_their_rates() -> None:
+    heard = Counter(key for key, _, at_ns in frames(3, S))
+    for topic in (topics.DEPTH, topics.ACTUATOR_STATE, topics.ODOMETRY, topics.TRUTH):
+        assert abs(heard[topic.key] - topic.rate_hz) <= 0.1 * topic.rate_hz + 2, topic.key
+    assert heard[topics.BODY_POSE.key] > 2  # of 15 a second, once the robot has stood still for a while
+    assert heard[topics.SCAN.key] > 2
+    assert heard[topics.TERRAIN.key] >= 1
+    assert heard[topics.COLOR.key] == 0, "nobody asked for colour"
+
+
+def test_a_service_that_is_killed_is_silent_and_comes_back() -> None:
+    faults = (Fault(1.2, "mapper", "kill", for_s=0.4),)
+    scenario = Scenario("short", (Plane(),), Goal(1.0), faults=faults)
+    times = [at_ns for key, _, at_ns in frames(3, 5 * S // 2, scenario) if key == topics.TERRAIN.key]
+    assert [t for t in times if t < 1.2 * S]
+    assert not [t for t in times if 1.2 * S <= t < 1.6 * S]
+    assert [t for t in times if t >= 1.6 * S]
+
+
+@pytest.fixture(scope="module")
+def two_runs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, object]]:
+    made = []
+    for name in ("a", "b"):
+        out = tmp_path_factory.mktemp(name)
+        made.append((out, without_timing(run_lockstep(FLAT, 3, out))))
+    return made
+
+
+def test_a_run_leaves_report_picture_and_recording(two_runs: list[tuple[Path, object]]) -> None:
+    out, report = two_runs[0]
+    assert sorted(path.name for path in out.iterdir()) == ["recording.mcap", "report.json", "summary.png"]
+    assert not report.success  # type: ignore[attr-defined]
+    assert "time limit" in report.reason  # type: ignore[attr-defined]
+
+
+def test_reports_and_recordings_of_one_seed_are_the_same(two_runs: list[tuple[Path, object]]) -> None:
+    (a, first), (b, second) = two_runs
+    assert repr(first) == repr(second), "compared as text: a metric that was not measured is NaN"
+    said = [[frame for frame in Recording(out / "recording.mcap").frames() if frame[0] != topics.HEALTH.key] for out in (a, b)]
+    assert said[0] == said[1]
+    assert len(said[0]) > 200
