@@ -52,6 +52,7 @@ class Order:
         self.words = "waiting for the actuator"
         self._what, self._holder, self._take, self._leads = what, holder, take, leads
         self._begun_ns = -1
+        self._number = -1  # of the order: a time of the robot's clock, so that it counts on from those of other machines
         self._now_ns = 0  # by this machine's clock, as all times here but the stamps of orders
         self._robot = RobotClock(lambda: self._now_ns)
         self._due_ns = 0
@@ -64,7 +65,7 @@ class Order:
 
     def withdraw(self, now_ns: int) -> ModeCommand:
         """The message that ends an order to walk."""
-        return ModeCommand(now_ns, "stop", self._begun_ns + 2, self._holder)
+        return ModeCommand(now_ns, "stop", max(self._number, 0) + 1, self._holder)
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Say it again when it is due, and see what comes of it."""
@@ -85,11 +86,11 @@ class Order:
 
     def _words_of_it(self, stamp_ns: int) -> Iterator[Message]:
         """The order, by each key that may carry it."""
-        number = self._begun_ns + 1
+        self._number = stamp_ns if self._number < 0 else self._number
         if self._leads:
-            yield ModeCommand(stamp_ns, self._what, number, self._holder, self._take)
+            yield ModeCommand(stamp_ns, self._what, self._number, self._holder, self._take)
         if self._what in STOPS:  # also where this machine's router is chained to one that lets it only stop
-            yield StopOrder(stamp_ns, "off" if self._what == "off" else "stop", number, self._holder)
+            yield StopOrder(stamp_ns, "off" if self._what == "off" else "stop", self._number, self._holder)
 
     def _watch_routers(self, inbox: Inbox, state: ActuatorState | None) -> None:
         """Whether a router on the way has begun to keep such orders back: whoever puts them is told nothing by the network."""

@@ -150,7 +150,8 @@ class Lead:
         self._words.append(why)
 
     def _say(self, mode: Literal["walk", "stop"], now_ns: int) -> None:
-        self._sequence = max(self._sequence + 1, now_ns)  # above those of a bridge that ran before
+        self._now_ns = now_ns
+        self._sequence = max(self._sequence + 1, self._robot_time())  # above those of a bridge that ran before, anywhere
         self._order = ModeCommand(now_ns, mode, self._sequence, self.holder)
         self._new.append(self._order)
 

@@ -117,6 +117,7 @@ def test_an_order_to_move_is_stamped_by_the_robots_clock_wherever_it_is_given() 
     desk.beats(30)
     assert len(desk.given) > 2
     assert all(0 <= desk.now_ns + desk.ahead_ns - m.stamp_ns <= 30 * 50 * MS for m in desk.given)
+    assert {m.sequence for m in desk.given} == {desk.given[0].stamp_ns}, "it counts on from orders of other machines"
     desk.ahead_ns = 0
     desk.beats(20)
     assert desk.order.failed.startswith("the robot's clock began anew")
