@@ -3,7 +3,6 @@ PYTHON ?= python3
 VENV ?= .venv
 JOBS ?= 2
 BIN := $(VENV)/bin
-LIVE := $(BIN)/python -m pytest -q -m live -o cache_dir=.pytest_cache/live
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 .PHONY: demo test check compiled live others format clean
@@ -16,9 +15,8 @@ test:
 	@$(MAKE) --no-print-directory --jobs=2 check compiled
 	@$(MAKE) --no-print-directory --jobs=2 --keep-going live others
 
-# What is live goes by the clock: what a busy machine has made late is tried once more, and must pass then.
 live: $(VENV)/.installed-dev
-	$(LIVE) || { test $$? -eq 1 && echo "once more, those that failed:" && $(LIVE) --last-failed --last-failed-no-failures=none; }
+	$(BIN)/python -m pytest -q -m live
 
 others: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -q -m "not live" -n $(JOBS) --dist worksteal --idle

@@ -1,1 +1,1 @@
-"""Starts the services: process table, launcher, command line, reports, compose files."""
+"""The process table, the command line and what that does: launch, meet, run, judge, draw, repeat, measure."""

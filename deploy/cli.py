@@ -52,7 +52,7 @@ _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "deploy.trials.kept": "KeptError",
     "deploy.launch.units": "UnitError",
     "deploy.trials.batch": "ChangedError",
-    "deploy.replay.replay_error": "ReplayError",
+    "deploy.replay.error": "ReplayError",
     "services.actuator.line": "BusGone",
     "services.actuator.gentle": "ServoSilentError",
 }

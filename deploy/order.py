@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from typing import Literal, TypeAlias
 
+from deploy.robot_time import RobotTime
 from shared import topics
 from shared.access import barred
-from shared.clock import ClockError, RobotClock
 from shared.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
 from shared.service import AnyTopic, Every, Inbox, Stages
 
@@ -53,8 +53,7 @@ class Order:
         self._what, self._holder, self._take, self._leads = what, holder, take, leads
         self._begun_ns = -1
         self._number = -1  # of the order: a time of the robot's clock, so that it counts on from those of other machines
-        self._now_ns = 0  # by this machine's clock, as all times here but the stamps of orders
-        self._robot = RobotClock(lambda: self._now_ns)
+        self._robot = RobotTime()
         self._due_ns = 0
         self._heard: ActuatorState | None = None  # before the order
         self._refused: dict[str, int] = {}  # by each service when it was first heard
@@ -63,34 +62,40 @@ class Order:
         """How far it is, in words."""
         return self.failed or self.words
 
-    def withdraw(self, now_ns: int) -> ModeCommand:
-        """The message that ends an order to walk."""
-        return ModeCommand(now_ns, "stop", max(self._number, 0) + 1, self._holder)
+    def withdraw(self) -> tuple[Message, ...]:
+        """The messages that end an order to walk; none where it was never given."""
+        if self._number < 0:
+            return ()
+        now_ns = self._robot()
+        return (
+            ModeCommand(now_ns, "stop", self._number + 1, self._holder),
+            StopOrder(now_ns, "stop", self._number + 1, self._holder),
+        )
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Say it again when it is due, and see what comes of it."""
-        now = self._now_ns = tick.stamp_ns
+        if self.finished:
+            return
+        now = tick.stamp_ns
         self._begun_ns = now if self._begun_ns < 0 else self._begun_ns
         state = inbox.latest(topics.ACTUATOR_STATE)
         self._watch_routers(inbox, state)
-        if state is not None:
-            self._heard = self._heard or state
-            self._robot.heard(state.stamp_ns)
+        self._heard = self._heard or state
+        if void := self._robot.see(now, None if state is None else state.stamp_ns):
+            self._end(void)
+            return
         if now >= self._due_ns and (self._robot.known or self._what in STOPS):
             self._due_ns = now + _REPEAT_NS
-            try:
-                yield from self._words_of_it(self._robot() if self._robot.known else now)
-            except ClockError as error:
-                self._end(str(error))
+            yield from self._words_of_it(self._robot())
         self._see(state, now - self._begun_ns)
 
     def _words_of_it(self, stamp_ns: int) -> Iterator[Message]:
         """The order, by each key that may carry it."""
-        self._number = stamp_ns if self._number < 0 else self._number
-        if self._leads:
+        if self._leads and self._robot.known:
+            self._number = stamp_ns if self._number < 0 else self._number
             yield ModeCommand(stamp_ns, self._what, self._number, self._holder, self._take)
         if self._what in STOPS:  # also where this machine's router is chained to one that lets it only stop
-            yield StopOrder(stamp_ns, "off" if self._what == "off" else "stop", self._number, self._holder)
+            yield StopOrder(stamp_ns, "off" if self._what == "off" else "stop", self._begun_ns + 1, self._holder)
 
     def _watch_routers(self, inbox: Inbox, state: ActuatorState | None) -> None:
         """Whether a router on the way has begun to keep such orders back: whoever puts them is told nothing by the network."""
@@ -108,7 +113,8 @@ class Order:
                 self._end(f"no word from the actuator within {_UNHEARD_NS * 1e-9:.0f} s; is it up, and met here?")
             return
         self.words = f"{state.mode}: {state.reason}"
-        refused = next((words for words in state.warnings if words.startswith((f"`{self._what}` ", "torque stays off"))), "")
+        mine = (f"`{self._what}` refused", f"`{self._what}` of {self._holder} refused", "torque stays off")
+        refused = next((words for words in state.warnings if words.startswith(mine)), "")
         if refused and refused not in self._heard.warnings:
             self._end(refused)
         elif self._done(state):

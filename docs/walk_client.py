@@ -18,12 +18,12 @@ def send(key, schema, arrays, *fields):  # a frame: the header's length, the hea
 
 with zenoh.open(ROUTER) as robot, robot.declare_subscriber("sextant/actuator/state", zenoh.handlers.RingChannel(1)) as states:
     for order, done, seconds, speed in ORDERS:  # each said until the robot says that it is done, for so many seconds at most
-        sequence, end, said, v = time.monotonic_ns(), time.monotonic() + seconds, "", struct.pack("<dd", speed, 0.0)
+        number, end, said, v = 0, time.monotonic() + seconds, "", struct.pack("<dd", speed, 0.0)
         while time.monotonic() < end and not said.startswith(done):
             frame, before = states.recv().payload.to_bytes(), said
             state = msgpack.unpackb(frame[4 : 4 + struct.unpack_from("<I", frame)[0]])[3]  # stamp, mode, reason and so on
-            said = "; ".join((f"{state[1]}: {state[2]}", *state[21]))
-            send("mode", "ModeCommand:357a28ae", b"", state[0], order, sequence, "walk_client", False)  # by the robot's clock
+            number, said = number or state[0], "; ".join((f"{state[1]}: {state[2]}", *state[21]))
+            send("mode", "ModeCommand:357a28ae", b"", state[0], order, number, "walk_client", False)  # by the robot's clock
             send("velocity", "VelocityCommand:0fc8f79d", v, state[0], ["<f8", [2], 0], 0.0, 0.11, 0.04, "tripod", False)
             time.sleep(0.05)  # 20 Hz; an order that is repeated keeps the lease
             if said != before:

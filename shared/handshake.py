@@ -41,13 +41,13 @@ def refusal(endpoint: str, keys: Keys) -> str:
     return verdict(endpoint, context)
 
 
-def verdict(endpoint: str, context: ssl.SSLContext) -> str:
-    """Why a handshake fails, in words, or nothing."""
+def verdict(endpoint: str, context: ssl.SSLContext, patience_s: float = _VERDICT_S) -> str:
+    """Why a handshake fails, in words, or nothing where no refusal comes within a time [s]."""
     host, port = place(endpoint)
     try:
         plain = socket.create_connection((host, port), _CONNECT_S)
         with plain, context.wrap_socket(plain, server_hostname=host) as link:
-            link.settimeout(_VERDICT_S)
+            link.settimeout(patience_s)
             link.recv(1)
     except TimeoutError:
         return ""  # it waits for us to speak

@@ -51,6 +51,7 @@ class Endpoints:
     scouting: bool = False
     namespace: str = "sextant"
     keys: Keys | None = None  # of this machine, for endpoints of tls
+    loopback: bool = False  # scout and listen on this machine alone
 
     def __post_init__(self) -> None:
         if not self.scouting and not self.connect:
@@ -64,10 +65,13 @@ class Endpoints:
         return _config(
             mode="peer" if self.scouting else "client",
             connect=self.connect,
-            listen=("tcp/0.0.0.0:0",) if self.scouting else (),
+            listen=("tcp/127.0.0.1:0" if self.loopback else "tcp/0.0.0.0:0",) if self.scouting else (),
             scouting=self.scouting,
             namespace=self.namespace,
-            access=self.keys.connecting() if self.keys is not None else {},
+            access=_merged(
+                self.keys.connecting() if self.keys is not None else {},
+                {"scouting": {"multicast": {"interface": "lo"}}} if self.loopback else {},
+            ),
         )
 
 

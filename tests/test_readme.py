@@ -41,7 +41,7 @@ RUN_BY = {
     "trials table": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials passages": "tests/unit/deploy/test_cli.py::test_trials_of_all_passages_print_their_table_and_the_thesis_one",
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
-    "replay FILE": "tests/unit/deploy/test_replay.py::test_the_command_replays_a_recording_or_the_folder_that_holds_it",
+    "replay FILE": "tests/unit/deploy/replay/test_replay.py::test_the_command_replays_a_recording_or_the_folder_that_holds_it",
     "record": "tests/live/test_recording.py::test_what_is_said_is_recorded_until_the_recorder_is_killed",
     "video": "tests/unit/deploy/test_video.py::test_the_command_draws_a_run_and_says_what_came_of_it",
     "info": "tests/unit/console/recording/test_recovery.py::test_the_command_says_what_is_in_a_file",

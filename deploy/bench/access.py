@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.bench import replayed
+from deploy.bench import intruders
 from deploy.launch.launcher import free_port
 from deploy.network.authority import Authority
 from deploy.network.gate import Gate
@@ -33,7 +33,7 @@ _NAMESPACE = "bench"
 _PATIENCE_S = 20.0
 _REPEAT_S = 0.02
 _WORD = b"a last word: "
-_TRIES = 20  # of Zenoh's at opening, of those who are not let in; the others are handshakes alone
+_TRIES = 20  # that who is not let in opens a session of Zenoh; all other tries are handshakes, which take less time
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,20 +103,19 @@ def measure(messages: int, say: Callable[[str], None] = lambda _: None) -> tuple
             inside = _Inside(own)
             for row in (
                 *_refused(folder, secure, messages),
-                _around(inside, base, Endpoints((secure,), True, _NAMESPACE, Keys.load(folder / "console")), messages),
                 *_kept_back(inside, base, link, messages),
             ):
                 say(f"{row.what}: {row.through} of {row.tried}")
                 rows.append(row)
-    for done in replayed.measure(messages, say):
+    for done in intruders.measure(messages, say):
         note = "; ".join(done.said)
-        rows.append(Row(f"a recorded walk, put again {done.when}", done.tried, done.obeyed, note))
+        rows.append(Row(done.what, done.tried, done.obeyed, f"not obeyed: {note}" if note else ""))
         say(f"{rows[-1].what}: {rows[-1].through} of {rows[-1].tried}")
     return tuple(rows)
 
 
 def _refused(folder: Path, secure: str, messages: int) -> Iterator[Row]:
-    """Those who are not let in at all: by Zenoh, which says why, then by handshakes of somebody who asks nobody."""
+    """Those who are not let in at all, as clients of ours, which say why, then as strangers who only shake hands."""
     known = Keys.load(folder / "console")
     for what, keys in (
         ("certificate that has expired", dataclasses.replace(known, folder=folder / "expired")),
@@ -133,7 +132,8 @@ def _refused(folder: Path, secure: str, messages: int) -> Iterator[Row]:
             except (TransportError, AccessError, ValueError) as error:
                 why = str(error)
             took_s.append(time.perf_counter() - began)
-        opened += sum(not verdict(secure, _stranger(None if keys is None else keys.folder)) for _ in range(_TRIES, messages))
+        stranger = _stranger(None if keys is None else keys.folder)
+        opened += sum(not verdict(secure, stranger, _PATIENCE_S) for _ in range(_TRIES, messages))
         told = f"told within {1e3 * max(took_s):.0f} ms: {why.partition('; ')[0]}"
         yield Row(what, max(_TRIES, messages), opened, told)
 
@@ -145,15 +145,6 @@ def _stranger(folder: Path | None) -> ssl.SSLContext:
     if folder is not None:
         context.load_cert_chain(folder / CERTIFICATE, folder / KEY)
     return context
-
-
-def _around(inside: _Inside, base: ZenohLink, peer: Endpoints, messages: int) -> Row:
-    """Somebody with a console's certificate who listens and scouts, so that others might meet them beside the router."""
-    frame = codec.encode(ModeCommand(1, "walk", 1, "bench"))
-    with ZenohLink(peer) as link:
-        inside.settle(base, "before the peer")
-        _put(link, topics.STEP_PLAN, frame, messages)
-        return Row("a peer that looks for ways around the router", messages, inside.settle(base, "after the peer"))
 
 
 def _put(link: ZenohLink, topic: AnyTopic, frame: bytes, messages: int) -> None:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from deploy.faults import tap
 from deploy.faults.wire import Recorder
+from deploy.launch import tapped_robot
 from deploy.launch.launcher import Launcher, free_port
-from deploy.runs import tapped_robot
 from services.actuator.latch import Latch
 from shared import codec, topics
 from shared import dynamixel as dxl

@@ -10,7 +10,6 @@ _LOOK_S = 0.05
 def order(arguments: argparse.Namespace) -> int:
     """`sextant order`: give one order to the legs, and say what has come of it."""
     import threading
-    import time
 
     from deploy.interrupts import Interrupts
     from deploy.order import STOPS, Order
@@ -37,9 +36,10 @@ def order(arguments: argparse.Namespace) -> int:
             stop.set()
             running.join()
         if not given.finished:
-            link.send(topics.MODE, codec.encode(given.withdraw(time.monotonic_ns())))
-            stop_words = "stopped by the operator: the feet are set down"
-            complain(stop_words if arguments.what == "walk" else "stopped by the operator")
+            withdrawn = given.withdraw() if arguments.what == "walk" else ()
+            for message in withdrawn:
+                link.send(topics.OF_TYPE[type(message)], codec.encode(message))
+            complain(f"stopped by the operator{': the feet are set down' if withdrawn else ''}")
             return INTERRUPTED
     if given.failed:
         complain(f"sextant order {arguments.what}: {given.failed}")

@@ -152,17 +152,17 @@ def replay(arguments: argparse.Namespace) -> int:
     out = out_folder(arguments, f"replay-{source.stem}")
     progress = open_progress(arguments.json)
     if run or parts:
-        from deploy.replay import replay_walk
+        from deploy.replay import walk
 
-        table = replay_walk.replay_recording(source, out, progress, arguments.only or ())
-        words = replay_walk.in_words(table)
+        table = walk.replay_recording(source, out, progress, arguments.only or ())
+        words = walk.in_words(table)
     else:
-        from deploy.replay import replay_sequence
+        from deploy.replay import sequence
 
         if arguments.only:
             raise InputError("--only is for recorded runs: of a depth sequence everything is fed")
-        table = replay_sequence.replay_folder(source, out, progress)
-        words = replay_sequence.in_words(table)
+        table = sequence.replay_folder(source, out, progress)
+        words = sequence.in_words(table)
     text = json.dumps(table, indent=1)
     (out / "replay.json").write_text(text + "\n", encoding="utf-8")
     say(text if arguments.json else f"{words}\nwritten to {out}")

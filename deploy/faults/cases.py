@@ -260,10 +260,10 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
 _PAGE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # what an operator's page needs, and no walk
     ("console-killed", "the console is killed", (Away("console", True, 0.0),), _CALM),
     ("console-stopped", "the console is stopped for 3 s", (Away("console", False, 3.0),), _CALM),
-    ("recorder-killed", "the recorder is killed", (Away("recorder", True, 0.0),), _CALM),
-    ("recorder-stopped", "the recorder is stopped for 3 s", (Away("recorder", False, 3.0),), _CALM),
+    ("recorder-killed", "the recorder is killed while it records", (Away("recorder", True, 0.0),), _CALM),
+    ("recorder-stopped", "the recorder is stopped for 3 s while it records", (Away("recorder", False, 3.0),), _CALM),
 )
-_HALVED = ("planner", "perception", "mapper", "operator", "router", "actuator")  # what is of _LIVE with two halves, too
+_HALVED = ("planner", "perception", "mapper", "operator", "router", "actuator")  # what of _LIVE is broken of two halves, too
 _HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
     *((name, words, deeds, limits) for name, words, deeds, limits in _LIVE if name.startswith(_HALVED)),
     ("base-router-killed", "the base's router is killed", (Away("base router", True, 0.0),), _UNHEARD),

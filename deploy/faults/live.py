@@ -1,7 +1,7 @@
 """One walk of processes over Zenoh at real time, into which faults are injected, each at a phase of its own."""
 
 import contextlib
-import os
+import secrets
 import shutil
 import tempfile
 import time
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from deploy.faults import hog, tap
 from deploy.faults.cases import Away, Case, Deed, Hogs, Off
 from deploy.faults.watched import LEAST_WATCH_S, Seen, Watched
+from deploy.launch import tapped_robot
 from deploy.launch.launcher import Launcher, free_port
 from deploy.network.gate import Gate
 from deploy.process_table import ENVIRONMENT, Command
-from deploy.runs import tapped_robot
 from services.actuator.latch import Latch
 from shared import codec, topics
 from shared import dynamixel as dxl
@@ -34,6 +34,7 @@ _LOOK_S = 0.02
 _SETTLE_S = 0.5  # [s] after a fault's end before which nothing is over
 _AGAIN_S = 0.3  # [s] from one crash to the next
 _BACK_S = 15.0  # [s] in which a killed process must be back
+_RECORD_S = 0.5  # between two orders to record, until that is done
 _WORDS = 40  # lines kept of what the processes say
 
 
@@ -57,7 +58,9 @@ class LiveWalk(Watched):
         self._endpoints = _somewhere()
         self._base = _somewhere() if case.halves else None
         self._page = any(isinstance(deed, Away) and deed.service in ("console", "recorder") for deed in case.deeds)
-        self._recordings = Path(tempfile.gettempdir()) / f"sextant-faults-{os.getpid()}"  # made by who records, if anybody
+        self._recording, self._record_due = False, 0.0
+        # Made by who records, if anybody.
+        self._recordings = Path(tempfile.gettempdir()) / f"sextant-faults-{secrets.token_hex(8)}"
         bus, listen = free_port(), free_port()
         self.port = tapped_robot.port(listen)
         self._latch = Latch.of_port(self.port)
@@ -79,7 +82,7 @@ class LiveWalk(Watched):
             stack.callback(self._launcher.stop)
             self._launcher.__enter__()
             self._link = stack.enter_context(ZenohLink(self._endpoints))
-            for topic in (topics.ACTUATOR_STATE, topics.TRUTH, topics.HEALTH):
+            for topic in (topics.ACTUATOR_STATE, topics.TRUTH, topics.HEALTH, topics.RECORDER_STATE):
                 self._link.subscribe(topic, self.hear)
             self._link.wanted(topics.MODE)  # announced now, the order to let go is not the first word
             if self._base is not None:
@@ -96,16 +99,22 @@ class LiveWalk(Watched):
         """Have it stand up again where it has let go; then as all."""
         if self.state is not None and self.state.mode is Mode.OFF:
             self._launcher.kill("operator")  # a new one has the robot stand up
-        if self._page:
-            self._say(RecordCommand(time.monotonic_ns(), True, 1))
         super().walk_for(length_s)
 
     def last_words(self) -> str:
         """Those of the processes."""
         return f"; the processes' last words: {' / '.join(list(self._said)[-5:])}"
 
+    @property
+    def walks(self) -> bool:
+        """As of all, and where there is a recorder it records."""
+        return super().walks and (self._recording or not self._page)
+
     def look(self, until_s: float = inf) -> None:
-        """Let one look's time pass, or less; start again what has ended."""
+        """Let one look's time pass, or less; start again what has ended, and have recorded what can be."""
+        if self._page and not self._recording and self.now_s >= self._record_due:
+            self._record_due = self.now_s + _RECORD_S
+            self._say(RecordCommand(time.monotonic_ns(), True, time.monotonic_ns()))
         for ended in self._launcher.wait(min(_LOOK_S, max(until_s - self.now_s, 0.0))):
             self.note_end(ended.name, self.now_s)
             self._said.append(str(ended))
@@ -165,6 +174,7 @@ class LiveWalk(Watched):
     def note_end(self, name: str, at_s: float) -> None:
         """A process was seen to have ended at a time [s]."""
         self._ended[name] = at_s
+        self._recording &= name != "recorder"
 
     def returned(self, name: str, since_s: float) -> float:
         """When [s] a killed process's successor gave its first sign of life, NaN for not yet."""
@@ -194,6 +204,8 @@ class LiveWalk(Watched):
             self._sign("router", self.now_s)
         elif topic is topics.TRUTH:
             self.hear_truth(frame)
+        elif topic is topics.RECORDER_STATE:
+            self._recording = codec.decode(frame, topics.RECORDER_STATE.type)[0].recording
         else:
             health = codec.decode(frame, topics.HEALTH.type)[0]
             if health.service != "actuator":  # of that the tap knows

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from deploy.judging.report import Report
 from deploy.judging.trace import Trace
-from deploy.pictures.published import TESTS, Measured, Published, side_by_side
+from deploy.pictures.thesis_figures import TESTS, Measured, Published, side_by_side
 from shared.robot import LEGS
 
 LEG_COLORS = ("#d55e00", "#0072b2", "#56b4e9", "#332288", "#cc79a7", "#e69f00")  # told apart by most colour-blind eyes

@@ -2,7 +2,7 @@
 
 Whoever sends them takes the lease by the rules of all operators, while it is free, and loses it to who takes over. A Twist of
 nothing but zeros begins nothing. What was refused or taken away moves nothing until the Twists have paused or were zero.
-Times are this machine's, stamps of orders the robot's, wherever this runs.
+Times are this machine's, stamps and numbers of what goes out the robot's, wherever this runs.
 """
 
 import math
@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from shared.clock import ClockError, RobotClock
+from deploy.robot_time import RobotTime
 from shared.geometry import Array
 from shared.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, VelocityCommand
 
@@ -52,11 +52,7 @@ class Lead:
     _velocity_ns: int = 0
     _new: list[Message] = field(default_factory=list)  # to go out at the next beat
     _words: list[str] = field(default_factory=list)
-    _now_ns: int = 0
-    _robot: RobotClock = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._robot = RobotClock(lambda: self._now_ns)
+    _robot: RobotTime = field(default_factory=RobotTime)
 
     def twist(self, velocity: Array, yaw_rate: float, now_ns: int) -> None:
         """Take in a Twist.
@@ -89,26 +85,26 @@ class Lead:
 
     def beat(self, now_ns: int, state: ActuatorState | None) -> list[Message]:
         """What goes out now [ns], by the actuator's newest word; None where it has not said one for a while."""
-        self._state, self._now_ns = state, now_ns
-        if state is not None:
-            self._robot.heard(state.stamp_ns)
+        self._state = state
+        if void := self._robot.see(now_ns, None if state is None else state.stamp_ns):
+            self._sequence = 0
+            self._lapse(void)
         if self.leading:
             self._watch(now_ns)
         if self.leading and self._order is not None and now_ns - self._order.stamp_ns >= _REPEAT_NS:
             self._order = replace(self._order, stamp_ns=now_ns)
             self._new.append(self._order)
-        stamp_ns = self._robot_time()
-        out, self._new = [replace(m, stamp_ns=stamp_ns) if isinstance(m, ModeCommand) else m for m in self._new], []
+        out, self._new = self._new, []
         if self.leading and state is not None and state.lease == self.holder and now_ns - self._velocity_ns >= _VELOCITY_NS:
             self._velocity_ns = now_ns
             out.append(self._command(now_ns, self._velocity, self._yaw_rate))
-        return out
+        return [replace(message, stamp_ns=self._robot()) for message in out]
 
     def release(self, now_ns: int) -> list[Message]:
         """What is to be said before nobody asks any more: the robot stops, if it was led."""
         if self.leading:
             self._let_go(now_ns, "the bridge ends")
-        out, self._new = self._new, []  # a stop, which is obeyed whatever its stamp
+        out, self._new = [replace(message, stamp_ns=self._robot()) for message in self._new], []
         return out
 
     def drain_words(self) -> list[str]:
@@ -150,20 +146,9 @@ class Lead:
         self._words.append(why)
 
     def _say(self, mode: Literal["walk", "stop"], now_ns: int) -> None:
-        self._now_ns = now_ns
-        self._sequence = max(self._sequence + 1, self._robot_time())  # above those of a bridge that ran before, anywhere
+        self._sequence = max(self._sequence + 1, self._robot())  # above those of a bridge that ran before, anywhere
         self._order = ModeCommand(now_ns, mode, self._sequence, self.holder)
         self._new.append(self._order)
-
-    def _robot_time(self) -> int:
-        """Now [ns] by the robot's clock, by which the actuator judges orders; by this machine's before it was heard."""
-        if self._robot.known:
-            try:
-                return self._robot()
-            except ClockError as error:
-                self._robot = RobotClock(lambda: self._now_ns)
-                self._lapse(str(error))
-        return self._now_ns
 
     def _command(self, now_ns: int, velocity: Array, yaw_rate: float) -> VelocityCommand:
         walk = self.walk

@@ -6,10 +6,10 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 from deploy.judging import report as reports
-from deploy.runs.operator import Operator
-from deploy.progress import Monitor
 from deploy.judging.report import Report, StageTime
 from deploy.judging.scorer import Scorer
+from deploy.progress import Monitor
+from deploy.runs.operator import Operator
 from shared import topics
 from shared.robot import RobotProfile
 from shared.scenario import Scenario

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Self, TextIO
 
 from deploy import process_table
-from deploy.runs.attendance import Attendance, about
 from deploy.interrupts import Interrupts
+from deploy.judging.report import Report
 from deploy.launch.launcher import Launcher, free_port, host_router
 from deploy.process_table import ENVIRONMENT, Command
 from deploy.progress import Progress
-from deploy.judging.report import Report
+from deploy.runs.attendance import Attendance, about
 from services.console.recording.foxglove.translation import Foxglove
 from services.console.recording.live import LiveRecorder
 from services.console.recording.writer import Recorder

@@ -10,11 +10,11 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from deploy.judging.report import Report
+from deploy.progress import Progress, Silent
 from deploy.runs.attendance import Attendance, about
 from deploy.runs.pose_error import MODELS, Erring
-from deploy.progress import Progress, Silent
 from deploy.runs.radio import Radio
-from deploy.judging.report import Report
 from services.actuator.config import Settings as ActuatorSettings
 from services.actuator.latch import Latch
 from services.actuator.service import Actuator

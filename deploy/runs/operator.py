@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from deploy.robot_time import RobotTime
 from shared import topics
 from shared.geometry import Array, yaw_of
 from shared.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
@@ -58,6 +59,7 @@ class Operator:
             no_pose_s: Patience [s] without a pose, once there was one; infinite for a link that may be cut at will.
         """
         self._no_pose_s = no_pose_s
+        self._robot = RobotTime()  # what it orders is stamped by, wherever it is
         self.paced_by = Every.hz(topics.VELOCITY.rate_hz)
         self.stages = Stages()
         self.finished = False
@@ -82,9 +84,11 @@ class Operator:
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """One beat: look, order, steer."""
         now = tick.stamp_ns
-        if self._first_order < 0:
-            self._first_order = now + 1  # an actuator that has heard another operator before counts on
         state = inbox.latest(topics.ACTUATOR_STATE)
+        if self._robot.see(now, None if state is None else state.stamp_ns):
+            self._first_order = -1
+        if self._first_order < 0 and self._robot.known:
+            self._first_order = self._robot() + 1  # an actuator that has heard another operator before counts on
         pose = inbox.latest(topics.BODY_POSE)
         steerable = inbox.fresh(topics.BODY_POSE) is not None
         status = inbox.latest(topics.PLANNER_STATUS)
@@ -94,9 +98,9 @@ class Operator:
             self._choose_order(now, state, pose is not None)
             self._ask_for_touch(now, status)
             self._give_up(now, state, status, ever_posed=pose is not None, posed=steerable)
-        if now >= self._order_due_ns:
+        if now >= self._order_due_ns and self._robot.known:
             self._order_due_ns = now + _ORDER_NS
-            yield ModeCommand(now, self._order, self._first_order + (self._order == "walk"))
+            yield ModeCommand(self._robot(), self._order, self._first_order + (self._order == "walk"))
         if self._order == "walk":
             known = pose is not None and steerable and not self.finished
             if self._route is None:
@@ -104,7 +108,9 @@ class Operator:
             elif not self.finished and now >= self._goal_due_ns:
                 self._goal_due_ns = now + _GOAL_NS
                 walk = self._walk
-                yield Goal(now, self._route, _TOLERANCE, self._speed, walk.body_height, walk.lift, walk.gait, self._passage)
+                yield Goal(
+                    self._robot(), self._route, _TOLERANCE, self._speed, walk.body_height, walk.lift, walk.gait, self._passage
+                )
             if self._route is not None and status is not None and status.state == "arrived" and self._arrived_ns is None:
                 self._arrived_ns = now
             self._watch_arrival(now, state, status)
@@ -192,7 +198,7 @@ class Operator:
                 error = atan2(sin(yaw), cos(yaw))
                 yaw_rate = min(max(-_HEADING_GAIN * error, -_MAX_YAW_RATE), _MAX_YAW_RATE)
         walk = self._walk
-        return VelocityCommand(now, velocity, yaw_rate, walk.body_height, walk.lift, walk.gait, self._by_touch)
+        return VelocityCommand(self._robot(), velocity, yaw_rate, walk.body_height, walk.lift, walk.gait, self._by_touch)
 
     def _watch_arrival(self, now: int, state: ActuatorState | None, status: PlannerStatus | None) -> None:
         if self.finished or self._arrived_ns is None or now - self._arrived_ns < _ORDER_NS:

@@ -54,8 +54,9 @@ class PoseErrorModel:
 
 
 # `fitted` on error series of two visual SLAM systems against motion capture (TUM RGB-D benchmark): RGB-D SLAM on fr1/xyz,
-# 786 poses in 27 s, and ORB-SLAM on fr2/desk, 2225 poses in 99 s. tests/unit/deploy/runs/test_pose_error.py derives them again. The
-# model follows the second's autocorrelation within 0.03; the first's swings with the camera's motion, below zero after 1 s.
+# 786 poses in 27 s, and ORB-SLAM on fr2/desk, 2225 poses in 99 s. tests/unit/deploy/runs/test_pose_error.py derives them
+# again. The model follows the second's autocorrelation within 0.03; the first's swings with the camera's motion, below zero
+# after 1 s.
 MODELS: Mapping[str, PoseErrorModel] = {
     "rgbdslam": PoseErrorModel(
         (0.0100, 0.0076, 0.0048), (0.0088, 0.0064, 0.0039), Correlation(0.15, 0.40, 0.355), Correlation(0.03, 0.40, 0.355)

@@ -103,9 +103,10 @@ class Guard:
     def hear(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
         """Obey an order, or say in `objection` why not; one that is repeated only keeps the lease.
 
-        A stop is obeyed whoever orders it, and however old it is; one that takes over gives the lease to who has ordered it,
-        and nothing moves. Any other order must be of now, by its stamp: one that was recorded and is put again neither moves
-        the legs nor keeps a lease, also where this process has begun anew and remembers nobody's orders.
+        A stop is obeyed whoever orders it; one that takes over gives the lease to who has ordered it, and nothing moves. An
+        order must be of now, by its stamp: one that was recorded and is put again neither moves the legs nor keeps a lease,
+        also where this process has begun anew and remembers nobody's orders. A stop that is not of now is obeyed where nobody
+        knows a newer order of its holder, and counts for nothing else.
         """
         newest, stops = self._sequences.get(order.holder), order.mode in _STOPS
         untimely = _untimely(order, now_ns)
@@ -118,14 +119,16 @@ class Guard:
             elif order.holder == self._holder and not untimely:
                 self._heard_ns = now_ns
             return ()
+        if untimely:
+            return self.hear_stop(StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder))  # type: ignore[arg-type]
         stranger = newest is None and len(self._sequences) >= _HOLDERS
         if not stranger:
             self._sequences[order.holder] = order.sequence
-        refused = self._claim(order, now_ns, stranger) if not untimely and (order.take or not stops) else ""
+        refused = self._claim(order, now_ns, stranger) if order.take or not stops else ""
         self.objection = "" if stops else refused
         if self.objection:
             return ()
-        if order.holder == self._holder and not untimely:
+        if order.holder == self._holder:
             self._heard_ns = now_ns
         return self._obey(order.mode)
 

@@ -44,6 +44,7 @@ _KEPT = 40  # plans remembered besides the newest
 _RENEW_NS = 35_000_000  # [ns] after which the running step is sent once more: the actuator goes on for 180 ms without a plan
 _NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] by which a command must differ to be another one
 _STILL = 1e-3  # [m/s] and [rad/s]
+_ASKED_AGE_S = 2.0  # by which what is asked may be older than now by its stamp, or ahead: else it is not of now
 _NOT_MINE = "the running step is not one of mine; waiting for its end"
 
 
@@ -138,9 +139,12 @@ class Planner:
     def _plan(self, state: ActuatorState, inbox: Inbox) -> "_Sent | None":
         """The plan to send now, or none and the reason in the status."""
         pose = inbox.fresh(topics.BODY_POSE, self._settings.pose_age_s)
-        command = _paced(inbox.fresh(topics.VELOCITY), state.pace)
-        goal = inbox.fresh(topics.GOAL) if command is None else None
-        goal = None if goal is None else replace(goal, speed=goal.speed * state.pace)
+        velocity, goal = inbox.fresh(topics.VELOCITY), inbox.fresh(topics.GOAL)
+        untimely = _untimely(velocity, state.stamp_ns) or _untimely(goal, state.stamp_ns)
+        command = None if _untimely(velocity, state.stamp_ns) else _paced(velocity, state.pace)
+        if goal is not None:
+            leads = command is None and not _untimely(goal, state.stamp_ns)
+            goal = replace(goal, speed=goal.speed * state.pace) if leads else None
         self._led = goal is not None
         if command is not None and not _is_still(command):
             self._passage.abandon()  # who falls silent, or rests, may want it later
@@ -153,7 +157,7 @@ class Planner:
         if pose is None:
             return self._hold("waiting", f"no fresh pose from perception{_blamed_on_camera(inbox)}")
         if command is None and goal is None:
-            return self._hold("resting", "no fresh velocity command, and no goal")
+            return self._hold("resting", untimely or "no fresh velocity command, and no goal")
         self._sure_ns = state.stamp_ns if pose.ok else self._sure_ns
         terrain = self._terrain(state, pose, inbox)
         if goal is not None and self._passage.crosses(goal):
@@ -417,6 +421,18 @@ class Planner:
             blocked_leg=self._blocked_leg,
             path=self._pilot.path if self._led else np.zeros((0, 2)),
         )
+
+
+def _untimely(asked: VelocityCommand | Goal | None, now_ns: int) -> str:
+    """Why what is asked is not of now, in words, or nothing: it was recorded, or its sender goes by another clock."""
+    age_s = 0.0 if asked is None else (now_ns - asked.stamp_ns) * 1e-9
+    if abs(age_s) <= _ASKED_AGE_S:
+        return ""
+    what = "velocity command" if isinstance(asked, VelocityCommand) else "goal"
+    when = f"{age_s:.1f} s old" if age_s > 0.0 else f"stamped {-age_s:.1f} s ahead"
+    return (
+        f"the {what} is {when} by the robot's clock, at most {_ASKED_AGE_S:.0f} s allowed: whoever sends it is to stamp by that"
+    )
 
 
 def _blamed_on_camera(inbox: Inbox) -> str:

@@ -17,9 +17,10 @@ def test_the_access_command_leaves_its_table(tmp_path: Path, capsys: pytest.Capt
     flood = rows.pop("flood on operator/mode, by who may")
     assert flood["through"] < 300
     assert {row["through"] for row in rows.values()} == {0}
-    assert [row["tried"] for row in rows.values()] == [300] * 7 + [10, 300, 300]
-    again = [row["note"] for what, row in rows.items() if "put again" in what]
-    assert len(again) == 2
-    for said in again:  # each kind of what was put again, with why it does not count
+    assert [row["tried"] for row in rows.values()] == [300] * 6 + [10] + [300] * 4
+    led, alone, anew, around = [row["note"] for row in rows.values()][-4:]
+    for said in (led, alone, anew):  # of each kind that was put again, why it does not count
         assert "`walk` of operator refused: it is" in said
         assert "plan of step" in said
+    assert "s old" in led.partition("plan of step")[2], "it is led, so what speaks against the plan is its age"
+    assert around == "", "of the peer nobody has heard"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from deploy.pictures.published import TESTS, Measured
+from deploy.pictures.thesis_figures import TESTS, Measured
 from deploy.runs.lockstep_run import assemble
 from shared.robot import load_profile
 from shared.scenario import load_scenario

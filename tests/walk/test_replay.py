@@ -8,7 +8,7 @@ import pytest
 
 from deploy import cli
 from deploy.progress import Silent
-from deploy.replay import replay_sequence as replay
+from deploy.replay import sequence as replay
 from deploy.replay.tum_recording import record_tum
 from services.perception import tum
 from shared.geometry import apply

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deploy.progress import Silent
-from deploy.replay.replay_walk import Change, replay_recording
+from deploy.replay.walk import Change, replay_recording
 from deploy.runs.attendance import about
 from deploy.runs.lockstep_run import assemble
 from deploy.video.story import Story

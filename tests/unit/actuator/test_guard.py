@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from services.actuator.guard import DEADLINE_NS, LEASE_NS, Act
+from services.actuator.guard import DEADLINE_NS, LEASE_NS, ORDER_AGE_NS, Act
 from services.actuator.health import Verdict
 from shared.messages import Mode, ModeCommand, StepPlan
 from tests.support.guarded import AGE_NS, BAD, BROKEN, CYCLE, ORDERS, SPENT, Robot, rested
@@ -36,6 +36,29 @@ class Everything(RuleBasedStateMachine):
         return self.holder if self.heard >= 0 and self.robot.now - self.heard <= LEASE_NS else ""
 
     # -------------------------------------------------------------------------------------------------------- orders
+
+    @rule(
+        mode=st.sampled_from(ORDERS),
+        holder=st.sampled_from(HOLDERS),
+        take=st.booleans(),
+        off_ns=st.sampled_from([-10 * ORDER_AGE_NS, -ORDER_AGE_NS - 1, ORDER_AGE_NS + 1]),
+        number=st.integers(0, 10**18),
+    )
+    def an_order_that_is_not_of_now(self, mode: str, holder: str, take: bool, off_ns: int, number: int) -> None:
+        """It stops, at most, and nothing that comes later depends on it."""
+        order = ModeCommand(self.robot.now + off_ns, mode, number, holder, take)  # type: ignore[arg-type]
+        was, lease = self.robot.mode, self.leader
+        acts = self.robot.hear(order)
+        assert self.robot.guard.lease(self.robot.now) == lease
+        assert set(acts) <= {Act.LET_GO, Act.SET_DOWN, Act.FREEZE}
+        if mode not in ("off", "stop"):
+            assert (acts, self.robot.mode) == ((), was)
+            assert "at most 2 s allowed" in self.robot.guard.objection
+        elif self.robot.mode is not was or acts:
+            self.ordered_to_walk = self.seats = False
+            self.halted |= was is Mode.WALK and mode == "stop"
+        elif mode == "stop" and number > self.newest.get(holder, -1):
+            self.ordered_to_walk = self.seats = False
 
     @rule(mode=st.sampled_from(ORDERS), holder=st.sampled_from(HOLDERS), take=st.booleans(), skip=st.integers(1, 3))
     def a_new_order(self, mode: str, holder: str, take: bool, skip: int) -> None:

@@ -103,7 +103,7 @@ def test_a_lease_lasts_three_seconds_from_the_last_order_be_it_repeated() -> Non
     robot = in_mode(Mode.HOLD)
     robot.now = 0
     robot.order("walk")
-    again = ModeCommand(0, "walk", robot.number, "a")
+    again = ModeCommand(1_500_000_000, "walk", robot.number, "a")
     assert robot.guard.lease(LEASE_NS) == "a"
     assert robot.guard.lease(LEASE_NS + 1) == ""
     robot.now = 2_000_000_000
@@ -136,7 +136,7 @@ def test_who_takes_over_leads_and_the_other_one_does_not_by_repeating() -> None:
     assert robot.guard.lease(robot.now - CYCLE + LEASE_NS) == "b"
     assert robot.guard.lease(robot.now + LEASE_NS) == ""
     robot.now += LEASE_NS
-    robot.hear(before)
+    robot.hear(replace(before, stamp_ns=robot.now))
     assert robot.guard.lease(robot.now) == ""
     robot.order("stop", "a")
     assert robot.guard.lease(robot.now) == ""
@@ -227,7 +227,7 @@ def test_a_repetition_that_was_recorded_keeps_no_lease() -> None:
 
 
 @pytest.mark.parametrize("mode", ["off", "stop"])
-def test_a_stop_is_obeyed_however_old_it_is_but_takes_and_keeps_no_lease(mode: str) -> None:
+def test_a_stop_that_is_not_of_now_is_obeyed_but_takes_and_keeps_no_lease(mode: str) -> None:
     robot = in_mode(Mode.WALK)
     robot.guard.hear(ModeCommand(robot.now, "walk", 50, "a"), robot.now)
     given_ns = robot.now
@@ -240,6 +240,21 @@ def test_a_stop_is_obeyed_however_old_it_is_but_takes_and_keeps_no_lease(mode: s
     robot.hear(ModeCommand(old_ns, mode, 51, "a"))  # type: ignore[arg-type]
     assert robot.guard.lease(given_ns + LEASE_NS) == "a"
     assert robot.guard.lease(given_ns + LEASE_NS + 1) == ""
+
+
+@pytest.mark.parametrize("off_ns", [-10 * ORDER_AGE_NS, 10 * ORDER_AGE_NS])
+def test_a_stop_that_is_not_of_now_locks_nobody_out(off_ns: int) -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.hear(ModeCommand(robot.now + off_ns, "stop", 10**18, "b", take=True))
+    assert robot.guard.lease(robot.now) == ""
+    robot.hear(ModeCommand(robot.now, "stop", 7, "b", take=True))
+    assert (robot.guard.objection, robot.guard.lease(robot.now)) == ("", "b"), "its numbers count from those of now"
+    robot.hear(ModeCommand(robot.now, "walk", 8, "b"))
+    assert robot.guard.objection == ""
+    assert robot.consider(robot.plan())
+    robot.hear(ModeCommand(robot.now + off_ns, "stop", 5, "b"))
+    assert robot.guard.objection == "`stop` of b refused: it is older than their newest order"
+    assert robot.mode is Mode.WALK
 
 
 def test_a_repetition_says_nothing_and_a_new_order_that_is_obeyed_clears_the_objection() -> None:

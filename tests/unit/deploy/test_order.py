@@ -83,9 +83,25 @@ def test_walk_is_held_until_it_is_withdrawn() -> None:
     desk.beats(200, mode=Mode.WALK, reason="walking", lease="me")
     assert not desk.order.finished
     assert all(m.take for m in desk.given)
-    withdrawn = desk.order.withdraw(desk.now_ns)
-    assert (withdrawn.mode, withdrawn.holder) == ("stop", "me")
-    assert withdrawn.sequence > desk.given[-1].sequence
+    stop, anyway = desk.order.withdraw()
+    assert (stop.mode, stop.holder) == ("stop", "me")
+    assert stop.sequence > desk.given[-1].sequence
+    assert isinstance(anyway, StopOrder)
+
+
+def test_what_was_never_ordered_is_not_withdrawn() -> None:
+    order = Order("walk", "me")
+    assert list(order.step(Tick(1), Inbox(order.reads, order.stages))) == []
+    assert order.withdraw() == ()
+
+
+def test_a_refusal_of_somebody_else_s_order_is_not_this_one_s() -> None:
+    desk = Desk(Order("walk", "me"), mode=Mode.HOLD, reason="standing")
+    desk.beats(2)
+    desk.beats(5, warnings=("`walk` of another refused: it is 60.0 s old, at most 2 s allowed",))
+    assert not desk.order.finished
+    desk.beats(1, warnings=("`walk` of me refused: it is 60.0 s old, at most 2 s allowed",))
+    assert desk.order.failed.startswith("`walk` of me refused")
 
 
 def test_silence_and_what_does_not_come_about_end_it_in_words() -> None:
@@ -106,18 +122,22 @@ def test_a_stop_goes_by_the_key_of_those_who_may_not_lead_too(what: Any, leads: 
     order = Order(what, "me", leads=leads)
     made = list(order.step(Tick(1), Inbox(order.reads, order.stages)))
     assert [m.mode for m in made if isinstance(m, StopOrder)] == [what]
-    assert len([m for m in made if isinstance(m, ModeCommand)]) == leads
+    assert not [m for m in made if isinstance(m, ModeCommand)], "by the robot's clock, which was not heard yet"
+    desk = Desk(Order(what, "me", leads=leads), mode=Mode.WALK, reason="walking", lease="another")
+    desk.beats(1)
+    assert len(desk.given) == leads
     walk = Order("walk", "me")
     assert list(walk.step(Tick(1), Inbox(walk.reads, walk.stages))) == [], "what the robot's clock says is not known yet"
 
 
 def test_an_order_to_move_is_stamped_by_the_robots_clock_wherever_it_is_given() -> None:
-    desk = Desk(Order("walk", "me"), mode=Mode.HOLD, reason="standing")
+    desk = Desk(Order("walk", "me"), mode=Mode.HOLD, reason="standing", lease="me")
     desk.ahead_ns = 3_600_000_000_000
     desk.beats(30)
     assert len(desk.given) > 2
     assert all(0 <= desk.now_ns + desk.ahead_ns - m.stamp_ns <= 30 * 50 * MS for m in desk.given)
     assert {m.sequence for m in desk.given} == {desk.given[0].stamp_ns}, "it counts on from orders of other machines"
+    desk.beats(400)
     desk.ahead_ns = 0
     desk.beats(20)
     assert desk.order.failed.startswith("the robot's clock began anew")

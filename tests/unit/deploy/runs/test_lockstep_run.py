@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.runs.lockstep_run import assemble, run_lockstep
 from deploy.judging.report import without_timing
+from deploy.runs.lockstep_run import assemble, run_lockstep
 from services.console.recording.reader import Recording
 from shared import topics
 from shared.robot import load_profile

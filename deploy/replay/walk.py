@@ -14,7 +14,7 @@ import numpy as np
 from deploy.judging.stage_times import rounded, stages_ms
 from deploy.pictures import layers_picture
 from deploy.progress import Progress
-from deploy.replay.replay_error import ReplayError
+from deploy.replay.error import ReplayError
 from services.console.recording.reader import Recording
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper

@@ -51,14 +51,13 @@ def commands(
     rarer = () if scan_rate_hz is None else (process_table.assignment("scan_rate_hz", scan_rate_hz),)
     extra = {"actuator": tapped, "stop": tapped, "perception": rarer}
     page = page_port is not None
-    if base is None:
-        services = process_table.commands(process_table.rows("all", True, page), chosen, endpoints, extra)
-    else:
-        onboard, offboard = process_table.rows("onboard", True), process_table.rows("offboard", False, page)
-        services = (
-            *process_table.commands(onboard, chosen, endpoints, extra),
-            *process_table.commands(offboard, chosen, base, extra, elsewhere=True),
-        )
+    here = process_table.rows("all" if base is None else "onboard", True, page)
+    there = () if base is None else process_table.rows("offboard", False, page)
+    services = (
+        *process_table.commands(here, chosen, endpoints, extra),
+        *process_table.commands(there, chosen, base or endpoints, extra, elsewhere=True),
+    )
+    router = {p.name: BASE_ROUTER for p in there}
     needs = {"actuator": ("tap",)}
     return [
         replace(process_table.router_command(endpoints.connect[0], gate.words() if gate else ()), restarts=RESTARTS),
@@ -68,7 +67,7 @@ def commands(
             replace(
                 one,
                 restarts=RESTARTS if one.name != "simulator" else 0,
-                after=("router", *one.after, *needs.get(one.name, ())),
+                after=(router.get(one.name, "router"), *one.after, *needs.get(one.name, ())),
             )
             for one in services
         ),

@@ -14,8 +14,8 @@ from deploy.judging.stage_times import rounded, stages_ms
 from deploy.pictures import layers_picture
 from deploy.pictures.relief import shaded
 from deploy.progress import Progress
+from deploy.replay.error import ReplayError
 from deploy.replay.listener import Listener
-from deploy.replay.replay_error import ReplayError
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception import tum

@@ -8,10 +8,10 @@ import pytest
 
 from deploy import cli
 from deploy.progress import Silent
-from deploy.replay import replay_sequence as replay
-from deploy.replay.replay_error import ReplayError
-from deploy.replay.replay_sequence import HandHeld, Player
-from deploy.replay.replay_walk import in_words, map_difference, replay_recording
+from deploy.replay import sequence as replay
+from deploy.replay.error import ReplayError
+from deploy.replay.sequence import HandHeld, Player
+from deploy.replay.walk import in_words, map_difference, replay_recording
 from deploy.runs.attendance import about
 from services.console.recording.writer import Recorder
 from services.mapper.config import Settings

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from deploy.pictures import walk_picture
-from deploy.pictures.published import TESTS, Measured, Published, side_by_side
+from deploy.pictures.thesis_figures import TESTS, Measured, Published, side_by_side
 from shared.scenario import load_scenario
 
 

@@ -1,0 +1,26 @@
+"""Every folder of the program is a package that the checkout has: one that is ignored is neither checked nor shipped."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = sorted(
+    {path.parent.relative_to(ROOT) for part in ("shared", "services", "deploy") for path in (ROOT / part).rglob("*.py")}
+)
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=str)
+def test_a_folder_of_the_program_is_a_package_and_says_what_it_is(folder: Path) -> None:
+    words = (ROOT / folder / "__init__.py").read_text(encoding="utf-8")
+    assert words.startswith('"""')
+
+
+def test_nothing_of_the_program_is_ignored() -> None:
+    if not (ROOT / ".git").exists():
+        pytest.skip("no checkout of git")
+    asked = "\0".join(f"{folder}/any.py" for folder in (*FOLDERS, "tests/unit/deploy/runs"))
+    command = ["git", "check-ignore", "--stdin", "-z"]
+    done = subprocess.run(command, cwd=ROOT, input=asked, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, ""), "nothing is ignored"
