@@ -11,6 +11,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -77,15 +78,18 @@ class _Inside:
 
 
 @contextmanager
-def _robot(folder: Path) -> Iterator[tuple[str, str]]:
-    """A guarded router with keys of every role, an expired and a foreign one; where it listens."""
+def _robot(folder: Path) -> Iterator[tuple[str, list[str]]]:
+    """A guarded router with keys of every role, an expired and a foreign one; where it listens, with and without TLS.
+
+    Behind each handshake that fails an endpoint rests for a tenth of a second, so there is one for each kind of stranger.
+    """
     authority, other = Authority(days=1), Authority(days=1)
     for role in ROLES:
         authority.issue(folder / role.name, role.name)
     authority.issue(folder / "expired", "console", ends=datetime.now(UTC) - timedelta(hours=1))
     other.issue(folder / "foreign", "console")
-    plain, secure = f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
-    gate = Gate((plain, secure), _NAMESPACE, folder / "robot")
+    plain, secure = f"tcp/127.0.0.1:{free_port()}", [f"tls/127.0.0.1:{free_port()}" for _ in range(3)]
+    gate = Gate((plain, *secure), _NAMESPACE, folder / "robot")
     with Router(gate.listen, access=gate.configuration()):
         yield plain, secure
 
@@ -97,7 +101,7 @@ def measure(messages: int, say: Callable[[str], None] = lambda _: None) -> tuple
         folder = Path(name)
 
         def link(role: str) -> ZenohLink:
-            return ZenohLink(Endpoints((secure,), namespace=_NAMESPACE, keys=Keys.load(folder / role)))
+            return ZenohLink(Endpoints((secure[0],), namespace=_NAMESPACE, keys=Keys.load(folder / role)))
 
         with ZenohLink(Endpoints((plain,), namespace=_NAMESPACE)) as own, link("base") as base:
             inside = _Inside(own)
@@ -114,28 +118,34 @@ def measure(messages: int, say: Callable[[str], None] = lambda _: None) -> tuple
     return tuple(rows)
 
 
-def _refused(folder: Path, secure: str, messages: int) -> Iterator[Row]:
-    """Those who are not let in at all, as clients of ours, which say why, then as strangers who only shake hands."""
+def _refused(folder: Path, secure: list[str], messages: int) -> Iterator[Row]:
+    """Those who are not let in at all, each kind at an endpoint of its own."""
     known = Keys.load(folder / "console")
-    for what, keys in (
+    kinds = (
         ("certificate that has expired", dataclasses.replace(known, folder=folder / "expired")),
         ("certificate of a foreign authority", dataclasses.replace(known, folder=folder / "foreign")),
         ("no certificate", None),
-    ):
-        opened, took_s, why = 0, [], ""
-        for _ in range(_TRIES):
-            began = time.perf_counter()
-            try:
-                endpoints = Endpoints((secure,), namespace=_NAMESPACE, keys=keys)
-                with ZenohLink(endpoints):
-                    opened += 1
-            except (TransportError, AccessError, ValueError) as error:
-                why = str(error)
-            took_s.append(time.perf_counter() - began)
-        stranger = _stranger(None if keys is None else keys.folder)
-        opened += sum(not verdict(secure, stranger, _PATIENCE_S) for _ in range(_TRIES, messages))
-        told = f"told within {1e3 * max(took_s):.0f} ms: {why.partition('; ')[0]}"
-        yield Row(what, max(_TRIES, messages), opened, told)
+    )
+    with ThreadPoolExecutor(len(kinds)) as at_once:
+        tried = [at_once.submit(_knock, *kind, endpoint, messages) for kind, endpoint in zip(kinds, secure, strict=True)]
+        yield from (one.result() for one in tried)
+
+
+def _knock(what: str, keys: Keys | None, endpoint: str, messages: int) -> Row:
+    """Try to get in, as a client of ours, which says why not, then as a stranger who only shakes hands."""
+    opened, took_s, why = 0, [], ""
+    for _ in range(_TRIES):
+        began = time.perf_counter()
+        try:
+            with ZenohLink(Endpoints((endpoint,), namespace=_NAMESPACE, keys=keys)):
+                opened += 1
+        except (TransportError, AccessError, ValueError) as error:
+            why = str(error)
+        took_s.append(time.perf_counter() - began)
+    stranger = _stranger(None if keys is None else keys.folder)
+    opened += sum(not verdict(endpoint, stranger, _PATIENCE_S) for _ in range(_TRIES, messages))
+    told = f"told within {1e3 * max(took_s):.0f} ms: {why.partition('; ')[0]}"
+    return Row(what, max(_TRIES, messages), opened, told)
 
 
 def _stranger(folder: Path | None) -> ssl.SSLContext:
