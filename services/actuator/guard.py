@@ -46,6 +46,7 @@ class Legs:
     resting: bool  # no step is running
     planned: bool  # a step of a plan is running, and none of the actuator's own
     swing: NDArray[np.bool_]  # (6,) that the running step swings
+    clearance: Array  # (6,) [m] with which its feet were lifted; infinite while they can still be lifted higher
     body: Array  # (4, 4) {odom} when a plan sets in: for the next step, at the end of this one
     feet: Array  # (6, 3) [m] {odom} likewise
     body_now: Array  # (4, 4) {odom} where it should be now
@@ -234,7 +235,8 @@ class Guard:
         """Whether a plan may be walked; if not, `refused` says why."""
         closed = self._closed(now_ns, legs)
         self.refused = f"plan of step {plan.step} refused: {closed}" if closed else ""
-        self.refused = self.refused or self._check.untimely(plan, now_ns, legs.step, not legs.planned, legs.swing)
+        resting = not legs.planned
+        self.refused = self.refused or self._check.untimely(plan, now_ns, legs.step, resting, legs.swing, legs.clearance)
         if self.refused:
             return False
         revises = plan.step == legs.step

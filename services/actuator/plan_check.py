@@ -40,7 +40,9 @@ class PlanCheck:
         self._plan_age_ns = round(plan_age_s * 1e9)
         self._last_stamp_ns = -1
 
-    def untimely(self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_]) -> str:
+    def untimely(
+        self, plan: StepPlan, now_ns: int, running: int, resting: bool, swing: NDArray[np.bool_], clearance: Array
+    ) -> str:
         """Why a plan comes too late, too early or out of order, in words, or nothing; another one may be welcome.
 
         Args:
@@ -49,6 +51,7 @@ class PlanCheck:
             running: Number of the running or last step.
             resting: Whether no step is running.
             swing: (6,) legs that the running step swings.
+            clearance: (6,) [m] with which their feet were lifted: a plan for higher ones was made before that was known.
         """
         if plan.epoch != self.epoch:
             return (
@@ -65,6 +68,8 @@ class PlanCheck:
             return f"plan of step {plan.step} does not follow step {running}"
         if plan.step == running and (plan.swing != swing).any():
             return f"a revision of step {plan.step} swings other legs than the step that is running"
+        if plan.step == running and (plan.clearance > clearance)[plan.swing].any():
+            return f"a revision of step {plan.step} asks for more clearance than its feet were lifted with"
         return ""
 
     def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool = False) -> str:

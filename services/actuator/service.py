@@ -235,6 +235,7 @@ class Actuator:
             resting=walker.resting,
             planned=walker.planned,
             swing=walker.swing,
+            clearance=walker.clearance,
             body=body,
             feet=feet,
             body_now=walker.body_ref,

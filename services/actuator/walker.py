@@ -171,6 +171,12 @@ class Walker:
         """(6,) legs that look for ground below where they were to stand."""
         return np.zeros(6, dtype=bool) if self._search is None else self._search.legs.copy()
 
+    @property
+    def clearance(self) -> Array:
+        """(6,) [m] with which the feet of the running step were lifted; infinite while they can still be lifted higher."""
+        lifted = self._plan is not None and self._flight is not None
+        return self._plan.clearance if lifted and self._plan is not None else np.full(6, np.inf)
+
     def drain_findings(self) -> list[Finding]:
         """What feet have found since this was last asked."""
         found, self._findings = self._findings, []
@@ -189,9 +195,15 @@ class Walker:
         return inverse(self._plan.T_world_odom) @ self._plan.body_goal, self._feet_at_end(self._plan)
 
     def accept(self, plan: StepPlan) -> None:
-        """Take over a plan that the guard has passed: new touchdowns of the running step, or the next step."""
+        """Take over a plan that the guard has passed: new touchdowns of the running step, or the next step.
+
+        While the running step's feet have not left the ground, it may be another step: higher, longer, and so slower.
+        """
         running = self._plan
-        if running is not None and plan.step == running.step:
+        if running is not None and plan.step == running.step and self._flight is None and _another(plan, running):
+            self._plan, self.plan_ns = plan, plan.stamp_ns
+            self._start_ref, self._start_velocity, self._start_elapsed = self._ref.copy(), self._velocity, self._elapsed
+        elif running is not None and plan.step == running.step:
             # The body keeps its way over the standing feet: a goal that jumped with the pose estimate would shake them.
             self.plan_ns = plan.stamp_ns
             goal = plan.T_world_odom @ inverse(running.T_world_odom) @ running.body_goal
@@ -522,6 +534,11 @@ class Walker:
         level = rotation_from_rpy(self._ref[3:] * _LEVEL)
         feet = apply(inverse(_pose(self._ref)), self._feet - self._pressed[:, None] * _UP)
         return Targets(feet, self._share.copy(), level)
+
+
+def _another(plan: StepPlan, running: StepPlan) -> bool:
+    """Whether a plan of the running step is more than a revision: its feet go otherwise high, or take another time."""
+    return plan.duration != running.duration or bool((plan.clearance != running.clearance).any())
 
 
 def _turned(plan: StepPlan, T: Array) -> StepPlan:

@@ -35,6 +35,7 @@ class Robot:
         self.running = self.own = self.searching = False  # a step, and whether it is none of a plan; a foot on its way down
         self.next: StepPlan | None = None
         self.trouble = ""
+        self.lifted = np.full(6, np.inf)  # [m] clearance of the running step's feet, once they are in the air
         self.number = 0
 
     @property
@@ -46,7 +47,7 @@ class Robot:
         resting = not self.running and not self.searching
         planned = self.running and not self.own
         where = (START, FEET, START, FEET)
-        return Legs(self.step, resting, planned, self.swing, *where, self.trouble, self.searching)
+        return Legs(self.step, resting, planned, self.swing, self.lifted, *where, self.trouble, self.searching)
 
     # What the operator, the planner and the clock do.
 

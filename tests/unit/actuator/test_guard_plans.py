@@ -63,6 +63,17 @@ def test_a_revision_is_judged_from_where_the_robot_is_and_the_next_step_from_whe
     assert robot.guard.consider(revision, robot.now, is_there)
 
 
+def test_a_revision_for_higher_feet_is_refused_once_they_are_in_the_air() -> None:
+    robot = in_mode(Mode.WALK)
+    higher = robot.renewal(clearance=np.full(6, 0.06))
+    robot.lifted = robot.renewal().clearance
+    assert not robot.consider(higher)
+    assert robot.guard.refused.endswith("asks for more clearance than its feet were lifted with")
+    assert robot.guard.refused_ns == -1, "the step itself is not refused: it is not tried in other ways"
+    robot.lifted = np.full(6, np.inf)
+    assert robot.consider(higher)
+
+
 def test_a_step_of_its_own_is_not_revised() -> None:
     """Feet that are taken back go where they came from, whatever the planner says of the step that was running."""
     robot = in_mode(Mode.WALK)

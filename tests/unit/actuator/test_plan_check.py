@@ -25,6 +25,7 @@ START = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
 FEET = apply(START, REST)
 TRIPOD = np.arange(6) % 2 == 0
 NOBODY = np.zeros(6, dtype=bool)
+ANY = np.full(6, np.inf)  # [m] of clearance: nothing has been lifted
 NOW = 10_000_000_000
 AGE = 0.6
 
@@ -51,7 +52,7 @@ def refusal(
     a_plan: StepPlan, check: PlanCheck | None = None, running: int = 0, resting: bool = True, swing: Flags = NOBODY
 ) -> str:
     check = check or PlanCheck(PROFILE, AGE)
-    return check.untimely(a_plan, NOW, running, resting, swing) or check.unwalkable(a_plan, START, FEET)
+    return check.untimely(a_plan, NOW, running, resting, swing, ANY) or check.unwalkable(a_plan, START, FEET)
 
 
 def goal(x: float = 0.0, roll: float = 0.0, yaw: float = 0.0, z: float = 0.1) -> Array:
@@ -123,7 +124,7 @@ def test_and_not_a_nanosecond_more(stamp_ns: int) -> None:
 
 
 def test_time_may_begin_with_the_plan() -> None:
-    assert PlanCheck(PROFILE, AGE).untimely(plan(stamp_ns=0), 0, 0, True, NOBODY) == ""
+    assert PlanCheck(PROFILE, AGE).untimely(plan(stamp_ns=0), 0, 0, True, NOBODY, ANY) == ""
 
 
 def test_the_whole_way_of_a_step_may_be_gone_and_no_more() -> None:
@@ -217,6 +218,19 @@ def test_a_step_that_is_over_is_not_revised() -> None:
 def test_a_revision_may_not_change_its_mind_about_the_legs() -> None:
     words = "a revision of step 4 swings other legs than the step that is running"
     assert refusal(plan(step=4), running=4, resting=False, swing=~TRIPOD) == words
+
+
+def test_a_revision_may_not_ask_for_more_clearance_than_the_feet_were_lifted_with() -> None:
+    """It was made before the planner knew which plan of the step was begun: its touchdowns lie behind what is higher."""
+    lifted = plan().clearance
+    higher = plan(step=4, clearance=lifted + 0.02 * TRIPOD)
+    words = "a revision of step 4 asks for more clearance than its feet were lifted with"
+    check = PlanCheck(PROFILE, AGE)
+    assert check.untimely(higher, NOW, 4, False, TRIPOD, lifted) == words
+    assert check.untimely(higher, NOW, 4, False, TRIPOD, ANY) == "", "they stand yet"
+    assert check.untimely(higher, NOW, 3, False, ~TRIPOD, lifted) == "", "it is of the next step"
+    same = plan(step=4, clearance=lifted + 0.02 * ~TRIPOD)
+    assert check.untimely(same, NOW, 4, False, TRIPOD, lifted) == "", "of legs that stand it says nothing"
 
 
 small = st.floats(-0.15, 0.15)

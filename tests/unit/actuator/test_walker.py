@@ -265,6 +265,40 @@ def test_set_down_leaves_alone_what_is_no_plan() -> None:
     assert not walker.resting, "feet that come down by themselves go on"
 
 
+def test_until_its_feet_are_lifted_a_step_may_be_another_one() -> None:
+    """The planner's newest plan may come just after the one before was begun: it goes higher, and takes longer for that."""
+    walker = new_walker()
+    low = plan_to(1, body_at(0.03), duration=0.8)
+    walker.accept(low)
+    cycle(walker)
+    assert (walker.phase, np.isinf(walker.clearance).all()) == (pytest.approx(DT / 0.8), True)
+    high = replace(plan_to(1, body_at(0.05), duration=1.2), revision=2, clearance=low.clearance + 0.03)
+    before = walker.body_ref
+    walker.accept(high)
+    highest, feet, place = 0.0, walker.feet_odom, before
+    while not walker.resting:
+        cycle(walker)
+        assert np.linalg.norm(walker.body_ref[:3, 3] - place[:3, 3]) < 0.0025, "the body does not jump"
+        place = walker.body_ref
+        highest = max(highest, float((walker.feet_odom - feet)[TRIPOD, 2].max()))
+    assert highest > low.clearance[0] + 0.02
+    np.testing.assert_allclose(walker.feet_odom[TRIPOD], high.touchdown[TRIPOD], atol=1e-3)
+    np.testing.assert_allclose(walker.body_ref[:3, 3], high.body_goal[:3, 3], atol=1e-3)
+
+
+def test_of_feet_that_are_lifted_it_says_how_high_they_go() -> None:
+    walker = new_walker()
+    plan = plan_to(1, body_at(0.03))
+    walker.accept(plan)
+    assert np.isinf(walker.clearance).all()
+    while walker.phase < 0.3 or walker.resting:
+        cycle(walker)
+    np.testing.assert_array_equal(walker.clearance, plan.clearance)
+    while not walker.resting:
+        cycle(walker)
+    assert np.isinf(walker.clearance).all()
+
+
 @given(
     st.lists(st.tuples(st.integers(0, 35), st.tuples(*[st.floats(-0.02, 0.02)] * 3)), max_size=3),
     st.tuples(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02), st.floats(-0.05, 0.05)),

@@ -72,7 +72,7 @@ def test_fuzzed_plans_are_of_every_kind_and_few_can_be_walked() -> None:
     assert 0.5 < len(decoded) / len(made) < 0.9, "some are not finite, and the codec knows"
     check = PlanCheck(PROFILE, 0.6)
     swing = np.array([True, False] * 3)
-    refused = {check.untimely(one, now_ns, 0, True, swing).split(" ")[-1] for one in decoded}
+    refused = {check.untimely(one, now_ns, 0, True, swing, np.full(6, np.inf)).split(" ")[-1] for one in decoded}
     assert len(refused) > 4, "old, early, of another epoch, out of order, welcome"
     feet = PROFILE.rest_feet()
     walkable = sum(not PlanCheck(PROFILE, 0.6).unwalkable(one, np.eye(4), feet) for one in decoded)
