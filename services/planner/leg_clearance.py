@@ -32,6 +32,12 @@ _AROUND = 0.01 * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])  # [m] a s
 _WORSE = 0.01  # [m] by which a leg may come nearer to what it is too near to already
 _RISES = 0.01 * np.outer([1, 2, 3, 4, 5], [0, 0, 1])  # [m] of a foot that leaves the ground
 _PUSHED = 0.002  # [m] sideways, from which on it counts
+_FINELY = np.linspace(0.0, 1.0, 21)  # shares of a swing's time at which it is looked whether the foot is pushed
+# By then, at the latest, it has come along so much of its way, and risen by so much: beside something high it first goes up.
+_LATE_TIME, _LATE_ALONG = [0.0, 0.3, 0.44, 0.62, 0.82, 1.0], [0.0, 0.05, 0.23, 0.60, 0.92, 1.0]
+_LATE_RISE_TIME, _LATE_RISEN = [0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0], [0.0, 0.16, 0.44, 0.72, 0.95, 1.0, 0.5, 0.0]
+# [m] around a foot that is pushed aside: it is as thick as it is, and an edge is known to within a centimetre.
+_AROUND_FOOT = np.concatenate([r * np.array([(np.cos(a), np.sin(a)) for a in np.arange(8) * np.pi / 4]) for r in (0.01, 0.02)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,28 +60,40 @@ class Touching:
 
 
 def cleared(
-    way: Way, clearance: Array, margin: float, highest: float, profile: RobotProfile, terrain: Terrain
+    way: Way,
+    clearance: Array,
+    margin: float,
+    foot_margin: float,
+    highest: float,
+    profile: RobotProfile,
+    terrain: Terrain,
 ) -> Array | Touching:
     """The clearances (6,) [m] by which the feet must pass over both ends so that the legs keep a margin to the ground.
+
+    A folded leg whose foot cannot come as near as its way would have it pushes the foot aside, off the way that was looked at;
+    what stands there must be lower than the foot.
 
     Args:
         way: The step.
         clearance: (6,) [m] that the feet's own ways ask for.
         margin: [m] of the links' middle lines over the ground.
+        foot_margin: [m] of feet that are pushed aside, over what stands there.
         highest: [m] of clearance that a leg can lift its foot by.
         profile: The robot.
         terrain: The map.
     """
-    bad, gaps, points = _too_near(way, clearance, margin, profile, terrain)
-    if not bad.any():
-        return clearance
     out = clearance.copy()
-    for lift in np.linspace(0.0, 1.0, _LIFTS + 1)[1:]:
-        legs = way.swing & bad.any(axis=(0, 2))
+    for lift in np.linspace(0.0, 1.0, _LIFTS + 1):
+        bad, gaps, points = _too_near(way, out, margin, profile, terrain)
+        pushed, against = _pushed(way, out, foot_margin, profile, terrain)
+        legs = way.swing & (bad.any(axis=(0, 2)) | pushed)
         if not legs.any():
             break
-        out[legs] = clearance[legs] + lift * np.maximum(highest - clearance[legs], 0.0)
-        bad, gaps, points = _too_near(way, out, margin, profile, terrain)
+        out[legs] = clearance[legs] + (lift + 1.0 / _LIFTS) * np.maximum(highest - clearance[legs], 0.0)
+    if pushed.any():
+        leg = int(np.flatnonzero(pushed)[0])
+        x, y = against[leg]
+        return Touching(leg, f"{LEGS[leg]} leg: its foot would be pushed against the ground at ({x:.2f}, {y:.2f}) m")
     if not bad.any():
         return out
     worst = np.unravel_index(int(np.argmin(np.where(bad, gaps, np.inf))), bad.shape)
@@ -113,7 +131,7 @@ def rises_clear(
     beside = np.linalg.norm((pushed - risen)[..., :2], axis=-1) > _PUSHED
     if not beside.any():
         return np.ones(len(feet), dtype=np.bool_)
-    ground = np.fmax.reduce(terrain.heights(pushed[..., None, :2] + _AROUND), axis=-1)
+    ground = np.fmax.reduce(terrain.heights(pushed[..., None, :2] + _AROUND_FOOT), axis=-1)
     return np.asarray(~(beside & (ground > pushed[..., 2] - profile.foot.radius - margin)).any(axis=(0, 1)))
 
 
@@ -128,10 +146,15 @@ def swing_shape(start: Array, end: Array, clearance: Array) -> Array:
     Returns:
         (9, n, 3) [m].
     """
+    return _shape(start, end, clearance, SWING_TIME, _ALONG, _RISEN)
+
+
+def _shape(start: Array, end: Array, clearance: Array, time: Array, along: Array, risen: Array) -> Array:
+    """Feet (k, n, 3) [m] at (k,) shares of a swing's time, by shares (k,) of the way and of the height, as `swing_shape`."""
     level = np.maximum(start[:, 2], end[:, 2]) + LEVEL * clearance
-    feet = start + _ALONG[:, None, None] * (end - start)
-    lower = np.where(SWING_TIME[:, None] < 0.5, start[:, 2], end[:, 2])
-    feet[..., 2] = lower + _RISEN[:, None] * (level - lower)
+    feet = start + along[:, None, None] * (end - start)
+    lower = np.where(time[:, None] < 0.5, start[:, 2], end[:, 2])
+    feet[..., 2] = lower + risen[:, None] * (level - lower)
     return feet
 
 
@@ -173,6 +196,35 @@ def _too_near(
     T = way.T_start + SWING_TIME[:, None, None] * (way.T_end - way.T_start)
     gaps, points = _gaps(feet, T[:, None] @ profile.T_body_coxa, profile.leg_reach, profile.links, terrain)
     return gaps < np.minimum(margin, gaps[0].min(axis=-1, keepdims=True) - _WORSE), gaps, points
+
+
+def _pushed(
+    way: Way, clearance: Array, margin: float, profile: RobotProfile, terrain: Terrain
+) -> tuple[NDArray[np.bool_], Array]:
+    """Legs (6,) that would push their feet against what stands beside their ways, and where (6, 2) [m] {world}."""
+    sooner = np.interp(_FINELY, SWING_TIME, _ALONG), np.interp(_FINELY, SWING_TIME, _RISEN)
+    later = np.interp(_FINELY, _LATE_TIME, _LATE_ALONG), np.interp(_FINELY, _LATE_RISE_TIME, _LATE_RISEN)
+    highest = clearance / LEVEL  # what folds a leg is the top of its foot's way, not what it passes over at least
+    feet = np.concatenate([_shape(way.start, way.end, highest, _FINELY, *shares) for shares in (sooner, later)])
+    time = np.tile(_FINELY, 2)
+    T = (way.T_start + time[:, None, None] * (way.T_end - way.T_start))[:, None] @ profile.T_body_coxa
+    R, p = T[..., :3, :3], T[..., :3, 3]
+    wanted = ((feet - p)[..., None, :] @ R)[..., 0, :]
+    reached = leg_nearest_reachable(wanted, profile.leg_reach, profile.links)
+    aside = way.swing & (np.linalg.norm((reached - wanted)[..., :2], axis=-1) > _PUSHED)
+    nowhere = np.zeros((6, 2))
+    if not aside.any():
+        return np.zeros(6, dtype=np.bool_), nowhere
+    at: Array = (R @ reached[..., None])[..., 0] + p
+    ground = np.fmax.reduce(terrain.heights(at[..., None, :2] + _AROUND_FOOT), axis=-1)
+    radius = profile.foot.radius
+    # What is no higher than the ground that a foot leaves, or comes to, stands in nobody's way.
+    leaves, comes = (np.fmax(foot[:, 2] - radius, terrain.heights(foot[:, :2])) for foot in (way.start, way.end))
+    level = np.where(time[:, None] < 0.5, leaves, comes)
+    passes = at[..., 2] - radius - (1.0 - LEVEL) * clearance
+    stands = ground > np.maximum(passes - margin, level + margin)
+    hits = aside & stands
+    return hits.any(axis=0), at[hits.argmax(axis=0), np.arange(6), :2]
 
 
 def _gaps(

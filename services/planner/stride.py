@@ -110,18 +110,27 @@ class StridePlanner:
         why = f"no more by reach and speed of the legs in the {command.gait} gait"
         return f", {reached * 100:.1f} of {asked * 100:.1f} cm/s: {why}"
 
-    def plan(self, at: Situation, terrain: Terrain, refused: Set[int] = frozenset(), width: float = 1.0) -> Stride | Blocked:
+    def plan(
+        self,
+        at: Situation,
+        terrain: Terrain,
+        refused: Set[int] = frozenset(),
+        width: float = 1.0,
+        foot_margin: float | None = None,
+    ) -> Stride | Blocked:
         """The longest step towards the command onto good footholds; some of `SHARES` are not to be tried.
 
         Where there is none, the one whose poorest foothold has the most room around it. Footholds are looked for within the
-        robot's search radius times a width of `_WIDTHS`.
+        robot's search radius times a width of `_WIDTHS`. Feet that a folded leg pushes aside keep a margin [m] to what
+        stands there; the settings', when left out.
         """
+        foot_margin = self._settings.sink_margin if foot_margin is None else foot_margin
         best: Stride | None = None
         first: Blocked | None = None
         for number, share in enumerate(SHARES):
             if number in refused:
                 continue
-            found = self._attempt(at, terrain, share, width)
+            found = self._attempt(at, terrain, share, width, foot_margin)
             if isinstance(found, Blocked):
                 first = first or found
             elif best is None or found.room > best.room:
@@ -136,7 +145,8 @@ class StridePlanner:
         """The step to take and the number of its way, or why legs that are most due cannot take it.
 
         Feet go further from their places only where no legs find a step otherwise: what is gained on a ditch is lost on rubble,
-        where long reaches take time. Ways are counted through the situations, and in each through the shares of the travel.
+        where long reaches take time. Only where that does not help either, a folded leg may push its foot against what stands
+        beside it. Ways are counted through the situations, and in each through the shares of the travel.
 
         Args:
             situations: What it may begin with, the legs most due first.
@@ -144,9 +154,10 @@ class StridePlanner:
             refused: Ways that are not to be tried.
         """
         first: Blocked | None = None
-        for width, (turn, at) in product(_WIDTHS, enumerate(situations)):
+        margins = (self._settings.sink_margin, -np.inf)
+        for foot_margin, width, (turn, at) in product(margins, _WIDTHS, enumerate(situations)):
             ways = range(turn * len(SHARES), (turn + 1) * len(SHARES))
-            found = self.plan(at, terrain, {way - ways[0] for way in refused if way in ways}, width)
+            found = self.plan(at, terrain, {way - ways[0] for way in refused if way in ways}, width, foot_margin)
             if isinstance(found, Stride):
                 return replace(found, instead=first.reason if first else ""), ways[SHARES.index(found.share)]
             first = first or found
@@ -168,7 +179,7 @@ class StridePlanner:
                 touchdown = moved
         return replace(stride, touchdown=touchdown)
 
-    def _attempt(self, at: Situation, terrain: Terrain, share: float, width: float) -> Stride | Blocked:
+    def _attempt(self, at: Situation, terrain: Terrain, share: float, width: float, foot_margin: float) -> Stride | Blocked:
         settings = self._settings
         gait = GAITS[at.command.gait]
         travel, turn = self._travel(at.command, share)
@@ -205,7 +216,8 @@ class StridePlanner:
             leg = int(too_high[0])
             return Blocked(f"{LEGS[leg]} leg: something on its way asks for {clearance[leg] * 100:.0f} cm of lift", leg)
         way = Way(at.feet, touchdown, at.T_world_body, T_end, at.swing)
-        lifted = cleared(way, clearance, settings.leg_margin, self._profile.stance.max_lift, self._profile, terrain)
+        highest = self._profile.stance.max_lift
+        lifted = cleared(way, clearance, settings.leg_margin, foot_margin, highest, self._profile, terrain)
         if isinstance(lifted, Touching):
             return Blocked(lifted.reason, lifted.leg)
         clearance = lifted

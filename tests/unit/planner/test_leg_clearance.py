@@ -16,7 +16,7 @@ from shared.robot import LEGS, load_profile
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = PROFILE.stance.body_height
 HIGHEST = PROFILE.stance.max_lift
-MARGIN = 0.01
+MARGIN, FOOT_MARGIN = 0.01, 0.003
 TRIPOD = np.arange(6) % 2 == 0
 MIDDLE = LEGS.index("right middle")
 LOW = np.full(6, 0.025)
@@ -36,7 +36,7 @@ def step(travel: float = 0.1, yaw: float = 0.0, out: float = 0.0, even: bool = T
 
 
 def asked(way: Way, ground: Terrain) -> Array | Touching:
-    return cleared(way, LOW, MARGIN, HIGHEST, PROFILE, ground)
+    return cleared(way, LOW, MARGIN, FOOT_MARGIN, HIGHEST, PROFILE, ground)
 
 
 def ridge(make_terrain: Maker, height: float, until: float = 0.08) -> Terrain:
@@ -117,6 +117,29 @@ def test_unseen_ground_and_what_cannot_be_helped_stand_in_no_way(make_terrain: M
     np.testing.assert_array_equal(asked(step(out=0.045), wall), LOW)
     sunk = make_terrain(lambda x, y: np.full_like(x, 0.05))  # a map that has the robot stand to its knees in the ground
     assert not isinstance(asked(step(), sunk), Touching)
+
+
+def folded(make_terrain: Maker, block: float) -> tuple[Way, Terrain]:
+    """The left front foot stands 6.7 cm from its coxa, a block of some height [m] begins 3.5 cm beside it."""
+    way = step()
+    near = np.array([0.135, 0.119, PROFILE.foot.radius])
+    start, end = way.start.copy(), way.end.copy()
+    start[0], end[0] = near, near + [0.137, 0.019, 0.0]
+    ground = make_terrain(lambda x, y: np.where((y > 0.155) & (y < 0.3) & (x > 0.14), block, 0.0))
+    return Way(start, end, way.T_start, way.T_end, way.swing), ground
+
+
+def test_a_folded_leg_s_foot_is_not_pushed_against_what_stands_beside_its_way(make_terrain: Maker) -> None:
+    """On rubble, seed 46, one was: lifted beside a block it came too near its coxa, and the leg pushed the body away."""
+    way, level = folded(make_terrain, 0.0)
+    np.testing.assert_array_equal(asked(way, level), LOW)
+    found = asked(*folded(make_terrain, 0.034))
+    assert isinstance(found, Touching)
+    assert found.leg == 0
+    assert found.reason.startswith("left front leg: its foot would be pushed against the ground at (0.1")
+    way, block = folded(make_terrain, 0.034)
+    lifted = cleared(way, LOW, MARGIN, -np.inf, HIGHEST, PROFILE, block)
+    np.testing.assert_array_equal(lifted, LOW)
 
 
 def test_samples_lie_on_the_links_that_kinematics_has() -> None:
