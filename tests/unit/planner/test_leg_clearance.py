@@ -124,7 +124,7 @@ def folded(make_terrain: Maker, block: float) -> tuple[Way, Terrain]:
     way = step()
     near = np.array([0.135, 0.119, PROFILE.foot.radius])
     start, end = way.start.copy(), way.end.copy()
-    start[0], end[0] = near, near + [0.137, 0.019, 0.0]
+    start[0], end[0] = near, near + np.array([0.137, 0.019, 0.0])
     ground = make_terrain(lambda x, y: np.where((y > 0.155) & (y < 0.3) & (x > 0.14), block, 0.0))
     return Way(start, end, way.T_start, way.T_end, way.swing), ground
 
