@@ -218,8 +218,13 @@ def map_difference(pairs: Iterable[tuple[TerrainMap, TerrainMap]]) -> dict[str, 
 
 
 def compared_plans(recorded: Iterable[StepPlan], made: Iterable[StepPlan]) -> list[tuple[StepPlan, StepPlan]]:
-    """The last plan of each step that was recorded, with the last that was made now for the same legs."""
-    last, now = _last_of_each_step(recorded), _last_of_each_step(made)
+    """The last plan of each step that was recorded, with the last that was made now for the same legs.
+
+    What is made after the recording's end, of what was under way then, has nothing to be compared with.
+    """
+    recorded = list(recorded)
+    end_ns = max((plan.stamp_ns for plan in recorded), default=0)
+    last, now = _last_of_each_step(recorded), _last_of_each_step(plan for plan in made if plan.stamp_ns <= end_ns)
     return [(plan, now[key]) for key, plan in last.items() if key in now]
 
 

@@ -47,7 +47,7 @@ def test_through_a_bridge_it_walks_as_on_the_bus_itself(tmp_path: Path, capsys: 
 
 
 def test_the_microcontroller_restarts_in_the_middle_of_a_walk_and_nothing_falls_or_lunges() -> None:
-    at_ns, done = 6_000_000_000, []
+    at_ns, done = 6_050_000_000, []
 
     def restart(run: LockstepRun) -> None:
         simulator = run.service("simulator")
