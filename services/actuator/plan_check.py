@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from services.actuator.config import SHORTEST_STEP_S
 from shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
-from shared.kinematics import body_inverse, nearest_reachable, within_limits
+from shared.kinematics import body_forward, body_inverse, nearest_reachable, within_limits
 from shared.messages import StepPlan
 from shared.robot import JOINTS, LEGS, RobotProfile
 from shared.stability import support_margin
@@ -20,8 +20,7 @@ MAX_TURN = np.radians(25.0)
 DURATION = (SHORTEST_STEP_S, 4.0)  # [s]
 MAX_CLEARANCE = 0.12  # [m]
 MIN_MARGIN = 0.005  # [m] of the body's centre inside the standing feet
-# By how much a standing leg may turn out to be short of its foot in mid-step, or to be turned too far.
-MOVED_M, MOVED_RAD = 0.005, np.radians(2.0)
+MOVED = 0.005  # [m] by which a standing leg may turn out in mid-step to be short of its foot, by its length or its joints
 
 
 class PlanCheck:
@@ -122,7 +121,8 @@ class PlanCheck:
             over = np.maximum(limits[..., 0] - q, q - limits[..., 1]).max(axis=1)  # [rad], NaN where it cannot be held
             bad[~plan.swing & (over <= 0.0) & (beyond > 0.0) & (beyond < before)] = False
             if revises:
-                bad[~plan.swing & (over <= MOVED_RAD) & (beyond <= MOVED_M)] = False
+                held = body_forward(self._profile, np.clip(q, limits[..., 0], limits[..., 1]))
+                bad[~plan.swing & (np.linalg.norm(held - end, axis=1) <= MOVED)] = False
         if bad.any():
             leg, joint = np.argwhere(bad)[0]
             what = "touchdown" if plan.swing[leg] else "standing foot"

@@ -172,8 +172,8 @@ def with_a_foot_beyond(short: float, turned: float) -> Array:
     [
         (0.0048, 0.0, True),
         (0.0052, 0.0, False),
-        (0.0, np.radians(1.9), True),
-        (0.0, np.radians(2.1), False),
+        (0.0, 0.0048 / PROFILE.foot_radii[0], True),  # by so much its foot would be off
+        (0.0, 0.0052 / PROFILE.foot_radii[0], False),
         (0.10, 0.0, False),
     ],
 )
