@@ -140,11 +140,10 @@ class Planner:
         """The plan to send now, or none and the reason in the status."""
         pose = inbox.fresh(topics.BODY_POSE, self._settings.pose_age_s)
         velocity, goal = inbox.fresh(topics.VELOCITY), inbox.fresh(topics.GOAL)
-        untimely = _untimely(velocity, state.stamp_ns) or _untimely(goal, state.stamp_ns)
-        command = None if _untimely(velocity, state.stamp_ns) else _paced(velocity, state.pace)
-        if goal is not None:
-            leads = command is None and not _untimely(goal, state.stamp_ns)
-            goal = replace(goal, speed=goal.speed * state.pace) if leads else None
+        late_velocity, late_goal = _untimely(velocity, state.stamp_ns), _untimely(goal, state.stamp_ns)
+        untimely = late_velocity or late_goal
+        command = None if late_velocity else _paced(velocity, state.pace)
+        goal = None if goal is None or command is not None or late_goal else replace(goal, speed=goal.speed * state.pace)
         self._led = goal is not None
         if command is not None and not _is_still(command):
             self._passage.abandon()  # who falls silent, or rests, may want it later

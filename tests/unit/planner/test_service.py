@@ -54,6 +54,7 @@ class Rig:
         self.pose: BodyPose | None = BodyPose(0, np.eye(4), np.eye(4), np.eye(6) * 1e-6, 1.0, True, "", np.zeros((0, 6)))
         self.command: VelocityCommand | None = VelocityCommand(0, np.array([0.06, 0.0]), 0.0, HEIGHT, 0.04)
         self.goal: Goal | None = None
+        self.asked_ago_ns = 0  # by which the stamps of these two lie back
         self.running: StepPlan | None = None
         self.state = actuator_state(PROFILE, reason="standing", feet=REST, T_odom_body=standing(), body_ref=standing())
 
@@ -63,7 +64,8 @@ class Rig:
         self.inbox.now_ns = self.now_ns
         for message in (self.terrain, self.pose, self.command, self.goal):
             if message is not None:
-                fresh = replace(message, stamp_ns=self.now_ns)
+                asked = isinstance(message, VelocityCommand | Goal)
+                fresh = replace(message, stamp_ns=self.now_ns - self.asked_ago_ns * asked)
                 self.inbox.receive(topics.OF_TYPE[type(fresh)], codec.encode(fresh), self.now_ns)
         self.state = replace(self.state, stamp_ns=self.now_ns, **state)
         return list(self.planner.step(self.state, self.inbox))
@@ -546,6 +548,18 @@ def led(*waypoints: tuple[float, float]) -> Rig:
     rig = Rig()
     rig.command, rig.goal = None, towards(*waypoints)
     return rig
+
+
+@pytest.mark.parametrize(("ago_ms", "words"), [(2_001, "2.0 s old"), (60_000, "60.0 s old"), (-2_001, "stamped 2.0 s ahead")])
+@pytest.mark.parametrize("what", ["velocity command", "goal"])
+def test_what_was_asked_at_another_time_counts_for_nothing_and_it_says_so(what: str, ago_ms: int, words: str) -> None:
+    rig = led((1.0, 0.0)) if what == "goal" else Rig()
+    rig.now_ns += 100_000 * MS
+    rig.asked_ago_ns = ago_ms * MS
+    assert rig.plans(20) == []
+    assert rig.status().reason.startswith(f"the {what} is {words} by the robot's clock, at most 2 s allowed")
+    rig.asked_ago_ns = (2_000 if ago_ms > 0 else -2_000) * MS
+    assert rig.plans(20), "two seconds may be between them"
 
 
 def take_steps(rig: Rig, most: int) -> list[Array]:
