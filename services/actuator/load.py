@@ -2,7 +2,7 @@
 
 An AX-12A is a spring of about 9 N m/rad around its goal: a femur that carries 1 N m gives way by 6 degrees, 13 mm at the foot.
 The load of each leg is known from statics, so the goal is set beyond the wanted angle by torque over stiffness, and legs take
-up and hand over their share gradually.
+up and hand over their share gradually. Feet push outwards a little as they carry: what friction then holds is taken off femora.
 """
 
 import numpy as np
@@ -13,6 +13,7 @@ from shared.robot import GRAVITY, RobotProfile
 
 # Keeps the forces bounded while a tripod degenerates; it is 1e-6 of what a standing leg gives.
 _DAMPING = np.diag([1e-6, 1e-8, 1e-8])
+_OUTWARDS = 0.15  # share of its load by which a foot pushes outwards, in the mean; rubber on wood holds 0.5 and more
 
 
 def foot_forces(feet: Array, share: Array, weight: float, p_com: Array) -> Array:
@@ -31,6 +32,24 @@ def foot_forces(feet: Array, share: Array, weight: float, p_com: Array) -> Array
     A[1:] = (feet[:, :2] - p_com[:2]).T
     forces = share * (np.linalg.solve((A * share) @ A.T + _DAMPING, np.array([weight, 0.0, 0.0])) @ A)
     return np.asarray(np.maximum(forces, 0.0))
+
+
+def outward_forces(feet: Array, vertical: Array, p_com: Array) -> Array:
+    """Horizontal forces of the ground on feet that push outwards, which spare the femora and move nothing.
+
+    Each is proportional to the foot's load and to its way from the centre of mass: where the loads balance about that centre,
+    these forces sum to zero, and along those ways they turn nothing.
+
+    Args:
+        feet: (6, 3) [m] {body, level} feet.
+        vertical: (6,) [N] that they carry, as `foot_forces` gives them.
+        p_com: (3,) [m] {body, level} centre of mass.
+
+    Returns:
+        (6, 2) [N] {body, level}, towards the centre of mass.
+    """
+    away = feet[:, :2] - p_com[:2]
+    return np.asarray(-_OUTWARDS * vertical[:, None] * away / np.linalg.norm(away, axis=1).mean())
 
 
 def centre_of_mass(profile: RobotProfile, q: Array) -> Array:
@@ -89,8 +108,9 @@ def sag_feed_forward(profile: RobotProfile, q: Array, feet: Array, share: Array,
     # Where no leg may carry the whole of its load yet, as while it stands up, the belly lies on the ground for the rest.
     weight = profile.body.total_mass * GRAVITY * float(share.max())
     forces = np.zeros((6, 3))
-    p_com = centre_of_mass(profile, q)
-    forces[:, 2] = foot_forces(feet @ R_level_body.T, share, weight, p_com @ R_level_body.T)
+    feet, p_com = feet @ R_level_body.T, centre_of_mass(profile, q) @ R_level_body.T
+    forces[:, 2] = foot_forces(feet, share, weight, p_com)
+    forces[:, :2] = outward_forces(feet, forces[:, 2], p_com)
     torques = joint_torques(profile, q, forces @ R_level_body) + link_torques(profile, q)
     limit = profile.servo.stall_torque
     return np.asarray(np.minimum(np.maximum(torques, -limit), limit) / profile.servo.stiffness)

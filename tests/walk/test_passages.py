@@ -37,7 +37,7 @@ def test_a_passage_is_crossed_from_one_side_to_the_other() -> None:
 
 
 def test_a_pillar_that_gives_way_is_found_out_by_touch_and_another_way_is_taken() -> None:
-    found = walk(load_scenario("passage_gives_way"), 1003, WANTED)
+    found = walk(load_scenario("passage_gives_way"), 1005, WANTED)
     report, plans = found.report, found.heard.of(topics.PASSAGE_PLAN)
     assert report.success, report.reason
     assert (report.falls, report.shutdowns) == (0, 0)

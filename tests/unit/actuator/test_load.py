@@ -12,10 +12,11 @@ from services.actuator.load import (
     foot_forces,
     lag_feed_forward,
     link_torques,
+    outward_forces,
     sag_feed_forward,
 )
 from shared.geometry import Array, from_xyz_rpy
-from shared.kinematics import body_forward, body_inverse, leg_points
+from shared.kinematics import body_forward, body_inverse, joint_torques, leg_points
 from shared.robot import load_profile
 
 Flags = NDArray[np.bool_]
@@ -47,6 +48,34 @@ def test_a_tripod_carries_all_and_the_legs_in_the_air_nothing(standing: Flags) -
     forces = foot_forces(REST, standing.astype(float), WEIGHT, np.zeros(3))
     np.testing.assert_array_equal(forces[~standing], 0.0)
     np.testing.assert_allclose(balance(REST, forces, np.zeros(3)), [WEIGHT, 0.0, 0.0], atol=1e-2)
+
+
+@given(st.integers(0, 2**32 - 1), st.lists(st.sampled_from([1.0, 0.7, 0.2]), min_size=6, max_size=6))
+def test_what_pushes_outwards_moves_nothing(seed: int, share: list[float]) -> None:
+    rng = np.random.default_rng(seed)
+    feet = REST + rng.uniform(-0.02, 0.02, (6, 3))
+    centre = np.array([*rng.uniform(-0.01, 0.01, 2), 0.0])
+    vertical = foot_forces(feet, np.array(share), WEIGHT, centre)
+    forces = outward_forces(feet, vertical, centre)
+    arms = feet[:, :2] - centre[:2]
+    np.testing.assert_allclose(forces.sum(axis=0), 0.0, atol=1e-2)
+    np.testing.assert_allclose(arms[:, 0] @ forces[:, 1] - arms[:, 1] @ forces[:, 0], 0.0, atol=1e-9)
+    assert (np.linalg.norm(forces, axis=1) <= 0.3 * vertical + 1e-12).all()  # well below what friction holds
+
+
+@pytest.mark.parametrize("standing", TRIPODS)
+@pytest.mark.parametrize("name", ["phantomx_mk2", "lotriet_rx64"])
+def test_the_femora_of_a_tripod_that_pushes_outwards_bear_less(name: str, standing: Flags) -> None:
+    profile = load_profile(name)
+    feet = profile.rest_feet()
+    q = body_inverse(profile, feet)
+    centre, forces = centre_of_mass(profile, q), np.zeros((6, 3))
+    forces[:, 2] = foot_forces(feet, standing.astype(float), profile.body.total_mass * GRAVITY, centre)
+    without = np.abs(joint_torques(profile, q, forces))
+    forces[:, :2] = outward_forces(feet, forces[:, 2], centre)
+    pushing = np.abs(joint_torques(profile, q, forces))
+    assert (pushing[standing, 1] < 0.95 * without[standing, 1]).all()
+    assert (pushing.max(axis=1) <= without.max(axis=1)).all()  # nor does another joint take its place
 
 
 def test_a_leg_takes_less_with_a_smaller_share() -> None:
@@ -101,11 +130,13 @@ def test_a_spring_comes_to_rest_where_it_is_wanted(seed: int) -> None:
     feet = REST + rng.uniform(-0.02, 0.02, (6, 3))
     q = body_inverse(PROFILE, feet)
     torque = PROFILE.servo.stiffness * sag_feed_forward(PROFILE, q, feet, np.ones(6), np.eye(3)) - link_torques(PROFILE, q)
-    forces = foot_forces(feet, np.ones(6), WEIGHT, centre_of_mass(PROFILE, q))
+    centre = centre_of_mass(PROFILE, q)
+    vertical = foot_forces(feet, np.ones(6), WEIGHT, centre)
+    forces = np.column_stack([outward_forces(feet, vertical, centre), vertical])
     for joint in range(3):  # by virtual work, without the Jacobian: the motor's work lifts nothing but what the ground gives
         turned = q.copy()
         turned[:, joint] += 1e-6
-        work = forces * (body_forward(PROFILE, turned) - body_forward(PROFILE, q))[:, 2] / 1e-6
+        work = (forces * (body_forward(PROFILE, turned) - body_forward(PROFILE, q))).sum(axis=1) / 1e-6
         np.testing.assert_allclose(torque[:, joint], -work, atol=1e-4)
 
 
