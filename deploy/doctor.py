@@ -171,7 +171,7 @@ def depth_camera(robot: str, device: str = "") -> Check:
     try:
         from services.perception.cameras.camera import CameraError
         from services.perception.cameras.service import find
-        from shared.robot import load_profile
+        from shared.profiles import load_profile
     except ImportError as error:
         return Check("camera", level, str(error), "pip install -e '.[perception]'")
     try:

@@ -18,7 +18,8 @@ from services.console.recording.reader import Recording
 from shared import topics
 from shared.kinematics import leg_points
 from shared.messages import ActuatorState, BodyPose, PlannerStatus, Preview, Scan, StepPlan, TerrainMap
-from shared.robot import JOINTS, LEGS, RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import JOINTS, LEGS, RobotProfile
 from shared.service import AnyTopic
 
 _SHOW_MESSAGES = 5000

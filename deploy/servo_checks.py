@@ -35,7 +35,7 @@ def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[
     try:
         import serial  # noqa: F401  (what reads the bus)
 
-        from shared.robot import load_profile
+        from shared.profiles import load_profile
     except ImportError as error:
         yield Check(f"servo port {port}", Level.FAIL, str(error), "pip install -e '.[actuator]'")
         return

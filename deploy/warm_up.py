@@ -15,7 +15,8 @@ from services.planner.config import Settings as PlannerSettings
 from services.simulator import rehearsal as simulator
 from services.simulator.config import Settings as SimulatorSettings
 from shared.host import end_with
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from shared.scenario import load_scenario
 
 _SCENARIOS = ("steps", "cobbles", "puddle")  # of blocks, of a height field, and in colour

@@ -22,7 +22,8 @@ from typing import Any, NoReturn, TypeVar
 from shared import clock, codec, config, topics
 from shared.access import Keys
 from shared.host import end_with, go_first, keep_memory, switch_often
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from shared.service import Service, run_live
 from shared.transport import Endpoints, TransportError, ZenohLink
 from shared.watchdog import Watchdog

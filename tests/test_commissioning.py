@@ -13,7 +13,7 @@ import pytest
 from deploy import cli
 from deploy.launch.launcher import free_port
 from services.simulator.workbench import Workbench
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from tests.test_readme import commands
 
 ROOT = Path(__file__).parents[1]

@@ -9,7 +9,7 @@ import sys
 import threading
 
 from deploy.runs.operator import Operator
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import load_scenario
 from shared.service import run_live
 from shared.transport import Endpoints, ZenohLink

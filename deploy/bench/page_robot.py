@@ -18,7 +18,7 @@ from shared import codec, topics
 from shared import dynamixel as dxl
 from shared.kinematics import body_forward
 from shared.messages import ActuatorState, BodyPose, Health, Mode, ModeCommand
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import AnyTopic
 from shared.transport import Endpoints, ZenohLink
 

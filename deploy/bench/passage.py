@@ -24,7 +24,8 @@ from services.planner.passage.roadmap import Crossing, Roadmap, Stance
 from services.planner.passage.settings import PassageSettings
 from services.planner.passage.tables import ground_of, legs_of, rules_of
 from shared.geometry import Array
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 
 OURS = "Sextant"
 CASES = ("scenario 1", "scenario 2", "scenario 3", "strewn pillars")

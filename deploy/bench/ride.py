@@ -15,7 +15,8 @@ from services.simulator.terrain import Terrain
 from shared import topics
 from shared.geometry import Array, inverse, rotation_from_rpy, transform
 from shared.messages import DepthImage, Message, Odometry, Tick
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 _CARRIED = (0.0, 0.0, 0.35)  # [m] {body} where the camera is held: 0.5 m over the ground with the body at 0.15

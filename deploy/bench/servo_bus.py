@@ -18,7 +18,7 @@ import numpy as np
 from deploy.bench.timing import Spread, installed, machine, machine_in_words
 from services.actuator.bus import REPLY_TIMEOUT_NS, ServoBus, open_port
 from shared import dynamixel as dxl
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 ABSENT = 200  # an id that nobody has
 READS = 4  # of a cycle, as many as fit beside a sync write into 6.5 ms

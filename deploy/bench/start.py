@@ -24,7 +24,8 @@ from shared import codec, topics
 from shared import dynamixel as dxl
 from shared.kinematics import body_inverse
 from shared.messages import ActuatorState, Mode
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from shared.service import AnyTopic
 from shared.transport import Endpoints, TransportError, ZenohLink
 

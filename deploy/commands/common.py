@@ -132,7 +132,7 @@ def _asked_link(text: str) -> "Link":
 
 def asked_robot(arguments: argparse.Namespace) -> str:
     """The robot that is asked for in place of the scenario's, as scenarios name it; empty for none."""
-    from shared.robot import load_profile
+    from shared.profiles import load_profile
 
     if not arguments.robot:
         return ""

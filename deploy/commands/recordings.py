@@ -21,7 +21,7 @@ def record(arguments: argparse.Namespace) -> int:
 
     from services.console.recorder.config import Settings
     from services.console.recorder.service import open_rotation
-    from shared.robot import load_profile
+    from shared.profiles import load_profile
 
     settings = Settings(reserve_mb=arguments.reserve, pictures=arguments.pictures)
     profile = load_profile(arguments.robot)
@@ -44,7 +44,7 @@ def record(arguments: argparse.Namespace) -> int:
 
 def foxglove(arguments: argparse.Namespace) -> int:
     """`sextant foxglove`: what is said, live for Foxglove and Lichtblick, until Ctrl-C."""
-    from shared.robot import load_profile
+    from shared.profiles import load_profile
 
     try:
         from deploy.foxglove_server import FoxgloveServer

@@ -192,7 +192,7 @@ def _line(arguments: argparse.Namespace, profile: "RobotProfile") -> "Iterator[L
 
 
 def _profile(robot: str) -> "RobotProfile":
-    from shared.robot import load_profile
+    from shared.profiles import load_profile
 
     return load_profile(robot)
 

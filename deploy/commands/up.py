@@ -123,7 +123,7 @@ def _choices(arguments: argparse.Namespace) -> "Choices":
 
 def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
     """The camera that is to be read, a folder by its whole path; "none" where no camera is started."""
-    from shared.robot import load_profile
+    from shared.profiles import load_profile
 
     if not any(row.side == "device" for row in rows):
         if camera:

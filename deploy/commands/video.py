@@ -26,7 +26,7 @@ def video(arguments: argparse.Namespace) -> int:
     from deploy.video.film import Cut, Film
     from deploy.video.story import Story
     from services.console.recording.reader import Recording
-    from shared.robot import load_profile
+    from shared.profiles import load_profile
 
     run = Path(arguments.run)
     out = Path(arguments.out) if arguments.out else _beside(run)

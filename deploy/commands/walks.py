@@ -84,7 +84,7 @@ def _run_lockstep(arguments: argparse.Namespace) -> int:
 
     from deploy.replay.tum_recording import DepthRecorder
     from deploy.runs.lockstep_run import run_lockstep
-    from shared.robot import load_profile
+    from shared.profiles import load_profile
 
     with contextlib.ExitStack() as stack:
         taps = []

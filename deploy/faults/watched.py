@@ -15,7 +15,8 @@ from deploy.faults.timeline import Timeline, Truth, Word
 from deploy.faults.wire import Goals, Outside, Recorder, Switch
 from shared import codec, topics
 from shared.messages import ActuatorState, GroundTruth, Mode
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from shared.scenario import Goal, Plane, Scenario
 
 SCENARIO = Scenario("faults", (Plane(),), Goal(12.0), time_limit_s=600.0)

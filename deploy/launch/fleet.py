@@ -19,7 +19,7 @@ from deploy.process_table import ENVIRONMENT, Choices, Command, Process
 from services.console.config import Settings
 from services.console.lobby.config import is_name
 from shared import config
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 _LOBBY_SILENT_S = 10.0
 _LOBBY_MB = 128

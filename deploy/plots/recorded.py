@@ -21,7 +21,7 @@ from shared import codec, topics
 from shared.config import ConfigError
 from shared.geometry import Array
 from shared.messages import GroundTruth, TerrainMap
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import load_scenario
 from shared.service import AnyTopic, Inbox, Stages
 

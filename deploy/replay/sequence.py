@@ -27,7 +27,8 @@ from shared import topics
 from shared.camera import DepthSensor
 from shared.geometry import Array, inverse, log_so3, transform
 from shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
-from shared.robot import Camera, RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import Camera, RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Lockstep, Service, Stages
 
 _FLAT = 0.05  # [m] of height that a picture's colours span at least: noise is no relief

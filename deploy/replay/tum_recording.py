@@ -13,7 +13,8 @@ from services.perception import tum
 from shared import codec, topics
 from shared.geometry import Array, interpolate
 from shared.messages import DepthImage, GroundTruth
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from shared.scenario import Scenario
 from shared.service import AnyTopic
 

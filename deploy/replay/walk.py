@@ -22,7 +22,7 @@ from services.planner.config import Settings as PlannerSettings
 from services.planner.service import Planner
 from shared import codec, topics
 from shared.messages import ActuatorState, Message, StepPlan, TerrainMap
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import AnyTopic, Lockstep, Service
 
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way

@@ -19,7 +19,7 @@ from deploy.runs.attendance import Attendance, about
 from services.console.recording.foxglove.translation import Foxglove
 from services.console.recording.live import LiveRecorder
 from services.console.recording.writer import Recorder
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Fault, Scenario
 from shared.service import Service, run_live
 from shared.transport import Endpoints, ZenohLink

@@ -35,7 +35,8 @@ from services.simulator.config import Settings as SimulatorSettings
 from services.simulator.service import Simulator
 from shared.host import keep_memory, spare_collector
 from shared.messages import Message
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from shared.scenario import Fault, Scenario
 from shared.service import AnyTopic, Lockstep, Outage, Service
 

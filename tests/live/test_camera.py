@@ -13,7 +13,7 @@ from services.simulator.tcp_port import TcpBusServer
 from shared import codec, topics
 from shared import dynamixel as dxl
 from shared.messages import CameraState, DepthImage, Health
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import AnyTopic
 from shared.transport import Endpoints, ZenohLink
 from tests.support.commands import Command

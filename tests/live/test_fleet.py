@@ -21,7 +21,7 @@ from deploy.network import meeting
 from services.console.door import PROTOCOL
 from shared import codec, topics
 from shared.messages import Mode, ModeCommand, StopOrder
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import AnyTopic
 from shared.transport import Endpoints, Router, ZenohLink
 from tests.support.commands import Command, Process, eventually, write_course

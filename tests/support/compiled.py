@@ -7,7 +7,7 @@ import sys
 
 from deploy.runs.lockstep_run import assemble
 from deploy.warm_up import rehearse
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import load_scenario
 
 SERVICES = ("services.perception", "services.mapper", "services.planner", "services.simulator")

@@ -6,7 +6,8 @@ from services.actuator.bus import ServoBus
 from services.simulator.bus import MemoryPort
 from services.simulator.workbench import Workbench
 from shared import dynamixel as dxl
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 
 PHANTOMX = load_profile("phantomx_mk2")
 

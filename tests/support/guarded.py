@@ -10,7 +10,7 @@ from services.actuator.guard import Act, Guard, Legs
 from services.actuator.health import Verdict
 from shared.geometry import apply, from_xyz_rpy
 from shared.messages import Mode, ModeCommand, StepPlan
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 START = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))

@@ -6,7 +6,7 @@ import numpy as np
 
 from deploy.faults.timeline import Timeline, Truth, Word
 from shared.messages import Mode
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 BEGIN_S, PERIOD_S = 10.0, 0.02

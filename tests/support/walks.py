@@ -12,7 +12,7 @@ from deploy.runs.lockstep_run import LockstepRun, assemble
 from shared import codec, topics
 from shared.geometry import Array
 from shared.messages import ActuatorState, Message, PlannerStatus, TerrainMap
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Goal, Plane, Scenario, load_scenario
 from shared.service import AnyTopic, Service
 from shared.topics import Topic

@@ -11,7 +11,7 @@ from services.simulator.service import Simulator
 from shared import dynamixel as dxl
 from shared import topics
 from shared.messages import Mode
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Fault, Scenario
 from tests.support.walks import Walk, flat, walk
 

@@ -4,7 +4,7 @@ import pytest
 
 from deploy.pictures.thesis_figures import TESTS, Measured
 from deploy.runs.lockstep_run import assemble
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import load_scenario
 
 _LOOK_NS = 500_000_000

@@ -19,7 +19,7 @@ from services.planner.service import Planner
 from shared import codec, topics
 from shared.geometry import from_xyz_rpy
 from shared.messages import Message, Odometry, Tick, VelocityCommand
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import AnyTopic, Every, Inbox, Lockstep, Stages
 from tests.support.states import actuator_state
 from tests.support.walks import Heard, flat

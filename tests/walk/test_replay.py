@@ -12,7 +12,7 @@ from deploy.replay import sequence as replay
 from deploy.replay.tum_recording import record_tum
 from services.perception import tum
 from shared.geometry import apply
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import load_scenario
 
 ROOT = Path(__file__).parents[2]

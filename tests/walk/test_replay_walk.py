@@ -19,7 +19,7 @@ from services.console.recording.writer import Recorder
 from services.simulator.terrain import build_terrain
 from shared.geometry import transform
 from shared.messages import BodyPose, Message, Scan
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import load_scenario
 from shared.service import AnyTopic
 

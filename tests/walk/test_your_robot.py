@@ -8,7 +8,7 @@ import pytest
 
 from deploy import cli
 from shared.kinematics import body_inverse, within_limits
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 DOC = (Path(__file__).parents[2] / "docs" / "your_robot.md").read_text(encoding="utf-8")
 

@@ -15,7 +15,8 @@ from services.actuator.calibration import calibrate, implausible, trims_deg
 from services.actuator.gentle import MOVING_SPEED, TORQUE_LIMIT, ServoSilentError
 from shared import config
 from shared import dynamixel as dxl
-from shared.robot import LEGS, Calibration, RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import LEGS, Calibration, RobotProfile
 from tests.support.builder import Answer, Builder
 from tests.support.desk import PHANTOMX, Desk
 
@@ -253,7 +254,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
 
 
 def test_straight_out_is_a_pose_of_every_profile_that_comes_along() -> None:
-    from shared.robot import profile_names
+    from shared.profiles import profile_names
 
     for name in profile_names():
         for leg in LEGS:

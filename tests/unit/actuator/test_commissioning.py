@@ -9,7 +9,8 @@ from services.actuator import commissioning
 from services.actuator.bus import BAUD_RATE, ServoBus
 from services.actuator.commissioning import USUAL_RATES, Line
 from shared import dynamixel as dxl
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from tests.support.builder import Answer, Builder
 from tests.support.desk import PHANTOMX, Desk
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from services.actuator.contact import ContactEstimate
 from shared.geometry import Array
 from shared.kinematics import body_inverse, joint_torques
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 Flags = NDArray[np.bool_]
 

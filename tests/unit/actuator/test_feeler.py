@@ -11,7 +11,7 @@ from services.actuator.feeler import FEMUR, Feeler
 from services.actuator.load import link_torques
 from shared.geometry import Array
 from shared.kinematics import body_inverse
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 SERVO = PROFILE.servo

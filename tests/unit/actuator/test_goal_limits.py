@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 from services.actuator.goal_limits import GENTLE, GoalLimits
 from shared.geometry import Array
 from shared.kinematics import body_inverse, within_limits
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 LIMITS = PROFILE.joint_limits

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from services.actuator.health import SILENT, Health, Verdict, Vitals
 from shared.dynamixel import ServoError
-from shared.robot import JOINTS, LEGS, load_profile
+from shared.profiles import load_profile
+from shared.robot import JOINTS, LEGS
 
 PROFILE = load_profile("phantomx_mk2")
 PERIOD = 0.02

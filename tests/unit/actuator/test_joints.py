@@ -22,7 +22,7 @@ from shared.bus_fault import BusFault
 from shared.dynamixel import Instruction, Packet, PacketParser, Register
 from shared.geometry import Array
 from shared.kinematics import body_inverse
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 IDS = PROFILE.servo_ids.ravel().tolist()

@@ -17,7 +17,7 @@ from services.actuator.load import (
 )
 from shared.geometry import Array, from_xyz_rpy
 from shared.kinematics import body_forward, body_inverse, joint_torques, leg_points
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 Flags = NDArray[np.bool_]
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from services.actuator.odometry import LegOdometry
 from shared.geometry import Array, apply, exp_so3, from_xyz_rpy, inverse, skew, transform
 from shared.kinematics import body_inverse, leg_points
-from shared.robot import Foot, RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import Foot, RobotProfile
 
 Flags = NDArray[np.bool_]
 

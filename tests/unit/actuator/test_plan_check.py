@@ -14,7 +14,7 @@ from services.actuator.plan_check import PlanCheck
 from shared.geometry import Array, apply, from_xyz_rpy, inverse
 from shared.kinematics import body_inverse, within_limits
 from shared.messages import StepPlan
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.stability import support_margin
 
 Flags = NDArray[np.bool_]

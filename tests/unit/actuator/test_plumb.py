@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from services.actuator.plumb import Plumb
 from shared.geometry import Array, exp_so3, from_xyz_rpy, is_rigid, log_so3, rotation_from_rpy, transform, yaw_of
 from shared.messages import Imu
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 G = np.array([0.0, 0.0, 9.81])
 MS = 1_000_000

@@ -20,7 +20,7 @@ from shared import dynamixel as dxl
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_from_rpy
 from shared.kinematics import body_forward, body_inverse, joint_torques
 from shared.messages import ActuatorState, Imu, Message, Mode, ModeCommand, Odometry, StepPlan, Tick
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import Inbox
 
 PROFILE = load_profile("phantomx_mk2")

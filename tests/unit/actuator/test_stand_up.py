@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from services.actuator.stand_up import LieDown, StandUp
 from shared.geometry import Array
 from shared.kinematics import body_inverse, within_limits
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 REST = PROFILE.rest_feet()

@@ -12,7 +12,7 @@ from services.actuator.stop.config import Settings
 from services.actuator.stop.service import Stop
 from shared import codec, topics
 from shared.messages import ModeCommand, StopOrder, Tick
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import Inbox
 
 PROFILE = load_profile("phantomx_mk2")

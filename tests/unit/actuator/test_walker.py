@@ -17,7 +17,7 @@ from services.actuator.feeler import Felt
 from services.actuator.walker import Targets, Walker
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from shared.messages import StepPlan
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 Flags = NDArray[np.bool_]
 

@@ -9,7 +9,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from services.console.desk import DEAD_MAN_NS, SEATS, Desk
 from services.console.requests import Command, Drive, GiveUp, GoTo, Here, Name, Release, TakeOver, Walk
 from shared.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

@@ -6,7 +6,7 @@ import numpy as np
 
 from services.console.diary import KEPT, Diary
 from shared.messages import CameraState, Health, Mode, PlannerStatus
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

@@ -34,7 +34,7 @@ from shared.messages import (
     Tick,
     VelocityCommand,
 )
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import Inbox
 from tests.support.served import Serving
 from tests.support.states import actuator_state

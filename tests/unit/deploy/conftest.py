@@ -24,7 +24,7 @@ from shared.messages import (
     StepPlan,
     TerrainMap,
 )
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Goal, Plane, Scenario
 from shared.service import Inbox
 from tests.support.states import actuator_state

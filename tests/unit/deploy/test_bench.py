@@ -18,7 +18,7 @@ from services.perception.registration import Registration
 from services.simulator.terrain import Terrain
 from shared.geometry import inverse
 from shared.messages import PassageMap, TerrainMap
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 SCENES = {**MAPPED, **REGISTERED}
 

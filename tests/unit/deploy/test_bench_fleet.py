@@ -13,7 +13,7 @@ from deploy.bench.played_robot import Heard, Player
 from services.console.recording.writer import Recorder
 from shared import codec, topics
 from shared.messages import ActuatorState, PlannerStatus, ScanReceipt, StepPlan
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import AnyTopic
 from tests.support.recorded import scan, terrain
 from tests.support.states import actuator_state

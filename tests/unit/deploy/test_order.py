@@ -9,7 +9,7 @@ import pytest
 from deploy.order import Order
 from shared import codec, topics
 from shared.messages import ActuatorState, Health, Mode, ModeCommand, StopOrder, Tick
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import Inbox
 from tests.support.states import actuator_state
 

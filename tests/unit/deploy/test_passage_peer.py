@@ -10,7 +10,7 @@ from services.planner.passage import search
 from services.planner.passage.settings import PassageSettings
 from services.planner.passage.tables import ground_of, legs_of, rules_of
 from shared.geometry import Array
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PASSAGE = PassageSettings(body_height=0.11)
 PROFILES = [load_profile(name) for name in ("phantomx_mk2", "lotriet_rx64")]

@@ -6,7 +6,7 @@ import numpy as np
 from deploy.progress import Lines, Monitor, Terminal, View, block, progress_for
 from shared import codec, topics
 from shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import Worker
 from tests.support.states import actuator_state
 

@@ -14,7 +14,8 @@ from deploy.launch.launcher import free_port
 from services.simulator.tcp_port import TcpBusServer
 from services.simulator.workbench import Workbench
 from shared import dynamixel as dxl
-from shared.robot import LEGS, load_profile
+from shared.profiles import load_profile
+from shared.robot import LEGS
 
 PROFILE = load_profile("phantomx_mk2")
 

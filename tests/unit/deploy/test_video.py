@@ -37,7 +37,7 @@ from shared.messages import (
     StepPlan,
     TerrainMap,
 )
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import AnyTopic
 from shared.topics import OF_TYPE
 from tests.support.states import actuator_state

@@ -9,7 +9,7 @@ import pytest
 from deploy import cli
 from services.console.recording.writer import Recorder
 from shared import codec, topics
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from tests.support.recorded import scan, terrain
 from tests.support.states import actuator_state
 

@@ -13,7 +13,7 @@ from services.mapper.service import Mapper
 from shared import codec, topics
 from shared.geometry import Array, from_xyz_rpy
 from shared.messages import BodyPose, Scan, TerrainMap
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import Inbox
 
 PROFILE = load_profile("phantomx_mk2")

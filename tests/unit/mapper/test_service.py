@@ -14,7 +14,7 @@ from shared import codec, topics
 from shared.color import codes, ycocg_from_rgb
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, ScanReceipt, TerrainMap
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import Inbox
 from tests.support.states import actuator_state
 

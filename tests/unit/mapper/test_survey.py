@@ -15,7 +15,7 @@ from services.simulator.depth_camera import DepthCamera
 from services.simulator.render import Renderer
 from services.simulator.terrain import build_terrain
 from shared.geometry import Array, apply, from_xyz_rpy, inverse
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Box, Goal, Pillars, Plane, Scenario
 
 PROFILE = load_profile("phantomx_mk2")

@@ -7,7 +7,7 @@ import numpy as np
 from services.mapper.touch import Touch, TouchWatch
 from shared.geometry import from_xyz_rpy
 from shared.messages import ActuatorState, BodyPose
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from tests.unit.mapper.test_service import legs
 
 PROFILE = load_profile("phantomx_mk2")

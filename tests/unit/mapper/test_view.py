@@ -26,7 +26,7 @@ from services.simulator.render import Renderer
 from services.simulator.terrain import Terrain, build_terrain
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from shared.kinematics import body_inverse, within_limits
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Box, Goal, Pillars, Plane, Scenario
 from shared.scenario import Terrain as Part
 

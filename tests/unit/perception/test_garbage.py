@@ -16,7 +16,7 @@ from shared import codec, topics
 from shared.camera import Intrinsics
 from shared.geometry import Array, from_xyz_rpy
 from shared.messages import BodyPose, DepthImage, Message, Odometry, Scan
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import Inbox
 
 PHANTOM = load_profile("phantomx_mk2")

@@ -13,7 +13,8 @@ from shared import codec, topics
 from shared.camera import Intrinsics
 from shared.geometry import Array, from_xyz_rpy, inverse, yaw_of
 from shared.messages import BodyPose, DepthImage, Message, Odometry, Preview, Scan
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox
 
 MS = 1_000_000

@@ -9,7 +9,7 @@ import pytest
 from services.planner.crossing import BARE, HOLE, MAX_STEP, OPEN, STEP, STUCK, Crossing, Prices, SeenGround, Size
 from services.planner.terrain import Terrain
 from shared.geometry import Array, from_xyz_rpy
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 CAMERA = load_profile("phantomx_mk2").camera
 SIZE = Size(0.25, 0.40)

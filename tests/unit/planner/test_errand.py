@@ -12,7 +12,7 @@ from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
 from shared.geometry import Array, apply, from_xyz_rpy, inverse
 from shared.messages import UNKNOWN, Mode, PassageMap
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

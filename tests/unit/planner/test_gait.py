@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from services.planner.gait import GAITS, Gait, active_sextant, carried_on, directions, nominal_touchdowns, swing_order
 from shared.geometry import Array, apply, from_xyz_rpy, inverse
-from shared.robot import LEGS, load_profile
+from shared.profiles import load_profile
+from shared.robot import LEGS
 
 REST = load_profile("phantomx_mk2").rest_feet()
 EVEN = np.arange(6) % 2 == 0

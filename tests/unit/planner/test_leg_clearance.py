@@ -11,7 +11,8 @@ from services.planner.leg_clearance import Touching, Way, cleared, links_at, ris
 from services.planner.terrain import Terrain, flat_terrain, plane_terrain
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_inverse, leg_points
-from shared.robot import LEGS, load_profile
+from shared.profiles import load_profile
+from shared.robot import LEGS
 
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = PROFILE.stance.body_height

@@ -14,7 +14,7 @@ from services.planner.pilot import Heading
 from services.planner.terrain import Terrain
 from shared.geometry import Array, apply, yaw_of
 from shared.messages import Goal, Message, PassageRequest, PlannerStatus, StepPlan, TerrainMap, VelocityCommand
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from tests.unit.planner.conftest import terrain_of
 from tests.unit.planner.test_service import HEIGHT, Rig
 

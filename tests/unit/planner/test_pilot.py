@@ -12,7 +12,7 @@ from services.planner.route import NoWay
 from services.planner.terrain import Terrain
 from shared.geometry import Array, from_xyz_rpy, rotation_z, yaw_of
 from shared.messages import MAX_WAYPOINTS, Goal, VelocityCommand
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 STEP_S = PROFILE.stance.step_s

@@ -12,7 +12,7 @@ from services.planner.passage.settings import PassageSettings
 from services.planner.rehearsal import rehearse
 from shared import codec
 from shared.messages import PassageMap
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 

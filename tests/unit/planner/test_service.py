@@ -26,7 +26,7 @@ from shared.messages import (
     TerrainMap,
     VelocityCommand,
 )
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import Inbox
 from tests.support.states import actuator_state
 

@@ -18,7 +18,7 @@ from services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from shared.kinematics import body_inverse, within_limits
 from shared.messages import GaitName, VelocityCommand
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.stability import support_margin
 
 Flags = NDArray[np.bool_]

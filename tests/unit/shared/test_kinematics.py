@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from shared import kinematics
-from shared.robot import LEGS, LegLinks, RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import LEGS, LegLinks, RobotProfile
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,8 @@ from shared import dynamixel as dxl
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import apply
 from shared.kinematics import body_inverse, within_limits
-from shared.robot import LEGS, Body, Calibration, Foot, Leg, LegLinks, RobotProfile, Servo, load_profile, profile_names
+from shared.profiles import load_profile, profile_names
+from shared.robot import LEGS, Body, Calibration, Foot, Leg, LegLinks, RobotProfile, Servo
 
 PROFILE = load_profile("phantomx_mk2")
 TABLE = config.as_table(PROFILE)

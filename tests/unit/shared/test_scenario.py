@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from shared import config
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import (
     Box,
     Course,

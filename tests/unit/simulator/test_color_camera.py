@@ -8,7 +8,7 @@ from services.simulator.render import Renderer
 from services.simulator.terrain import build_terrain
 from shared.color import ycocg_from_rgb
 from shared.geometry import Array, apply, from_xyz_rpy
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Box, Goal, Plane, Puddle, Scenario
 
 PROFILE = load_profile("phantomx_mk2_rgbd")

@@ -8,7 +8,7 @@ from services.simulator.terrain import build_terrain
 from services.simulator.world import World
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import from_xyz_rpy
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Goal, Pillars, Scenario, load_scenario
 
 PROFILE = load_profile("phantomx_mk2")

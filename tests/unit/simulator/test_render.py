@@ -9,7 +9,7 @@ from services.simulator.terrain import Terrain, build_terrain
 from services.simulator.world import ROBOT_GROUP, World
 from shared.camera import Intrinsics
 from shared.geometry import Array, from_xyz_rpy, transform
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Box, Goal, Pillars, Plane, Rubble, Scenario, Slope, Stairs
 from shared.scenario import Terrain as Primitive
 

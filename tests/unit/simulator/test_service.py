@@ -14,7 +14,7 @@ from shared import dynamixel as dxl
 from shared.bus_fault import BusFault
 from shared.config import ConfigError
 from shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Start, Variation
 from shared.service import AnyTopic, Inbox, Lockstep
 

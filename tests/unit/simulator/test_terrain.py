@@ -12,7 +12,7 @@ from services.simulator.terrain import Terrain, build_terrain
 from services.simulator.world import World
 from shared.config import ConfigError
 from shared.geometry import Array
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import (
     Blocks,
     Box,

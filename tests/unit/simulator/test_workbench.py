@@ -6,7 +6,7 @@ import pytest
 from services.simulator.workbench import HORNS_DEG, Workbench
 from shared import dynamixel as dxl
 from shared.dynamixel import PacketParser
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 MS = 1_000_000

@@ -6,7 +6,8 @@ from services.simulator.solids import Boxes, HeightField
 from services.simulator.terrain import Terrain, build_terrain
 from services.simulator.world import TIME_STEP_NS, Factors, World
 from shared.geometry import Array, apply, from_xyz_rpy
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from shared.scenario import Goal, Pillars, Plane, Rubble, Scenario, Slope, Variation, load_scenario
 
 NO_BOXES = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))

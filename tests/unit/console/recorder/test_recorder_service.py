@@ -11,7 +11,7 @@ from services.console.recorder.service import RecorderService
 from services.console.recording.reader import Recording
 from shared import codec, topics
 from shared.messages import RecordCommand, RecorderState, Tick
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import AnyTopic, Inbox, Listening, Stages
 from tests.support.recorded import frames, some_messages
 

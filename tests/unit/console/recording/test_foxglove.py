@@ -28,7 +28,7 @@ from shared.messages import (
     Preview,
     StepPlan,
 )
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from tests.support.recorded import scan, terrain
 from tests.support.states import actuator_state
 

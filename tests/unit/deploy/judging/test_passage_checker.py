@@ -13,7 +13,7 @@ from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, PassageStep, Roadmap, Stance
 from services.planner.passage.settings import PassageSettings
 from services.planner.passage.trail import Trail
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 GAP, HEIGHT = 0.8, 0.11

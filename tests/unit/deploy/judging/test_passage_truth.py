@@ -9,7 +9,7 @@ from deploy.judging import passage_truth
 from deploy.judging.course import Course
 from deploy.judging.passage_truth import decided_by_seed, gap_begins, strip_from, way_exists
 from shared.geometry import from_xyz_rpy
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Goal, PillarField, Plane, Scenario, load_scenario
 
 PROFILE = load_profile("phantomx_mk2")

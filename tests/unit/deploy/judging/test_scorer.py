@@ -5,7 +5,7 @@ import pytest
 
 from deploy.judging import report as reports
 from shared.messages import TerrainMap
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Box, Goal, Plane, Scenario, Stairs
 from shared.service import Inbox
 

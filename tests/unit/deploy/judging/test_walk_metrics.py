@@ -18,7 +18,7 @@ from deploy.judging.walk_metrics import (
 )
 from services.simulator.terrain import build_terrain
 from shared.geometry import from_xyz_rpy
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Box, Goal, Hole, Plane, Scenario, Slope
 
 

@@ -21,7 +21,7 @@ from shared import codec, topics
 from shared.camera import Intrinsics
 from shared.geometry import exp_se3, from_xyz_rpy, transform
 from shared.messages import BodyPose, ColorImage, DepthImage, Odometry, Scan, TerrainMap, Tick
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import MapOptions, load_scenario
 from shared.service import AnyTopic, Inbox, Stages, Worker
 

@@ -26,7 +26,7 @@ from shared import codec, topics
 from shared.codec import Timing
 from shared.geometry import from_xyz_rpy
 from shared.messages import BodyPose, Message, Mode, ModeCommand, Odometry, Preview, TerrainMap, Tick, VelocityCommand
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.service import AnyTopic, Inbox, run_live
 from shared.transport import Endpoints, ForeignLink, Router, ZenohLink
 from tests.support.commands import eventually

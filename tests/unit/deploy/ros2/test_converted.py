@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from deploy.ros2 import cdr, converted
 from shared.geometry import exp_se3, from_xyz_rpy, rotation_from_quaternion
 from shared.messages import UNKNOWN, BodyPose, Odometry, TerrainMap
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from tests.support.states import actuator_state
 
 S = 1_000_000_000

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from deploy.ros2.lead import DEAD_MAN_NS, Lead, Walk
 from shared.messages import ActuatorState, Message, Mode, ModeCommand, VelocityCommand
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from tests.support.states import actuator_state
 
 MS = 1_000_000

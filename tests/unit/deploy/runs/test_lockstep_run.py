@@ -8,7 +8,7 @@ from deploy.judging.report import without_timing
 from deploy.runs.lockstep_run import assemble, run_lockstep
 from services.console.recording.reader import Recording
 from shared import topics
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Fault, Goal, Plane, Scenario
 from shared.service import AnyTopic
 

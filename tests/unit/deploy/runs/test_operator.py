@@ -8,7 +8,7 @@ from shared import codec, topics
 from shared.geometry import from_xyz_rpy, rotation_z, yaw_of
 from shared.messages import BodyPose, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
 from shared.messages import Goal as GoalMessage
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Goal, Plane, Scenario
 from shared.service import Inbox
 from tests.support.states import actuator_state

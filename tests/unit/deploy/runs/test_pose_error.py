@@ -13,7 +13,7 @@ from deploy.runs.pose_error import MODELS, Correlation, Erring, PoseError, PoseE
 from shared import topics
 from shared.geometry import apply, exp_so3, from_xyz_rpy, inverse, log_so3
 from shared.messages import BodyPose, Message, Scan
-from shared.robot import load_profile
+from shared.profiles import load_profile
 from shared.scenario import Goal, Plane, Scenario
 from shared.service import AnyTopic, Inbox, Stages
 from shared.transport import Endpoints

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from shared.camera import Intrinsics
-from shared.robot import RobotProfile, load_profile
+from shared.profiles import load_profile
+from shared.robot import RobotProfile
 
 SMALL = Intrinsics(64, 48, 58.5, 58.5, 31.5, 23.5)
 

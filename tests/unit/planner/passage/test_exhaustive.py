@@ -19,7 +19,7 @@ from services.planner.passage.exhaustive import has_way, passable
 from services.planner.passage.field import Field
 from services.planner.passage.roadmap import Crossing, Roadmap, Stance
 from services.planner.passage.settings import PassageSettings
-from shared.robot import load_profile
+from shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = 0.105

@@ -8,7 +8,8 @@ from services.planner.passage import search
 from services.planner.passage.field import Field
 from services.planner.passage.reasons import NOBODY, WORDS, Why, fault_in_words, in_words
 from shared.messages import UNKNOWN
-from shared.robot import LEGS, load_profile
+from shared.profiles import load_profile
+from shared.robot import LEGS
 
 STANCE = stance_at(load_profile("phantomx_mk2"), 0.44, 0.11)
 STROKES = np.full(6, 0.20)

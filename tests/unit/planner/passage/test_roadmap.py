@@ -18,7 +18,8 @@ from services.planner.passage.sections import bare
 from services.planner.passage.settings import PassageSettings
 from shared.geometry import from_xyz_rpy
 from shared.messages import UNKNOWN
-from shared.robot import LEGS, load_profile
+from shared.profiles import load_profile
+from shared.robot import LEGS
 
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = 0.11
