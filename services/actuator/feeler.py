@@ -20,6 +20,7 @@ _NEAR_NS = 50_000_000  # [ns] between two readings that tell how the leg gathers
 _FRICTION = 2.5  # times the dry friction: goals come in steps, so at a reading the leg is always losing speed
 _DOUBT = 0.4  # of what speeds the leg up, for an armature is known no better, and of a jerk that the goal makes
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo, after which nobody knows what its leg feels
+_FREE = 0.75  # of the no-load speed: a femur that turns faster has met nothing, whatever is left of its full torque
 _NEAREST_ARM = 0.06  # [m] of a foot beside its femur's axis: nearer ones have too little leverage to tell a push from noise
 _NONE = np.zeros(6, dtype=np.bool_)
 _ALL = np.ones(6, dtype=np.bool_)
@@ -82,7 +83,8 @@ class Feeler:
         turning = servo.damping * speed + _FRICTION * servo.friction * np.sign(speed) + speeding_up
         doubt = _DOUBT * (abs(speeding_up) + servo.stiffness * float(self._jerk[leg]))
         push = (turning + self._links[leg, FEMUR] - load) / self._arm[leg]
-        self._push[0, leg] = np.sign(push) * max(abs(push) - doubt / self._arm[leg], 0.0)
+        free = abs(speed) > _FREE * servo.no_load_speed
+        self._push[0, leg] = 0.0 if free else np.sign(push) * max(abs(push) - doubt / self._arm[leg], 0.0)
 
     def forget(self, legs: NDArray[np.bool_]) -> None:
         """Begin anew with legs (6,): what they felt is over."""

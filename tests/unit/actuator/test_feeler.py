@@ -90,6 +90,18 @@ def test_ground_on_the_way_down_is_felt_within_three_readings(height: float, arm
     assert touches.index(True) - met in (1, 2, 3)
 
 
+def test_a_femur_at_full_torque_that_still_turns_fast_has_met_nothing() -> None:
+    """Of full torque something is left over that the model does not have; ground would have stopped the leg."""
+    robot = load_profile("lotriet_rx64")
+    q = body_inverse(robot, robot.rest_feet())
+    for speed, touches in ((-5.75, False), (0.0, True)):  # [rad/s]
+        feeler = Feeler(robot)
+        for k in range(4):
+            feeler.see(q, q)
+            feeler.read(LEG, speed, -robot.servo.stall_torque, k * PERIOD)
+        assert feeler.touches[LEG] == touches
+
+
 def test_a_push_at_rest_is_a_foot_that_bears() -> None:
     feeler = Feeler(PROFILE)
     held = link_torques(PROFILE, Q)
