@@ -24,7 +24,14 @@ Flags = NDArray[np.bool_]
 PROFILE = load_profile("phantomx_mk2")
 WEIGHT = PROFILE.body.total_mass * GRAVITY
 REST = PROFILE.rest_feet()
+SHARES = st.lists(st.sampled_from([1.0, 0.7, 0.2]), min_size=6, max_size=6)
 TRIPODS = (np.arange(6) % 2 == 0, np.arange(6) % 2 == 1)
+
+
+def somewhere(seed: int) -> tuple[Array, Array]:
+    """Feet (6, 3) [m] near their rest, and a centre of mass (3,) [m] near the body's."""
+    rng = np.random.default_rng(seed)
+    return REST + rng.uniform(-0.02, 0.02, (6, 3)), np.array([*rng.uniform(-0.01, 0.01, 2), 0.0])
 
 
 def balance(feet: Array, forces: Array, centre: Array) -> Array:
@@ -33,11 +40,9 @@ def balance(feet: Array, forces: Array, centre: Array) -> Array:
     return np.array([forces.sum(), (forces * arms[:, 0]).sum(), (forces * arms[:, 1]).sum()])
 
 
-@given(st.integers(0, 2**32 - 1), st.lists(st.sampled_from([1.0, 0.7, 0.2]), min_size=6, max_size=6))
+@given(st.integers(0, 2**32 - 1), SHARES)
 def test_forces_balance_weight_and_moments(seed: int, share: list[float]) -> None:
-    rng = np.random.default_rng(seed)
-    feet = REST + rng.uniform(-0.02, 0.02, (6, 3))
-    centre = np.array([*rng.uniform(-0.01, 0.01, 2), 0.0])
+    feet, centre = somewhere(seed)
     forces = foot_forces(feet, np.array(share), WEIGHT, centre)
     assert (forces >= 0).all()
     np.testing.assert_allclose(balance(feet, forces, centre), [WEIGHT, 0.0, 0.0], atol=1e-2)
@@ -50,11 +55,9 @@ def test_a_tripod_carries_all_and_the_legs_in_the_air_nothing(standing: Flags) -
     np.testing.assert_allclose(balance(REST, forces, np.zeros(3)), [WEIGHT, 0.0, 0.0], atol=1e-2)
 
 
-@given(st.integers(0, 2**32 - 1), st.lists(st.sampled_from([1.0, 0.7, 0.2]), min_size=6, max_size=6))
+@given(st.integers(0, 2**32 - 1), SHARES)
 def test_what_pushes_outwards_moves_nothing(seed: int, share: list[float]) -> None:
-    rng = np.random.default_rng(seed)
-    feet = REST + rng.uniform(-0.02, 0.02, (6, 3))
-    centre = np.array([*rng.uniform(-0.01, 0.01, 2), 0.0])
+    feet, centre = somewhere(seed)
     vertical = foot_forces(feet, np.array(share), WEIGHT, centre)
     forces = outward_forces(feet, vertical, centre)
     arms = feet[:, :2] - centre[:2]
