@@ -9,21 +9,24 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Sequence
+from itertools import count
 
 from deploy.network import gate, refusals
 from deploy.network.gatekeeper import CaughtOutput, Gatekeeper, link_to, publish
 from deploy.network.knocking import Knocking
 from deploy.network.meeting import Meeting
+from deploy.network.silence import SilenceLimit
 from deploy.process_table import ROUTER_ENDPOINT
 from deploy.provenance import version
 from shared.access import AccessError
 from shared.host import end_with
-from shared.transport import Router, TransportError, ZenohLink, log_to_stdout
+from shared.transport import LEASE_MS, Router, TransportError, ZenohLink, log_to_stdout
 from shared.watchdog import Watchdog
 
 _ENDS = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 _WARN_S = 30.0  # between two warnings that it is open to anybody
 _LOOK_S = 0.1
+_SILENCE_TURNS = 5  # of such looks, to each for connections that are new
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -87,10 +90,13 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str]) -> str:
             meeting = Meeting(link, machine, role, version(), starts, time.monotonic_ns, _tell)
             beats.append(lambda: _met(meeting))
         _listening(gated)
-        if not beats:
-            signal.sigwait(_ENDS)
-            return ""
-        while signal.sigtimedwait(_ENDS, _LOOK_S) is None:
+        silence = SilenceLimit(LEASE_MS * 1e-3)
+        silence.look()
+        for turn in count():
+            if signal.sigtimedwait(_ENDS, _LOOK_S) is not None:
+                break
+            if turn % _SILENCE_TURNS == 0:
+                silence.look()
             for beat in beats:
                 if refused := beat():
                     return refused
