@@ -6,7 +6,6 @@ a frozen peer would block for seconds. Sessions are closed under all circumstanc
 """
 
 import json
-import os
 import threading
 import time
 from collections import Counter
@@ -27,14 +26,8 @@ LEASE_MS = 1000  # a frozen process is noticed after this
 # three frames on a busy machine lost one in 500: the sending thread had not had its turn within the millisecond of grace.
 QUEUE_SIZES = {"real_time": 16, "data": 8}
 _RX_BYTES = 1 << 20  # read at once: a map comes in 14 pieces of 64 kB, Zenoh's own choice
-_ATTEMPT_MS, _RETRY_MS = (
-    500,
-    100,
-)  # a router that is cut off from another tries again soon: SYNs of the kernel's own wait for seconds
-# A link that died with something unsent is closed for up to 10 s (SO_LINGER), in a thread of those that receive; of which
-# Zenoh has two. While both are closing, nothing comes in by the links that are new: 3 s more until a robot whose radio had
-# been cut for 5 s walked again. A radio that comes and goes closes two at a time.
-_RUNTIME = "(rx: (worker_threads: 16))"
+# A router that is cut off from another tries again soon: SYNs of the kernel's own wait for seconds.
+_ATTEMPT_MS, _RETRY_MS = 500, 100
 _SEND_BUFFER = 64 * 1024  # [bytes] of bulk over a radio: what waits in the kernel is late already
 _KEPT = 256  # frames of an EVERY topic that may wait to be taken
 
@@ -110,10 +103,7 @@ def _merged(config: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any
 def _router_config(listen: tuple[str, ...], upstream: tuple[str, ...]) -> dict[str, Any]:
     """Of a router: two links to each that it is chained to, so that bulk which fills the radio delays no command."""
     config = _config("router", _lanes(upstream), listen, scouting=False, namespace=None)
-    config["transport"]["unicast"] = {
-        "max_links": len(Lane),
-        "open_timeout": _ATTEMPT_MS,
-    }
+    config["transport"]["unicast"] = {"max_links": len(Lane), "open_timeout": _ATTEMPT_MS}
     retry = {"period_init_ms": _RETRY_MS, "period_max_ms": 2 * _RETRY_MS, "period_increase_factor": 1.5}
     config["connect"] |= {"timeout_ms": -1, "exit_on_failure": False, "retry": retry}
     return config
@@ -178,7 +168,6 @@ class Router:
         self.configuration: Mapping[str, Any] = _merged(_router_config(listen, upstream), access or {})
 
     def __enter__(self) -> Self:
-        os.environ.setdefault("ZENOH_RUNTIME", _RUNTIME)  # is read when the first session of a process opens
         self._session = _open(self.configuration)
         return self
 

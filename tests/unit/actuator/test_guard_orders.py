@@ -226,6 +226,17 @@ def test_a_repetition_that_was_recorded_keeps_no_lease() -> None:
     assert robot.guard.lease(given_ns + LEASE_NS + 1) == ""
 
 
+def test_a_stop_that_was_recorded_and_is_put_again_keeps_no_lease() -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.order("walk")
+    robot.order("stop")
+    recorded, given_ns = ModeCommand(robot.now, "stop", robot.number, "a"), robot.now
+    robot.now += ORDER_AGE_NS + 1
+    assert robot.hear(recorded) == ()
+    assert robot.guard.lease(given_ns + LEASE_NS) == "a"
+    assert robot.guard.lease(given_ns + LEASE_NS + 1) == ""
+
+
 @pytest.mark.parametrize("mode", ["off", "stop"])
 def test_a_stop_that_is_not_of_now_is_obeyed_but_takes_and_keeps_no_lease(mode: str) -> None:
     robot = in_mode(Mode.WALK)
@@ -278,10 +289,21 @@ def test_more_than_sixteen_are_remembered_by_none_but_may_stop() -> None:
     assert robot.order("stand", "holder 15") == (Act.RISE,)
     assert robot.guard.objection == ""
     robot.order("walk", "holder 16")
-    assert robot.order("stop", "holder 16") == (Act.FREEZE,)
+    assert robot.order("stop", "holder 16", take=True) == (Act.FREEZE,)
     assert robot.guard.objection == ""
     assert robot.order("stop", "holder 0") == ()
     assert robot.order("off", "holder 16") == (Act.LET_GO,)
+
+
+def test_of_those_who_let_go_without_leading_the_last_sixteen_are_remembered() -> None:
+    robot = in_mode(Mode.HOLD)
+    words = [StopOrder(robot.now, "off", 1, f"onlooker {k}") for k in range(17)]
+    for order in words[:16]:
+        assert robot.guard.hear_stop(order) == (Act.LET_GO,)
+    assert robot.guard.hear_stop(words[0]) == (), "a repetition is nothing new"
+    assert robot.guard.hear_stop(words[16]) == (Act.LET_GO,)
+    assert robot.guard.hear_stop(words[0]) == (), "it was heard since"
+    assert robot.guard.hear_stop(words[1]) == (Act.LET_GO,), "forgotten: in doubt it is obeyed"
 
 
 # ---------------------------------------------------------------------------------------------------------------- modes

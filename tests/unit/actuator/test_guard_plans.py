@@ -154,6 +154,14 @@ def test_a_step_of_its_own_has_no_deadline() -> None:
     assert robot.guard.reason == "walking"
 
 
+def test_a_walk_that_was_ordered_to_stop_is_not_stopped_once_more_for_want_of_a_plan() -> None:
+    robot = in_mode(Mode.WALK)
+    assert robot.order("stop") == (Act.SET_DOWN,)
+    assert robot.cycle(2 * DEADLINE_NS) == ()
+    assert robot.cycle() == ()
+    assert robot.guard.reason == "ordered to stop"
+
+
 @pytest.mark.parametrize("way", ["a fault", "off"])
 def test_a_deadline_that_was_missed_is_forgotten_with_the_walk(way: str) -> None:
     robot = in_mode(Mode.WALK)
