@@ -53,6 +53,7 @@ _SURVEYED = 0.010  # [m] by which that may differ from where the foot was felt t
 _WAIT_S, _LONGER_S = 0.07, 0.12  # [s] for which it waits for them, and for those that by their last reading may stand
 _BACK_S = 1.4  # [s] in which a step is taken back
 _SOON_S = 0.33  # [s] in which feet in the air are on the ground, once the robot has to stand
+_BRAKE_S = 0.2  # [s] that a body has for it at least, if its step goes on for so long
 _FASTER = 1.75  # times as fast as planned that they may go on for that; at twice, joints come in late, one by one
 _NEARLY_BACK = 0.015  # [m] over where it stood, below which a foot that goes back may meet ground: to turn round feels like it
 _SPAN = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # what squares of m and rad count for in the length of a body's way: 0.14 m
@@ -116,6 +117,7 @@ class Walker:
         self._elapsed = 0.0
         self._start_ref, self._start_velocity = self._ref, self._velocity
         self._start_elapsed = 0.0  # [s] of the plan, when the body's way through it began
+        self._end_elapsed = 0.0  # [s] of it, when that way is over
         self._flight: Swing | SixthOrderArc | None = None
         self._stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swung legs that met ground before their targets
         self._met = self._feet.copy()  # (6, 3) [m] {cmd} where
@@ -203,6 +205,7 @@ class Walker:
         if running is not None and plan.step == running.step and self._flight is None and _another(plan, running):
             self._plan, self.plan_ns = plan, plan.stamp_ns
             self._start_ref, self._start_velocity, self._start_elapsed = self._ref.copy(), self._velocity, self._elapsed
+            self._end_elapsed = plan.duration
         elif running is not None and plan.step == running.step:
             # The body keeps its way over the standing feet: a goal that jumped with the pose estimate would shake them.
             self.plan_ns = plan.stamp_ns
@@ -312,8 +315,13 @@ class Walker:
         self.trouble = "the step is taken back"
 
     def _come_to_rest(self, plan: StepPlan, hurry: float, reaches: Callable[[Array], bool]) -> None:
-        """End the running step so many times as fast as planned; the body goes on only as far as it must."""
-        left_s = (plan.duration - self._elapsed) / hurry
+        """End the running step so many times as fast as planned; the body goes on only as far as it must.
+
+        It is to rest when the feet are down, and does not wait until they are loaded.
+        """
+        down = plan.duration - self._settings.load_s
+        self._end_elapsed = min(max(down, self._elapsed + hurry * _BRAKE_S), plan.duration)
+        left_s = (self._end_elapsed - self._elapsed) / hurry
         goal, velocity = self._goal(plan), self._hurry * self._velocity
         soon = self._ref + left_s / 3.0 * velocity  # it brakes all the while, and ever more gently
         if (goal - self._ref) @ (_SPAN * velocity) > 0.0 > (goal - soon) @ (_SPAN * velocity):
@@ -344,6 +352,7 @@ class Walker:
         self.plan_ns = plan.stamp_ns
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
         self._start_ref, self._start_velocity, self._start_elapsed = self._ref.copy(), self._velocity.copy(), 0.0
+        self._end_elapsed = plan.duration
         self._flight, self._waited, self._hurry, self._returning = None, 0.0, 1.0, False
         self._stopped &= ~plan.swing
 
@@ -353,10 +362,10 @@ class Walker:
         self.phase = self._elapsed / plan.duration
         T_cmd_world = inverse(plan.T_world_odom @ self._T_odom_cmd)
         goal = self._goal(plan)
-        whole = plan.duration - self._start_elapsed
+        whole = self._end_elapsed - self._start_elapsed
         end_velocity = np.zeros(6) if plan.stop else (goal - self._start_ref) / whole
         way = (self._start_ref, self._start_velocity, goal, end_velocity)
-        self._ref, self._velocity = _hermite(*way, whole, self._elapsed - self._start_elapsed)
+        self._ref, self._velocity = _hermite(*way, whole, min(self._elapsed - self._start_elapsed, whole))
         if self._flight is None and self._elapsed > self._settings.unload_s:
             unproven = ~plan.swing & ~self._proven
             if felt is not None and unproven.any():
