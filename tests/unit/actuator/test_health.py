@@ -110,7 +110,7 @@ def test_a_bus_is_silent_when_nobody_has_answered_for_a_while() -> None:
     silent = replace(WELL, missed=np.full(18, SILENT), newest=0.15)
     assert Patient().cycle(silent).broken == "no servo answers; check the power of the bus, its cable and the adapter"
     assert Patient().cycle(replace(silent, newest=np.inf)).broken.startswith("no servo answers")
-    assert "with 17 more" in Patient().cycle(replace(silent, newest=0.05)).broken
+    assert "with 17 more" in Patient().cycle(replace(silent, newest=0.10)).broken
     assert Patient().cycle(replace(WELL, newest=np.inf)).broken == "", "none has been asked often enough"
 
 
