@@ -63,7 +63,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     pattern = re.compile(case.limits.named.format(servo=line.servo)) if case.limits.named else None
     decided = next((w.t_s for w in since if w.mode is not Mode.WALK or _names(pattern, w)), nan)
     again = _again(since, max(line.end_s, decided), pattern) if np.isfinite(decided) else nan
-    quiet = (line.end_s, min(again, line.words[-1].t_s))
+    quiet = (line.end_s, min(again - _CYCLE_S, line.words[-1].t_s))  # it says that it walks after the first goals of the step
     reset = next((s.t_s for s in line.switches if s.heard and s.register is dxl.TORQUE_LIMIT and s.t_s > line.begin_s), inf)
     stopped = [w for w in since if w.mode is not Mode.WALK]
     off_s, before = off_time(line)

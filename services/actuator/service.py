@@ -347,7 +347,7 @@ class Actuator:
             torque: Whether torque is on.
             load: (6, 3) [N m] of the motors.
         """
-        q = self._joints.q
+        q, self._q_last = self._joints.q, None  # what was wanted before is no way that the joints are on
         if torque:
             self._ease()
         carrying = self._contact.update(q, load, math.inf)

@@ -102,6 +102,13 @@ def test_a_jump_is_the_largest_change_of_a_goal_after_the_end(ticks: int) -> Non
     assert found.jump_deg == pytest.approx(np.degrees(dxl.TICK_RAD) * ticks)
 
 
+@pytest.mark.parametrize(("before_s", "counts"), [(0.018, False), (0.022, True)])
+def test_the_first_goals_of_the_step_that_follows_are_no_jump(before_s: float, counts: bool) -> None:
+    goals = (goal(0.5), goal(3.0 - before_s, 600))
+    said = (word(0.2, Mode.HOLD), word(3.0, Mode.WALK, "walking"))
+    assert (score(timeline(*said, goals=goals), KILLED, PROFILE).jump_deg > 0.0) == counts
+
+
 def test_a_goal_that_is_to_be_approached_slowly_is_no_jump() -> None:
     goals = (goal(0.5), goal(2.01, 600, dxl.moving_speed_from(np.radians(25.0))))
     said = (word(0.2, Mode.HOLD), word(3.0, Mode.WALK, "walking"))
