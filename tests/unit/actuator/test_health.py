@@ -352,6 +352,15 @@ def test_a_low_battery_is_said_and_no_reason_to_sit() -> None:
     assert verdict.sit == ""
 
 
+@pytest.mark.parametrize("seconds", [0.3, 0.6, 3.0])
+def test_the_voltage_that_is_told_follows_the_servos_within_a_third_of_a_second(seconds: float) -> None:
+    patient = Patient()
+    patient.live(1.0)
+    verdict = patient.live(seconds, replace(WELL, voltage=np.full(18, EMPTY - 2.0)))[-1]
+    told = EMPTY - 2.0 + (11.5 - EMPTY + 2.0) * np.exp(-seconds / 0.3)
+    assert verdict.warnings == ((f"the battery is low: {told:.1f} V",) if told < WARN else ())
+
+
 def test_sags_that_come_again_and_again_count_one_by_one() -> None:
     patient = Patient()
     for _ in range(10):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from services.actuator.plan_check import PlanCheck
+from services.actuator.plan_check import PlanCheck, reaches
 from shared.geometry import Array, apply, from_xyz_rpy, inverse
 from shared.kinematics import body_inverse, within_limits
 from shared.messages import StepPlan
@@ -276,3 +276,12 @@ def test_the_property_meets_plans_that_pass() -> None:
         body = from_xyz_rpy((*rng.uniform(-0.03, 0.03, 2), 0.1), (0.0, 0.0, rng.uniform(-0.1, 0.1)))
         passed += refusal(plan(body_goal=body, touchdown=apply(body, REST))) == ""
     assert passed > 25
+
+
+@pytest.mark.parametrize("leg", range(6))
+def test_legs_reach_their_feet_if_every_one_does(leg: int) -> None:
+    assert reaches(PROFILE, REST)
+    for way in ([0.0, 0.0, -0.3], [0.0, 0.0, 0.3], 2.0 * REST[leg]):
+        far = REST.copy()
+        far[leg] += way
+        assert not reaches(PROFILE, far)
