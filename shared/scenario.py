@@ -525,6 +525,7 @@ class Scenario:
     variation: Variation = field(default_factory=Variation)
     pose_error: Literal["none", "rgbdslam", "orb_slam"] = "none"  # perception is off as a recorded visual SLAM was
     map: MapOptions = field(default_factory=MapOptions)
+    battery_ah: float = 4.0  # [A h] that the simulated battery holds: it walks for half an hour and more with that
     bridge: bool = False  # the servo bus is spoken by a microcontroller, to which the actuator sends its goals
     faults: tuple[Fault, ...] = ()
     bus_faults: tuple[BusFault, ...] = ()  # of the simulated servos and their bus
@@ -539,6 +540,7 @@ class Scenario:
         if not self.terrain:
             raise ValueError('at least one terrain primitive expected, found none; add [[terrain]] with kind = "plane"')
         _expect(self.time_limit_s > 0, "a time limit greater than 0 s", self.time_limit_s)
+        _expect(self.battery_ah > 0, "a battery_ah greater than 0 A h", self.battery_ah)
 
 
 def load_scenario(name_or_path: str) -> Scenario:

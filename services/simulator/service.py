@@ -99,7 +99,7 @@ class Simulator:
         x, y, yaw_deg = rng.uniform(-1.0, 1.0, 3) * (*start.xy_spread, start.yaw_spread_deg) + (*start.xy, start.yaw_deg)
         self.world.stand(q, (x, y), np.radians(yaw_deg))
         servo = profile.servo_angles(q).ravel()
-        bank = bank_of(profile.servo.model, list(profile.servo_names), servo)
+        bank = bank_of(profile.servo.model, list(profile.servo_names), servo, scenario.battery_ah)
         for row, angle in enumerate(servo):
             bank.write(row, dxl.BAUD_RATE.address, dxl.BAUD_RATE.encode(dxl.BAUD_RATE.default))  # set up for a bus of 1 Mbit/s
             bank.write(row, dxl.CW_COMPLIANCE_SLOPE.address, bytes([profile.servo.compliance_slope] * 2))

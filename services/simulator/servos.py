@@ -7,7 +7,7 @@ Not emulated: wheel mode (both angle limits 0; such a servo is limp) and punch, 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -454,7 +454,11 @@ class ServoBank:
         self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._limp
 
 
-def bank_of(model: str, servo_ids: Sequence[int], q: Array) -> ServoBank:
-    """Servos of a model, by its name, at joint angles q (n,) [rad], with the motors and the supply that go with it."""
+def bank_of(model: str, servo_ids: Sequence[int], q: Array, battery_ah: float = Supply().capacity_ah) -> ServoBank:
+    """Servos of a model, by its name, at joint angles q (n,) [rad], with the motors and the supply that go with it.
+
+    What a battery holds [A h] counts where the supply is one.
+    """
     motor, supply = _ELECTRICS[model]
+    supply = replace(supply, capacity_ah=battery_ah)
     return ServoBank(servo_ids, dxl.MODEL_NAMED[model], motor, supply=supply, q=q)

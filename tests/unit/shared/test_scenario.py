@@ -133,6 +133,7 @@ def test_an_unknown_name_lists_the_known() -> None:
             "a spread from 0 to less than",
         ),
         ({"time_limit_s": 0}, "a time limit greater than 0 s"),
+        ({"battery_ah": 0}, "a battery_ah greater than 0 A h"),
         ({"time_limit_s": float("inf")}, "time_limit_s: a finite number expected"),
     ],
 )

@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.simulator.servos import AX_12A_MOTOR, RX_64_MOTOR, RX_64_SUPPLY, Protection, ServoBank, ServoCommand, Supply
+from services.simulator.servos import (
+    AX_12A_MOTOR,
+    RX_64_MOTOR,
+    RX_64_SUPPLY,
+    Protection,
+    ServoBank,
+    ServoCommand,
+    Supply,
+    bank_of,
+)
 from shared import dynamixel as dxl
 from shared.dynamixel import Register, ServoError
 
@@ -134,6 +143,16 @@ def test_battery_current_voltage_and_charge() -> None:
     assert bank.charge == 0.0
     assert bank.voltage == pytest.approx(9.9 - 0.04 * 1.9)
     assert get(bank, dxl.PRESENT_VOLTAGE, 17) == 98
+
+
+def test_a_battery_lasts_by_what_it_holds_and_a_converter_for_ever() -> None:
+    small, large = (bank_of("AX-12A", range(1, 19), np.zeros(18), ah) for ah in (4.0, 8.0))
+    for bank in (small, large):
+        step(bank, torque=0.0, dt=4.0 * 3600 / 1.9)
+    assert (small.charge, large.charge) == (pytest.approx(0.0), pytest.approx(0.5))
+    converter = bank_of("RX-64", range(1, 19), np.zeros(18), 0.1)
+    step(converter, torque=0.0, dt=3600.0)
+    assert converter.voltage == pytest.approx(18.5, abs=0.1)
 
 
 def test_low_voltage_is_an_error_bit_of_every_servo_whose_limit_it_crosses() -> None:
