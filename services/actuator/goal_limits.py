@@ -28,6 +28,11 @@ class GoalLimits:
         self._gentle[leg] = True
         self.behind[leg, joint] = True
 
+    @property
+    def easing(self) -> bool:
+        """Whether a joint takes up its work gently: a foot would not come off the ground as a step wants it."""
+        return bool(self._gentle.any())
+
     def forget(self) -> None:
         """No joint takes up anything: torque is off, or all joints stay where they are."""
         self._gentle[:] = self.behind[:] = False

@@ -52,7 +52,7 @@ class Legs:
     body_now: Array  # (4, 4) {odom} where it should be now
     feet_now: Array  # (6, 3) [m] {odom} likewise
     trouble: str  # what happened to the last step, in words, or nothing
-    searching: bool  # some foot looks for ground
+    waits: str  # why no plan may be walked yet, in words, or nothing
 
 
 class Guard:
@@ -264,8 +264,8 @@ class Guard:
             return f"the mode is {self.mode}, not ordered to walk"
         if not self.lease(now_ns):
             return f"no order of {self._holder} for {LEASE_NS * 1e-9:.0f} s, nobody leads"
-        if legs.searching:
-            return legs.trouble
+        if legs.waits:
+            return legs.waits
         if self._late:
             return f"no new plan came for {DEADLINE_NS * 1e-9:.2f} s, feet are set down first"
         return ""

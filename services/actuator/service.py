@@ -241,8 +241,14 @@ class Actuator:
             body_now=walker.body_ref,
             feet_now=walker.feet_odom,
             trouble=walker.trouble,
-            searching=bool(walker.searching.any()),
+            waits=self._waits(),
         )
+
+    def _waits(self) -> str:
+        """Why no plan may be walked yet, in words, or nothing."""
+        if self._walker.searching.any():
+            return self._walker.trouble
+        return "the joints take up their work again, slowly" if self._walker.resting and self._limits.easing else ""
 
     def _latched(self) -> bool:
         """Whether torque is to be off, by an order that may be older than this process."""

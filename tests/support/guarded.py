@@ -47,7 +47,9 @@ class Robot:
         resting = not self.running and not self.searching
         planned = self.running and not self.own
         where = (START, FEET, START, FEET)
-        return Legs(self.step, resting, planned, self.swing, self.lifted, *where, self.trouble, self.searching)
+        return Legs(
+            self.step, resting, planned, self.swing, self.lifted, *where, self.trouble, self.trouble if self.searching else ""
+        )
 
     # What the operator, the planner and the clock do.
 

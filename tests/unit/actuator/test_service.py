@@ -586,6 +586,27 @@ def test_after_a_while_without_anybody_to_lead_them_legs_begin_anew_and_feet_com
     assert state.mode is Mode.HOLD
 
 
+def test_no_step_begins_before_the_joints_have_taken_up_their_work() -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    epoch = rig.cycle(20).epoch
+    rig.now_ns += 3_500_000_000
+    refused: list[str] = []
+    for _ in range(150):
+        state = rig.cycle()
+        if state.epoch > epoch and state.mode is Mode.HOLD:
+            before = rig.goals
+            rig.hear(rig.plan(state, stamp_ns=rig.now_ns))
+            state = rig.cycle()
+            if state.mode is Mode.WALK:
+                break
+            refused.append(state.refused)
+            assert np.abs(rig.goals - before).max() <= np.radians(30.0) * 0.02 + TICK
+    assert state.mode is Mode.WALK
+    assert refused
+    assert refused[-1].endswith("refused: the joints take up their work again, slowly")
+
+
 @pytest.mark.parametrize("cycles", [3, 15, 27])
 def test_legs_that_begin_anew_are_on_no_way_from_where_they_were_wanted_before(
     cycles: int, monkeypatch: pytest.MonkeyPatch
