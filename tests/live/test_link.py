@@ -96,27 +96,32 @@ def test_a_robot_whose_radio_is_cut_holds_and_walks_on_by_itself(tmp_path: Path)
 
 _SPEAKS = """
 import sys, threading
+from deploy.network.silence import SilenceLimit
 from shared import topics
-from shared.transport import Endpoints, Router, ZenohLink
+from shared.transport import LEASE_MS, Endpoints, Router, ZenohLink
+silence = SilenceLimit(1e-3 * LEASE_MS)
 here = "tcp/127.0.0.1:7447"
 over = threading.Event()
 threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
 with Router((here,), (sys.argv[1],)), ZenohLink(Endpoints((here,))) as link:
     while not over.wait(0.02):
+        silence.look()
         link.send(topics.STEP_PLAN, b"a word")
 """
 _HEARS = """
 import sys, time
+from deploy.network.silence import SilenceLimit
 from shared import topics
-from shared.transport import Endpoints, Router, ZenohLink
+from shared.transport import LEASE_MS, Endpoints, Router, ZenohLink
 with Router(("tcp/0.0.0.0:7447",)), ZenohLink(Endpoints(("tcp/127.0.0.1:7447",))) as link:
+    SilenceLimit(1e-3 * LEASE_MS).look()
     link.subscribe(topics.STEP_PLAN, lambda topic, frame: print(time.monotonic_ns(), flush=True))
     sys.stdin.read()
 """
 
 
 def test_routers_are_together_again_soon_after_a_cut_in_which_the_connection_died(bed: Bed) -> None:
-    """Its sockets, closed with something unsent, must not hold up the new ones; they did for 3 s after this cut."""
+    """Its sockets, closed with something unsent, must not hold up the new ones; they do for 3 s where nobody limits them."""
     piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     hears = subprocess.Popen(bed.on_robot(sys.executable, "-c", _HEARS), **piped)  # type: ignore[call-overload]
     words = bed.on_base(sys.executable, "-c", _SPEAKS, f"tcp/{bed.seen(PORT)}")
