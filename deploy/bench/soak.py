@@ -28,7 +28,7 @@ _LEG_S = 25.0  # of walking forth, then back
 _SPEED = 0.09  # [m/s]
 _SAMPLE_S = 5.0
 _SOON_S, _PRESSES = 5.0, 4  # in which a robot walks that is led, and how often the pad is pressed until it does
-# Level ground, and a battery that lasts: one of 4 A h is empty after 38 minutes, and then the robot lies down, as it should.
+# Level ground, and a battery that lasts: the usual one is empty before the hour is over, and then the robot lies down.
 _COURSE = 'name = "soak"\nbattery_ah = 100.0\n[goal]\ndistance = 1.0\n[[terrain]]\nkind = "plane"\n'
 _KEPT_FILES = 3  # of the recording, whose disk an hour would fill with gigabytes
 # From the camera to the servos, and back to who leads them.

@@ -2,14 +2,16 @@
 
 Zenoh closes a link that died with something unsent in a call that blocks until the other machine has taken it, for up to 10 s
 (SO_LINGER, not configurable in 1.10: eclipse-zenoh/zenoh#2547), and lets nobody in meanwhile: a robot whose radio was back
-walked again 3 to 5 s later. The kernel gives such a connection up after TCP_USER_TIMEOUT, and then closing it blocks no more.
+walked again after up to 4.5 s. The kernel gives such a connection up after TCP_USER_TIMEOUT; then closing it blocks no more.
 """
 
+import errno
 import socket
 from pathlib import Path
 
 _DESCRIPTORS = Path("/proc/self/fd")  # of Linux; elsewhere nothing is limited
 _INTERNET = (socket.AF_INET, socket.AF_INET6)
+_GONE = (errno.EBADF, errno.ENOTSOCK)  # of a descriptor that was closed, and perhaps is a file by now
 
 
 class SilenceLimit:
@@ -50,14 +52,18 @@ def _open_sockets() -> dict[str, str]:
 
 
 def _limit(number: int, limit_ms: int) -> None:
+    """Limit one socket, if it is still there and one of TCP."""
     try:
         borrowed = socket.socket(fileno=number)
-    except OSError:  # closed in the meantime
+    except OSError as error:
+        if error.errno not in _GONE:
+            raise
         return
     try:
         if borrowed.family in _INTERNET and borrowed.type == socket.SOCK_STREAM:
             borrowed.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit_ms)
-    except OSError:  # closed in the meantime
-        return
+    except OSError as error:
+        if error.errno not in _GONE:
+            raise
     finally:
         borrowed.detach()  # it is its owner who closes it

@@ -112,6 +112,19 @@ def test_the_joints_beside_one_that_is_behind_stay_gentle_even_where_they_have_n
         last = goal
 
 
+def test_it_says_that_joints_are_gentle_until_the_last_is_where_it_is_wanted() -> None:
+    limits, wanted, last = GoalLimits(PROFILE), REST + 0.05, REST
+    assert not limits.easing
+    limits.ease(3, 1)
+    while limits.easing:
+        last, _ = limits.safe(wanted, last, DT)
+        assert limits.easing == (np.abs(wanted - last)[3].max() > 1e-9)
+    np.testing.assert_allclose(last[3], wanted[3])
+    limits.ease(0, 0)
+    limits.forget()
+    assert not limits.easing
+
+
 def test_nobody_takes_up_work_where_torque_is_off() -> None:
     limits = GoalLimits(PROFILE)
     limits.ease(3, 1)
