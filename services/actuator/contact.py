@@ -1,6 +1,7 @@
 """Which feet carry, by the load that their servos feel; no force sensor."""
 
 import math
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,12 @@ _TOUCH_N = 1.5  # [N] and more is contact
 _LIFT_N = 0.8  # [N] and less is none
 _FIRM_N = 3.0  # [N] and more is contact beyond what friction and the legs' own links can feign in legs that hardly move
 _SMOOTHING_S = 0.08  # [s] time constant
+_MIN_LEGS = 3
+_LIFTED = 0.006  # [m] over the feet that bear the body from which one that does not push firmly is in the air
+_MIDDLE = np.array([[0.0], [0.0], [1.0]])  # the body's, as a row x, y, 1
+_THREES = np.array(list(combinations(range(6), 3)))
+_ASIDE = 0.05  # share of the body's weight by which its middle may lie outside of three feet
+_LEAST_AREA = 1e-3  # [m^2] of a triangle of feet that tells how its plane lies
 
 
 class ContactEstimate:
@@ -40,3 +47,23 @@ class ContactEstimate:
     def firm(self) -> NDArray[np.bool_]:
         """(6,) legs that push the ground beyond doubt, by all of their joints; of use while they move slowly or not at all."""
         return np.asarray(self._force > _FIRM_N)
+
+    def standing(self, feet: Array) -> NDArray[np.bool_]:
+        """(6,) legs that stand, of a robot that nobody has led for a while, by its feet (6, 3) [m] {body}.
+
+        Friction holds a leg in the air as the ground would, so its load alone does not tell. The body rests on three feet that
+        carry around its middle, with none that carries below their plane; what is over that is in the air, unless it pushes
+        firmly. Where there are no such three those that carry stand; where there are not even three of these, all.
+        """
+        rows = np.concatenate([feet[:, :2], np.ones((6, 1))], axis=1)  # x, y, 1
+        corners = rows[_THREES]
+        plane = np.abs(np.linalg.det(corners)) > 2.0 * _LEAST_AREA
+        corners = np.where(plane[:, None, None], corners, np.eye(3))
+        shares = np.linalg.solve(corners.swapaxes(1, 2), _MIDDLE)[..., 0]  # of the body's weight
+        around = (shares >= -_ASIDE).all(axis=1) & self.legs[_THREES].all(axis=1) & plane
+        if not around.any():
+            return self.legs.copy() if self.legs.sum() >= _MIN_LEGS else np.ones(6, dtype=np.bool_)
+        over = feet[:, 2] - np.linalg.solve(corners, feet[_THREES, 2:])[..., 0] @ rows.T  # (20, 6) each foot over each plane
+        below = np.maximum(-over.min(axis=1, where=self.legs, initial=0.0), 0.0)
+        firmest = np.argmin(np.where(around, below - _LIFTED * shares.min(axis=1), np.inf))
+        return np.asarray((over[firmest] < _LIFTED) | self.firm)

@@ -186,10 +186,14 @@ class Joints:
             self._tell(partial(self._wake, index))
 
     def revive(self, index: int) -> None:
-        """End the shutdown of a servo (0 to 17) at the place where its joint is, if it says that it has that for its goal."""
+        """End the shutdown of a servo (0 to 17) at the place where its joint is, if it says that it has that for its goal.
+
+        A joint that hangs beyond its limit comes back to that, slowly.
+        """
         leg, joint = divmod(index, 3)
         goals = self.goals.copy()
-        goals[leg, joint] = self.q[leg, joint]
+        goals[leg, joint] = np.clip(self.q[leg, joint], *self._profile.joint_limits[leg, joint])
+        self._leave_behind(np.arange(18) == index)
         self.write(goals)
         self._tell(lambda: self._wake(index))
 

@@ -13,9 +13,10 @@ from services.actuator.bus import Port
 from services.actuator.config import Settings
 from services.actuator.contact import ContactEstimate
 from services.actuator.feeler import FEMUR, Feeler, Felt
-from services.actuator.goal_limits import GoalLimits
+from services.actuator.goal_limits import GENTLE, LOWERED, GoalLimits
 from services.actuator.guard import Act, Guard, Legs
 from services.actuator.health import GAP_S, Health, Verdict
+from services.actuator.hung_legs import HungLegs
 from services.actuator.joints import Joints
 from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward, sag_feed_forward
@@ -33,7 +34,7 @@ from shared.service import AnyTopic, Every, Inbox, Stages
 
 _STANDS = 0.5  # share of its load from which a leg counts as standing
 _SLIPS = 0.01  # [m] against the others from which a standing foot is said to slip; rolling and looseness are some millimetres
-_LIFTED = 0.01  # [m] over the standing feet from which a foot without load is in the air
+_ALL = np.ones(6, dtype=np.bool_)
 _BALANCED = (Mode.HOLD, Mode.WALK)  # modes in which legs follow an inertial sensor
 
 
@@ -96,10 +97,11 @@ class Actuator:
         self._posing: StandUp | LieDown | None = None  # what moves the legs in place of the walk
         self._still = False  # whether the legs stay as they are told
         self._away = False  # whether in the last cycle nobody knew how the servos fare
-        self._lowering = False  # whether feet that were found in the air come down: all joints go gently, whatever feet meet
+        self._eased, self._top = _ALL, GENTLE  # legs that go gently all through a gentle step, and how fast [rad/s]
+        self._hung = HungLegs()
         self._T_world_odom: Array = np.eye(4)
         self._take_over(torque, self._joints.read_loads())
-        if self._lowering:
+        if self._walker.gentle:
             self._guard.reason = "torque was on at the start; lowering the feet that are in the air"
 
     def __enter__(self) -> Self:
@@ -192,15 +194,20 @@ class Actuator:
             self._walker.turn(turn)
 
     def _measured(self) -> Array:
-        """Joint angles now (6, 3) [rad]: the last readings, moved on by what was wanted of the joints since."""
-        return np.asarray(self._joints.q + (self._q_wanted - self._q_wanted_when_read))
+        """Joint angles now (6, 3) [rad]: the last readings, moved on by what was wanted since of joints that pull."""
+        moved = np.where(self._joints.limp_legs[:, None], 0.0, self._q_wanted - self._q_wanted_when_read)
+        return np.asarray(self._joints.q + moved)
 
     def _standing(self) -> NDArray[np.bool_]:
         """(6,) legs that stand; those that are limp, or not where they were sent, stand on nothing, unless too few are left."""
         walker = self._walker
         standing = (~walker.swing | (walker.load_share > _STANDS)) & ~walker.searching
-        firm = standing & ~self._joints.unsure_legs
+        firm = standing & ~self._unsure()
         return np.asarray(firm if firm.sum() >= 3 else standing)
+
+    def _unsure(self) -> NDArray[np.bool_]:
+        """(6,) legs that nobody can say of where they stand: limp, or not yet where they were sent again."""
+        return np.asarray(self._joints.unsure_legs | self._hung.hung)
 
     def _see_to_health(self, now_ns: int, elapsed: float) -> None:
         """Do what the servos, the battery and the running out of time ask for."""
@@ -221,10 +228,18 @@ class Actuator:
         elif away and not self._away and not self._still and self._posing is None:
             self._take_over(self._guard.mode is not Mode.OFF, self._joints.load)
 
-    def _ease(self) -> None:
-        """Let all joints take up their work gently."""
+    def _ease(self, legs: NDArray[np.bool_], top: float = GENTLE) -> None:
+        """Let the joints of legs (6,) take up their work gently, no faster than so [rad/s]."""
         for leg, joint in np.ndindex(6, 3):
-            self._limits.ease(leg, joint)
+            if legs[leg]:
+                self._limits.ease(leg, joint, top)
+
+    def _put_back(self) -> None:
+        """Let legs that hung step to where they belong, once they can: from where they lie they would scrape, or jam."""
+        back = self._hung.update(self._joints.limp_legs, self._joints.unsure_legs, self._walker.flying)
+        if back.any() and self._walker.resting:
+            self._walker.put_back(back, apply(self._odometry.T_odom_body, self._odometry.feet))
+            self._eased, self._top = back, self._hung.put_back()
 
     def _legs(self) -> Legs:
         """How far the walk is, for the guard."""
@@ -273,7 +288,7 @@ class Actuator:
                     self._q_wanted = self._joints.goals.copy()
                     self._q_wanted_when_read = self._q_wanted.copy()
                 case Act.RISE:
-                    self._still, self._q_last = False, None
+                    self._still, self._q_last, self._hung = False, None, HungLegs()
                     self._posing = StandUp(
                         self._profile, body_forward(self._profile, self._joints.goals), self._settings.stand_s
                     )
@@ -296,16 +311,16 @@ class Actuator:
         if self._posing is not None:
             targets = self._posing.update(dt)
         else:
-            self._lowering &= not self._walker.resting
-            if self._lowering:
-                self._ease()
+            self._put_back()
+            if self._walker.gentle:
+                self._ease(self._eased, self._top)
             # A leg whose servo is silent, or limp, is taken to stand where the plan says: it can be asked for nothing.
             stands = self._feeler.bears | self._feeler.silent(self._clock()) | self._joints.limp_legs
             feet, awaiting = self._odometry.feet, self._walker.awaiting
             heaves = self._plumb.heaves(T_odom_body, feet, awaiting, now_ns)
-            feeler, firm, known = self._feeler, self._contact.firm, ~self._joints.unsure_legs
+            feeler, firm, known = self._feeler, self._contact.firm, ~self._unsure()
             felt = Felt(feeler.touches, stands, apply(T_odom_body, feet), firm, heaves, feeler.leans, known)
-            targets = self._walker.update(dt, T_odom_body, felt)
+            targets = self._walker.update(dt, T_odom_body, felt, self._limits.pace)
         self._reach_for(targets, dt)
         if self._posing is not None and self._posing.done:
             self._end_pose(targets)
@@ -337,8 +352,11 @@ class Actuator:
         rates = np.where(reached & np.isfinite(before), (q - before) / dt, 0.0)
         lag = lag_feed_forward(self._profile, rates, dt)
         self._q_last = q
-        goal, self._warning = self._limits.safe(q + sag + lag, self._joints.goals, dt)
-        self._q_wanted = np.where(reached, q, self._q_wanted)
+        stays = self._hung.dangling[:, None]  # a femur that came down without its tibia would lift the body
+        wanted = np.where(stays, self._joints.goals, q + sag + lag)
+        goal, self._warning = self._limits.safe(wanted, self._joints.goals, dt)
+        rest = np.where(self._limits.gentle, goal - sag - lag, q)  # gentle joints are not asked for more than that yet
+        self._q_wanted = np.where(reached & ~stays, rest, self._q_wanted)
         self._send(goal)
 
     def _send(self, goals: Array) -> None:
@@ -355,13 +373,13 @@ class Actuator:
         """
         q, self._q_last = self._joints.q, None  # what was wanted before is no way that the joints are on
         if torque:
-            self._ease()
-        carrying = self._contact.update(q, load, math.inf)
-        standing = carrying if torque and carrying.sum() >= 3 else np.ones(6, dtype=np.bool_)
+            self._ease(_ALL)
+        self._contact.update(q, load, math.inf)
+        standing = self._contact.standing(body_forward(self._profile, q)) if torque else _ALL
         self._stand_on(q, standing=standing)
-        lifted = (self._odometry.anchors[:, 2] - self._profile.foot.radius > _LIFTED) & ~standing
-        self._lowering = torque and bool(lifted.any())
-        if self._lowering:
+        lifted = ~standing
+        if lifted.any():
+            self._eased, self._top = _ALL, LOWERED  # whatever feet meet
             self._walker.lower(lifted, self._profile.foot.radius)
 
     def _stand_on(self, q: Array, feet: Array | None = None, standing: NDArray[np.bool_] | None = None) -> None:
@@ -373,6 +391,7 @@ class Actuator:
         self._odometry = LegOdometry(self._profile, q, T_odom_body)
         ground = self._odometry.anchors[:, 2]
         self._walker = Walker(self._settings, measured if feet is None else feet, T_odom_body, ground)
+        self._hung = HungLegs()
         self._guard.begin_anew(self._clock())
 
     # ---------------------------------------------------------------------------------------------------------- outputs

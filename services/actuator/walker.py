@@ -36,7 +36,8 @@ from shared.messages import StepPlan
 from shared.robot import LEGS
 
 _ARCS: dict[str, type[Swing] | type[SixthOrderArc]] = {"flow": Swing, "sixth_order": SixthOrderArc}
-_LOWERING_S = 1.0  # [s]
+_GENTLE_S = 1.0  # [s] in which feet that hung come back to the ground, or longer, as gently as their joints go
+_PICKED_UP = 0.03  # [m] clearance of feet that may lie on the ground
 _FOLLOW = 2.0  # [1/s] at which {cmd} follows {odom}
 _UP = np.array([0.0, 0.0, 1.0])
 _LEVEL = np.array([1.0, 1.0, 0.0])  # of x, y, z, or of roll, pitch, yaw
@@ -129,6 +130,7 @@ class Walker:
         self._way_back: StepPlan | None = None  # of the last step, {world} being {cmd}
         self._waited = 0.0  # [s] before lift-off, for legs that have yet to prove that they stand
         self._hurry = 1.0  # times as fast as planned
+        self.gentle = False  # whether the running step is none of a plan, but brings feet back that hung anywhere
         self._returning = False  # whether feet go back to where they have just come from
         self._taking_back = False  # whether the last swing was none of a plan: there is no way back from it
         self._findings: list[Finding] = []
@@ -167,6 +169,11 @@ class Walker:
             return np.asarray(~plan.swing & ~self._proven & soon)
         coming = _LISTEN_FROM <= self._progress(plan, self._elapsed) < 1.0
         return np.asarray(self.swing & ~self._stopped & coming)
+
+    @property
+    def flying(self) -> NDArray[np.bool_]:
+        """(6,) legs in the air: those of the running step, once they have begun to be lifted, and those that hang."""
+        return self.swing.copy() if self._flight is not None or self.gentle else np.zeros(6, dtype=bool)
 
     @property
     def searching(self) -> NDArray[np.bool_]:
@@ -214,13 +221,14 @@ class Walker:
         else:
             self._next = plan
 
-    def update(self, dt: float, T_odom_body: Array, felt: Felt | None = None) -> Targets:
+    def update(self, dt: float, T_odom_body: Array, felt: Felt | None = None, pace: float = 1.0) -> Targets:
         """Move on by one cycle.
 
         Args:
             dt: [s] since the last cycle.
             T_odom_body: (4, 4) where the body is by the measured joints.
             felt: What the legs feel; without it every foot goes where the plan says.
+            pace: Share of its speed at which a gentle step goes on.
 
         Returns:
             What the legs shall do.
@@ -240,15 +248,25 @@ class Walker:
             elif felt is not None:
                 self._survey(dt, felt)
         else:
-            self._advance(dt, self._plan, felt)
+            self._advance(dt * pace if self.gentle else dt, self._plan, felt)
         self._feet[self._stopped] += (1.0 - math.exp(-dt / _SETTLE_S)) * (self._met - self._feet)[self._stopped]
         return self._targets()
 
     def lower(self, legs: NDArray[np.bool_], ground: float) -> None:
         """Bring feet that hang in the air straight down to a height [m] {odom}; the others stand meanwhile."""
-        self._share[legs] = 0.0
         touchdown = self.feet_odom
         touchdown[legs, 2] = ground
+        self._bring(legs, touchdown, clearance=0.0)
+
+    def put_back(self, legs: NDArray[np.bool_], feet: Array) -> None:
+        """Let legs that lie anywhere, with their feet at (6, 3) [m] {odom}, step to where they should stand meanwhile."""
+        touchdown = self.feet_odom
+        self._feet[legs] = apply(inverse(self._T_odom_cmd), feet)[legs]
+        self._bring(legs, touchdown, _PICKED_UP)
+
+    def _bring(self, legs: NDArray[np.bool_], touchdown: Array, clearance: float) -> None:
+        """Begin a gentle step with legs that carry nothing, to touchdowns (6, 3) [m] {odom}; the body stays where it is."""
+        self._share[legs] = 0.0
         self._begin(
             StepPlan(
                 stamp_ns=-1,
@@ -258,12 +276,13 @@ class Walker:
                 T_world_odom=np.eye(4),
                 swing=legs.copy(),
                 touchdown=touchdown,
-                clearance=np.zeros(6),
+                clearance=np.full(6, clearance),
                 body_goal=self.body_ref,
-                duration=_LOWERING_S,
+                duration=_GENTLE_S,
                 stop=True,
             )
         )
+        self.gentle = True
 
     def turn(self, T: Array) -> None:
         """Turn the ground in {odom} by a transform (4, 4) about the body, feet and touchdowns with it.
@@ -353,7 +372,7 @@ class Walker:
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
         self._start_ref, self._start_velocity, self._start_elapsed = self._ref.copy(), self._velocity.copy(), 0.0
         self._end_elapsed = plan.duration
-        self._flight, self._waited, self._hurry, self._returning = None, 0.0, 1.0, False
+        self._flight, self._waited, self._hurry, self._returning, self.gentle = None, 0.0, 1.0, False, False
         self._stopped &= ~plan.swing
 
     def _advance(self, dt: float, plan: StepPlan, felt: Felt | None) -> None:
@@ -368,7 +387,7 @@ class Walker:
         self._ref, self._velocity = _hermite(*way, whole, min(self._elapsed - self._start_elapsed, whole))
         if self._flight is None and self._elapsed > self._settings.unload_s:
             unproven = ~plan.swing & ~self._proven
-            if felt is not None and unproven.any():
+            if felt is not None and unproven.any() and not self.gentle:  # legs that lie bear nothing that others had to take
                 self._waited += self._elapsed - before
                 self._elapsed, self._velocity = before, np.zeros(6)  # time stands still
                 lost = unproven & ~felt.leans if self._waited <= _LONGER_S else unproven
@@ -425,11 +444,10 @@ class Walker:
         self._taking_back = plan.stamp_ns < 0
 
     def _prove(self, felt: Felt) -> None:
-        """Take note of feet that stand, now that others unload."""
-        flying = self.swing if self._flight is not None else np.zeros(6, dtype=bool)
-        proven = felt.bears & ~self._proven & ~flying & ~self.searching
+        """Take note of feet that stand, now that others unload; one that is only taken to stand has found nothing."""
+        proven = felt.bears & ~self._proven & ~self.flying & ~self.searching
         self._proven |= proven
-        self._findings += [Finding(leg, felt.feet[leg].copy(), True) for leg in np.flatnonzero(proven).tolist()]
+        self._findings += [Finding(leg, felt.feet[leg].copy(), True) for leg in np.flatnonzero(proven & felt.known).tolist()]
 
     def _survey(self, dt: float, felt: Felt) -> None:
         """At rest, see how high the feet truly stand that have just met ground: they were measured while they moved.
@@ -507,7 +525,7 @@ class Walker:
 
     def _land(self) -> None:
         self._share[:] = 1.0
-        self.swing = np.zeros(6, dtype=bool)
+        self.swing, self.gentle = np.zeros(6, dtype=bool), False
         self._plan, self._flight = None, None
         if self._next is not None:
             self._begin(self._next)

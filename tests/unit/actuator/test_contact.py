@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from services.actuator.contact import ContactEstimate
-from shared.geometry import Array
+from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_inverse, joint_torques
 from shared.profiles import load_profile
 
@@ -98,3 +100,43 @@ def test_who_pushes_beyond_doubt_pushes_more_than_who_is_in_contact() -> None:
     assert not estimate.firm.any()
     settled(estimate, np.where(TRIPOD, 4.0, 0.0))
     np.testing.assert_array_equal(estimate.firm, TRIPOD)
+
+
+SPANNING = [[0, 2, 4], [1, 3, 5], [0, 1, 3, 4], [1, 2, 4, 5], [0, 1, 2, 3, 4], [0, 1, 2, 3, 4, 5]]
+TILT = st.floats(-0.15, 0.15)
+
+
+def by_loads(push: Array) -> ContactEstimate:
+    """An estimate of legs that one look has found under such forces (6,) [N]."""
+    estimate = ContactEstimate(PROFILE)
+    estimate.update(Q, torques(push), np.inf)
+    return estimate
+
+
+@given(st.sampled_from(SPANNING), TILT, TILT, st.lists(st.floats(-10.0, 2.9), min_size=6, max_size=6), st.floats(0.007, 0.08))
+def test_feet_over_the_plane_of_those_that_bear_the_body_are_in_the_air_whatever_friction_feigns(
+    down: list[int], roll: float, pitch: float, feigned: list[float], height: float
+) -> None:
+    stands = np.isin(np.arange(6), down)
+    level = PROFILE.rest_feet() + np.where(stands, 0.0, height)[:, None] * [0.0, 0.0, 1.0]
+    feet = apply(from_xyz_rpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)), level)
+    push = np.where(stands, 25.0 / len(down), feigned)
+    np.testing.assert_array_equal(by_loads(push).standing(feet), stands)
+
+
+@given(st.floats(0.02, 0.1), st.integers(0, 5))
+def test_a_foot_on_a_block_stands_for_it_pushes(height: float, leg: int) -> None:
+    feet = PROFILE.rest_feet()
+    feet[leg, 2] += height
+    assert by_loads(np.full(6, 4.0)).standing(feet).all()
+    push = np.full(6, 5.0)
+    push[leg] = 2.0
+    np.testing.assert_array_equal(by_loads(push).standing(feet), np.arange(6) != leg)
+
+
+def test_where_no_three_feet_bear_the_body_those_that_carry_stand_or_all() -> None:
+    feet = PROFILE.rest_feet()
+    beside = np.isin(np.arange(6), [1, 2, 3])  # the right side
+    np.testing.assert_array_equal(by_loads(np.where(beside, 8.0, 0.0)).standing(feet), beside)
+    assert by_loads(np.where(np.arange(6) < 2, 8.0, 0.0)).standing(feet).all()
+    assert by_loads(np.full(6, 5.0)).standing(np.zeros((6, 3))).all(), "no plane is told from feet in one place"

@@ -1,11 +1,12 @@
 """Joint goals: finite, within limits, no faster than the servos, gathering speed no faster than they can; gentle when asked."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from services.actuator.goal_limits import GENTLE, GoalLimits
+from services.actuator.goal_limits import GENTLE, LOWERED, GoalLimits
 from shared.geometry import Array
 from shared.kinematics import body_inverse, within_limits
 from shared.profiles import load_profile
@@ -133,3 +134,35 @@ def test_nobody_takes_up_work_where_torque_is_off() -> None:
     assert not limits.behind.any()
     goal, _ = limits.safe(REST + 0.1, REST, DT)
     assert (goal - REST)[3, 1] > GENTLE * DT
+
+
+def test_a_leg_may_be_gentle_at_another_speed() -> None:
+    limits = GoalLimits(PROFILE)
+    limits.ease(2, 0)
+    limits.ease(3, 1, LOWERED)
+    steps = np.abs(limits.safe(REST + 0.1, REST, DT)[0] - REST)
+    np.testing.assert_allclose(steps[2], GENTLE * DT)
+    np.testing.assert_allclose(steps[3], LOWERED * DT)
+    limits.ease(3, 1)
+    last, _ = limits.safe(REST + 0.1, REST, DT)
+    np.testing.assert_allclose(np.abs(last - REST)[3], GENTLE * DT)
+
+
+def test_a_motion_that_waits_for_gentle_joints_is_followed_closely_and_at_their_speed() -> None:
+    """It may be told to go as fast as it likes: the pace settles where the joints' goals keep up."""
+    limits, last, share, cycles = GoalLimits(PROFILE), REST, 0.0, 0
+    assert limits.pace == 1.0
+    while share < 1.0:
+        share = min(share + limits.pace * DT, 1.0)  # a radian a second
+        limits.ease(3, 1)
+        wanted = REST.copy()
+        wanted[3, 1] += share
+        last, _ = limits.safe(wanted, last, DT)
+        assert abs(wanted - last).max() < np.radians(3.0)
+        assert 0.0 <= limits.pace <= 1.0
+        cycles += 1
+    assert cycles * DT == pytest.approx(1.0 / GENTLE, abs=0.2)
+    limits.forget()
+    assert limits.pace == 1.0
+    limits.safe(REST - 0.2, last, DT)
+    assert limits.pace == 1.0, "joints that are not gentle keep nobody waiting"

@@ -213,6 +213,16 @@ def test_a_servo_that_has_shut_down_for_its_heat_is_not_taken_up() -> None:
     assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 0
 
 
+def test_a_joint_that_hangs_beyond_its_limit_is_taken_up_at_the_limit_and_slowly() -> None:
+    rig = Rig().start()
+    rig.cycle(8, write=True)
+    low = PROFILE.joint_limits[LEG, JOINT, 0]
+    rig.joints.q[LEG, JOINT] = low - np.radians(5.0)
+    rig.joints.revive(SERVO)
+    assert rig.joints.goals[LEG, JOINT] == low
+    assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
+
+
 def test_nothing_is_known_before_the_first_readings_and_then_all_is() -> None:
     rig = Rig().start()
     assert np.isnan(rig.joints.voltage).all()

@@ -1,5 +1,6 @@
 """The walk as the legs are told it: smooth in the body's frame, through the plans' goals, at rest in the end."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -263,6 +264,49 @@ def test_set_down_leaves_alone_what_is_no_plan() -> None:
         cycle(walker)
     walker.set_down(reaches)
     assert not walker.resting, "feet that come down by themselves go on"
+
+
+@given(st.lists(st.floats(-0.08, 0.08), min_size=3, max_size=3), st.integers(0, 5), st.floats(0.2, 1.0))
+def test_a_leg_that_lies_anywhere_is_put_back_through_the_air_while_the_others_stand(
+    off: list[float], leg: int, pace: float
+) -> None:
+    walker = new_walker()
+    belongs, body, legs = walker.feet_odom, walker.body_ref, np.arange(6) == leg
+    off[0] += math.copysign(0.02, off[0])
+    lies = belongs + np.where(legs[:, None], off, 0.0)
+    walker.put_back(legs, lies)
+    np.testing.assert_allclose(walker.feet_odom, lies, atol=1e-9)
+    unsure = Felt(legs & False, legs & False, lies)  # nobody has proved that it stands: nothing is called off for that
+    highest, elapsed = -np.inf, 0.0
+    while not walker.resting:
+        assert walker.gentle
+        assert not walker.planned
+        share = walker.update(DT, walker.body_ref, unsure, pace).share
+        if walker.phase < 0.8:
+            assert share[leg] == 0.0, "it carries nothing"
+        np.testing.assert_allclose(walker.feet_odom[~legs], belongs[~legs], atol=1e-9)
+        np.testing.assert_allclose(walker.body_ref, body, atol=1e-9)
+        highest = max(highest, float(walker.feet_odom[leg, 2]))
+        elapsed += DT
+    assert highest > max(belongs[leg, 2], lies[leg, 2]) + 0.02
+    np.testing.assert_allclose(walker.feet_odom, belongs, atol=1e-9)
+    assert elapsed == pytest.approx(1.0 / pace, abs=2 * DT)
+    assert not walker.gentle
+    walker.accept(plan_to(1, body_at(0.03)))
+    for _ in range(5):
+        walker.update(DT, walker.body_ref, pace=0.0)
+    assert walker.phase > 0.0, "a step of a plan waits for nobody"
+
+
+def test_a_leg_that_is_only_taken_to_stand_has_found_nothing() -> None:
+    walker = new_walker()
+    walk(walker, [plan_to(1, body_at(0.03))])
+    walker.drain_findings()
+    limp = np.arange(6) == 2
+    walker.update(DT, walker.body_ref, Felt(TRIPOD & False, TRIPOD, walker.feet_odom, known=~limp))
+    assert {found.leg for found in walker.drain_findings()} == {0, 4}
+    walker.update(DT, walker.body_ref, Felt(TRIPOD & False, TRIPOD, walker.feet_odom))
+    assert not walker.drain_findings()
 
 
 def test_until_its_feet_are_lifted_a_step_may_be_another_one() -> None:

@@ -1,0 +1,44 @@
+"""Legs that could not be led for a while, and hang or lie anywhere until they are put back. Pure."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.actuator.goal_limits import FETCHED, GENTLE
+
+_Flags = NDArray[np.bool_]
+
+
+class HungLegs:
+    """Which legs went limp, or silent in the air, and may be put back now."""
+
+    def __init__(self) -> None:
+        """Begin with all legs led."""
+        self.hung: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) not put back yet
+        self.dangling: _Flags = np.zeros(6, dtype=np.bool_)  # (6,) those of them that were in the air
+        self._limped: _Flags = np.zeros(6, dtype=np.bool_)
+        self._lost: _Flags = np.zeros(6, dtype=np.bool_)
+
+    def update(self, limp: _Flags, unsure: _Flags, flying: _Flags) -> _Flags:
+        """Take in how the legs fare.
+
+        Args:
+            limp: (6,) legs of which a servo does not pull.
+            unsure: (6,) those, and legs of which a servo is silent or not yet where it was sent since.
+            flying: (6,) legs in the air.
+
+        Returns:
+            (6,) legs that hang, and can be led again. One that stood while it was silent stands where it stood.
+        """
+        self._lost = limp | (unsure & (flying | self.hung))
+        back = self.hung & ~self._lost
+        self.dangling = self.dangling | (self._lost & ~self.hung & flying)
+        self.hung = self.hung | self._lost
+        self._limped = self._limped | limp
+        return back
+
+    def put_back(self) -> float:
+        """Those that can be led again are led; how fast [rad/s] their joints may go."""
+        top = GENTLE if (self._limped & self.hung & ~self._lost).any() else FETCHED
+        self.hung = self._lost.copy()
+        self.dangling, self._limped = self.dangling & self._lost, self._limped & self._lost
+        return float(top)

@@ -1,0 +1,67 @@
+"""Which legs hang, and when they may be put back."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from services.actuator.goal_limits import FETCHED, GENTLE
+from services.actuator.hung_legs import HungLegs
+
+NONE = np.zeros(6, dtype=np.bool_)
+SETS = st.sets(st.integers(0, 5)).map(lambda legs: np.isin(np.arange(6), list(legs)))
+
+
+def legs(*which: int) -> NDArray[np.bool_]:
+    return np.isin(np.arange(6), which)
+
+
+def test_a_leg_that_went_limp_is_put_back_gently_once_it_pulls_again() -> None:
+    hung = HungLegs()
+    assert not hung.update(legs(2), legs(2), NONE).any()
+    assert not hung.dangling.any(), "it stood"
+    assert not hung.update(NONE, legs(2), NONE).any(), "it is not yet where it was sent"
+    np.testing.assert_array_equal(hung.update(NONE, NONE, NONE), legs(2))
+    np.testing.assert_array_equal(hung.hung, legs(2))
+    assert hung.put_back() == GENTLE
+    assert not hung.hung.any()
+    assert not hung.update(NONE, NONE, legs(2)).any()
+
+
+def test_a_leg_that_is_silent_hangs_if_it_was_in_the_air_and_is_fetched_faster() -> None:
+    hung = HungLegs()
+    assert not hung.update(NONE, legs(1, 4), legs(0, 2, 4)).any()
+    np.testing.assert_array_equal(hung.hung, legs(4))
+    np.testing.assert_array_equal(hung.dangling, legs(4))
+    hung.update(NONE, legs(1, 4), NONE)
+    np.testing.assert_array_equal(hung.dangling, legs(4))
+    np.testing.assert_array_equal(hung.update(NONE, legs(1), NONE), legs(4))
+    assert hung.put_back() == FETCHED
+
+
+def test_of_two_legs_one_that_is_still_limp_waits() -> None:
+    hung = HungLegs()
+    hung.update(legs(0, 3), legs(0, 3), legs(0, 2, 4))
+    np.testing.assert_array_equal(hung.update(legs(3), legs(3), NONE), legs(0))
+    assert hung.put_back() == GENTLE
+    np.testing.assert_array_equal(hung.hung, legs(3))
+    assert not hung.dangling.any()
+    np.testing.assert_array_equal(hung.update(NONE, NONE, NONE), legs(3))
+    assert hung.put_back() == GENTLE
+
+
+@given(st.lists(st.tuples(SETS, SETS, SETS, st.booleans()), max_size=20))
+def test_no_leg_comes_back_that_cannot_be_led_and_none_is_forgotten(
+    story: list[tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], bool]],
+) -> None:
+    hung, owed = HungLegs(), NONE.copy()
+    for limp, silent, flying, may in story:
+        back = hung.update(limp, limp | silent, flying)
+        owed |= limp
+        assert not (back & limp).any()
+        assert not (hung.dangling & ~hung.hung).any()
+        assert not (owed & ~hung.hung).any()
+        if may and back.any():
+            hung.put_back()
+            owed &= ~back
+            assert not (hung.hung & back).any()
