@@ -48,12 +48,13 @@ class ContactEstimate:
         """(6,) legs that push the ground beyond doubt, by all of their joints; of use while they move slowly or not at all."""
         return np.asarray(self._force > _FIRM_N)
 
-    def standing(self, feet: Array) -> NDArray[np.bool_]:
-        """(6,) legs that stand, of a robot that nobody has led for a while, by its feet (6, 3) [m] {body}.
+    def lifted(self, feet: Array) -> Array:
+        """Heights (6,) [m] by which feet (6, 3) [m] {body} are in the air, 0 for those that stand.
 
-        Friction holds a leg in the air as the ground would, so its load alone does not tell. The body rests on three feet that
-        carry around its middle, with none that carries below their plane; what is over that is in the air, unless it pushes
-        firmly. Where there are no such three those that carry stand; where there are not even three of these, all.
+        It is for a robot that nobody has led for a while. Friction holds a leg in the air as the ground would, so its load
+        alone does not tell. The body rests on three feet that carry around its middle, with none that carries below their
+        plane; what is over that is in the air by as much, unless it pushes firmly. Where there are no such three those that
+        carry stand; where there are not even three of these, all.
         """
         rows = np.concatenate([feet[:, :2], np.ones((6, 1))], axis=1)  # x, y, 1
         corners = rows[_THREES]
@@ -62,8 +63,10 @@ class ContactEstimate:
         shares = np.linalg.solve(corners.swapaxes(1, 2), _MIDDLE)[..., 0]  # of the body's weight
         around = (shares >= -_ASIDE).all(axis=1) & self.legs[_THREES].all(axis=1) & plane
         if not around.any():
-            return self.legs.copy() if self.legs.sum() >= _MIN_LEGS else np.ones(6, dtype=np.bool_)
+            carrying = self.legs if self.legs.sum() >= _MIN_LEGS else np.ones(6, dtype=np.bool_)
+            over = feet[:, 2] - feet[carrying, 2].mean()
+            return np.where((over < _LIFTED) | carrying, 0.0, over)
         over = feet[:, 2] - np.linalg.solve(corners, feet[_THREES, 2:])[..., 0] @ rows.T  # (20, 6) each foot over each plane
         below = np.maximum(-over.min(axis=1, where=self.legs, initial=0.0), 0.0)
         firmest = np.argmin(np.where(around, below - _LIFTED * shares.min(axis=1), np.inf))
-        return np.asarray((over[firmest] < _LIFTED) | self.firm)
+        return np.where((over[firmest] < _LIFTED) | self.firm, 0.0, over[firmest])

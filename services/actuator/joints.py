@@ -117,15 +117,14 @@ class Joints:
         return not self.gone and self._since_ns >= 0 and self._clock() - self._since_ns >= _WATCHED_NS
 
     @property
-    def limp_legs(self) -> NDArray[np.bool_]:
-        """(6,) legs of which a servo does not pull, or has shut down."""
-        limp = ~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)
-        return np.asarray(limp.reshape(6, 3).any(axis=1))
+    def limp(self) -> NDArray[np.bool_]:
+        """(6, 3) joints whose servo does not pull, or has shut down."""
+        return np.asarray(~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)).reshape(6, 3)
 
     @property
-    def unsure_legs(self) -> NDArray[np.bool_]:
-        """(6,) legs that are limp, or of which a servo has been silent and is not yet where it was sent again."""
-        return np.asarray(self.limp_legs | self._behind.reshape(6, 3).any(axis=1))
+    def unsure(self) -> NDArray[np.bool_]:
+        """(6, 3) joints that are limp, or whose servo has been silent and is not yet where it was sent again."""
+        return np.asarray(self.limp | self._behind.reshape(6, 3))
 
     # --------------------------------------------------------------------------------------------------- every cycle
 

@@ -195,7 +195,7 @@ class Actuator:
 
     def _measured(self) -> Array:
         """Joint angles now (6, 3) [rad]: the last readings, moved on by what was wanted since of joints that pull."""
-        moved = np.where(self._joints.limp_legs[:, None], 0.0, self._q_wanted - self._q_wanted_when_read)
+        moved = np.where(self._limp_legs()[:, None], 0.0, self._q_wanted - self._q_wanted_when_read)
         return np.asarray(self._joints.q + moved)
 
     def _standing(self) -> NDArray[np.bool_]:
@@ -205,20 +205,28 @@ class Actuator:
         firm = standing & ~self._unsure()
         return np.asarray(firm if firm.sum() >= 3 else standing)
 
+    def _limp_legs(self) -> NDArray[np.bool_]:
+        """(6,) legs of which a servo does not pull."""
+        return np.asarray(self._joints.limp.any(axis=1))
+
     def _unsure(self) -> NDArray[np.bool_]:
         """(6,) legs that nobody can say of where they stand: limp, or not yet where they were sent again."""
-        return np.asarray(self._joints.unsure_legs | self._hung.hung)
+        return np.asarray(self._joints.unsure.any(axis=1) | self._hung.hung)
 
     def _see_to_health(self, now_ns: int, elapsed: float) -> None:
         """Do what the servos, the battery and the running out of time ask for."""
         torque = self._guard.mode is not Mode.OFF
         vitals = self._joints.vitals
-        vitals = replace(vitals, behind=vitals.behind | self._limits.behind.ravel())
+        vitals = replace(vitals, behind=vitals.behind | self._behind())
         self._verdict = self._health.update(now_ns * 1e-9, elapsed, vitals, torque)
         self._perform(self._guard.watch(now_ns, self._legs(), self._verdict))
         for index in self._verdict.revive:
             self._joints.revive(index)
             self._limits.ease(*divmod(index, 3))
+
+    def _behind(self) -> NDArray[np.bool_]:
+        """(18,) joints that have not taken up their work yet, and those for which legs are put back, or wait for that."""
+        return np.asarray(self._limits.behind | self._hung.waiting).ravel()
 
     def _see_to_gaps(self, elapsed: float) -> None:
         """Begin anew, gently, where nobody has led the legs for a while: the bus was away, or this process."""
@@ -236,10 +244,16 @@ class Actuator:
 
     def _put_back(self) -> None:
         """Let legs that hung step to where they belong, once they can: from where they lie they would scrape, or jam."""
-        back = self._hung.update(self._joints.limp_legs, self._joints.unsure_legs, self._walker.flying)
+        back = self._hung.update(self._joints.limp, self._joints.unsure, self._walker.flying)
         if back.any() and self._walker.resting:
             self._walker.put_back(back, apply(self._odometry.T_odom_body, self._odometry.feet))
             self._eased, self._top = back, self._hung.put_back()
+            self._q_wanted[back] = self._q_wanted_when_read[back] = self._joints.goals[back]  # of them nothing else was wanted
+
+    @property
+    def _stay(self) -> NDArray[np.bool_]:
+        """(6,) legs that are led nowhere: a femur that came down without its tibia would lift the body; and until put back."""
+        return np.asarray(self._hung.dangling | (self._hung.hung & ~self._limp_legs()))
 
     def _legs(self) -> Legs:
         """How far the walk is, for the guard."""
@@ -263,7 +277,8 @@ class Actuator:
         """Why no plan may be walked yet, in words, or nothing."""
         if self._walker.searching.any():
             return self._walker.trouble
-        return "the joints take up their work again, slowly" if self._walker.resting and self._limits.easing else ""
+        takes_up = self._walker.gentle or (self._walker.resting and self._limits.easing)
+        return "the joints take up their work again, slowly" if takes_up else ""
 
     def _latched(self) -> bool:
         """Whether torque is to be off, by an order that may be older than this process."""
@@ -278,13 +293,13 @@ class Actuator:
                         self._latch.close()
                     self._joints.let_go()
                     self._limits.forget()
-                    self._posing = None
+                    self._posing, self._hung = None, HungLegs()
                 case Act.GRIP:
                     if self._latch is not None:
                         self._latch.open()
                     self._joints.grip()
                     self._limits.forget()
-                    self._still, self._posing = True, None
+                    self._still, self._posing, self._hung = True, None, HungLegs()
                     self._q_wanted = self._joints.goals.copy()
                     self._q_wanted_when_read = self._q_wanted.copy()
                 case Act.RISE:
@@ -293,7 +308,7 @@ class Actuator:
                         self._profile, body_forward(self._profile, self._joints.goals), self._settings.stand_s
                     )
                 case Act.LIE_DOWN:
-                    self._still, self._q_last = False, None
+                    self._still, self._q_last, self._hung = False, None, HungLegs()
                     feet = body_forward(self._profile, self._q_wanted)
                     self._posing = LieDown(self._profile, feet, self._settings.stand_s)
                 case Act.SET_DOWN:
@@ -315,7 +330,7 @@ class Actuator:
             if self._walker.gentle:
                 self._ease(self._eased, self._top)
             # A leg whose servo is silent, or limp, is taken to stand where the plan says: it can be asked for nothing.
-            stands = self._feeler.bears | self._feeler.silent(self._clock()) | self._joints.limp_legs
+            stands = self._feeler.bears | self._feeler.silent(self._clock()) | self._limp_legs()
             feet, awaiting = self._odometry.feet, self._walker.awaiting
             heaves = self._plumb.heaves(T_odom_body, feet, awaiting, now_ns)
             feeler, firm, known = self._feeler, self._contact.firm, ~self._unsure()
@@ -350,9 +365,9 @@ class Actuator:
         sag = sag_feed_forward(self._profile, np.where(reached, q, 0.0), feet, targets.share, targets.R_level_body)
         before = q if self._q_last is None else self._q_last
         rates = np.where(reached & np.isfinite(before), (q - before) / dt, 0.0)
-        lag = lag_feed_forward(self._profile, rates, dt)
+        lag = np.where(self._limits.gentle, 0.0, lag_feed_forward(self._profile, rates, dt))  # it may not run ahead of them
         self._q_last = q
-        stays = self._hung.dangling[:, None]  # a femur that came down without its tibia would lift the body
+        stays = self._stay[:, None]
         wanted = np.where(stays, self._joints.goals, q + sag + lag)
         goal, self._warning = self._limits.safe(wanted, self._joints.goals, dt)
         rest = np.where(self._limits.gentle, goal - sag - lag, q)  # gentle joints are not asked for more than that yet
@@ -375,12 +390,11 @@ class Actuator:
         if torque:
             self._ease(_ALL)
         self._contact.update(q, load, math.inf)
-        standing = self._contact.standing(body_forward(self._profile, q)) if torque else _ALL
-        self._stand_on(q, standing=standing)
-        lifted = ~standing
+        lifted = self._contact.lifted(body_forward(self._profile, q)) if torque else np.zeros(6)
+        self._stand_on(q, standing=lifted == 0.0)
         if lifted.any():
             self._eased, self._top = _ALL, LOWERED  # whatever feet meet
-            self._walker.lower(lifted, self._profile.foot.radius)
+            self._walker.lower(lifted)
 
     def _stand_on(self, q: Array, feet: Array | None = None, standing: NDArray[np.bool_] | None = None) -> None:
         """Begin odometry and walk anew: the ground is level at z = 0 under the standing feet, the body over their middle."""

@@ -172,8 +172,9 @@ class Walker:
 
     @property
     def flying(self) -> NDArray[np.bool_]:
-        """(6,) legs in the air: those of the running step, once they have begun to be lifted, and those that hang."""
-        return self.swing.copy() if self._flight is not None or self.gentle else np.zeros(6, dtype=bool)
+        """(6,) legs of the running step, from when they begin to be lifted until they meet ground or the step is over."""
+        lifts = self._flight is not None or self.gentle
+        return self.swing & ~self._stopped if lifts else np.zeros(6, dtype=bool)
 
     @property
     def searching(self) -> NDArray[np.bool_]:
@@ -252,16 +253,17 @@ class Walker:
         self._feet[self._stopped] += (1.0 - math.exp(-dt / _SETTLE_S)) * (self._met - self._feet)[self._stopped]
         return self._targets()
 
-    def lower(self, legs: NDArray[np.bool_], ground: float) -> None:
-        """Bring feet that hang in the air straight down to a height [m] {odom}; the others stand meanwhile."""
+    def lower(self, lifted: Array) -> None:
+        """Bring feet that hang in the air straight down by heights (6,) [m]; the others stand meanwhile."""
         touchdown = self.feet_odom
-        touchdown[legs, 2] = ground
-        self._bring(legs, touchdown, clearance=0.0)
+        touchdown[:, 2] -= lifted
+        self._bring(lifted > 0.0, touchdown, clearance=0.0)
 
     def put_back(self, legs: NDArray[np.bool_], feet: Array) -> None:
         """Let legs that lie anywhere, with their feet at (6, 3) [m] {odom}, step to where they should stand meanwhile."""
         touchdown = self.feet_odom
         self._feet[legs] = apply(inverse(self._T_odom_cmd), feet)[legs]
+        self._pressed[legs] = 0.0  # they lie where they lie
         self._bring(legs, touchdown, _PICKED_UP)
 
     def _bring(self, legs: NDArray[np.bool_], touchdown: Array, clearance: float) -> None:

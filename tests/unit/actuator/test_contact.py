@@ -121,22 +121,25 @@ def test_feet_over_the_plane_of_those_that_bear_the_body_are_in_the_air_whatever
     level = PROFILE.rest_feet() + np.where(stands, 0.0, height)[:, None] * [0.0, 0.0, 1.0]
     feet = apply(from_xyz_rpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)), level)
     push = np.where(stands, 25.0 / len(down), feigned)
-    np.testing.assert_array_equal(by_loads(push).standing(feet), stands)
+    lifted = by_loads(push).lifted(feet)
+    np.testing.assert_array_equal(lifted == 0.0, stands)
+    np.testing.assert_allclose(lifted * np.cos(roll) * np.cos(pitch), np.where(stands, 0.0, height), atol=1e-9)
 
 
 @given(st.floats(0.02, 0.1), st.integers(0, 5))
 def test_a_foot_on_a_block_stands_for_it_pushes(height: float, leg: int) -> None:
     feet = PROFILE.rest_feet()
     feet[leg, 2] += height
-    assert by_loads(np.full(6, 4.0)).standing(feet).all()
+    assert not by_loads(np.full(6, 4.0)).lifted(feet).any()
     push = np.full(6, 5.0)
     push[leg] = 2.0
-    np.testing.assert_array_equal(by_loads(push).standing(feet), np.arange(6) != leg)
+    np.testing.assert_allclose(by_loads(push).lifted(feet), np.where(np.arange(6) == leg, height, 0.0), atol=1e-9)
 
 
 def test_where_no_three_feet_bear_the_body_those_that_carry_stand_or_all() -> None:
     feet = PROFILE.rest_feet()
     beside = np.isin(np.arange(6), [1, 2, 3])  # the right side
-    np.testing.assert_array_equal(by_loads(np.where(beside, 8.0, 0.0)).standing(feet), beside)
-    assert by_loads(np.where(np.arange(6) < 2, 8.0, 0.0)).standing(feet).all()
-    assert by_loads(np.full(6, 5.0)).standing(np.zeros((6, 3))).all(), "no plane is told from feet in one place"
+    feet[4:, 2] += 0.02
+    np.testing.assert_allclose(by_loads(np.where(beside, 8.0, 0.0)).lifted(feet), [0.0, 0.0, 0.0, 0.0, 0.02, 0.02], atol=1e-9)
+    assert not by_loads(np.where(np.arange(6) < 2, 8.0, 0.0)).lifted(feet).any()
+    assert not by_loads(np.full(6, 5.0)).lifted(np.zeros((6, 3))).any(), "no plane is told from feet in one place"

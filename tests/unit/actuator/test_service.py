@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from services.actuator.config import Settings
-from services.actuator.goal_limits import GENTLE
+from services.actuator.goal_limits import GENTLE, LOWERED
 from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward
 from services.actuator.service import Actuator
@@ -494,20 +494,101 @@ def test_nobody_walks_on_before_a_servo_that_was_reset_is_where_the_others_are()
     while rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == bytes(2):
         state = rig.cycle()
     del rig.stuck[row]
-    seen, highest, found = set(), -1.0, state.touch_ns
+    seen, highest, found, course = set(), -1.0, state.touch_ns, [rig.goals[leg]]
     lies, last = float(state.feet[leg, 2]), rig.goals
     while state.mode is Mode.FAULT:
         seen.add(state.reason)
         state = rig.cycle()
         assert np.abs((rig.goals - last)[leg]).max() <= GENTLE * 0.02 + TICK
         highest, last = max(highest, float(state.feet[leg, 2])), rig.goals
+        course.append(last[leg])
         if state.mode is Mode.FAULT and state.phase < 0.5:
             assert state.touch_ns[leg] == found[leg]
     assert highest > lies + 0.005, "it goes up before it comes down"
+    steps = np.diff(np.array(course), axis=0)
+    turns = (steps[1:] * steps[:-1] < 0.0).sum(axis=0)
+    assert turns.max() <= 4, "its goals do not hunt"
     assert not rig.air(state).any()
     assert "the femur servo of the right middle leg (id 16) takes up its work again, slowly" in seen
     assert state.mode is Mode.HOLD
     assert abs(rig.joint(row) - limp) > np.radians(8.0), "it is where the others are"
+
+
+def lies_limp(rig: Rig, row: int, by: float) -> None:
+    """A servo shuts down, and its joint falls."""
+    rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
+    shut_down(rig, row)
+    rig.stuck[row] = rig.joint(row) + by
+
+
+def test_of_two_legs_that_were_limp_the_second_waits_where_it_lies_and_nobody_walks_on_before() -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    state = rig.cycle(40)
+    rows = IDS.index(16), IDS.index(9)
+    lies_limp(rig, rows[0], 0.4)
+    rig.cycle(40)
+    lies_limp(rig, rows[1], 0.4)
+    second, order, before = rows[1] // 3, list[int](), None
+    state = rig.cycle(5)
+    while state.mode is Mode.FAULT:
+        for row in [row for row in rig.stuck if rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) != bytes(2)]:
+            del rig.stuck[row]
+            before = rig.goals[second] if row == rows[1] else before
+        state = rig.cycle()
+        swings = np.flatnonzero(state.swing).tolist()
+        order += [leg for leg in swings if leg not in order]
+        if before is not None and second not in order:
+            np.testing.assert_allclose(rig.goals[second], before, atol=2 * TICK)
+            assert (
+                state.reason == "the femur servo of the right middle leg (id 16), with 1 more, takes up its work again, slowly"
+            )
+    assert order == [row // 3 for row in rows], "one after the other"
+    assert not rig.air(state).any()
+    assert state.mode is Mode.HOLD
+
+
+@pytest.mark.parametrize("heard_again", [False, True])
+def test_a_robot_lies_down_on_no_leg_that_hangs(heard_again: bool) -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    rig.cycle(14)
+    row = IDS.index(14)  # a coxa in the air
+    rig.bus.cut_off(frozenset([row]))
+    rig.stuck[row] = rig.joint(row)
+    assert rig.cycle(40).mode is Mode.FAULT
+    rig.command("sit")
+    assert rig.cycle(5).mode is Mode.SIT
+    if heard_again:
+        rig.bus.cut_off(frozenset())
+        rig.stuck.clear()
+    while rig.cycle().mode is Mode.SIT:
+        pass
+    assert body_forward(PROFILE, rig.goals)[:, 2].min() > -0.03, "no foot is far below the body that lies"
+
+
+@pytest.mark.parametrize(("roll", "leg"), [(0.0, 1), (0.12, 1), (0.12, 4), (-0.12, 5)])
+@pytest.mark.parametrize("height", [0.008, 0.02])
+def test_a_foot_that_is_found_in_the_air_comes_down_to_the_plane_of_those_that_stand(
+    roll: float, leg: int, height: float
+) -> None:
+    stands = np.arange(6) != leg
+    level = REST + np.where(stands, 0.0, height)[:, None] * UP
+    rig = Rig(apply(from_xyz_rpy((0.0, 0.0, 0.0), (roll, 0.0, 0.0)), level))
+    rig.ground[:] = False
+    rig.push[stands, 2] = 5.0
+    rig.cycle()
+    rig.start()
+    assert rig.cycle().swing.tolist() == (~stands).tolist()
+    for _ in range(100):
+        last = rig.goals
+        state = rig.cycle()
+        assert np.abs(rig.goals - last).max() <= LOWERED * 0.02 + TICK
+    assert state.mode is Mode.HOLD
+    plane = np.column_stack([REST[:, :2], np.ones(6)])
+    feet = apply(from_xyz_rpy((0.0, 0.0, 0.0), (-roll, 0.0, 0.0)), body_forward(PROFILE, rig.actuator._q_wanted))
+    slope = np.linalg.lstsq(plane[stands], feet[stands, 2])[0]
+    assert abs(feet[leg, 2] - plane[leg] @ slope) < 0.003
 
 
 def test_a_robot_that_is_made_ready_while_a_servo_catches_up_may_stand() -> None:

@@ -259,7 +259,7 @@ def test_set_down_leaves_alone_what_is_no_plan() -> None:
     for _ in range(50):
         cycle(walker)
     assert 0.0 <= walker.body_ref[0, 3] - before < 0.01
-    walker.lower(TRIPOD, -0.01)
+    walker.lower(np.where(TRIPOD, 0.02, 0.0))
     for _ in range(10):
         cycle(walker)
     walker.set_down(reaches)
