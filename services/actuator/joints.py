@@ -21,8 +21,8 @@ _PATIENCE_NS = 3_000_000_000
 _ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
 _AGAIN_NS = 200_000_000  # [ns] between two attempts at finding a bus that is gone
 # What tells how a servo stands, and the block of its table that holds it.
-_STANDS = (dxl.MAX_TORQUE, dxl.TORQUE_ENABLE, dxl.GOAL_POSITION, dxl.TORQUE_LIMIT, dxl.PRESENT_POSITION)
-_BLOCK = range(dxl.MAX_TORQUE.address, dxl.PRESENT_POSITION.address + dxl.PRESENT_POSITION.size)
+_STANDS = (dxl.MAX_TORQUE, dxl.TORQUE_ENABLE, dxl.GOAL_POSITION, dxl.TORQUE_LIMIT, dxl.PRESENT_POSITION, dxl.PRESENT_LOAD)
+_BLOCK = range(dxl.MAX_TORQUE.address, dxl.PRESENT_LOAD.address + dxl.PRESENT_LOAD.size)
 _TRIES = 3  # questions to one servo of a bus that is back
 _DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: nobody may hear what is sent; nobody knows how the robot stands
 _WATCHED_NS = 200_000_000  # [ns] of reading before the share of lost answers counts
@@ -198,9 +198,7 @@ class Joints:
 
     def read_loads(self) -> Array:
         """Every servo's motor torque (6, 3) [N m] in the direction of growing joint angles; zero where one does not answer."""
-        loads = [self._bus.read(i, dxl.PRESENT_LOAD) or 0 for i in self._bus.servo_ids]
-        torque = np.array([dxl.load_from_register(v) for v in loads]).reshape(6, 3) * self._profile.servo.stall_torque
-        return np.asarray(self._profile.servo_signs * torque)
+        return self._torques([self._bus.read(i, dxl.PRESENT_LOAD) or 0 for i in self._bus.servo_ids])
 
     # ------------------------------------------------------------------------------------------------- the bus itself
 
@@ -316,10 +314,16 @@ class Joints:
     def _take_in(self, tables: list[bytes]) -> None:
         """Take over how each servo stands; goals are kept where the joints are near them, and else are where those are."""
         found = [[_value(table, register) for register in _STANDS] for table in tables]
-        most, pulls, goals, limits, ticks = np.array(found).T
+        most, pulls, goals, limits, ticks, loads = np.array(found).T
         self.torque, self.strength = pulls.astype(np.bool_), np.minimum(limits / np.maximum(most, 1), 1.0)
         self.q, stand = self._angles(ticks), self._angles(goals)
+        self.load = self._torques(loads.tolist())  # those of before tell of a robot that moved
         self.goals = np.where(np.abs(stand - self.q) < _ADOPT_WITHIN, stand, self.q)
+
+    def _torques(self, loads: Sequence[int]) -> Array:
+        """Motor torques (6, 3) [N m] by the loads (18,) that servos tell."""
+        shares = np.array([dxl.load_from_register(value) for value in loads]).reshape(6, 3)
+        return np.asarray(self._profile.servo_signs * shares * self._profile.servo.stall_torque)
 
     def _stand(self, servo_id: int) -> bytes | None:
         """What a servo says of how it stands, if it answers."""

@@ -364,7 +364,9 @@ def test_a_port_that_goes_is_said_and_raises_nothing_and_comes_back_as_it_stands
     assert rig.joints.vitals.trouble == rig.joints.gone != ""
     assert rig.joints.vitals.loss == 0.0
     rig.joints.write(rig.joints.goals + 0.5)  # to nobody
+    rig.joints.load[:] = 0.7  # [N m] of legs that moved when they were last heard
     rig.until(lambda: rig.joints.gone == "")
+    assert np.abs(rig.joints.load).max() < 0.1
     assert 1.0e9 <= rig.now_ns - begin < 1.5e9
     assert rig.joints.out_of_touch
     assert rig.joints.torque.all()
