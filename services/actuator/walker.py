@@ -414,7 +414,8 @@ class Walker:
         if felt is not None and since >= _STOP_FROM:
             met = legs & ~self._stopped & (felt.touches | felt.heaves)
             if self._returning:
-                met &= self._feet[:, 2] - targets[:, 2] < _NEARLY_BACK
+                highest = np.maximum(self._feet[:, 2], apply(inverse(self._T_odom_cmd), felt.feet)[:, 2])  # it comes late
+                met &= highest - targets[:, 2] < _NEARLY_BACK
             self._stop(met, targets, felt.feet)
             self._proven &= ~felt.heaves  # the body may have tilted for another reason
         load_s = self._settings.load_s

@@ -298,6 +298,22 @@ def test_a_leg_that_lies_anywhere_is_put_back_through_the_air_while_the_others_s
     assert walker.phase > 0.0, "a step of a plan waits for nobody"
 
 
+@pytest.mark.parametrize("late", [0.0, 0.03])
+def test_what_a_foot_feels_that_turns_round_in_the_air_is_ground_only_where_the_foot_itself_is_nearly_back(late: float) -> None:
+    """Joints come late: the foot may be centimetres over where it is told to be."""
+    walker = new_walker()
+    walker.accept(plan_to(1, body_at(0.03)))
+    for _ in range(8):
+        cycle(walker)
+    walker.set_down(reaches)
+    assert walker.trouble == "the step is taken back"
+    walker.drain_findings()
+    while not walker.resting:
+        feet = walker.feet_odom + late * TRIPOD[:, None] * [0.0, 0.0, 1.0]
+        walker.update(DT, walker.body_ref, Felt(TRIPOD, ~TRIPOD, feet))
+    assert bool(walker.drain_findings()) == (late == 0.0)
+
+
 def test_a_leg_that_is_only_taken_to_stand_has_found_nothing() -> None:
     walker = new_walker()
     walk(walker, [plan_to(1, body_at(0.03))])
