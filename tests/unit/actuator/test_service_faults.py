@@ -1,0 +1,309 @@
+"""The actuator whole where servos fail, legs hang, or nobody has led them for a while."""
+
+import numpy as np
+import pytest
+
+from services.actuator.goal_limits import GENTLE, LOWERED
+from services.actuator.load import lag_feed_forward
+from shared import dynamixel as dxl
+from shared.geometry import Array, apply, from_xyz_rpy
+from shared.kinematics import body_forward
+from shared.messages import Mode
+from shared.robot import RobotProfile
+from tests.support.actuator_rig import CRAWL, IDS, PROFILE, REST, TICK, TRIPOD, UP, Rig
+
+
+def shut_down(rig: Rig, row: int) -> None:
+    rig.bank._faults[row] = int(dxl.ServoError.OVERLOAD)
+
+
+def test_a_servo_that_was_left_weak_is_named_and_taken_up_by_order_alone() -> None:
+    rig = Rig()
+    row = IDS.index(9)
+    rig.bank.write(row, dxl.TORQUE_LIMIT.address, dxl.TORQUE_LIMIT.encode(300))
+    rig.start()
+    state = rig.cycle(5)
+    words = (
+        "the femur servo of the left rear leg (id 9) was left with 29% of its torque; order `ready` to turn it up where it is"
+    )
+    assert (state.mode, words in state.warnings) == (Mode.FAULT, True)
+    rig.command("ready")
+    state = rig.cycle(2)
+    assert state.mode is Mode.READY
+    assert words not in state.warnings
+    assert rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == dxl.TORQUE_LIMIT.encode(dxl.TORQUE_LIMIT.max)
+
+
+def test_a_servo_that_shuts_down_is_named_and_the_robot_holds() -> None:
+    rig = Rig()
+    state = rig.walking()
+    rig.hear(rig.plan(state))
+    rig.cycle(5)
+    shut_down(rig, IDS.index(16))
+    state = rig.cycle(5)
+    assert state.mode is Mode.FAULT
+    words = "the femur servo of the right middle leg (id 16) has shut down for its load"
+    assert state.reason == words
+    rig.hear(rig.plan(state))
+    assert words in rig.cycle().refused
+    assert rig.torque
+    rig.command("stand")
+    state = rig.cycle(2)
+    assert state.mode is Mode.FAULT
+    assert f"`stand` refused: {words}" in state.warnings
+
+
+def test_an_overloaded_servo_is_reset_where_it_is_three_times_and_then_the_robot_lies_down_and_lets_go() -> None:
+    rig = Rig()
+    rig.walking()
+    row = IDS.index(16)
+    for _ in range(3):
+        rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
+        shut_down(rig, row)
+        assert rig.cycle(8).mode is Mode.FAULT
+        state = rig.cycle(150)
+        assert state.mode is Mode.HOLD
+        assert state.reason == "what was broken is whole again"
+        assert rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == dxl.TORQUE_LIMIT.encode(1023)
+    shut_down(rig, row)
+    assert rig.cycle(40).mode is Mode.FAULT
+    assert rig.cycle(60).mode is Mode.SIT
+    state = rig.cycle(200)
+    assert state.mode is Mode.OFF
+    assert "4 times in 5 minutes" in state.reason
+    assert not rig.torque
+
+
+def test_nobody_walks_on_before_a_servo_that_was_reset_is_where_the_others_are() -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    state = rig.cycle(14)
+    assert rig.air(state)[4]
+    row = IDS.index(16)
+    rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
+    shut_down(rig, row)
+    limp = rig.joint(row)
+    rig.stuck[row] = limp
+    leg = row // 3
+    while rig.cycle().mode is Mode.WALK:
+        pass
+    goals = rig.goals
+    state = rig.cycle(36)
+    assert state.mode is Mode.FAULT
+    assert (rig.air(state) == (np.arange(6) == leg)).all(), "the others have come down"
+    np.testing.assert_allclose(rig.goals[leg], goals[leg], atol=1e-9, err_msg="a leg that hangs is led nowhere")
+    while rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == bytes(2):
+        state = rig.cycle()
+    del rig.stuck[row]
+    seen, highest, found, course = set(), -1.0, state.touch_ns, [rig.goals[leg]]
+    lies, last = float(state.feet[leg, 2]), rig.goals
+    while state.mode is Mode.FAULT:
+        seen.add(state.reason)
+        state = rig.cycle()
+        assert np.abs((rig.goals - last)[leg]).max() <= GENTLE * 0.02 + TICK
+        highest, last = max(highest, float(state.feet[leg, 2])), rig.goals
+        course.append(last[leg])
+        if state.mode is Mode.FAULT and state.phase < 0.5:
+            assert state.touch_ns[leg] == found[leg]
+    assert highest > lies + 0.005, "it goes up before it comes down"
+    steps = np.diff(np.array(course), axis=0)
+    turns = (steps[1:] * steps[:-1] < 0.0).sum(axis=0)
+    assert turns.max() <= 4, "its goals do not hunt"
+    assert not rig.air(state).any()
+    assert "the femur servo of the right middle leg (id 16) takes up its work again, slowly" in seen
+    assert state.mode is Mode.HOLD
+    assert abs(rig.joint(row) - limp) > np.radians(8.0), "it is where the others are"
+
+
+def lies_limp(rig: Rig, row: int, by: float) -> None:
+    """A servo shuts down, and its joint falls."""
+    rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
+    shut_down(rig, row)
+    rig.stuck[row] = rig.joint(row) + by
+
+
+def test_of_two_legs_that_were_limp_the_second_waits_where_it_lies_and_nobody_walks_on_before() -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    state = rig.cycle(40)
+    rows = IDS.index(16), IDS.index(9)
+    lies_limp(rig, rows[0], 0.4)
+    rig.cycle(40)
+    lies_limp(rig, rows[1], 0.4)
+    second, order, before = rows[1] // 3, list[int](), None
+    state = rig.cycle(5)
+    while state.mode is Mode.FAULT:
+        for row in [row for row in rig.stuck if rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) != bytes(2)]:
+            del rig.stuck[row]
+            before = rig.goals[second] if row == rows[1] else before
+        state = rig.cycle()
+        swings = np.flatnonzero(state.swing).tolist()
+        order += [leg for leg in swings if leg not in order]
+        if before is not None and second not in order:
+            np.testing.assert_allclose(rig.goals[second], before, atol=2 * TICK)
+            assert (
+                state.reason == "the femur servo of the right middle leg (id 16), with 1 more, takes up its work again, slowly"
+            )
+    assert order == [row // 3 for row in rows], "one after the other"
+    assert not rig.air(state).any()
+    assert state.mode is Mode.HOLD
+
+
+@pytest.mark.parametrize("heard_again", [False, True])
+def test_a_robot_lies_down_on_no_leg_that_hangs(heard_again: bool) -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    rig.cycle(14)
+    row = IDS.index(14)  # a coxa in the air
+    rig.bus.cut_off(frozenset([row]))
+    rig.stuck[row] = rig.joint(row)
+    assert rig.cycle(40).mode is Mode.FAULT
+    rig.command("sit")
+    assert rig.cycle(5).mode is Mode.SIT
+    if heard_again:
+        rig.bus.cut_off(frozenset())
+        rig.stuck.clear()
+    while rig.cycle().mode is Mode.SIT:
+        pass
+    assert body_forward(PROFILE, rig.goals)[:, 2].min() > -0.03, "no foot is far below the body that lies"
+
+
+@pytest.mark.parametrize(("roll", "leg"), [(0.0, 1), (0.12, 1), (0.12, 4), (-0.12, 5)])
+@pytest.mark.parametrize("height", [0.008, 0.02])
+def test_a_foot_that_is_found_in_the_air_comes_down_to_the_plane_of_those_that_stand(
+    roll: float, leg: int, height: float
+) -> None:
+    stands = np.arange(6) != leg
+    level = REST + np.where(stands, 0.0, height)[:, None] * UP
+    rig = Rig(apply(from_xyz_rpy((0.0, 0.0, 0.0), (roll, 0.0, 0.0)), level))
+    rig.ground[:] = False
+    rig.push[stands, 2] = 5.0
+    rig.cycle()
+    rig.start()
+    assert rig.cycle().swing.tolist() == (~stands).tolist()
+    for _ in range(100):
+        last = rig.goals
+        state = rig.cycle()
+        assert np.abs(rig.goals - last).max() <= LOWERED * 0.02 + TICK
+    assert state.mode is Mode.HOLD
+    plane = np.column_stack([REST[:, :2], np.ones(6)])
+    feet = apply(from_xyz_rpy((0.0, 0.0, 0.0), (-roll, 0.0, 0.0)), body_forward(PROFILE, rig.actuator._q_wanted))
+    slope = np.linalg.lstsq(plane[stands], feet[stands, 2])[0]
+    assert abs(feet[leg, 2] - plane[leg] @ slope) < 0.003
+
+
+def test_a_robot_that_is_made_ready_while_a_servo_catches_up_may_stand() -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    rig.cycle(14)
+    row = IDS.index(16)
+    rig.bank.write(row, dxl.TORQUE_LIMIT.address, bytes(2))
+    shut_down(rig, row)
+    rig.stuck[row] = rig.joint(row)
+    while rig.bank.read(row, dxl.TORQUE_LIMIT.address, 2) == bytes(2):
+        rig.cycle()
+    del rig.stuck[row]
+    state = rig.cycle(4)
+    assert "takes up its work again" in state.reason
+    rig.command("ready")
+    state = rig.cycle(20)
+    assert state.mode is Mode.READY
+    rig.command("stand")
+    assert rig.cycle(2).mode is Mode.STAND
+
+
+def test_a_fault_while_standing_up_is_not_forgotten() -> None:
+    rig = Rig(CRAWL, torque=False)
+    rig.cycle(2)
+    rig.command("stand")
+    rig.cycle(20)
+    shut_down(rig, 4)
+    assert rig.cycle(4).mode is Mode.FAULT
+    goals = rig.goals
+    rig.bank._faults[:] = 0  # it recovers, but nobody has looked after it
+    assert rig.cycle(200).mode is Mode.READY
+    np.testing.assert_array_equal(rig.goals, goals)
+
+
+def test_a_killed_actuator_comes_back_standing_as_it_stood() -> None:
+    rig = Rig()
+    state = rig.walking()
+    for _ in range(2):
+        rig.hear(rig.plan(state))
+        state = rig.cycle(45)
+    before = rig.goals
+    rig.start()
+    state = rig.cycle()
+    assert state.mode is Mode.HOLD
+    assert (state.step, state.phase) == (0, 1.0)
+    assert np.abs(rig.goals - before).max() < 0.06
+    rig.hear(rig.plan(state))
+    assert "not ordered to walk" in rig.cycle().refused  # the order does not outlive it
+    rig.order += 1
+    rig.command("walk")
+    state = rig.cycle(2)
+    rig.hear(rig.plan(state))
+    assert rig.cycle().mode is Mode.WALK
+
+
+@pytest.mark.parametrize("cycles", [3, 5, 9, 15, 21, 27, 29])
+def test_after_a_while_without_anybody_to_lead_them_legs_begin_anew_and_feet_come_down_gently(cycles: int) -> None:
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    state = rig.cycle(cycles)
+    assert state.mode is Mode.WALK
+    if cycles == 15:
+        assert (rig.air(state) == TRIPOD).all()
+    epoch = state.epoch
+    rig.now_ns += 3_500_000_000
+    state = rig.cycle()
+    assert state.mode is Mode.FAULT
+    assert state.reason == "the computer has kept the actuator waiting for 3.5 s"
+    for _ in range(100):
+        last = rig.goals
+        state = rig.cycle()
+        assert np.abs(rig.goals - last).max() <= np.radians(30.0) * 0.04 + TICK  # a cycle may take two periods
+    assert state.epoch > epoch
+    assert not rig.air(state).any()
+    assert state.mode is Mode.HOLD
+
+
+def test_no_step_begins_before_the_joints_have_taken_up_their_work() -> None:
+    rig = Rig()
+    epoch = rig.walking().epoch
+    rig.stuck[0] = rig.joint(0) + 0.09  # begins anew there, and so has its goal come
+    rig.now_ns += 3_500_000_000
+    refused: list[str] = []
+    for _ in range(150):
+        state = rig.cycle()
+        if state.epoch > epoch and state.mode is Mode.HOLD:
+            before = rig.goals
+            rig.hear(rig.plan(state, stamp_ns=rig.now_ns))
+            state = rig.cycle()
+            if state.mode is Mode.WALK:
+                break
+            refused.append(state.refused)
+            assert np.abs(rig.goals - before).max() <= np.radians(30.0) * 0.02 + TICK
+    assert state.mode is Mode.WALK
+    assert refused
+    assert refused[-1].endswith("refused: the joints take up their work again, slowly")
+
+
+@pytest.mark.parametrize("cycles", [3, 15, 27])
+def test_legs_that_begin_anew_are_on_no_way_from_where_they_were_wanted_before(
+    cycles: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rates: list[float] = []
+
+    def noted(profile: RobotProfile, q_rate: Array, held_s: float) -> Array:
+        rates.append(float(np.abs(q_rate).max()))
+        return lag_feed_forward(profile, q_rate, held_s)
+
+    monkeypatch.setattr("services.actuator.service.lag_feed_forward", noted)
+    rig = Rig()
+    rig.hear(rig.plan(rig.walking()))
+    epoch = rig.cycle(cycles).epoch
+    rig.now_ns += 3_500_000_000
+    while rig.cycle().epoch == epoch:
+        rates.clear()
+    assert rates[0] == 0.0

@@ -1,0 +1,229 @@
+"""The actuator whole on ground that is not there, or not level, and when it tips over."""
+
+import numpy as np
+import pytest
+
+from services.actuator.config import Settings
+from services.actuator.walker import Walker
+from shared import dynamixel as dxl
+from shared.geometry import Array, apply, from_xyz_rpy, rotation_from_rpy
+from shared.kinematics import body_forward
+from shared.messages import ActuatorState, Imu, Mode
+from tests.support.actuator_rig import PROFILE, REST, STILL, UP, Rig
+
+
+def stepped(rig: Rig, first: ActuatorState) -> tuple[ActuatorState, list[ActuatorState]]:
+    """Two steps, the second planned when the first is over; the state after, and all on the way."""
+    rig.hear(rig.plan(first))
+    states = [rig.cycle() for _ in range(40)]
+    rig.hear(rig.plan(states[-1]))
+    states += [rig.cycle() for _ in range(200)]
+    return states[-1], states
+
+
+def test_a_foot_without_ground_reaches_down_and_is_taken_back_and_everybody_hears_of_it() -> None:
+    rig = Rig()
+    first = rig.walking()
+    lost = int(np.flatnonzero(rig.plan(first).swing)[0])
+    stood = apply(first.T_odom_body, first.feet)
+    rig.ground[lost] = False
+    state, states = stepped(rig, first)
+    reasons = [s.reason for s in states]
+    assert any("it reaches down" in r for r in reasons)
+    assert state.mode is Mode.HOLD
+    assert "the step is taken back" in state.reason
+    assert state.touch_ns[lost] > 0
+    assert not state.touch_carries[lost]
+    assert state.touch[lost, 2] < -0.02, "it has looked below the ground"
+    others = [leg for leg in range(6) if leg != lost and state.touch_ns[leg] > 0]
+    assert others
+    assert state.touch_carries[others].all()
+    np.testing.assert_allclose(state.touch[others, 2], 0.0, atol=6e-3)
+    feet = apply(state.T_odom_body, state.feet)
+    np.testing.assert_allclose(feet[lost, :2], stood[lost, :2], atol=0.015)
+    assert not state.swing.any()
+
+
+def test_a_plan_that_comes_while_a_foot_looks_for_ground_is_refused_with_that_reason() -> None:
+    rig = Rig()
+    first = rig.walking()
+    rig.ground[int(np.flatnonzero(rig.plan(first).swing)[0])] = False
+    rig.hear(rig.plan(first))
+    rig.cycle(40)
+    assert rig.state is not None
+    rig.hear(rig.plan(rig.state))
+    while "it reaches down" not in rig.cycle().reason:
+        assert rig.now_ns < 10_000_000_000
+    rig.hear(rig.plan(rig.state))
+    assert "no ground under" in rig.cycle(2).refused
+
+
+def felt_by(rig: Rig, R_level_ground: Array) -> Array:
+    """Up {body} of a robot that stands with six feet on a plane."""
+    feet = body_forward(PROFILE, rig.goals)
+    ahead, aside, _ = np.linalg.lstsq(np.column_stack([feet[:, :2], np.ones(6)]), feet[:, 2], rcond=None)[0]
+    normal = np.array([-ahead, -aside, 1.0]) / np.linalg.norm([ahead, aside, 1.0])
+    x = np.array([normal[2], 0.0, -normal[0]]) / np.hypot(normal[0], normal[2])
+    R_ground_body = np.array([x, np.cross(normal, x), normal])
+    return np.asarray((R_level_ground @ R_ground_body)[2])
+
+
+def listen(rig: Rig, up: Array) -> ActuatorState:
+    """A cycle in which an inertial sensor says where up is (3,) {body}."""
+    rig.hear(Imu(rig.now_ns, np.zeros(3), 9.81 * up))
+    return rig.cycle()
+
+
+@pytest.mark.parametrize("slope", [(4.0, 0.0), (0.0, -5.0), (3.0, 3.0)])
+def test_on_a_slope_the_body_is_level_where_a_sensor_says_so(slope: tuple[float, float]) -> None:
+    rig, R = Rig(), rotation_from_rpy(np.radians([*slope, 0.0]))
+    rig.walking()
+    tilted = np.degrees(np.arccos(felt_by(rig, R)[2]))
+    for _ in range(900):
+        state = listen(rig, felt_by(rig, R))
+    up = felt_by(rig, R)
+    assert tilted > 3.5
+    assert np.degrees(np.arccos(up[2])) < 1.0
+    np.testing.assert_allclose(state.T_odom_body[2, :3], up, atol=np.radians(1.0))
+    assert rig.state is not None
+    assert rig.state.warnings == ()
+    later = rig.cycle(20)
+    assert any("no word from the IMU" in warning for warning in later.warnings)
+    np.testing.assert_allclose(later.T_odom_body[2, :3], up, atol=np.radians(1.0))
+
+
+def test_a_robot_that_tips_over_finishes_its_step_stops_and_says_so() -> None:
+    rig, upright = Rig(), UP
+    state = rig.walking()
+    for _ in range(500):
+        state = listen(rig, upright)
+    rig.hear(rig.plan(state))
+    for _ in range(10):
+        state = listen(rig, upright)
+    assert state.mode is Mode.WALK
+    for tilt in np.radians(np.arange(0.0, 35.0, 2.5)):
+        rig.hear(Imu(rig.now_ns, np.array([np.radians(125.0), 0.0, 0.0]), 9.81 * rotation_from_rpy((tilt, 0.0, 0.0))[2]))
+        state = rig.cycle()
+    running = state.step
+    while state.mode is Mode.WALK:
+        state = listen(rig, rotation_from_rpy((np.radians(35.0), 0.0, 0.0))[2])
+    assert state.mode is Mode.HOLD
+    assert state.step == running
+    assert "off what is commanded, by the IMU" in state.reason
+    assert any("by the IMU" in warning for warning in state.warnings)
+    rig.hear(rig.plan(state))
+    assert "by the IMU" in rig.cycle().refused
+    assert rig.torque
+
+
+def sure(rig: Rig, up: Array = UP) -> ActuatorState:
+    """Walking is allowed, and a sensor has been heard for long enough to be believed, up being (3,) {body}."""
+    rig.walking()
+    for _ in range(400):
+        state = listen(rig, up)
+    return state
+
+
+def tip(rig: Rig, angle: float, cycles: int = 25) -> ActuatorState:
+    """Lean to an angle [rad] to one side."""
+    for share in np.linspace(0.0, 1.0, cycles):
+        up = rotation_from_rpy((share * angle, 0.0, 0.0))[2]
+        rig.hear(Imu(rig.now_ns, np.array([angle / (cycles * 0.02), 0.0, 0.0]), 9.81 * up))
+        state = rig.cycle()
+    return state
+
+
+def test_a_robot_that_is_lifted_and_turned_keeps_its_legs_still() -> None:
+    rig = Rig()
+    sure(rig)
+    goals = rig.goals
+    for _ in range(100):
+        rig.hear(Imu(rig.now_ns, np.array([0.0, 0.0, 1.5]), 9.81 * UP))
+        rig.cycle()
+        np.testing.assert_allclose(rig.goals, goals, atol=STILL)
+
+
+@pytest.mark.parametrize("angle", [1.0, np.pi / 2, 3.0])
+def test_a_fallen_robot_keeps_its_legs_still(angle: float) -> None:
+    rig = Rig()
+    sure(rig)
+    state = tip(rig, angle)
+    assert any("off what is commanded" in warning for warning in state.warnings)
+    goals = rig.goals
+    for _ in range(150):
+        state = listen(rig, rotation_from_rpy((angle, 0.0, 0.0))[2])
+    np.testing.assert_allclose(rig.goals, goals, atol=STILL)
+    assert any("off what is commanded" in warning for warning in state.warnings)
+
+
+def test_a_sensor_that_is_upside_down_moves_no_leg() -> None:
+    rig = Rig()
+    rig.walking()
+    rig.cycle(300)
+    goals = rig.goals
+    for _ in range(500):
+        state = listen(rig, -UP)
+    np.testing.assert_allclose(rig.goals, goals, atol=STILL)
+    assert any("180 deg off what is commanded" in warning for warning in state.warnings)
+
+
+def test_a_robot_with_a_fault_moves_no_leg() -> None:
+    rig = Rig()
+    sure(rig)
+    rig.bank._faults[4] = int(dxl.ServoError.ANGLE_LIMIT)
+    rig.cycle(20)
+    goals = rig.goals
+    tip(rig, np.radians(10.0))
+    for _ in range(150):
+        state = listen(rig, rotation_from_rpy((np.radians(10.0), 0.0, 0.0))[2])
+    assert state.mode is Mode.FAULT
+    np.testing.assert_allclose(rig.goals, goals, atol=STILL)
+
+
+@pytest.mark.parametrize("heard", [True, False])
+def test_a_robot_that_has_tipped_walks_on_by_a_new_order_only(heard: bool) -> None:
+    """Neither one that is put upright again nor one whose sensor falls silent."""
+    rig = Rig()
+    sure(rig)
+    tip(rig, np.radians(35.0))
+    for _ in range(400):
+        state = listen(rig, UP) if heard else rig.cycle()
+    rig.hear(rig.plan(state))
+    state = rig.cycle()
+    assert state.mode is Mode.HOLD
+    assert "by the IMU" in state.refused
+    rig.command("walk")
+    state = listen(rig, UP) if heard else rig.cycle()
+    rig.hear(rig.plan(state))
+    assert rig.cycle().mode is Mode.WALK
+    assert not any("off what is commanded" in warning for warning in rig.cycle().warnings)
+
+
+def test_a_robot_that_lies_on_its_side_does_not_walk_by_an_order() -> None:
+    rig, up = Rig(), rotation_from_rpy((1.2, 0.0, 0.0))[2]
+    sure(rig)
+    state = tip(rig, 1.2)
+    rig.command("walk")
+    rig.hear(rig.plan(state))
+    assert listen(rig, up).mode is Mode.HOLD
+    rig.hear(rig.plan(state))
+    assert "by the IMU" in listen(rig, up).refused
+
+
+def test_standing_up_anew_twists_nobody() -> None:
+    """The legs count from a new beginning; the gyro goes on."""
+    rig = Rig()
+    sure(rig)
+    rig.actuator._odometry.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, 0.15)))  # as gyro and legs agree
+    rig.actuator._walker = Walker(Settings(), REST, rig.actuator._odometry.T_odom_body)
+    rig.hear(Imu(rig.now_ns, np.array([0.0, 0.0, 0.15 / 0.02]), 9.81 * UP))
+    rig.cycle()
+    goals = rig.goals
+    rig.command("stand")
+    state = listen(rig, UP)
+    assert state.mode is Mode.STAND
+    while listen(rig, UP).mode is Mode.STAND:
+        pass
+    for _ in range(150):
+        listen(rig, UP)
+    np.testing.assert_allclose(rig.goals[:, 0], goals[:, 0], atol=STILL)
