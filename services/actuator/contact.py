@@ -68,5 +68,5 @@ class ContactEstimate:
             return np.where((over < _LIFTED) | carrying, 0.0, over)
         over = feet[:, 2] - np.linalg.solve(corners, feet[_THREES, 2:])[..., 0] @ rows.T  # (20, 6) each foot over each plane
         below = np.maximum(-over.min(axis=1, where=self.legs, initial=0.0), 0.0)
-        firmest = np.argmin(np.where(around, below - _LIFTED * shares.min(axis=1), np.inf))
-        return np.where((over[firmest] < _LIFTED) | self.firm, 0.0, over[firmest])
+        bearing = np.argmin(np.where(around, below - _LIFTED * shares.min(axis=1), np.inf))  # of equals, the widest around it
+        return np.where((over[bearing] < _LIFTED) | self.firm, 0.0, over[bearing])

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from services.actuator.body_way import coordinates, hermite, pose, wrapped
 from services.actuator.config import Settings
 from services.actuator.feeler import Felt
 from services.actuator.sixth_order_arc import SixthOrderArc
@@ -24,11 +25,9 @@ from services.actuator.swing import Swing
 from shared.geometry import (
     Array,
     apply,
-    from_xyz_rpy,
     inverse,
     rotation_from_rpy,
     rotation_z,
-    rpy_from_rotation,
     transform,
     yaw_of,
 )
@@ -107,7 +106,7 @@ class Walker:
         self.swing: NDArray[np.bool_] = np.zeros(6, dtype=bool)
         self._settings = settings
         self._T_odom_cmd = np.eye(4)
-        self._ref = _coordinates(T_odom_body)  # {cmd}
+        self._ref = coordinates(T_odom_body)  # {cmd}
         self._velocity = np.zeros(6)
         self._pressed = np.zeros(6)  # [m] by which each foot is told to be lower
         self._feet = apply(T_odom_body, feet)  # (6, 3) [m] {cmd}
@@ -139,7 +138,7 @@ class Walker:
     @property
     def body_ref(self) -> Array:
         """(4, 4) {odom} where the body should be now."""
-        return np.asarray(self._T_odom_cmd @ _pose(self._ref))
+        return np.asarray(self._T_odom_cmd @ pose(self._ref))
 
     @property
     def feet_odom(self) -> Array:
@@ -349,7 +348,7 @@ class Walker:
             soon = goal
         feet = apply(inverse(self._T_odom_cmd), self._feet_at_end(plan))
         for share in np.linspace(0.0, 1.0, _PLACES):
-            T_cmd_rest = _pose(soon + share * (goal - soon))
+            T_cmd_rest = pose(soon + share * (goal - soon))
             if reaches(apply(inverse(T_cmd_rest), feet)):
                 break
         self._plan = replace(plan, stop=True, body_goal=plan.T_world_odom @ self._T_odom_cmd @ T_cmd_rest)
@@ -364,8 +363,8 @@ class Walker:
 
     def _goal(self, plan: StepPlan) -> Array:
         """Where a step brings the body {cmd}, by angles (6,) that are none of a full turn away from those of now."""
-        goal = _coordinates(inverse(plan.T_world_odom @ self._T_odom_cmd) @ plan.body_goal)
-        goal[3:] = self._start_ref[3:] + _wrapped(goal[3:] - self._start_ref[3:])
+        goal = coordinates(inverse(plan.T_world_odom @ self._T_odom_cmd) @ plan.body_goal)
+        goal[3:] = self._start_ref[3:] + wrapped(goal[3:] - self._start_ref[3:])
         return goal
 
     def _begin(self, plan: StepPlan) -> None:
@@ -386,7 +385,7 @@ class Walker:
         whole = self._end_elapsed - self._start_elapsed
         end_velocity = np.zeros(6) if plan.stop else (goal - self._start_ref) / whole
         way = (self._start_ref, self._start_velocity, goal, end_velocity)
-        self._ref, self._velocity = _hermite(*way, whole, min(self._elapsed - self._start_elapsed, whole))
+        self._ref, self._velocity = hermite(*way, whole, min(self._elapsed - self._start_elapsed, whole))
         if self._flight is None and self._elapsed > self._settings.unload_s:
             unproven = ~plan.swing & ~self._proven
             if felt is not None and unproven.any() and not self.gentle:  # legs that lie bear nothing that others had to take
@@ -437,7 +436,7 @@ class Walker:
             T_world_odom=np.eye(4),
             touchdown=self._feet.copy(),
             clearance=np.maximum(plan.clearance, 0.03),
-            body_goal=_pose(self._start_ref),
+            body_goal=pose(self._start_ref),
             duration=_BACK_S,
             stop=True,
         )
@@ -553,16 +552,16 @@ class Walker:
 
         A foot that came down as the others are pressed would miss its place by that, and be loaded, or hang, as much.
         """
-        error = self._ref - _coordinates(inverse(self._T_odom_cmd) @ T_odom_body)
-        error[3:] = _wrapped(error[3:])
-        feet = apply(inverse(_pose(self._ref)), self._feet)
+        error = self._ref - coordinates(inverse(self._T_odom_cmd) @ T_odom_body)
+        error[3:] = wrapped(error[3:])
+        feet = apply(inverse(pose(self._ref)), self._feet)
         low = error[2] + error[3] * feet[:, 1] - error[4] * feet[:, 0]
         self._pressed += dt * (self._share * self._settings.level_gain * low - (1.0 - self._share) / _RELEASE_S * self._pressed)
         self._pressed = np.minimum(np.maximum(self._pressed, -_PRESSED_LIMIT), _PRESSED_LIMIT)
 
     def _targets(self) -> Targets:
         level = rotation_from_rpy(self._ref[3:] * _LEVEL)
-        feet = apply(inverse(_pose(self._ref)), self._feet - self._pressed[:, None] * _UP)
+        feet = apply(inverse(pose(self._ref)), self._feet - self._pressed[:, None] * _UP)
         return Targets(feet, self._share.copy(), level)
 
 
@@ -578,26 +577,3 @@ def _turned(plan: StepPlan, T: Array) -> StepPlan:
 
 def _names(legs: NDArray[np.bool_]) -> str:
     return " and ".join(LEGS[leg] for leg in np.flatnonzero(legs).tolist())
-
-
-def _coordinates(T: Array) -> Array:
-    """Position and roll, pitch, yaw (6,) of a pose; the body never pitches far enough for them to be singular."""
-    return np.concatenate([T[:3, 3], rpy_from_rotation(T[:3, :3])])
-
-
-def _pose(coordinates: Array) -> Array:
-    return from_xyz_rpy(coordinates[:3], coordinates[3:])
-
-
-def _wrapped(angle: Array) -> Array:
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
-
-
-def _hermite(p0: Array, v0: Array, p1: Array, v1: Array, duration: float, t: float) -> tuple[Array, Array]:
-    """Place and speed on the cubic from p0 at speed v0 to p1 at speed v1: a straight line where both are that of the way."""
-    s = t / duration
-    h00, h10 = 2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s
-    h01, h11 = -2 * s**3 + 3 * s**2, s**3 - s**2
-    place = h00 * p0 + h10 * duration * v0 + h01 * p1 + h11 * duration * v1
-    speed = 6 * s * (1 - s) * (p1 - p0) / duration + (3 * s**2 - 4 * s + 1) * v0 + (3 * s**2 - 2 * s) * v1
-    return place, speed

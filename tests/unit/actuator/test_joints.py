@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.actuator import servos, usb_adapter
+from services.actuator import servos
 from services.actuator.bus import BusGone, BusSetupError
 from services.actuator.config import Settings
 from services.actuator.goal_limits import GENTLE
@@ -592,71 +592,3 @@ def test_closing_leaves_all_as_it_is() -> None:
     np.testing.assert_array_equal(rig.bank.tables, before)
     with pytest.raises(OSError, match="closed"):
         rig.port.write(b"x")  # type: ignore[union-attr]
-
-
-# ---------------------------------------------------------------------------------------------- where the port is found
-
-
-class Adapter:
-    """What pyserial lists."""
-
-    def __init__(self, device: str, vid: int | None = 0x0403, pid: int | None = 0x6014, serial: str | None = "FT1") -> None:
-        self.device, self.vid, self.pid, self.serial_number = device, vid, pid, serial
-
-
-def test_an_adapter_says_who_it_is_and_is_found_under_its_new_name() -> None:
-    before = [Adapter("/dev/ttyS0", None, None, None), Adapter("/dev/ttyUSB0"), Adapter("/dev/ttyUSB1", serial="FT2")]
-    who = usb_adapter.identity("/dev/ttyUSB0", lambda: before)
-    assert who == (0x0403, 0x6014, "FT1")
-    after = [Adapter("/dev/ttyUSB1", serial="FT2"), Adapter("/dev/ttyUSB2")]
-    assert usb_adapter.named_anew(who, lambda: after) == ["/dev/ttyUSB2"]
-    assert usb_adapter.named_anew(who, list) == []
-
-
-@pytest.mark.parametrize("url", ["/dev/ttyS0", "/dev/ttyUSB9", "socket://127.0.0.1:5000"])
-def test_a_port_that_is_no_adapter_is_nobody(url: str) -> None:
-    ports = [Adapter("/dev/ttyS0", None, None, None), Adapter("/dev/ttyUSB9", serial=None)]
-    assert usb_adapter.identity(url, lambda: ports) is None
-    assert usb_adapter.named_anew(None, lambda: [Adapter("/dev/ttyUSB0"), *ports]) == []
-
-
-class Desk:
-    """Ports that are there by name, and those that were tried."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, *adapters: Adapter, others: tuple[str, ...] = ()) -> None:
-        self.adapters, self.others, self.tried = list(adapters), others, list[str]()
-        monkeypatch.setattr(servos, "open_port", self.open)
-        monkeypatch.setattr(usb_adapter.identity, "__defaults__", (lambda: self.adapters,))
-        monkeypatch.setattr(usb_adapter.named_anew, "__defaults__", (lambda: self.adapters,))
-
-    def open(self, url: str, timeout_ns: int) -> str:
-        assert timeout_ns == servos.read_timeout_ns(Settings())
-        self.tried.append(url)
-        if url not in (*self.others, *(adapter.device for adapter in self.adapters)):
-            raise BusGone(f"no {url}")
-        return url
-
-
-def test_an_outlet_takes_the_first_name_there_is_and_follows_the_adapter(monkeypatch: pytest.MonkeyPatch) -> None:
-    desk = Desk(monkeypatch, Adapter("/dev/ttyUSB0"))
-    outlet = servos.Outlet(Settings(port="/dev/ttyACM0, /dev/ttyUSB0"))
-    assert outlet.open() == "/dev/ttyUSB0"
-    assert desk.tried == ["/dev/ttyACM0", "/dev/ttyUSB0"]
-    desk.adapters = [Adapter("/dev/ttyUSB3", serial="FT2"), Adapter("/dev/ttyUSB4")]
-    assert outlet.open() == "/dev/ttyUSB4", "the same adapter, and no other"
-    desk.adapters = []
-    with pytest.raises(BusGone, match=r"^no /dev/ttyACM0; no /dev/ttyUSB0$"):
-        outlet.open()
-    desk.adapters = [Adapter("/dev/ttyUSB7")]
-    assert outlet.open() == "/dev/ttyUSB7", "it is remembered"
-
-
-def test_an_outlet_tries_a_name_once_and_a_port_that_is_no_adapter_keeps_what_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    desk = Desk(monkeypatch, Adapter("/dev/ttyUSB0"), others=("socket://here:1",))
-    outlet = servos.Outlet(Settings(port="/dev/ttyUSB0,socket://here:1"))
-    assert outlet.open() == outlet.open() == "/dev/ttyUSB0"
-    assert desk.tried == ["/dev/ttyUSB0"] * 2
-    desk.adapters = []
-    assert outlet.open() == "socket://here:1"
-    desk.adapters, desk.others = [Adapter("/dev/ttyUSB5")], ()
-    assert outlet.open() == "/dev/ttyUSB5"

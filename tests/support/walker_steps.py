@@ -1,0 +1,79 @@
+"""A walker by itself, and steps for it."""
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.actuator import plan_check
+from services.actuator.config import Settings
+from services.actuator.walker import Targets, Walker
+from shared.geometry import Array, apply, from_xyz_rpy
+from shared.messages import StepPlan
+from shared.profiles import load_profile
+
+Flags = NDArray[np.bool_]
+
+PROFILE = load_profile("phantomx_mk2")
+SETTINGS = Settings()
+REST = PROFILE.rest_feet()
+START = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))
+TRIPOD = np.arange(6) % 2 == 0
+NOTHING, ALL = np.zeros(6, dtype=bool), np.ones(6, dtype=bool)
+DT = 0.02
+DURATION = 0.8
+
+
+def body_at(x: float, y: float = 0.0, yaw: float = 0.0, z: float = PROFILE.stance.body_height) -> Array:
+    return from_xyz_rpy((x, y, z), (0.0, 0.0, yaw))
+
+
+def plan_to(number: int, goal: Array, ahead: float = 0.03, **changes: Any) -> StepPlan:
+    """A step whose swinging feet land around rest, seen from the body's goal; {world} is {odom}."""
+    swing = TRIPOD if number % 2 else ~TRIPOD
+    plan = StepPlan(
+        stamp_ns=number,
+        epoch=0,
+        step=number,
+        revision=1,
+        T_world_odom=np.eye(4),
+        swing=swing,
+        touchdown=apply(goal, REST + np.array([ahead, 0.0, 0.0])),
+        clearance=np.full(6, 0.04),
+        body_goal=goal,
+        duration=DURATION,
+        stop=False,
+    )
+    return replace(plan, **changes) if changes else plan
+
+
+def new_walker() -> Walker:
+    return Walker(SETTINGS, REST.copy(), START)
+
+
+def reaches(feet: Array) -> bool:
+    return plan_check.reaches(PROFILE, feet)
+
+
+def cycle(walker: Walker, dt: float = DT) -> Targets:
+    """One cycle of a robot that is exactly where it is told to be."""
+    return walker.update(dt, walker.body_ref)
+
+
+def walk(walker: Walker, plans: list[StepPlan], dt: float = DT, rest_s: float = 0.0) -> tuple[list[Targets], Array]:
+    """Feed plans as they fit; all targets, and the body's places (n, 3)."""
+    targets, places, waiting = [], [], list(plans)
+    while waiting or not walker.resting or rest_s > 0:
+        if waiting and (walker.resting or (walker.phase > 0.5 and waiting[0].step == walker.step + 1)):
+            walker.accept(waiting.pop(0))
+        if walker.resting and not waiting:
+            rest_s -= dt
+        targets.append(cycle(walker, dt))
+        places.append(walker.body_ref[:3, 3])
+    return targets, np.array(places)
+
+
+def largest_jump(targets: list[Targets]) -> float:
+    return float(max(np.linalg.norm(b.feet - a.feet, axis=1).max() for a, b in pairwise(targets)))
