@@ -11,6 +11,7 @@ import copy
 import enum
 import importlib
 import os
+import resource
 import signal
 import sys
 from collections.abc import Iterator
@@ -43,7 +44,8 @@ _COMPUTED: dict[type[ast.operator], type[ast.operator]] = {
     ast.BitOr: ast.BitAnd,
     ast.BitAnd: ast.BitOr,
 }
-_PATIENCE_S = 60.0  # of the processor's time
+_LEAST_S = 5.0  # of the processor's time that a mutant has
+_TIMES = 3.0  # what the unchanged module takes, likewise: what takes longer hangs
 _MOST = 255  # exit codes
 _QUIETLY = ("-q", "--no-header", "-s", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
 _UNTOUCHED = ("annotation", "returns", "decorator_list", "bases")  # what types say, and what makes a class
@@ -147,12 +149,14 @@ class Hunt:
         self._path, self._source = path, Path(path).read_text(encoding="utf-8")
         self._module = importlib.import_module(".".join(Path(path).with_suffix("").parts))
         self._tests: list[pytest.Item] = []  # those that have killed last come first: neighbours die alike
+        self._patience_s = 60.0
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """In place of a run of the tests."""
         self._tests, made, left = list(session.items), 0, 0
         if not self._survives(ast.parse(self._source)):
             raise pytest.UsageError("the tests fail as the module is: mend that first")
+        self._patience_s = max(_LEAST_S, _TIMES * resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime)
         for mutant in mutants(self._module, self._source):
             made += 1
             if self._survives(mutant.tree):
@@ -164,7 +168,7 @@ class Hunt:
     def _survives(self, tree: ast.Module) -> bool:
         child = os.fork()
         if child == 0:
-            signal.setitimer(signal.ITIMER_VIRTUAL, _PATIENCE_S)  # one that never ends is noticed, too
+            signal.setitimer(signal.ITIMER_VIRTUAL, self._patience_s)  # one that never ends is noticed, too
             try:
                 os._exit(self._run(tree))
             finally:

@@ -143,3 +143,32 @@ def test_where_no_three_feet_bear_the_body_those_that_carry_stand_or_all() -> No
     np.testing.assert_allclose(by_loads(np.where(beside, 8.0, 0.0)).lifted(feet), [0.0, 0.0, 0.0, 0.0, 0.02, 0.02], atol=1e-9)
     assert not by_loads(np.where(np.arange(6) < 2, 8.0, 0.0)).lifted(feet).any()
     assert not by_loads(np.full(6, 5.0)).lifted(np.zeros((6, 3))).any(), "no plane is told from feet in one place"
+
+
+@pytest.mark.parametrize(("out_m", "bears"), [(0.004, True), (0.006, False)])
+def test_three_feet_bear_the_body_if_its_middle_is_hardly_outside_of_them(out_m: float, bears: bool) -> None:
+    """By a share of the weight, of which the foot in front would have to pull 4 or 6 hundredths."""
+    feet = np.array([[0.1 + out_m, 0.0, 0.05], [out_m, 0.1, 0.0], [out_m, -0.1, 0.0], *[[-0.1, 0.0, 0.02]] * 3])
+    lifted = by_loads(np.where(np.arange(6) < 3, 8.0, 0.0)).lifted(feet)
+    plane = (-0.1 - out_m) / 0.1 * 0.05
+    mean = 0.05 / 3
+    np.testing.assert_allclose(lifted, [0.0] * 3 + [0.02 - plane if bears else 0.0 if 0.02 - mean < 0.006 else 0.02 - mean] * 3)
+
+
+@pytest.mark.parametrize(("half_m", "tells"), [(0.018, True), (0.016, False)])
+def test_three_feet_tell_how_their_plane_lies_if_they_are_not_nearly_in_a_row(half_m: float, tells: bool) -> None:
+    """At a triangle of ten square centimetres."""
+    feet = np.array([[0.04, 0.0, 0.03], [-0.02, half_m, 0.0], [-0.02, -half_m, 0.0], *[[-0.1, 0.0, 0.03]] * 3])
+    lifted = by_loads(np.where(np.arange(6) < 3, 8.0, 0.0)).lifted(feet)
+    np.testing.assert_allclose(lifted, [0.0] * 3 + [0.03 - (-0.08 / 0.06 * 0.03) if tells else 0.03 - 0.01] * 3)
+
+
+def test_of_feet_that_bear_alike_those_count_that_stand_widest_around_the_body() -> None:
+    """So that millimetres by which feet stand unevenly add up to little: 0.4 mm in the mean of the narrowest would be 0.5."""
+    random, stands = np.random.default_rng(0), np.arange(6) < 5
+    off = list[float]()
+    for _ in range(300):
+        uneven = np.where(stands, random.uniform(-0.001, 0.001, 6), 0.02)
+        lifted = by_loads(np.where(stands, 2.5, 0.0)).lifted(PROFILE.rest_feet() + uneven[:, None] * [0.0, 0.0, 1.0])
+        off.append(np.abs(lifted - np.where(stands, 0.0, 0.02)).max())
+    assert np.mean(off) < 0.00045

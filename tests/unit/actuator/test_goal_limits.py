@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from services.actuator.goal_limits import GENTLE, LOWERED, GoalLimits
+from services.actuator.goal_limits import FETCHED, GENTLE, LOWERED, GoalLimits
 from shared.geometry import Array
 from shared.kinematics import body_inverse, within_limits
 from shared.profiles import load_profile
@@ -134,6 +134,19 @@ def test_nobody_takes_up_work_where_torque_is_off() -> None:
     assert not limits.behind.any()
     goal, _ = limits.safe(REST + 0.1, REST, DT)
     assert (goal - REST)[3, 1] > GENTLE * DT
+
+
+def test_gentle_speeds_are_those_that_the_docs_promise() -> None:
+    np.testing.assert_allclose(np.degrees([GENTLE, LOWERED, FETCHED]), [25.0, 35.0, 80.0])
+
+
+@pytest.mark.parametrize(("short_deg", "pace"), [(0.0, 1.0), (1.5, 0.5), (3.0, 0.0), (9.0, 0.0)])
+def test_the_pace_falls_to_nothing_three_degrees_short_of_what_is_wanted(short_deg: float, pace: float) -> None:
+    limits, wanted = GoalLimits(PROFILE), REST.copy()
+    wanted[3, 1] += GENTLE * DT + np.radians(short_deg)
+    limits.ease(3, 1)
+    limits.safe(wanted, REST, DT)
+    assert limits.pace == pytest.approx(pace)
 
 
 def test_a_leg_may_be_gentle_at_another_speed() -> None:

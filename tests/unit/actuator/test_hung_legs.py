@@ -61,6 +61,18 @@ def test_of_two_legs_one_that_is_still_limp_waits() -> None:
     assert hung.put_back() == GENTLE
 
 
+def test_a_leg_that_is_still_limp_neither_waits_to_be_put_back_nor_slows_the_others() -> None:
+    hung = HungLegs()
+    hung.update(joints(3), joints(0, 3), legs(0, 2, 4))
+    np.testing.assert_array_equal(hung.update(joints(3), joints(3), NONE), legs(0))
+    np.testing.assert_array_equal(hung.waiting, joints(0), "of 3 no joint pulls")
+    assert hung.put_back() == FETCHED
+    hung.update(joints(3), joints(3, 5), legs(0, 5))
+    np.testing.assert_array_equal(hung.waiting, joints(0), "5 is hung by now, and not on its way")
+    hung.update(joints(3), joints(3), legs(0, 5))
+    np.testing.assert_array_equal(hung.waiting, joints(0, 5))
+
+
 @given(st.lists(st.tuples(SETS, SETS, SETS, st.booleans()), max_size=20))
 def test_no_leg_comes_back_that_cannot_be_led_and_none_is_forgotten(
     story: list[tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], bool]],
