@@ -17,6 +17,8 @@ _HARD_N = 4.5  # [N] one of as much is a touch
 _BEARS_N = 1.0  # [N] what a foot that stands pushes at least; twice in a row, or
 _BEARS_HARD_N = 3.0  # [N] once
 _NEAR_NS = 50_000_000  # [ns] between two readings that tell how the leg gathers speed
+_SINCE_NS = 10_000_000  # [ns] after goals were told for which the balance of a leg's torques holds
+_STEP_NS = 20_000_000  # [ns] from goals to goals
 _FRICTION = 2.5  # times the dry friction: goals come in steps, so at a reading the leg is always losing speed
 _DOUBT = 0.4  # of what speeds the leg up, for an armature is known no better, and of a jerk that the goal makes
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo, after which nobody knows what its leg feels
@@ -44,7 +46,8 @@ class Feeler:
 
     A servo's load is what its motor gives. That turns the gear against its damping, holds the links up and speeds them up;
     the rest holds against the ground. Load and speed come in one reading, how the speed changes from the reading before, so
-    a leg is read in every cycle while it matters.
+    a leg is read in every cycle while it matters. Goals are steps, and the load of a leg that turns falls from one to the next:
+    readings are brought to one moment after the goals were told, whenever in the cycle that was.
 
     Tests hold it to what it is for: free swings stay below the limits, and a foot that is stopped exceeds them within three
     readings, with armatures known to within a factor of 1.6.
@@ -70,8 +73,16 @@ class Feeler:
         told = q_goal[:, FEMUR] - self._goal
         self._jerk, self._told, self._goal = np.abs(told - self._told), told, q_goal[:, FEMUR].copy()
 
-    def read(self, leg: int, speed: float, load: float, stamp_ns: int) -> None:
-        """Take in a reading of a femur: speed [rad/s] and motor torque [N m], in the direction of growing angles."""
+    def read(self, leg: int, speed: float, load: float, stamp_ns: int, told_ns: int) -> None:
+        """Take in a reading of a femur.
+
+        Args:
+            leg: Whose it is.
+            speed: [rad/s] in the direction of growing angles.
+            load: [N m] of its motor, likewise.
+            stamp_ns: When it was taken.
+            told_ns: When goals were sent last.
+        """
         since_ns = stamp_ns - int(self._stamp_ns[leg])
         gathered, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, stamp_ns
         self._push[1, leg] = self._push[0, leg]
@@ -82,6 +93,8 @@ class Feeler:
         speeding_up = self._inertia * gathered / (since_ns * 1e-9)
         turning = servo.damping * speed + _FRICTION * servo.friction * np.sign(speed) + speeding_up
         doubt = _DOUBT * (abs(speeding_up) + servo.stiffness * float(self._jerk[leg]))
+        left_s = (_SINCE_NS - min(max(stamp_ns - told_ns, 0), _STEP_NS)) * 1e-9
+        load = min(max(load - servo.stiffness * speed * left_s, -servo.stall_torque), servo.stall_torque)
         push = (turning + self._links[leg, FEMUR] - load) / self._arm[leg]
         free = abs(speed) > _FREE * servo.no_load_speed
         self._push[0, leg] = 0.0 if free else np.sign(push) * max(abs(push) - doubt / self._arm[leg], 0.0)

@@ -169,7 +169,8 @@ class Actuator:
             self._q_wanted_when_read[leg, joint] = self._q_wanted[leg, joint]
             if joint == FEMUR:
                 sign = self._profile.servo_signs[leg, joint]
-                self._feeler.read(leg, sign * reading.speed, float(self._joints.load[leg, joint]), reading.stamp_ns)
+                load, told_ns = float(self._joints.load[leg, joint]), self._joints.told_ns
+                self._feeler.read(leg, sign * reading.speed, load, reading.stamp_ns, told_ns)
 
     def _level(self, dt: float, now_ns: int, inbox: Inbox) -> None:
         """Where there is an inertial sensor {odom} is as level as that says; a body that tips over stops until a new order."""

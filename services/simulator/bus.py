@@ -238,9 +238,9 @@ class ServoBusEmulator(AnswersOnly):
                     return ServoError.ANGLE_LIMIT
         return ServoError.NONE
 
-    def _table(self, row: int, address: int, size: int) -> bytes:
-        """Bytes of a servo as its next reader sees them: with the writes that are on their way."""
-        data = self._bank.read(row, address, size)
+    def _table(self, row: int, address: int, size: int, at_ns: int | None = None) -> bytes:
+        """Bytes of a servo as its next reader sees them, at a time: with the writes that are on their way."""
+        data = self._bank.read(row, address, size, at_ns)
         for change in self._changes:
             if change.address < address + size and address < change.address + change.size and row in change.rows:
                 table = bytearray(dxl.TABLE_SIZE)
@@ -305,7 +305,9 @@ class ServoBusEmulator(AnswersOnly):
             if head[-1] < needed:
                 continue
             servo_id, delay = head[0], head[_HEAD_DELAY] * dxl.RETURN_DELAY_NS
-            said = dxl.status(servo_id, int(error) | self._bank.error(row), self._table(row, *read) if read else b"")
+            said = dxl.status(
+                servo_id, int(error) | self._bank.error(row), self._table(row, *read, at_ns=time_ns) if read else b""
+            )
             answers.setdefault(servo_id, []).append((delay, said))
         replies: list[Reply] = []
         heard = ((servo_id, *one) for servo_id, said in answers.items() for one in self._heard(said))

@@ -191,10 +191,15 @@ class Simulator:
     def _physics(self, now_ns: int) -> None:
         world = self.world
         self.device.advance(now_ns)
-        q, qd, torque = self._signs * world.q + self._horns, self._signs * world.qd, self._signs * world.torque
-        command = self._bank.step(q.ravel(), qd.ravel(), torque.ravel(), _DT)
+        command = self._bank.step(*self._joints(), _DT)
         setpoint = self._signs * (command.setpoint.reshape(6, 3) - self._horns)
         world.step(setpoint, command.stiffness.reshape(6, 3), command.torque_limit.reshape(6, 3), _STEPS)
+        self._bank.feel(*self._joints(), now_ns + self.paced_by.period_ns)
+
+    def _joints(self) -> tuple[Array, Array, Array]:
+        """Angles [rad], speeds [rad/s] and torques [N m] (18,) of the servos."""
+        world, signs = self.world, self._signs
+        return (signs * world.q + self._horns).ravel(), (signs * world.qd).ravel(), (signs * world.torque).ravel()
 
     def _observe(self, now_ns: int, inbox: Inbox) -> Iterator[Message]:
         """What the camera, the IMU and the scorer get at this instant."""

@@ -64,6 +64,7 @@ RX_64_MOTOR = Motor(stall_torque=5.3, stall_current=2.6, standby_current=0.05)  
 RX_64_SUPPLY = Supply(full_voltage=18.5, empty_voltage=18.5)
 _ELECTRICS = {"AX-12A": (AX_12A_MOTOR, Supply()), "RX-64": (RX_64_MOTOR, RX_64_SUPPLY)}
 
+_FURTHEST_NS = 6_000_000  # [ns] from a physics step for which the joints are taken to go on as they do
 _JAM = 5.0  # times as stiff and strong as its servo is what a jammed joint is held by
 _BUCKETS = 100  # of the sliding window of the mean duty
 _HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
@@ -238,7 +239,9 @@ class ServoBank:
         self._q = np.zeros(n) if q is None else np.array(q, dtype=np.float64)  # [rad]
         self._qd, self._load = np.zeros(n), np.zeros(n)  # [rad/s], fraction of stall
         self._setpoint = self._q.copy()  # [rad] where the ramp to the goal is, margin not considered
-        self._measured = False  # the tables show what the servos measure
+        self._at_ns: int | None = None  # when that was, None where nobody has said
+        self._shown_ns = 0  # [ns] after it of which the tables show what the servos measure
+        self._measured = False  # whether they show any of it
         self._out = ServoCommand(np.zeros(n), np.zeros(n), np.zeros(n))
         self._aims_changed = self._others_changed = True  # a goal or speed changed, another register changed
         self._goal, self._speed, self._limit = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -255,10 +258,16 @@ class ServoBank:
 
     # ----------------------------------------------------------------------------------------------- the bus side
 
-    def read(self, row: int, address: int, size: int) -> bytes:
-        """Bytes of one servo's control table; measured values are those of the last physics step."""
-        if address < _LIVE_END and address + size > _LIVE_START and not self._measured:
-            self._refresh()
+    def read(self, row: int, address: int, size: int, at_ns: int | None = None) -> bytes:
+        """Bytes of one servo's control table.
+
+        Measured values are those of the last physics step; where it is known when that was, moved on, or back, as the joints
+        move, to the time `at_ns` of the reading: a servo's registers do not wait for anybody's step.
+        """
+        if address < _LIVE_END and address + size > _LIVE_START:
+            after_ns = 0 if at_ns is None or self._at_ns is None else min(max(at_ns - self._at_ns, -_FURTHEST_NS), _FURTHEST_NS)
+            if not self._measured or after_ns != self._shown_ns:
+                self._refresh(after_ns)
         start = row * dxl.TABLE_SIZE + address
         return bytes(self._bytes[start : start + size])
 
@@ -286,7 +295,7 @@ class ServoBank:
         """Ail from now on as told, or be well again; what happens to a servo at the change happens here."""
         before, now = self._ailments, Ailments.none(len(self)) if ailments is None else ailments
         if not self._measured:
-            self._refresh()  # registers freeze as they are
+            self._refresh(0)  # registers freeze as they are
         for row in np.flatnonzero(before.unpowered & ~now.unpowered):
             self._power_up(int(row))
         self._jammed_at = np.where(now.jammed & ~before.jammed, self._q, self._jammed_at)
@@ -327,10 +336,7 @@ class ServoBank:
         Returns:
             The position controllers for the coming step.
         """
-        self._measured = False
-        self._q[:] = q
-        self._qd[:] = qd
-        np.divide(torque, self.motor.stall_torque, out=self._load)
+        self.feel(q, qd, torque)
         if self._ailing:
             self._suffer(dt)
         if self._aims_changed:
@@ -341,6 +347,13 @@ class ServoBank:
         if self._others_changed:  # a shutdown
             self._settings()
         return self._control(dt)
+
+    def feel(self, q: Array, qd: Array, torque: Array, at_ns: int | None = None) -> None:
+        """Take in how the joints are, as `step` does: what is measured from now on; at a time of the bus, if that is known."""
+        self._measured, self._at_ns = False, at_ns
+        self._q[:] = q
+        self._qd[:] = qd
+        np.divide(torque, self.motor.stall_torque, out=self._load)
 
     def _suffer(self, dt: float) -> None:
         """What ails the servos in this step, but for what they measure."""
@@ -437,15 +450,23 @@ class ServoBank:
         """One register of all servos, a view of the tables."""
         return self.tables[:, register.address] if register.size == 1 else self._words[:, register.address // 2]
 
+    def _after(self, s: float) -> tuple[Array, Array, Array]:
+        """Angles [rad], speeds [rad/s] and loads (n,) a little after the last step: the springs give way as the joints turn."""
+        if s == 0.0:
+            return self._q, self._qd, self._load
+        q, out = self._q + s * self._qd, self._out
+        pull = (np.clip(out.stiffness * (out.setpoint - at), -out.torque_limit, out.torque_limit) for at in (q, self._q))
+        return q, self._qd, self._load + (next(pull) - next(pull)) / self.motor.stall_torque
+
     def _position_ticks(self, row: int) -> int:
         return min(max(dxl.ticks_from_angle(float(self._q[row])), 0), dxl.TICK_MAX)
 
-    def _refresh(self) -> None:
-        """Put what all servos measure into their tables: once a physics step at most, when somebody looks."""
-        self._measured = True
+    def _refresh(self, after_ns: int) -> None:
+        """Put what all servos measure so long after the last physics step into their tables, when somebody looks."""
+        self._measured, self._shown_ns = True, after_ns
         words = [self._words[:, r.address // 2] for r in (dxl.PRESENT_POSITION, dxl.PRESENT_SPEED, dxl.PRESENT_LOAD)]
         position, before = words[0], words[0].copy() if self._ailing else None
-        _measure(_UNITS, self._q, self._qd, self._load, *words)
+        _measure(_UNITS, *self._after(after_ns * 1e-9), *words)
         if before is not None:
             off = np.clip(position + self._ailments.offset, 0, dxl.TICK_MAX)
             position[:] = np.where(self._ailments.frozen, before, off)
