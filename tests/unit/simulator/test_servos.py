@@ -342,6 +342,36 @@ def test_present_registers_show_the_last_step() -> None:
     assert get(bank, dxl.PRESENT_TEMPERATURE, 0) == 25
 
 
+def test_registers_go_on_between_steps_as_the_joint_and_its_spring_do() -> None:
+    """Of a servo that turns at 4 rad/s towards its goal, its pull falling; for no longer than a step and a half."""
+    bank, at_ns, speed = powered(), 1_000_000_000, 4.0
+    put(bank, dxl.GOAL_POSITION, dxl.ticks_from_angle(0.12))
+    spring = step(bank).stiffness[0]
+    goal = step(bank).setpoint[0]
+    bank.feel(np.zeros(1), np.array([speed]), np.array([spring * goal]), at_ns)
+
+    def measured(after_ms: float) -> tuple[float, float, float]:
+        table = bank.read(0, dxl.PRESENT_POSITION.address, 6, at_ns + round(after_ms * 1e6))
+        position, speed, load = (int.from_bytes(table[i : i + 2], "little") for i in (0, 2, 4))
+        return dxl.angle_from_ticks(position), dxl.speed_from_register(speed), dxl.load_from_register(load)
+
+    for after_ms in (0.0, -3.0, 2.0, 4.0):
+        q, qd, load = measured(after_ms)
+        assert q == pytest.approx(speed * after_ms * 1e-3, abs=dxl.TICK_RAD / 2)
+        assert qd == pytest.approx(speed, abs=0.01)
+        assert load * AX_12A_MOTOR.stall_torque == pytest.approx(spring * (goal - speed * after_ms * 1e-3), abs=0.002)
+    assert measured(1000.0) == measured(6.0)
+    assert measured(-1000.0) == measured(-6.0)
+    assert get(bank, dxl.PRESENT_POSITION) == dxl.ticks_from_angle(0.0), "who names no time sees the step"
+
+
+def test_a_limp_servo_that_is_turned_does_not_pull_between_steps() -> None:
+    bank = ServoBank([1])
+    step(bank)
+    bank.feel(np.zeros(1), np.ones(1), np.zeros(1), 0)
+    assert bank.read(0, dxl.PRESENT_LOAD.address, 2, 4_000_000) == bytes(2)
+
+
 @pytest.mark.parametrize("ids", [[1, 1], [254], [-1]])
 def test_ids_must_be_valid_and_different(ids: list[int]) -> None:
     with pytest.raises(ValueError, match="each once"):
