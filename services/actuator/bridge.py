@@ -26,6 +26,8 @@ _SILENT_NS = 100_000_000  # [ns] without a state, or without what an order bring
 _ANSWER_NS = 40_000_000  # [ns] that the answer of a servo may take through the bridge
 _NEW_US = 1_000  # [us] by which a reading is newer than the last one, if it is another
 _CYCLE_NS = 20_000_000  # [ns] in which every servo is read
+_OTHER_GOALS_US = 5_000  # [us] after the newest goals from which others are newer ones
+_NEVER_US = -1_000_000_000  # [us] long ago
 _US = 1_000  # [ns]
 
 
@@ -79,6 +81,7 @@ class Bridge:
         self._fresh: dict[int, ServoReading] = {}  # by place in the list, not yet asked for
         self._read_ns = [-1] * n  # stamp of the newest reading
         self._measured_us = [-_NEW_US - 1] * n  # the same, by the microcontroller's clock
+        self._taken_us = (_NEVER_US, _NEVER_US)  # when, by that, it took the goals before the newest, and the newest
         self._torque: bool | None = None  # as ordered last
         self._torque_ns = 0
         self._goals_since_ns, self._goals_ns = 0, -1  # since when goals are sent without a gap, and when the newest were
@@ -328,6 +331,7 @@ class Bridge:
             self._boot, self._remote = welcome.boot, RemoteClock()
             self.state = None
             self._measured_us = [-_NEW_US - 1] * len(self)
+            self._taken_us = (_NEVER_US, _NEVER_US)
         self._welcomed = welcome.session == self._session
 
     def _take(self, state: State) -> None:
@@ -343,8 +347,16 @@ class Bridge:
             stamp_ns = now_ns - self._remote.age_ns(state.time_us, now_ns)
             self.state, self._state_ns = state, stamp_ns
             self.errors[:] = np.frombuffer(state.error, dtype=np.uint8)
+            self._note_goals(state)
             for index in range(len(self)):
                 self._note(state, index, stamp_ns)
+
+    def _note_goals(self, state: State) -> None:
+        """Keep when the microcontroller took the newest goals, if they are new ones: to a millisecond, which it rounds down."""
+        if state.goals_age_ms != bridge.NEVER:
+            taken_us = state.time_us - 1000 * state.goals_age_ms - 500
+            if taken_us - self._taken_us[1] > _OTHER_GOALS_US:
+                self._taken_us = (self._taken_us[1], taken_us)
 
     def _note(self, state: State, index: int, stamp_ns: int) -> None:
         """Keep the reading of one servo, if it is a new one."""
@@ -356,11 +368,14 @@ class Bridge:
             return
         self._measured_us[index] = measured_us
         self._read_ns[index] = stamp_ns - age_us * _US
+        before_us, newest_us = self._taken_us
+        told_us = newest_us if measured_us >= newest_us else before_us
+        told_ns = self._read_ns[index] - (measured_us - told_us) * _US
         columns = (state.position, state.speed, state.load, state.voltage, state.temperature)
         measured = tuple(column[index] for column in columns)
         self._fresh.pop(index, None)  # the order is that of reading
         self._fresh[index] = reading(
-            index, self.servo_ids[index], self._read_ns[index], measured, ServoError(state.error[index])
+            index, self.servo_ids[index], self._read_ns[index], told_ns, measured, ServoError(state.error[index])
         )
 
 

@@ -59,6 +59,7 @@ class ServoReading:
     index: int  # in the driver's list of ids
     servo_id: int
     stamp_ns: int  # [ns] when it was asked; the servo sampled after that, within the answer time
+    told_ns: int  # [ns] when goals had been sent last, before that
     position_ticks: int  # 0..1023
     position: float  # [rad] servo angle, 0 at tick 512, counterclockwise positive
     speed: float  # [rad/s] counterclockwise positive
@@ -68,13 +69,16 @@ class ServoReading:
     error: ServoError
 
 
-def reading(index: int, servo_id: int, stamp_ns: int, registers: tuple[int, ...], error: ServoError) -> ServoReading:
+def reading(
+    index: int, servo_id: int, stamp_ns: int, told_ns: int, registers: tuple[int, ...], error: ServoError
+) -> ServoReading:
     """What a servo's five registers from present position on say: position, speed, load, voltage, temperature."""
     position, speed, load, voltage, temperature = registers
     return ServoReading(
         index=index,
         servo_id=servo_id,
         stamp_ns=stamp_ns,
+        told_ns=told_ns,
         position_ticks=position,
         position=dxl.angle_from_ticks(position),
         speed=dxl.speed_from_register(speed),
@@ -149,6 +153,7 @@ class ServoBus:
         self._again: list[int] = []  # to be asked first in the next call
         self._typical_ns = _TYPICAL_NS
         self._read_ns = [-1] * n  # stamp of the newest reading
+        self._told_ns = 0  # when goals were sent last
         self._missed = [0] * n  # questions that it left open in a row
         self._backoff = [1] * n  # ask every so many turns
         self._skips = [0] * n  # turns left to skip
@@ -284,6 +289,7 @@ class ServoBus:
         rows[:, 3], rows[:, 4] = speeds & 0xFF, speeds >> 8
         self._plausible.sent(np.broadcast_to(goals, (len(self),)).copy())
         packet = dxl.encode(dxl.BROADCAST_ID, dxl.Instruction.SYNC_WRITE, self._goal_head + rows.tobytes())
+        self._told_ns = self._clock()
         self._line.send(packet)
         if self._loss.within(self._clock(), _NOISY_NS):
             self._line.send(packet)
@@ -418,7 +424,8 @@ class ServoBus:
             return None
         self._loss.note(self._clock(), False)
         self.errors[index] = answer.code
-        return reading(index, answer.servo_id, stamp_ns, PRESENT_STATE.unpack(answer.parameters), ServoError(answer.code))
+        measured, error = PRESENT_STATE.unpack(answer.parameters), ServoError(answer.code)
+        return reading(index, answer.servo_id, stamp_ns, self._told_ns, measured, error)
 
     def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
         """Send a request and return the answer, with `size` parameters; None, and counted, when there is no good one."""

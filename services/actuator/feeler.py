@@ -1,6 +1,7 @@
 """What a leg that moves feels of the ground: its femur servo's load, less what turning the leg takes of it."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ _BEARS_HARD_N = 3.0  # [N] once
 _NEAR_NS = 50_000_000  # [ns] between two readings that tell how the leg gathers speed
 _SINCE_NS = 10_000_000  # [ns] after goals were told for which the balance of a leg's torques holds
 _STEP_NS = 20_000_000  # [ns] from goals to goals
+_HEARD_NS = 5_000_000  # [ns] after they were told in which it is to be seen whether a servo has heard them
 _FRICTION = 2.5  # times the dry friction: goals come in steps, so at a reading the leg is always losing speed
 _DOUBT = 0.4  # of what speeds the leg up, for an armature is known no better, and of a jerk that the goal makes
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo, after which nobody knows what its leg feels
@@ -39,6 +41,16 @@ class Felt:
     heaves: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that seem to lift the body
     leans: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that bear if the next reading is like the last
     known: NDArray[np.bool_] = field(default_factory=lambda: _ALL)  # (6,) feet of which it is known where they are
+
+
+class FemurReading(NamedTuple):
+    """What a femur says of itself, in the direction of growing angles."""
+
+    angle: float  # [rad]
+    speed: float  # [rad/s]
+    load: float  # [N m] of its motor
+    stamp_ns: int  # when it was asked
+    told_ns: int  # when goals had been sent last
 
 
 class Feeler:
@@ -73,18 +85,10 @@ class Feeler:
         told = q_goal[:, FEMUR] - self._goal
         self._jerk, self._told, self._goal = np.abs(told - self._told), told, q_goal[:, FEMUR].copy()
 
-    def read(self, leg: int, speed: float, load: float, stamp_ns: int, told_ns: int) -> None:
-        """Take in a reading of a femur.
-
-        Args:
-            leg: Whose it is.
-            speed: [rad/s] in the direction of growing angles.
-            load: [N m] of its motor, likewise.
-            stamp_ns: When it was taken.
-            told_ns: When goals were sent last.
-        """
-        since_ns = stamp_ns - int(self._stamp_ns[leg])
-        gathered, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, stamp_ns
+    def read(self, leg: int, femur: FemurReading) -> None:
+        """Take in a reading of a leg's femur."""
+        speed, since_ns = femur.speed, femur.stamp_ns - int(self._stamp_ns[leg])
+        gathered, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, femur.stamp_ns
         self._push[1, leg] = self._push[0, leg]
         if not 0 < since_ns <= _NEAR_NS:
             self._push[:, leg] = 0.0  # how it gathers speed is not known
@@ -93,11 +97,22 @@ class Feeler:
         speeding_up = self._inertia * gathered / (since_ns * 1e-9)
         turning = servo.damping * speed + _FRICTION * servo.friction * np.sign(speed) + speeding_up
         doubt = _DOUBT * (abs(speeding_up) + servo.stiffness * float(self._jerk[leg]))
-        left_s = (_SINCE_NS - min(max(stamp_ns - told_ns, 0), _STEP_NS)) * 1e-9
-        load = min(max(load - servo.stiffness * speed * left_s, -servo.stall_torque), servo.stall_torque)
-        push = (turning + self._links[leg, FEMUR] - load) / self._arm[leg]
+        push = (turning + self._links[leg, FEMUR] - self._load_at_one_moment(leg, femur)) / self._arm[leg]
         free = abs(speed) > _FREE * servo.no_load_speed
         self._push[0, leg] = 0.0 if free else np.sign(push) * max(abs(push) - doubt / self._arm[leg], 0.0)
+
+    def _load_at_one_moment(self, leg: int, femur: FemurReading) -> float:
+        """Motor torque [N m] of a femur that goes on as it does, so long after goals were told as the balance holds for.
+
+        One that was asked right after goals has perhaps not heard them yet: its spring tells to which it pulls.
+        """
+        servo, goal = self._profile.servo, float(self._goal[leg])
+        since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), _STEP_NS)
+        pulls = [servo.stiffness * (aim - femur.angle) for aim in (goal, goal - float(self._told[leg]))]
+        if since_ns < _HEARD_NS and abs(femur.load - pulls[1]) < abs(femur.load - pulls[0]):
+            since_ns += _STEP_NS
+        load = femur.load + servo.stiffness * femur.speed * (since_ns - _SINCE_NS) * 1e-9
+        return min(max(load, -servo.stall_torque), servo.stall_torque)
 
     def forget(self, legs: NDArray[np.bool_]) -> None:
         """Begin anew with legs (6,): what they felt is over."""

@@ -72,7 +72,6 @@ class Joints:
         self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those were heard again, 0 before
         self.out_of_touch = False  # whether all of them have, and are not heard and caught up yet
         self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; as they stand in the servos
-        self.told_ns = clock()  # [ns] when those were sent last
         self.torque = np.zeros(18, dtype=np.bool_)  # that pull
         self.strength = np.ones(18)  # share of its torque that each was left with
         self._take_in([self._ask(i) for i in self._bus.servo_ids])
@@ -154,7 +153,7 @@ class Joints:
 
         Servos that have missed goals are told to go slowly: nobody knows from where they set out when they hear again.
         """
-        self.goals, self.told_ns = q_goal, self._clock()
+        self.goals = q_goal
         self._leave_behind(self._bus.missed >= SILENT)
         speeds = np.where(self._behind, dxl.moving_speed_from(GENTLE), 0)
         self._tell(lambda: self._bus.sync_write_goals(_ticks(self._profile.servo_angles(q_goal).ravel()), speeds))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from services.actuator.bus import Port
 from services.actuator.config import Settings
 from services.actuator.contact import ContactEstimate
-from services.actuator.feeler import FEMUR, Feeler, Felt
+from services.actuator.feeler import FEMUR, Feeler, Felt, FemurReading
 from services.actuator.goal_limits import GENTLE, LOWERED, GoalLimits
 from services.actuator.guard import Act, Guard, Legs
 from services.actuator.health import GAP_S, Health, Verdict
@@ -169,8 +169,9 @@ class Actuator:
             self._q_wanted_when_read[leg, joint] = self._q_wanted[leg, joint]
             if joint == FEMUR:
                 sign = self._profile.servo_signs[leg, joint]
-                load, told_ns = float(self._joints.load[leg, joint]), self._joints.told_ns
-                self._feeler.read(leg, sign * reading.speed, load, reading.stamp_ns, told_ns)
+                angle, load = float(self._joints.q[leg, joint]), float(self._joints.load[leg, joint])
+                femur = FemurReading(angle, sign * reading.speed, load, reading.stamp_ns, reading.told_ns)
+                self._feeler.read(leg, femur)
 
     def _level(self, dt: float, now_ns: int, inbox: Inbox) -> None:
         """Where there is an inertial sensor {odom} is as level as that says; a body that tips over stops until a new order."""

@@ -35,8 +35,8 @@ from shared.service import AnyTopic, Every, Inbox, Stages
 
 _MAX_LAG_NS = 1_000_000_000  # [ns] how far it may fall behind and catch up; goals written meanwhile take effect in their order
 _STALE_NS = 40_000_000  # [ns] by which a live simulation may be late before its servos fall silent
-_STEPS = 2  # of the physics for which the setpoints of the servos stand; goals come every 20 ms
-_DT = _STEPS * TIME_STEP_NS * 1e-9  # [s]
+_BEAT_NS = 2 * TIME_STEP_NS  # [ns] in which it looks for what is due; goals come every 20 ms
+_DT = TIME_STEP_NS * 1e-9  # [s]
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ class Simulator:
         Raises:
             ConfigError: The scenario breaks a servo that the robot does not have.
         """
-        self.paced_by = Every(_STEPS * TIME_STEP_NS)
+        self.paced_by = Every(_BEAT_NS)
         self.stages = Stages()
         self._profile = profile
         self._settings = settings
@@ -193,8 +193,8 @@ class Simulator:
         self.device.advance(now_ns)
         command = self._bank.step(*self._joints(), _DT)
         setpoint = self._signs * (command.setpoint.reshape(6, 3) - self._horns)
-        world.step(setpoint, command.stiffness.reshape(6, 3), command.torque_limit.reshape(6, 3), _STEPS)
-        self._bank.feel(*self._joints(), now_ns + self.paced_by.period_ns)
+        world.step(setpoint, command.stiffness.reshape(6, 3), command.torque_limit.reshape(6, 3))
+        self._bank.feel(*self._joints(), now_ns + TIME_STEP_NS)
 
     def _joints(self) -> tuple[Array, Array, Array]:
         """Angles [rad], speeds [rad/s] and torques [N m] (18,) of the servos."""

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.actuator.feeler import FEMUR, Feeler
+from services.actuator.feeler import FEMUR, Feeler, FemurReading
 from services.actuator.load import link_torques
 from shared.geometry import Array
 from shared.kinematics import body_inverse
@@ -24,9 +24,9 @@ PERIOD = 20_000_000
 STEPS = 20  # of the joint's own motion per cycle
 
 
-def at(stamp_ns: int) -> tuple[int, int]:
-    """When a reading was taken, and goals were told before it [ns]."""
-    return stamp_ns, stamp_ns - PERIOD * 3 // 4
+def femur(speed: float, load: float, stamp_ns: int, angle: float = 0.0) -> FemurReading:
+    """A reading in the last quarter of a cycle."""
+    return FemurReading(angle, speed, load, stamp_ns, stamp_ns - PERIOD * 3 // 4)
 
 
 class Swing(NamedTuple):
@@ -55,7 +55,7 @@ def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: fl
         q_goal = q.copy()
         q_goal[LEG, FEMUR] = before
         feeler.see(q, q_goal)
-        feeler.read(LEG, speed, load, cycle * PERIOD, round((cycle - 1 + told) * PERIOD))
+        feeler.read(LEG, FemurReading(angle, speed, load, cycle * PERIOD, round((cycle - 1 + told) * PERIOD)))
         touches.append(bool(feeler.touches[LEG]))
         pushes.append(float(feeler.push[LEG]))
         held = link_torques(PROFILE, q)[LEG, FEMUR]
@@ -101,9 +101,31 @@ def test_a_heavier_robot_asks_for_a_push_as_much_greater() -> None:
             feeler.see(Q, Q)  # goals that do not change
         held = link_torques(profile, Q)[LEG, FEMUR] - 3.0 * feeler._arm[LEG]
         for cycle in range(3):
-            feeler.read(LEG, 0.0, held, *at(cycle * PERIOD))
+            feeler.read(LEG, femur(0.0, held, cycle * PERIOD))
         assert feeler.push[LEG] == pytest.approx(3.0)
         assert feeler.touches[LEG] == felt
+
+
+@pytest.mark.parametrize("since_ms", [0.0, 2.0, 4.0])
+def test_a_servo_that_was_asked_before_it_heard_its_goal_is_known_by_its_pull(since_ms: float) -> None:
+    """It comes down at 3 rad/s, and pulls as hard as that takes: to the goal of before, and 20 ms later in its step."""
+    speed, step = -3.0, -3.0 * PERIOD * 1e-9
+    held = link_torques(PROFILE, Q)[LEG, FEMUR] + SERVO.damping * speed - 2.5 * SERVO.friction
+    goal = Q[LEG, FEMUR] + held / SERVO.stiffness  # of a spring that pulls as hard 10 ms after it was told
+    found = list[float]()
+    for heard in (True, False):
+        feeler = Feeler(PROFILE)
+        for cycle in range(4):
+            told = Q.copy()
+            told[LEG, FEMUR] = goal + cycle * step
+            feeler.see(Q, told)
+            late_ns = round(since_ms * 1e6) + (0 if heard else PERIOD)  # after the goal that it pulls to
+            angle = Q[LEG, FEMUR] + (cycle - (not heard)) * step + speed * (late_ns * 1e-9 - 0.010)
+            pull = SERVO.stiffness * (goal + (cycle - (not heard)) * step - angle)
+            stamp_ns = cycle * PERIOD + round(since_ms * 1e6)
+            feeler.read(LEG, FemurReading(angle, speed, pull, stamp_ns, cycle * PERIOD))
+        found.append(float(feeler.push[LEG]))
+    np.testing.assert_allclose(found, 0.0, atol=0.05)
 
 
 @pytest.mark.parametrize("armature", [0.7, 1.0, 1.4])
@@ -123,7 +145,7 @@ def test_a_femur_at_full_torque_that_still_turns_fast_has_met_nothing() -> None:
         feeler = Feeler(robot)
         for k in range(4):
             feeler.see(q, q)
-            feeler.read(LEG, speed, -robot.servo.stall_torque, *at(k * PERIOD))
+            feeler.read(LEG, femur(speed, -robot.servo.stall_torque, k * PERIOD))
         assert feeler.touches[LEG] == touches
 
 
@@ -135,7 +157,7 @@ def test_a_push_at_rest_is_a_foot_that_bears() -> None:
         for cycle in range(3):
             feeler.see(Q, Q)
             for leg in range(6):
-                feeler.read(leg, 0.0, float(held[leg, FEMUR]) - newton * arm, *at((1 + cycle) * PERIOD))
+                feeler.read(leg, femur(0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD))
         assert feeler.bears.all() == bears
         assert not feeler.touches.any()
         feeler.forget(np.ones(6, dtype=bool))
@@ -148,7 +170,7 @@ def test_a_foot_leans_by_one_reading_and_bears_by_two() -> None:
     for cycle, newton in enumerate((0.0, 0.0, 1.5, 1.5, 0.0)):
         feeler.see(Q, Q)
         for leg in range(6):
-            feeler.read(leg, 0.0, float(held[leg, FEMUR]) - newton * arm, *at((1 + cycle) * PERIOD))
+            feeler.read(leg, femur(0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD))
         assert feeler.leans.all() == feeler.leans.any() == (newton > 0)
         assert feeler.bears.all() == feeler.bears.any() == (cycle == 3)
 
@@ -157,7 +179,7 @@ def test_readings_far_apart_say_nothing() -> None:
     feeler = Feeler(PROFILE)
     for cycle in range(5):
         feeler.see(Q, Q)
-        feeler.read(LEG, 0.0, -1.5, *at(cycle * 4 * PERIOD))
+        feeler.read(LEG, femur(0.0, -1.5, cycle * 4 * PERIOD))
         assert feeler.push[LEG] == 0.0
 
 
@@ -169,5 +191,5 @@ def test_noise_of_a_servo_is_no_touch_where_it_has_no_leverage() -> None:
     for cycle, noise in enumerate((0.0, 0.0, 0.14)):
         feeler.see(near, near)
         for leg in range(6):
-            feeler.read(leg, 0.0, float(held[leg, FEMUR]) - noise, *at(cycle * PERIOD))
+            feeler.read(leg, femur(0.0, float(held[leg, FEMUR]) - noise, cycle * PERIOD))
         assert not feeler.touches.any()
