@@ -115,6 +115,7 @@ def test_poll_reads_all_in_rotation_within_the_budget(rig: Rig) -> None:
         start = rig.port.now_ns()
         rig.driver.sync_write_goals(np.full(18, 512))
         readings = rig.driver.poll(7_000_000)
+        assert {r.told_ns for r in readings} == {start}
         assert 2 <= len(readings) <= 5
         assert rig.port.now_ns() - start < 9_000_000
         for r in readings:
