@@ -20,15 +20,15 @@ from tests.support.walks import LockstepRun, flat, walk
 PATIENCE_S, ANEW_S = 30.0, 3.0  # [s] until an order must have been followed, and after which it is given in a new session
 
 COURSE = """
-name = "short"
-time_limit_s = 40.0
-goal = { distance = 0.4 }
+name = "level"
+time_limit_s = 60.0
+goal = { distance = 1.5 }
 terrain = [{ kind = "plane" }]
 """
 
 
 def test_through_a_bridge_it_walks_as_on_the_bus_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    course = tmp_path / "short.toml"
+    course = tmp_path / "level.toml"
     course.write_text(COURSE, encoding="utf-8")
     reports = []
     for ways in ([], ["--bridge"]):
