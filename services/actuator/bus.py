@@ -59,7 +59,7 @@ class ServoReading:
     index: int  # in the driver's list of ids
     servo_id: int
     stamp_ns: int  # [ns] when it was asked; the servo sampled after that, within the answer time
-    told_ns: int  # [ns] when goals had been sent last, before that
+    told_ns: int  # [ns] when goals had been sent last before that, or a microcontroller had taken them; long ago without
     position_ticks: int  # 0..1023
     position: float  # [rad] servo angle, 0 at tick 512, counterclockwise positive
     speed: float  # [rad/s] counterclockwise positive

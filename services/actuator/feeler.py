@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from services.actuator.load import link_torques
 from shared.geometry import Array
-from shared.robot import RobotProfile
+from shared.robot import RobotProfile, Servo
 
 FEMUR = 1  # the joint that bears the ground's push; over the foot the tibia's arm is short
 # Of a robot of 2.5 kg; the pushes of one that is heavier, and what its legs make up themselves, are as much greater.
@@ -18,9 +18,10 @@ _HARD_N = 4.5  # [N] one of as much is a touch
 _BEARS_N = 1.0  # [N] what a foot that stands pushes at least; twice in a row, or
 _BEARS_HARD_N = 3.0  # [N] once
 _NEAR_NS = 50_000_000  # [ns] between two readings that tell how the leg gathers speed
-_SINCE_NS = 10_000_000  # [ns] after goals were told for which the balance of a leg's torques holds
+_SINCE_NS = 8_000_000  # [ns] after goals were told for which the balance of a leg's torques holds
 _STEP_NS = 20_000_000  # [ns] from goals to goals
 _HEARD_NS = 5_000_000  # [ns] after they were told in which it is to be seen whether a servo has heard them
+_TELLS = 0.1  # [N m] by which its pull must change with them to tell; ticks and the compliance margin are half of it
 _FRICTION = 2.5  # times the dry friction: goals come in steps, so at a reading the leg is always losing speed
 _DOUBT = 0.4  # of what speeds the leg up, for an armature is known no better, and of a jerk that the goal makes
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo, after which nobody knows what its leg feels
@@ -108,11 +109,12 @@ class Feeler:
         """
         servo, goal = self._profile.servo, float(self._goal[leg])
         since_ns = min(max(femur.stamp_ns - femur.told_ns, 0), _STEP_NS)
-        pulls = [servo.stiffness * (aim - femur.angle) for aim in (goal, goal - float(self._told[leg]))]
-        if since_ns < _HEARD_NS and abs(femur.load - pulls[1]) < abs(femur.load - pulls[0]):
-            since_ns += _STEP_NS
-        load = femur.load + servo.stiffness * femur.speed * (since_ns - _SINCE_NS) * 1e-9
-        return min(max(load, -servo.stall_torque), servo.stall_torque)
+        before = goal - float(self._told[leg])
+        new, old = (_pull(servo, aim, femur.angle) for aim in (goal, before))
+        if since_ns < _HEARD_NS and abs(new - old) > _TELLS and abs(femur.load - old) < abs(femur.load - new):
+            since_ns, goal, new = since_ns + _STEP_NS, before, old
+        then = _pull(servo, goal, femur.angle + femur.speed * (_SINCE_NS - since_ns) * 1e-9)
+        return femur.load + then - new
 
     def forget(self, legs: NDArray[np.bool_]) -> None:
         """Begin anew with legs (6,): what they felt is over."""
@@ -146,6 +148,11 @@ class Feeler:
     def silent(self, now_ns: int) -> NDArray[np.bool_]:
         """(6,) legs whose servo has not answered for a while: of them nothing is known."""
         return np.asarray(now_ns - self._stamp_ns > _SILENT_NS)
+
+
+def _pull(servo: Servo, goal: float, angle: float) -> float:
+    """Torque [N m] of a servo that is told a goal and is at an angle [rad]."""
+    return min(max(servo.stiffness * (goal - angle), -servo.stall_torque), servo.stall_torque)
 
 
 def _leg_inertia(profile: RobotProfile) -> float:

@@ -64,7 +64,8 @@ RX_64_MOTOR = Motor(stall_torque=5.3, stall_current=2.6, standby_current=0.05)  
 RX_64_SUPPLY = Supply(full_voltage=18.5, empty_voltage=18.5)
 _ELECTRICS = {"AX-12A": (AX_12A_MOTOR, Supply()), "RX-64": (RX_64_MOTOR, RX_64_SUPPLY)}
 
-_FURTHEST_NS = 6_000_000  # [ns] from a physics step for which the joints are taken to go on as they do
+# For so long [ns] from a physics step joints are taken to go on as they do: in lockstep a cycle reads as far ahead of it.
+_FURTHEST_NS = 6_000_000
 _JAM = 5.0  # times as stiff and strong as its servo is what a jammed joint is held by
 _BUCKETS = 100  # of the sliding window of the mean duty
 _HOT, _OVERLOAD = int(ServoError.OVERHEATING), int(ServoError.OVERLOAD)
@@ -451,12 +452,15 @@ class ServoBank:
         return self.tables[:, register.address] if register.size == 1 else self._words[:, register.address // 2]
 
     def _after(self, s: float) -> tuple[Array, Array, Array]:
-        """Angles [rad], speeds [rad/s] and loads (n,) a little after the last step: the springs give way as the joints turn."""
-        if s == 0.0:
+        """Angles [rad], speeds [rad/s] and loads (n,) a little after the last step: what a motor gives as its joint is then.
+
+        Torques that acted in a step are of its beginning; they are shown only where nobody has said when that was.
+        """
+        if self._at_ns is None:
             return self._q, self._qd, self._load
         q, out = self._q + s * self._qd, self._out
-        pull = (np.clip(out.stiffness * (out.setpoint - at), -out.torque_limit, out.torque_limit) for at in (q, self._q))
-        return q, self._qd, self._load + (next(pull) - next(pull)) / self.motor.stall_torque
+        pull = np.clip(out.stiffness * (out.setpoint - q), -out.torque_limit, out.torque_limit)
+        return q, self._qd, pull / self.motor.stall_torque
 
     def _position_ticks(self, row: int) -> int:
         return min(max(dxl.ticks_from_angle(float(self._q[row])), 0), dxl.TICK_MAX)

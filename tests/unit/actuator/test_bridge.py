@@ -1,6 +1,7 @@
 """The bridge whole: driver, wire, reference firmware and emulated servos; and what happens when one of them fails."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from services.simulator.firmware import CATCH_UP_TICKS_S, CYCLE_NS, FAR_TICKS, N
 from services.simulator.servos import ServoBank
 from shared import bridge
 from shared import dynamixel as dxl
-from shared.bridge import Mode, Refusal
+from shared.bridge import AGE_UNIT_US, VERSION, Mode, Refusal, Welcome
 from shared.dynamixel import ServoError
 
 WILD = settings(deadline=None, derandomize=True, max_examples=40)
@@ -134,7 +135,7 @@ def test_all_servos_are_read_in_every_cycle_with_their_times() -> None:
 
 
 def test_a_reading_says_which_goals_its_servo_had_by_the_board_s_own_clock() -> None:
-    """They are taken 1.1 ms after they were sent, told to a millisecond; states, which take 4 ms, seem to take none."""
+    """They are taken 1.1 ms after they were sent, told to a millisecond; states, of 4 ms, seem to take none: 7 ms."""
     rig, sent_ns, ages = walking(), list[int](), list[int]()
     for half in range(40):
         rig.now_ns = max(rig.now_ns + PERIOD // 2, rig.port.now_ns())
@@ -150,6 +151,30 @@ def test_a_reading_says_which_goals_its_servo_had_by_the_board_s_own_clock() -> 
     assert len(ages) > 600
     assert 0 <= min(ages) < 3_000_000
     assert 10_000_000 < max(ages) < PERIOD + 3_000_000
+
+
+def test_a_board_that_starts_anew_and_ages_in_whole_milliseconds_do_not_confuse_which_goals_a_servo_had() -> None:
+    rig = walking()
+    seen = rig.driver.state
+    assert seen is not None
+
+    def since_ms(time_us: int, sequence: int, goals_age_ms: int, asked_ms: float) -> float:
+        ages = tuple([round(asked_ms * 1000 / AGE_UNIT_US)] * 18)
+        state = replace(seen, time_us=time_us, sequence=seen.sequence + sequence, goals_age_ms=goals_age_ms, age=ages)
+        rig.driver._take(state)
+        (since_ns,) = {r.stamp_ns - r.told_ns for r in rig.driver.poll(0)}
+        return since_ns * 1e-6
+
+    rig.driver.poll(BUDGET)
+    begin_us = seen.time_us + 100_000
+    assert since_ms(begin_us, 1, 9, 2.0) == pytest.approx(7.5)
+    for later_ms, sequence, age_ms in ((10, 2, 20), (20, 3, 29)):  # the same goals, to a millisecond
+        assert since_ms(begin_us + 1000 * later_ms, sequence, age_ms, 2.0) == pytest.approx(7.5 + later_ms, abs=1.0)
+    for later_ms, sequence in ((0, 4), (1, 5)):
+        found_ms = since_ms(begin_us + 30_000 + 1000 * later_ms, sequence, 8, 11.0)
+        assert found_ms == pytest.approx(28.5 + later_ms, abs=1.0), "asked before the newest"
+    rig.driver._meet(Welcome(VERSION, rig.driver._session, seen.sequence + 77, 0, "anew"))
+    assert since_ms(50_000, 6, 9, 2.0) == pytest.approx(7.5), "its clock begins at 0"
 
 
 def test_goals_and_limits_reach_the_servos_and_torque_only_behind_goals() -> None:

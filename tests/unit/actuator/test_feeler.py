@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from services.actuator.feeler import FEMUR, Feeler, FemurReading
 from services.actuator.load import link_torques
+from shared import dynamixel as dxl
 from shared.geometry import Array
 from shared.kinematics import body_inverse
 from shared.profiles import load_profile
@@ -37,13 +38,15 @@ class Swing(NamedTuple):
     met: int  # the cycle in which it met the ground, or -1
 
 
-def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: float = 0.3) -> Swing:
+def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: float = 0.3, coarse: bool = False) -> Swing:
     """Feel the way of goals (n,) [rad] of one femur.
 
     The servo is what it is in the simulator: a spring to its goal, damped, with dry friction, a leg and an armature behind it.
     From the middle of the way on there is ground as hard as stone below a femur angle [rad]. Readings are taken when a cycle
-    begins, goals told after a share of it.
+    begins, goals told after a share of it. A coarse servo counts in ticks, and keeps a compliance margin of one.
     """
+    tick = dxl.TICK_RAD if coarse else 1e-9
+    goals = np.round(goals / tick) * tick
     feeler = Feeler(PROFILE)
     inertia = feeler._inertia + (armature - 1.0) * SERVO.armature
     q, angle, speed, load, met = Q.copy(), float(goals[0]), 0.0, 0.0, -1
@@ -51,17 +54,19 @@ def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: fl
     dt = PERIOD * 1e-9 / STEPS
     for cycle, goal in enumerate(goals):
         before = goals[max(cycle - 1, 0)]
-        q[LEG, FEMUR] = angle
+        seen = round(angle / tick) * tick
+        q[LEG, FEMUR] = seen
         q_goal = q.copy()
         q_goal[LEG, FEMUR] = before
         feeler.see(q, q_goal)
-        feeler.read(LEG, FemurReading(angle, speed, load, cycle * PERIOD, round((cycle - 1 + told) * PERIOD)))
+        feeler.read(LEG, FemurReading(seen, speed, load, cycle * PERIOD, round((cycle - 1 + told) * PERIOD)))
         touches.append(bool(feeler.touches[LEG]))
         pushes.append(float(feeler.push[LEG]))
         held = link_torques(PROFILE, q)[LEG, FEMUR]
         for step in range(STEPS):
             written = before if step < told * STEPS else goal
-            load = float(np.clip(SERVO.stiffness * (written - angle), -SERVO.stall_torque, SERVO.stall_torque))
+            left = np.sign(written - angle) * max(abs(written - angle) - tick, 0.0)
+            load = float(np.clip(SERVO.stiffness * left, -SERVO.stall_torque, SERVO.stall_torque))
             sunk = max(ground - angle, 0.0) if cycle > len(goals) / 2 else 0.0
             if sunk and met < 0:
                 met = cycle
@@ -84,6 +89,27 @@ def test_free_motion_is_no_touch_whenever_in_the_cycle_goals_are_told(
     height: float, cycles: int, armature: float, told: float
 ) -> None:
     assert not any(swing(stroke(height, cycles), armature, told=told).touches)
+
+
+@pytest.mark.parametrize("told", [0.2, 0.85, 0.95])
+def test_ticks_and_the_compliance_margin_are_no_touch(told: float) -> None:
+    for height, cycles in ((0.2, 40), (0.4, 34), (0.6, 34)):
+        assert not any(swing(stroke(height, cycles), told=told, coarse=True).touches)
+
+
+def test_full_torque_is_full_torque_whenever_it_was_asked() -> None:
+    """A femur that is far behind its goal pulls no harder for that, and no less."""
+    pushes = list[float]()
+    for since_ms in (0.5, 3.0, 6.0, 10.0, 18.0):
+        feeler, ahead = Feeler(PROFILE), Q.copy()
+        for cycle in range(3):
+            ahead[LEG, FEMUR] = Q[LEG, FEMUR] - 0.5 - 0.06 * cycle
+            feeler.see(Q, ahead)
+            stamp_ns = cycle * PERIOD
+            angle, full = float(Q[LEG, FEMUR]), -SERVO.stall_torque
+            feeler.read(LEG, FemurReading(angle, -3.5, full, stamp_ns, stamp_ns - round(since_ms * 1e6)))
+        pushes.append(float(feeler.push[LEG]))
+    np.testing.assert_allclose(pushes, pushes[0])
 
 
 def test_what_is_felt_hardly_depends_on_when_in_the_cycle_goals_are_told() -> None:
@@ -111,7 +137,7 @@ def test_a_servo_that_was_asked_before_it_heard_its_goal_is_known_by_its_pull(si
     """It comes down at 3 rad/s, and pulls as hard as that takes: to the goal of before, and 20 ms later in its step."""
     speed, step = -3.0, -3.0 * PERIOD * 1e-9
     held = link_torques(PROFILE, Q)[LEG, FEMUR] + SERVO.damping * speed - 2.5 * SERVO.friction
-    goal = Q[LEG, FEMUR] + held / SERVO.stiffness  # of a spring that pulls as hard 10 ms after it was told
+    goal = Q[LEG, FEMUR] + held / SERVO.stiffness  # of a spring that pulls as hard 8 ms after it was told
     found = list[float]()
     for heard in (True, False):
         feeler = Feeler(PROFILE)
@@ -120,7 +146,7 @@ def test_a_servo_that_was_asked_before_it_heard_its_goal_is_known_by_its_pull(si
             told[LEG, FEMUR] = goal + cycle * step
             feeler.see(Q, told)
             late_ns = round(since_ms * 1e6) + (0 if heard else PERIOD)  # after the goal that it pulls to
-            angle = Q[LEG, FEMUR] + (cycle - (not heard)) * step + speed * (late_ns * 1e-9 - 0.010)
+            angle = Q[LEG, FEMUR] + (cycle - (not heard)) * step + speed * (late_ns * 1e-9 - 0.008)
             pull = SERVO.stiffness * (goal + (cycle - (not heard)) * step - angle)
             stamp_ns = cycle * PERIOD + round(since_ms * 1e6)
             feeler.read(LEG, FemurReading(angle, speed, pull, stamp_ns, cycle * PERIOD))

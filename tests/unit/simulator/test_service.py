@@ -204,6 +204,38 @@ def test_the_bus_fails_as_the_scenario_has_it_and_comes_back() -> None:
     assert sim.doing() == "simulating flat, 0.1 s, faults: bus silent"
 
 
+def word(sim: Simulator, row: int, register: dxl.Register, at_ns: int | None = None) -> int:
+    return int.from_bytes(sim.servos.read(row, register.address, register.size, at_ns), "little")
+
+
+def test_a_jammed_servo_tells_how_hard_its_motor_pulls_in_vain() -> None:
+    sim, row, goal = simulator(), 4, dxl.GOAL_POSITION
+    run(sim, 20 * MS)
+    sim.inject(BusFault("servo", "jammed", 0.0, for_s=1.0, servo=PROFILE.servo_ids.ravel().tolist()[row]))
+    sim.servos.write(row, goal.address, goal.encode(word(sim, row, goal) - 80))
+    run(sim, 100 * MS, from_ns=24 * MS)
+    for at_ns in (None, sim.world.time_ns, sim.world.time_ns + 3 * MS):
+        assert dxl.load_from_register(word(sim, row, dxl.PRESENT_LOAD, at_ns)) == pytest.approx(-1.0, abs=0.01)
+
+
+def test_a_load_that_is_asked_for_ahead_of_the_physics_is_what_the_physics_then_gives() -> None:
+    sim, row, goal = simulator(), 4, dxl.GOAL_POSITION
+    run(sim, 100 * MS)
+    ticks, told, found = word(sim, row, goal), list[float](), list[float]()
+    for _ in range(15):  # a femur goes on with its leg, step by step
+        ticks -= 4
+        sim.servos.write(row, goal.address, goal.encode(ticks))
+        begin_ns = sim.world.time_ns
+        run(sim, begin_ns + 12 * MS, from_ns=begin_ns)
+        asked_ns = sim.world.time_ns + 4 * MS
+        told.append(dxl.load_from_register(word(sim, row, dxl.PRESENT_LOAD, asked_ns)))
+        run(sim, asked_ns, from_ns=asked_ns)
+        found.append(dxl.load_from_register(word(sim, row, dxl.PRESENT_LOAD, asked_ns)))
+        run(sim, begin_ns + 20 * MS, from_ns=begin_ns + 20 * MS)
+    assert np.ptp(found) > 0.5
+    np.testing.assert_allclose(told, found, atol=0.003)
+
+
 def test_a_fault_is_injected_at_its_simulated_time_whatever_the_clock_shows() -> None:
     sim = simulator()
     begun_ns = 7_000 * MS
