@@ -201,6 +201,33 @@ def test_a_foot_leans_by_one_reading_and_bears_by_two() -> None:
         assert feeler.bears.all() == feeler.bears.any() == (cycle == 3)
 
 
+def test_a_pull_that_ticks_or_the_margin_explain_does_not_tell_that_a_goal_was_not_heard() -> None:
+    """Its goal went down by a tick and a half; it pulls as to the one of before, by its margin."""
+    pushes = list[float]()
+    for told in (0.0, -1.5 * dxl.TICK_RAD):
+        feeler, goal = Feeler(PROFILE), Q.copy()
+        for cycle in range(3):
+            goal[LEG, FEMUR] = Q[LEG, FEMUR] + told * (cycle - 2)
+            feeler.see(Q, goal)
+            feeler.read(
+                LEG,
+                FemurReading(
+                    float(Q[LEG, FEMUR]), -1.0, -told * SERVO.stiffness, cycle * PERIOD, cycle * PERIOD - PERIOD // 10
+                ),
+            )
+        pushes.append(float(feeler.push[LEG] - told * SERVO.stiffness / feeler._arm[LEG]))
+    assert pushes[1] == pytest.approx(pushes[0], abs=0.1)
+
+
+def test_a_leg_is_silent_whose_servo_has_not_answered_for_a_while() -> None:
+    feeler = Feeler(PROFILE)
+    feeler.see(Q, Q)
+    assert feeler.silent(1_000_000_000).all()
+    feeler.read(LEG, femur(0.0, 0.0, 1_000_000_000))
+    np.testing.assert_array_equal(np.flatnonzero(~feeler.silent(1_250_000_000)), [LEG])
+    assert feeler.silent(1_400_000_000).all()
+
+
 def test_readings_far_apart_say_nothing() -> None:
     feeler = Feeler(PROFILE)
     for cycle in range(5):
