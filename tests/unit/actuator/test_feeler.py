@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,10 +11,13 @@ from hypothesis import strategies as st
 
 from services.actuator.feeler import FEMUR, Feeler, FemurReading
 from services.actuator.load import link_torques
+from services.simulator.terrain import build_terrain
+from services.simulator.world import World
 from shared import dynamixel as dxl
-from shared.geometry import Array
+from shared.geometry import Array, from_xyz_rpy
 from shared.kinematics import body_inverse
 from shared.profiles import load_profile
+from shared.scenario import Goal, Plane, Scenario
 
 PROFILE = load_profile("phantomx_mk2")
 SERVO = PROFILE.servo
@@ -190,6 +194,21 @@ def test_a_push_at_rest_is_a_foot_that_bears() -> None:
         assert not feeler.bears.any()
 
 
+@pytest.mark.parametrize(
+    ("newton", "bears", "touches"), [(2.9, False, False), (3.1, True, False), (4.4, True, False), (4.6, True, True)]
+)
+def test_one_reading_is_enough_if_it_is_hard(newton: float, bears: bool, touches: bool) -> None:
+    feeler, held = Feeler(PROFILE), link_torques(PROFILE, Q)[LEG, FEMUR]
+    for cycle in range(3):
+        feeler.see(Q, Q)
+        push = newton * feeler._heavier * (cycle == 2)
+        feeler.read(LEG, femur(0.0, held - push * feeler._arm[LEG], cycle * PERIOD))
+    assert (feeler.bears[LEG], feeler.touches[LEG]) == (bears, touches)
+    feeler.read(LEG, femur(0.0, held, 6 * PERIOD))
+    assert feeler.push[LEG] == 0.0
+    assert not feeler.bears[LEG], "after a gap what was felt before it counts no more"
+
+
 def test_a_foot_leans_by_one_reading_and_bears_by_two() -> None:
     feeler, arm = Feeler(PROFILE), 0.1
     held = link_torques(PROFILE, Q)
@@ -226,6 +245,17 @@ def test_a_leg_is_silent_whose_servo_has_not_answered_for_a_while() -> None:
     feeler.read(LEG, femur(0.0, 0.0, 1_000_000_000))
     np.testing.assert_array_equal(np.flatnonzero(~feeler.silent(1_250_000_000)), [LEG])
     assert feeler.silent(1_400_000_000).all()
+
+
+@pytest.mark.parametrize("name", ["phantomx_mk2", "lotriet_rx64"])
+def test_a_leg_s_inertia_is_that_of_the_simulated_one_with_its_knee_bent_square(name: str) -> None:
+    robot = load_profile(name)
+    world = World(robot, build_terrain(Scenario("flat", (Plane(),), Goal(1.0)), np.random.default_rng(0)))
+    world.place(np.tile([0.0, 0.3, -np.pi / 2], (6, 1)), from_xyz_rpy((0.0, 0.0, 1.0), np.zeros(3)))
+    inertia = np.zeros((world.model.nv, world.model.nv))
+    mujoco.mj_fullM(world.model, world.data, inertia)
+    femora = 6 + 3 * np.arange(6) + FEMUR  # after the body's six freedoms
+    np.testing.assert_allclose(inertia[femora, femora], Feeler(robot)._inertia, rtol=0.05)
 
 
 def test_readings_far_apart_say_nothing() -> None:
