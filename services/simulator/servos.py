@@ -8,6 +8,7 @@ Not emulated: wheel mode (both angle limits 0; such a servo is limp) and punch, 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +90,17 @@ class ServoCommand:
     torque_limit: Array  # (n,) [N m] 0 where the servo is limp
 
 
+class _Wear(NamedTuple):
+    """`Protection` for the compiled loop: numbers alone."""
+
+    stall_duty: float
+    stall_time: float  # [s]
+    most_duty: float  # [s] greatest sum of duties over the window
+    ambient: float  # [deg C]
+    cooling_time: float  # [s]
+    heating: float  # [K/s]
+
+
 @compiled
 def _age(
     load: Array,
@@ -99,27 +111,22 @@ def _age(
     duty_sum: Array,
     tripped: NDArray[np.uint8],
     dt: float,
-    stall_duty: float,
-    stall_time: float,
-    mean_limit: float,
-    ambient: float,
-    cooling_time: float,
-    heating: float,
+    wear: _Wear,
 ) -> tuple[float, bool]:
     """One step of heat and overload of n servos, in place; the sum of the duties and whether any servo trips.
 
-    `bucket` is the slice of the duty window being filled and `duty_sum` [s] the rest of it; `mean_limit` [s] is their
-    greatest sum. `tripped` becomes the error bits whose cause is there.
+    `bucket` is the slice of the duty window being filled and `duty_sum` [s] the rest of it. `tripped` becomes the error bits
+    whose cause is there.
     """
     total, any_tripped = 0.0, False
     for i in range(load.size):
         duty = abs(load[i])
         total += duty
-        temperature[i] += dt * ((ambient - temperature[i]) / cooling_time + heating * duty * duty)
-        stalled_for[i] = stalled_for[i] + dt if duty >= stall_duty else 0.0
+        temperature[i] += dt * ((wear.ambient - temperature[i]) / wear.cooling_time + wear.heating * duty * duty)
+        stalled_for[i] = stalled_for[i] + dt if duty >= wear.stall_duty else 0.0
         bucket[i] += dt * duty
         bits = 0
-        if stalled_for[i] >= stall_time or duty_sum[i] + bucket[i] > mean_limit:
+        if stalled_for[i] >= wear.stall_time or duty_sum[i] + bucket[i] > wear.most_duty:
             bits |= _OVERLOAD
         if temperature[i] > temperature_limit[i]:
             bits |= _HOT
@@ -215,6 +222,9 @@ class ServoBank:
         self.model = model
         self.motor = motor
         self.protection = protection or Protection()
+        p = self.protection
+        stalls, most = (p.stall_duty - _EPS, p.stall_time - _EPS), (p.mean_duty + _EPS) * p.mean_time
+        self._wear = _Wear(*stalls, most, p.ambient, p.cooling_time, p.heating)
         self.supply = supply or Supply()
         self.charge = charge  # of the battery, 0 to 1
         self.current = 0.0  # [A] drawn in the last step
@@ -370,8 +380,7 @@ class ServoBank:
         p = self.protection
         duty_sum, tripped = _age(
             self._load, self.temperature, self._temperature_limit, self._stalled_for, self._buckets[self._bucket],
-            self._duty_sum, self._tripped, dt, p.stall_duty - _EPS, p.stall_time - _EPS, (p.mean_duty + _EPS) * p.mean_time,
-            p.ambient, p.cooling_time, p.heating,
+            self._duty_sum, self._tripped, dt, self._wear,
         )  # fmt: skip
         self._bucket_time += dt
         if self._bucket_time >= p.mean_time / _BUCKETS - _EPS:
