@@ -1,0 +1,118 @@
+"""The joints on emulated servos that go where they are told, and all that was said to them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from services.actuator.config import Settings
+from services.actuator.joints import Joints
+from services.simulator.bus import MemoryPort, ServoBusEmulator
+from services.simulator.bus_faults import BusFaults
+from services.simulator.servos import ServoBank
+from services.simulator.wire import Reply
+from shared import dynamixel as dxl
+from shared.bus_fault import BusFault
+from shared.dynamixel import Instruction, Packet, PacketParser, Register
+from shared.geometry import Array
+from shared.kinematics import body_inverse
+from shared.profiles import load_profile
+
+PROFILE = load_profile("phantomx_mk2")
+IDS = PROFILE.servo_ids.ravel().tolist()
+STAND = PROFILE.servo_angles(body_inverse(PROFILE, PROFILE.rest_feet())).ravel()  # (18,) [rad]
+PERIOD = 20_000_000
+TICK = dxl.TICK_RAD
+SERVO = 7  # of 0 to 17
+LEG, JOINT = divmod(SERVO, 3)
+
+
+class Tap(BusFaults):
+    """The bus with its faults, and all that a host has said on it."""
+
+    def __init__(self, bank: ServoBank) -> None:
+        super().__init__(ServoBusEmulator(bank), bank)
+        self.parser, self.said = PacketParser(), list[Packet]()
+
+    def receive(self, data: bytes, now_ns: int) -> list[Reply]:
+        self.said += self.parser.feed(data)
+        return super().receive(data, now_ns)
+
+
+class JointsRig:
+    """Servos that go where they are told within a cycle, if they pull."""
+
+    def __init__(self, torque: bool = True, off: Array | float = 0.0, opener: Callable[[], Any] | None = None) -> None:
+        """Goals may lie off where the joints are, by (18,) [rad]."""
+        self.now_ns = 0
+        self.bank = ServoBank(IDS, q=STAND)
+        for row, goal in enumerate(STAND + off):
+            self.put(row, dxl.GOAL_POSITION, dxl.ticks_from_angle(goal))
+            self.put(row, dxl.TORQUE_ENABLE, int(torque))
+        self.bus = Tap(self.bank)
+        self.q = STAND.copy()
+        self.port: MemoryPort | None = None
+        self.opener = opener or self.plug_in
+
+    def plug_in(self, name: int | None = None) -> MemoryPort:
+        self.port = MemoryPort(self.bus, lambda: self.now_ns, name=name, start_ns=self.clock())
+        return self.port
+
+    def clock(self) -> int:
+        return self.now_ns if self.port is None else self.port.now_ns()
+
+    def start(self) -> "JointsRig":
+        self.joints = Joints(PROFILE, Settings(), self.opener, self.clock)
+        self.now_ns = self.clock()
+        return self
+
+    def put(self, row: int, register: Register, value: int) -> None:
+        self.bank.write(row, register.address, register.encode(value))
+
+    def registers(self, register: Register) -> list[int]:
+        return [int.from_bytes(self.bank.read(row, register.address, register.size), "little") for row in range(18)]
+
+    def suffer(self, target: str, kind: str, for_s: float, **more: Any) -> None:
+        self.bus.inject(BusFault(target, kind, 0.0, for_s, **more), self.now_ns)  # type: ignore[arg-type]
+
+    def cycle(self, count: int = 1, write: bool = False) -> None:
+        for _ in range(count):
+            self.now_ns = max(self.now_ns + PERIOD, self.clock())
+            self.bus.advance(self.now_ns)
+            goals = np.array([dxl.angle_from_ticks(ticks) for ticks in self.registers(dxl.GOAL_POSITION)])
+            pulls = np.array(self.registers(dxl.TORQUE_ENABLE)) * np.array(self.registers(dxl.TORQUE_LIMIT)) > 0
+            self.q = np.where(pulls, goals, self.q)
+            self.bank.step(self.q, np.zeros(18), np.zeros(18), PERIOD * 1e-9)
+            self.joints.read([])
+            if write:
+                self.joints.write(self.joints.goals)
+
+    def until(self, done: Callable[[], bool], write: bool = False) -> "JointsRig":
+        for _ in range(400):
+            if done():
+                return self
+            self.cycle(write=write)
+        raise AssertionError("it has not come about within eight seconds")
+
+    @property
+    def measured(self) -> Array:
+        return PROFILE.joint_angles(self.q.reshape(6, 3))
+
+    @property
+    def said_speeds(self) -> list[int]:
+        """Moving speeds of the newest goals, heard or not."""
+        goals = next(p for p in reversed(self.bus.said) if p.code == Instruction.SYNC_WRITE and p.parameters[1] == 4)
+        return [int.from_bytes(goals.parameters[at + 3 : at + 5], "little") for at in range(2, len(goals.parameters), 5)]
+
+    def orders(self, since: int = 0) -> list[str]:
+        """What was said to the servos, but for questions."""
+        words = []
+        for packet in self.bus.said[since:]:
+            if packet.code in (Instruction.WRITE, Instruction.SYNC_WRITE):
+                register = next(r for r in dxl.REGISTERS if r.address == packet.parameters[0])
+                whom = "all" if packet.servo_id == dxl.BROADCAST_ID else str(packet.servo_id)
+                words.append(f"{register.name} of {whom}")
+        return words
+
+
+GOALS, TORQUE = f"{dxl.GOAL_POSITION.name} of all", f"{dxl.TORQUE_ENABLE.name} of all"
