@@ -56,8 +56,10 @@ class LiveWalk(Watched):
         self._ended: dict[str, float] = {}  # when [s] each was last seen to have ended
         self._acts: list[tuple[float, Callable[[], object]]] = []  # what is to be done, and when [s]
         self._endpoints = _somewhere()
+        broken = {deed.service for deed in case.deeds if isinstance(deed, Away)}
         self._base = _somewhere() if case.halves else None
-        self._page = any(isinstance(deed, Away) and deed.service in ("console", "recorder") for deed in case.deeds)
+        self._world = _somewhere() if "router" in broken else None
+        self._page = bool(broken & {"console", "recorder"})
         self._recording, self._record_due = False, 0.0
         # Made by who records, if anybody.
         self._recordings = Path(tempfile.gettempdir()) / f"sextant-faults-{secrets.token_hex(8)}"
@@ -65,7 +67,7 @@ class LiveWalk(Watched):
         self.port = tapped_robot.port(listen)
         self._latch = Latch.of_port(self.port)
         page = (free_port(), str(self._recordings)) if self._page else None
-        made = commands(self._endpoints, bus, listen, seed, base=self._base, page=page)
+        made = commands(self._endpoints, bus, listen, seed, base=self._base, world=self._world, page=page)
         self.names = tuple(one.name for one in made)
         self._launcher = Launcher(made, hear=self.hear_line)
 
@@ -82,8 +84,10 @@ class LiveWalk(Watched):
             stack.callback(self._launcher.stop)
             self._launcher.__enter__()
             self._link = stack.enter_context(ZenohLink(self._endpoints))
-            for topic in (topics.ACTUATOR_STATE, topics.TRUTH, topics.HEALTH, topics.RECORDER_STATE):
+            for topic in (topics.ACTUATOR_STATE, topics.HEALTH, topics.RECORDER_STATE):
                 self._link.subscribe(topic, self.hear)
+            world = self._link if self._world is None else stack.enter_context(ZenohLink(self._world))
+            world.subscribe(topics.TRUTH, self.hear)
             self._link.wanted(topics.MODE)  # announced now, the order to let go is not the first word
             if self._base is not None:
                 base = stack.enter_context(ZenohLink(self._base))
@@ -237,6 +241,7 @@ def commands(
     seed: int,
     gate: Gate | None = None,
     base: Endpoints | None = None,
+    world: Endpoints | None = None,
     page: tuple[int, str] | None = None,
 ) -> list[Command]:
     """All processes of a robot on level ground with a tap on its bus, and the operator who walks it.
@@ -248,10 +253,11 @@ def commands(
         seed: Of the simulator.
         gate: Of the router, where it lets in others than those of this machine.
         base: Where mapper, planner and operator meet, as on another machine; None for one router.
+        world: Where the simulator is, so that the truth goes beside the router; None where the services meet.
         page: TCP port of the operators' page, and the folder in which recordings go; None for no page, and no recorder.
     """
     port, recordings = page or (None, "")
-    robot = tapped_robot.commands(endpoints, bus, listen, seed, _GROUND, port, recordings, gate=gate, base=base)
+    robot = tapped_robot.commands(endpoints, bus, listen, seed, _GROUND, port, recordings, gate=gate, base=base, world=world)
     met = (base or endpoints).connect[0]
     meeting = ("--robot", load_scenario(_GROUND).robot, "--connect", met, "--namespace", endpoints.namespace)
     words = ("-m", "deploy.faults.console", *meeting, *(() if base is None else ("--elsewhere",)))

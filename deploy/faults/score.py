@@ -23,6 +23,7 @@ _DOWN_BY = 0.010  # [m] over level ground: a foot of a body that leans may hang,
 _HANGING = 0.003  # [m] a foot so far over level ground catches the body after a degree of tilt
 _CYCLE_S = 0.02  # [s] of the actuator
 _SPRINGS_S = 0.2  # [s]
+_UNHEARD_S = 0.25  # [s] without a word after which nobody knows whether it walks
 _DEBOUNCE = 1  # samples of truth, 20 ms
 _TWICE_S = 0.002  # [s] within which goals are those of one cycle: they are sent twice while answers get lost
 _MISSED_S = 0.040  # [s] two periods: what takes a cycle longer has missed a beat
@@ -62,7 +63,8 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     since = [word for word in line.words if word.t_s > line.begin_s]
     pattern = re.compile(case.limits.named.format(servo=line.servo)) if case.limits.named else None
     decided = next((w.t_s for w in since if w.mode is not Mode.WALK or _names(pattern, w)), nan)
-    again = _again(since, max(line.end_s, decided), pattern) if np.isfinite(decided) else nan
+    away = decided if np.isfinite(decided) else _unheard(line.words)
+    again = _again(since, max(line.end_s, away), pattern) if np.isfinite(away) else nan
     quiet = (line.end_s, min(again - _CYCLE_S, line.words[-1].t_s))  # it says that it walks after the first goals of the step
     reset = next((s.t_s for s in line.switches if s.heard and s.register is dxl.TORQUE_LIMIT and s.t_s > line.begin_s), inf)
     stopped = [w for w in since if w.mode is not Mode.WALK]
@@ -76,7 +78,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         margin_m=_margin(line.truth, line.begin_s, profile),
         falls=int(_falls(line, profile)),
         again_s=again - line.end_s,
-        jump_deg=_jump(line, *quiet, profile) if np.isfinite(decided) else 0.0,
+        jump_deg=_jump(line, *quiet, profile) if np.isfinite(away) else 0.0,
         lunge_dps=_fastest(line, reset, again if np.isfinite(again) else inf, profile),
         switched=any(s.heard and s.register is dxl.TORQUE_ENABLE and s.t_s > line.begin_s for s in line.switches),
         off_s=off_s,
@@ -101,6 +103,11 @@ def _names(pattern: re.Pattern[str] | None, word: Word) -> bool:
 def _again(since: list[Word], after_s: float, stopping: re.Pattern[str] | None) -> float:
     """When it walks again, NaN where it does not; one that says why it stops is not there yet."""
     return next((w.t_s for w in since if w.t_s > after_s and w.mode is Mode.WALK and not _names(stopping, w)), nan)
+
+
+def _unheard(words: tuple[Word, ...]) -> float:
+    """Since when nothing was heard of it, NaN where there were always words: it may have stopped as its router did."""
+    return next((before.t_s for before, word in pairwise(words) if word.t_s - before.t_s > _UNHEARD_S), nan)
 
 
 def _stops(words: tuple[Word, ...]) -> int:

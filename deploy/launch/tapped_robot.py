@@ -11,6 +11,7 @@ from shared.transport import Endpoints
 
 RESTARTS = 1000
 BASE_ROUTER = "base router"
+WORLD_ROUTER = "world router"
 
 
 def port(listen: int) -> str:
@@ -29,6 +30,7 @@ def commands(
     scan_rate_hz: float | None = None,
     gate: Gate | None = None,
     base: Endpoints | None = None,
+    world: Endpoints | None = None,
 ) -> list[Command]:
     """The services, their router, and the tap between actuator and servos.
 
@@ -43,6 +45,8 @@ def commands(
         scan_rate_hz: Of perception; None for what it takes by itself.
         gate: Of the router, where it lets in others than those of this machine.
         base: Where those of the other half meet, by a router of their own, chained to the robot's; None for one router.
+        world: Where the simulator is, by a router of its own, chained to the robot's, so that the truth can be heard while that
+            is broken; None where the services meet.
     """
     chosen = process_table.choices(load_scenario(scenario), scenario, seed, bus)
     if page_port is not None:
@@ -58,10 +62,15 @@ def commands(
         *process_table.commands(there, chosen, base or endpoints, extra, elsewhere=True),
     )
     router = {p.name: BASE_ROUTER for p in there}
+    if world is not None:
+        (simulator,) = process_table.commands([p for p in here if p.name == "simulator"], chosen, world, extra)
+        services = tuple(simulator if one.name == simulator.name else one for one in services)
+        router[simulator.name] = WORLD_ROUTER
     needs = {"actuator": ("tap",)}
     return [
         replace(process_table.router_command(endpoints.connect[0], gate.words() if gate else ()), restarts=RESTARTS),
-        *([] if base is None else [_base_router(base, endpoints)]),
+        *([] if base is None else [_chained_router(BASE_ROUTER, base, endpoints)]),
+        *([] if world is None else [_chained_router(WORLD_ROUTER, world, endpoints)]),
         tap.command(listen, bus),
         *(
             replace(
@@ -74,9 +83,8 @@ def commands(
     ]
 
 
-def _base_router(base: Endpoints, robot: Endpoints) -> Command:
-    """The base's router, chained to the robot's."""
-    listen, namespace = base.connect[0], base.namespace
-    words = ("--listen", listen, "--connect", robot.connect[0], "--namespace", namespace)
-    made = process_table.router_command(listen, words)
-    return replace(made, name=BASE_ROUTER, restarts=RESTARTS)
+def _chained_router(name: str, at: Endpoints, robot: Endpoints) -> Command:
+    """A router chained to the robot's."""
+    listen = at.connect[0]
+    words = ("--listen", listen, "--connect", robot.connect[0], "--namespace", at.namespace)
+    return replace(process_table.router_command(listen, words), name=name, restarts=RESTARTS)

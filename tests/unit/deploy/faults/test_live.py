@@ -73,11 +73,24 @@ def test_of_two_halves_the_base_meets_at_a_router_of_its_own_that_is_chained_to_
     assert made.keys() == there | onboard | {"router", "base router", "tap"}
 
 
+def test_while_the_robot_s_router_is_broken_the_truth_is_heard_at_another_that_is_chained_to_it() -> None:
+    robot, world = (Endpoints((f"tcp/127.0.0.1:{port}",), namespace="n") for port in (1, 3))
+    made = {one.name: one for one in live.commands(robot, 21000, 22000, 5, world=world)}
+    plain = {one.name: one for one in live.commands(robot, 21000, 22000, 5)}
+    assert words(made["world router"], "--listen") == ["tcp/127.0.0.1:3"]
+    assert words(made["world router"], "--connect") == ["tcp/127.0.0.1:1"]
+    assert words(made["simulator"], "--connect") == ["tcp/127.0.0.1:3"]
+    assert made["simulator"].after == ("world router",)
+    assert made.keys() - plain.keys() == {"world router"}
+    assert all(made[name] == plain[name] for name in plain if name != "simulator"), "nobody else is met there"
+
+
 @pytest.mark.parametrize("case", LIVE_CASES, ids=lambda case: case.name)
 def test_a_process_that_is_to_be_broken_is_started(case: Case) -> None:
     names = LiveWalk(case, 1).names
     assert all(deed.service in names for deed in case.deeds if isinstance(deed, Away))
     assert ("base router" in names) == case.halves
+    assert ("world router" in names) == any(isinstance(deed, Away) and deed.service == "router" for deed in case.deeds)
 
 
 def test_who_was_killed_is_back_with_the_first_sign_of_life_after_its_end(walk: LiveWalk) -> None:

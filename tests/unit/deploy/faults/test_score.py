@@ -1,6 +1,6 @@
 """What came of a fault, from made-up timelines."""
 
-from math import isnan
+from math import isnan, nan
 
 import numpy as np
 import pytest
@@ -38,9 +38,17 @@ def test_a_stop_is_decided_when_it_is_said_and_over_when_the_robot_walks_after_t
 
 
 def test_a_walk_that_goes_on_never_stops_rests_or_begins_again() -> None:
-    found = score(timeline(*(word(t, Mode.WALK, "walking") for t in (0.1, 1.0, 2.5))), KILLED, PROFILE)
+    found = score(timeline(*(word(t, Mode.WALK, "walking") for t in np.arange(0.1, 2.5, 0.1))), KILLED, PROFILE)
     assert all(isnan(value) for value in (found.decided_s, found.rest_s, found.again_s))
     assert (found.stops, found.jump_deg, found.named) == (0, 0.0, False)
+
+
+@pytest.mark.parametrize(("gap_s", "again_s"), [(2.3, 0.4), (0.2, nan)])
+def test_where_its_words_did_not_come_through_it_walks_again_with_the_first_that_did(gap_s: float, again_s: float) -> None:
+    walking = [word(2.4 - gap_s - before, Mode.WALK, "walking") for before in np.arange(0.0, 2.4 - gap_s, 0.1)[::-1]]
+    found = score(timeline(*walking, word(2.4, Mode.WALK, "walking")), KILLED, PROFILE)
+    assert found.again_s == pytest.approx(again_s, nan_ok=True)
+    assert isnan(found.decided_s), "nobody has heard of a stop"
 
 
 def test_walking_before_the_fault_is_over_is_no_return() -> None:

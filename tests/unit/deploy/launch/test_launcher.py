@@ -63,7 +63,8 @@ def watched() -> Iterator[list[int]]:
         os.close(fd)
 
 
-def test_all_start_and_all_are_gone_after_the_stop(ear: Ear, watched: list[int]) -> None:
+def test_all_start_and_all_are_gone_after_the_stop(ear: Ear, watched: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(launcher_module, "GRACE_S", PATIENCE_S)
     with Launcher([command("a", "obedient"), command("b", "obedient")], ear) as launcher:
         for name in ("a", "b"):
             assert int(ear.wait_for(name, "ready")) == launcher.pid(name)
@@ -147,7 +148,8 @@ def test_asking_twice_kills_at_once(ear: Ear, watched: list[int], monkeypatch: p
         assert gone(watched[0], 0)
 
 
-def test_a_frozen_child_ends_with_the_others(ear: Ear, watched: list[int]) -> None:
+def test_a_frozen_child_ends_with_the_others(ear: Ear, watched: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(launcher_module, "GRACE_S", PATIENCE_S)
     with Launcher([command("a", "obedient")], ear) as launcher:
         ear.wait_for("a", "ready")
         watched.append(os.pidfd_open(launcher.pid("a")))
