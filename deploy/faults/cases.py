@@ -231,7 +231,7 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
     ("mapper-stopped", "the mapper is stopped for 3 s", (Away("mapper", False, 3.0),), _GOES_ON),
     ("operator-killed", "the operator's side is killed", (Away("operator", True, 0.0),), Limits(margin_m=0.010)),
     ("operator-crashing", "the operator's side is killed again and again for 5 s", (Away("operator", True, 5.0),), _GOES_ON),
-    ("router-killed", "the router is killed", (Away("router", True, 0.0),), Limits(again_s=8.0)),
+    ("router-killed", "the router is killed", (Away("router", True, 0.0),), _UNHEARD),
     ("router-stopped", "the router is stopped for 2 s", (Away("router", False, _OUT_S),), _UNHEARD),
     ("stop-killed", "the stop path is killed", (Away("stop", True, 0.0),), _CALM),
     ("stop-stopped", "the stop path is stopped for 3 s", (Away("stop", False, 3.0),), _CALM),
@@ -263,9 +263,8 @@ _PAGE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # what an oper
     ("recorder-killed", "the recorder is killed while it records", (Away("recorder", True, 0.0),), _CALM),
     ("recorder-stopped", "the recorder is stopped for 3 s while it records", (Away("recorder", False, 3.0),), _CALM),
 )
-_HALVED = ("planner", "perception", "mapper", "operator", "router", "actuator")  # what of _LIVE is broken of two halves, too
-_HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
-    *((name, words, deeds, limits) for name, words, deeds, limits in _LIVE if name.startswith(_HALVED)),
+_HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # the same of two halves, but what is of the robot's alone
+    *((name, words, deeds, limits) for name, words, deeds, limits in (*_LIVE, *_PAGE) if not name.startswith(("hogs", "off"))),
     ("base-router-killed", "the base's router is killed", (Away("base router", True, 0.0),), _UNHEARD),
     ("base-router-stopped", "the base's router is stopped for 2 s", (Away("base router", False, _OUT_S),), _UNHEARD),
 )
