@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from itertools import count
@@ -53,11 +54,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="router: %(message)s")
     if arguments.parent:
         end_with(arguments.parent)
-    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)  # before the router's threads, which inherit it
+    ended = threading.Event()
+    for number in _ENDS:
+        signal.signal(number, lambda *_: ended.set())
     try:
         given, upstream = arguments.listen, tuple(arguments.connect)
         gated = gate.of_arguments(given, arguments.keys, arguments.open, arguments.namespace, ROUTER_ENDPOINT, upstream)
-        refused = _host(gated, arguments.role, [name for name in arguments.starts.split(",") if name])
+        refused = _host(gated, arguments.role, [name for name in arguments.starts.split(",") if name], ended)
     except (TransportError, AccessError) as error:
         refused = str(error)
     if refused:
@@ -69,8 +72,8 @@ def _tell(words: str) -> None:
     logging.warning("%s", words)
 
 
-def _host(gated: gate.Gate, role: str, starts: Sequence[str]) -> str:
-    """Host the router until told to stop; why it has to end, in words, or nothing.
+def _host(gated: gate.Gate, role: str, starts: Sequence[str], ended: threading.Event) -> str:
+    """Host the router until it is `ended`; why it has to end, in words, or nothing.
 
     Where somebody may be refused, say whom, and warn for as long as nobody is; where it speaks for a machine, meet the others.
     """
@@ -93,7 +96,7 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str]) -> str:
         silence = SilenceLimit(LEASE_MS * 1e-3)
         silence.look()
         for turn in count():
-            if signal.sigtimedwait(_ENDS, _LOOK_S) is not None:
+            if ended.wait(_LOOK_S):
                 break
             if turn % _SILENCE_TURNS == 0:
                 silence.look()

@@ -253,7 +253,7 @@ def _rules(role: Role, namespace: str) -> list[dict[str, Any]]:
             "messages": [message],
             "flows": [flow],
             "permission": "allow",
-            "key_exprs": [f"{namespace}/{topic.key}" for topic in allowed],
+            "key_exprs": [topic.address(namespace) for topic in allowed],
         }
         for name, message, flow, allowed in rows
         if allowed
@@ -277,15 +277,15 @@ def _limits(namespace: str, where: Mapping[str, Any]) -> dict[str, Any]:
             {
                 **incoming,
                 "id": "rate",
-                "rules": [{"key_expr": f"{namespace}/{topic.key}", "freq": most_hz(topic)} for topic in t.TOPICS],
+                "rules": [{"key_expr": topic.address(namespace), "freq": most_hz(topic)} for topic in t.TOPICS],
             }
         ],
         "low_pass_filter": [
             {
                 **incoming,
                 "id": f"size-{topic.key.replace('/', '-')}",
-                "key_exprs": [f"{namespace}/{topic.key}"],
-                "size_limit": topic.max_bytes,
+                "key_exprs": [topic.address(namespace)],
+                "size_limit": topic.max_bytes + len(topic.address(namespace).encode()),  # which goes with a frame
             }
             for topic in t.TOPICS
         ],

@@ -261,9 +261,11 @@ class Worker:
         wanted: Callable[[AnyTopic], bool] = lambda _: True,
         decode: Decode = codec.decode,
         ahead_s: Callable[[], float] = lambda: 0.0,
+        astray: Callable[[], tuple[int, str]] = lambda: (0, ""),
     ):
         self.service = service
         self._ahead_s = ahead_s
+        self._astray = astray  # frames that the link has dropped, for they were sent to others, and which was the last
         self.reads = tuple(
             dict.fromkeys([*([] if isinstance(service.paced_by, Every) else [service.paced_by]), *service.reads])
         )
@@ -305,14 +307,15 @@ class Worker:
             return
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
         timings = self.service.stages.percentiles()
+        astray, last_astray = self._astray()
         health = Health(
             stamp_ns=now_ns,
             service=self.service.name,
             doing=(self._starved(now_ns) + self.service.doing())[:500],
             steps=self._steps,
-            refused=self.inbox.refused,
+            refused=self.inbox.refused + astray,
             dropped=self.inbox.dropped,
-            last_refusal=self.inbox.last_refusal,
+            last_refusal=self.inbox.last_refusal or last_astray,
             stages=tuple(timings),
             stage_p50_ms=np.array([p50 for p50, _ in timings.values()], dtype=np.float64),
             stage_p99_ms=np.array([p99 for _, p99 in timings.values()], dtype=np.float64),
@@ -347,6 +350,16 @@ class Link(Protocol):
         """Whether anybody is subscribed to a topic."""
         ...
 
+    @property
+    def astray(self) -> int:
+        """Frames that came under a key that they were not sent to, and were dropped."""
+        ...
+
+    @property
+    def last_astray(self) -> str:
+        """Where the last of them was to go, and where it came, in words."""
+        ...
+
 
 @runtime_checkable
 class Listening(Protocol):
@@ -371,7 +384,11 @@ def run_live(
     """
     clock = now_ns
     arrived = threading.Event()
-    worker = Worker(service, lambda topic, frame, _: link.send(topic, frame), clock, link.wanted, ahead_s=ahead_s)
+
+    def send(topic: AnyTopic, frame: bytes, _: int) -> None:
+        link.send(topic, frame)
+
+    worker = Worker(service, send, clock, link.wanted, ahead_s=ahead_s, astray=lambda: (link.astray, link.last_astray))
     pace = service.paced_by
 
     def receive(topic: AnyTopic, frame: bytes) -> None:

@@ -45,6 +45,10 @@ class Topic(Generic[M]):
         """A message older than three periods is stale."""
         return int(3e9 / self.rate_hz)
 
+    def address(self, namespace: str) -> str:
+        """Its key behind the namespace of a robot; it goes with every frame (`shared.transport`)."""
+        return f"{namespace}/{self.key}"
+
 
 _KIB = 1024
 

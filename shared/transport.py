@@ -3,6 +3,10 @@
 Bulk and control travel in two sessions: a session whose subscriber falls behind stalls as a whole. Every subscription has a
 ring or a bounded queue and a thread that empties it at once; nothing is put with blocking congestion control, since a put to
 a frozen peer would block for seconds. Sessions are closed under all circumstances: a process that ends without it hangs.
+
+Every frame travels with its address, and is dropped where that is not where it has come: what waits in a router that is frozen
+for longer than the lease may come under keys of others once it goes on (seen with Zenoh 1.10, whose numbers that stand for keys
+are given to others before all that bears them is sent).
 """
 
 import json
@@ -261,6 +265,8 @@ class ZenohLink:
     """A process's connection to the others; a context manager."""
 
     def __init__(self, endpoints: Endpoints):
+        self.astray = 0  # frames that came under the key of others, and were dropped
+        self.last_astray = ""  # where the last was to go, and where it came, in words
         self._endpoints = endpoints
         self._sessions: dict[Lane, zenoh.Session] = {}
         self._publishers: dict[str, zenoh.Publisher] = {}
@@ -289,7 +295,7 @@ class ZenohLink:
 
     def send(self, topic: Topic[Any], frame: bytes) -> None:
         """Publish a frame; under congestion it is dropped, never waited for."""
-        self._publisher(topic).put(frame)
+        self._publisher(topic).put(frame, attachment=self._address(topic))
 
     def wanted(self, topic: Topic[Any]) -> bool:
         """Whether anybody is subscribed to a topic."""
@@ -301,7 +307,12 @@ class ZenohLink:
         latest = topic.delivery is Delivery.LATEST
         channel: Any = zenoh.handlers.RingChannel(1) if latest else zenoh.handlers.FifoChannel(_KEPT)
         subscriber = self._sessions[topic.lane].declare_subscriber(topic.key, channel)
-        pump = _Pump(subscriber, lambda sample: receive(topic, sample.payload.to_bytes()), f"receive {topic.key}")
+
+        def take(sample: Any) -> None:
+            if self._is_meant(topic, sample):
+                receive(topic, sample.payload.to_bytes())
+
+        pump = _Pump(subscriber, take, f"receive {topic.key}")
         self._pumps.append(pump)
 
         def end() -> None:
@@ -322,10 +333,23 @@ class ZenohLink:
         def come() -> list[bytes]:
             frames: list[bytes] = []
             while (sample := subscriber.try_recv()) is not None:
-                frames.append(sample.payload.to_bytes())
+                if self._is_meant(topic, sample):
+                    frames.append(sample.payload.to_bytes())
             return frames
 
         return come
+
+    def _address(self, topic: Topic[Any]) -> bytes:
+        return topic.address(self._endpoints.namespace).encode()
+
+    def _is_meant(self, topic: Topic[Any], sample: Any) -> bool:
+        """Whether a sample has come where it was sent to; one without an address, of somebody else's program, is believed."""
+        address = self._address(topic)
+        sent_to = address if sample.attachment is None else sample.attachment.to_bytes()
+        if sent_to != address:
+            self.astray += 1
+            self.last_astray = f"{address.decode()}: a frame that was sent to {sent_to[:80]!r} has come"
+        return bool(sent_to == address)
 
     def _publisher(self, topic: Topic[Any]) -> zenoh.Publisher:
         publisher = self._publishers.get(topic.key)

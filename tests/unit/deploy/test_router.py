@@ -1,6 +1,8 @@
 """The router as a process of its own, which speaks for its machine where no launcher does."""
 
 import os
+import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -10,6 +12,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
+from deploy import router as router_module
 from deploy.network import meeting
 from deploy.provenance import version
 from shared import codec, topics
@@ -78,3 +83,19 @@ def test_what_is_started_twice_is_refused_by_name_to_whoever_came_later() -> Non
         said = say_until_it_ends(process, link, other)
         assert process.returncode == 2
         assert "another (offboard) has started mapper already; leave it out on one of the two: --without mapper" in said
+
+
+def test_one_that_was_stopped_goes_on_and_ends_when_it_is_told_to() -> None:
+    with router() as (process, link):
+        address = link._endpoints.connect[0].rpartition("/")[2].split(":")
+        process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+        with socket.create_connection((address[0], int(address[1])), PATIENCE_S) as caller:
+            caller.settimeout(3 * router_module._LOOK_S)
+            with pytest.raises(TimeoutError):  # for longer than it waits for a signal
+                caller.recv(1)
+        process.send_signal(signal.SIGCONT)
+        with ZenohLink(link._endpoints):
+            assert process.poll() is None, "nobody has told it to end"
+        process.terminate()
+        assert process.wait(PATIENCE_S) == 0

@@ -147,6 +147,7 @@ class NoLink:
 
     opened: list[Endpoints]
     closed: int
+    astray, last_astray = 0, ""
 
     def __init__(self, endpoints: Endpoints) -> None:
         NoLink.opened.append(endpoints)

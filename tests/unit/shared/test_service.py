@@ -245,6 +245,24 @@ def test_a_step_sends_what_it_makes_in_order_and_reports_health_once_a_second() 
     assert "planner" in healths[1].stages
 
 
+def test_health_tells_of_frames_that_went_astray() -> None:
+    sent: list[tuple[AnyTopic, bytes]] = []
+
+    def send(topic: AnyTopic, frame: bytes, _: int) -> None:
+        sent.append((topic, frame))
+
+    astray = (3, "a/imu: a frame that was sent to a/mode has come")
+    worker = Worker(Scripted("planner", MODE), send, lambda: 0, astray=lambda: astray)
+    worker.report_health(0)
+    worker.inbox.receive(MODE, b"garbage", 0)
+    worker.arrived()
+    worker.report_health(2_000 * MS)
+    first, second = (codec.decode(frame, Health)[0] for _, frame in sent)
+    assert (first.refused, first.last_refusal) == astray
+    assert second.refused == 4
+    assert second.last_refusal.startswith("operator/mode: "), "what came here and was not understood is nearer"
+
+
 def test_health_tells_of_refusals() -> None:
     now = [0]
     sent: list[tuple[AnyTopic, bytes]] = []
@@ -514,6 +532,8 @@ class Wire:
 
     def wanted(self, topic: AnyTopic) -> bool:
         return topic is not STATUS
+
+    astray, last_astray = 0, ""
 
     def publish(self, topic: AnyTopic, frame: bytes) -> None:
         for receive in self.receivers[topic.key]:

@@ -313,6 +313,27 @@ def test_what_is_collected_waits_until_it_is_fetched(endpoint: str) -> None:
         assert come[MODE]() == come[VELOCITY]() == []
 
 
+def test_a_frame_that_was_sent_to_another_key_or_robot_is_dropped_and_told_of(endpoint: str) -> None:
+    endpoints = Endpoints((endpoint,), namespace="a")
+    with ZenohLink(endpoints) as reader, zenoh.open(zenoh.Config.from_json5(json.dumps(endpoints.zenoh_config()))) as sender:
+        receiver = Receiver(b"")
+        reader.subscribe(MODE, receiver)
+        come = reader.collect(MODE)
+        publisher = sender.declare_publisher(MODE.key)
+        pause, until = threading.Event(), time.monotonic() + PATIENCE_S
+        while not publisher.matching_status.matching:
+            assert time.monotonic() < until
+            pause.wait(0.001)
+        sent = {"a/operator/velocity": b"1", "b/operator/mode": b"2", "a/operator/mode": b"3", None: b"4"}
+        receiver.expect(b"4")
+        for address, frame in sent.items():
+            publisher.put(frame, attachment=address)
+        assert receiver.done.wait(PATIENCE_S)
+        assert receiver.frames == come() == [b"3", b"4"], "who gives no address is another program, and taken at its word"
+        assert reader.astray == 4, "two by each way"
+        assert reader.last_astray == "a/operator/mode: a frame that was sent to b'b/operator/mode' has come"
+
+
 @pytest.mark.parametrize("first", ["robot", "base"])
 def test_chained_routers_pass_on_both_ways_whichever_is_there_first(first: str) -> None:
     robot, base = free_endpoint(), free_endpoint()

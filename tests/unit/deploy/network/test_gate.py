@@ -247,7 +247,7 @@ def test_what_is_too_large_ends_at_the_listener(robot: Robot, keys: Path, inside
         put_until(inside, console, topics.MODE, b"ready")
         before = inside.count[topics.VELOCITY.key]
         for _ in range(10):
-            console.send(topics.VELOCITY, bytes(topics.VELOCITY.max_bytes + 1))
+            console.send(topics.VELOCITY, bytes(topics.VELOCITY.max_bytes + 1))  # with its address
         console.send(topics.VELOCITY, bytes(10_000_000))
         put_until(inside, console, topics.MODE, b"done")
         assert inside.count[topics.VELOCITY.key] == before
