@@ -49,7 +49,8 @@ address), with scouting off. A key of this page stands behind the namespace of t
 - A frame that is larger than its topic allows, or not as declared here, is refused by its reader, counted and named in
   `health`; the last good one stays.
 - Services send a frame with its address, namespace and key, as Zenoh's attachment, and drop one that comes under another key,
-  as may happen behind a router that was frozen (`shared/transport.py`); `health` counts it, too. One without is believed.
+  as may happen behind a router that was frozen (`shared/transport.py`); `health` counts it, too. One without an attachment is
+  believed: attach exactly that, or nothing.
 - A stamp is the time [ns] at which the world was as described, by the robot's monotonic clock (`CLOCK_MONOTONIC`) and not the
   time of day. Who reads judges freshness by the time of arrival: a message is stale three periods after it came. Processes on
   another machine go by the robot's clock, too, which they follow by what `actuator/state` says of when it was sent.

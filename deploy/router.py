@@ -4,14 +4,13 @@ import argparse
 import contextlib
 import logging
 import os
-import signal
 import socket
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
 from itertools import count
 
+from deploy.interrupts import Interrupts
 from deploy.network import gate, refusals
 from deploy.network.gatekeeper import CaughtOutput, Gatekeeper, link_to, publish
 from deploy.network.knocking import Knocking
@@ -24,7 +23,6 @@ from shared.host import end_with
 from shared.transport import LEASE_MS, Router, TransportError, ZenohLink, log_to_stdout
 from shared.watchdog import Watchdog
 
-_ENDS = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 _WARN_S = 30.0  # between two warnings that it is open to anybody
 _LOOK_S = 0.1
 _SILENCE_TURNS = 5  # of such looks, to each for connections that are new
@@ -54,13 +52,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="router: %(message)s")
     if arguments.parent:
         end_with(arguments.parent)
-    ended = threading.Event()
-    for number in _ENDS:
-        signal.signal(number, lambda *_: ended.set())
     try:
         given, upstream = arguments.listen, tuple(arguments.connect)
         gated = gate.of_arguments(given, arguments.keys, arguments.open, arguments.namespace, ROUTER_ENDPOINT, upstream)
-        refused = _host(gated, arguments.role, [name for name in arguments.starts.split(",") if name], ended)
+        with Interrupts() as interrupts:
+            refused = _host(gated, arguments.role, [name for name in arguments.starts.split(",") if name], interrupts.asked)
     except (TransportError, AccessError) as error:
         refused = str(error)
     if refused:
@@ -72,8 +68,8 @@ def _tell(words: str) -> None:
     logging.warning("%s", words)
 
 
-def _host(gated: gate.Gate, role: str, starts: Sequence[str], ended: threading.Event) -> str:
-    """Host the router until it is `ended`; why it has to end, in words, or nothing.
+def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Callable[[], bool]) -> str:
+    """Host the router until told to stop; why it has to end, in words, or nothing.
 
     Where somebody may be refused, say whom, and warn for as long as nobody is; where it speaks for a machine, meet the others.
     """
@@ -96,7 +92,8 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], ended: threading.E
         silence = SilenceLimit(LEASE_MS * 1e-3)
         silence.look()
         for turn in count():
-            if ended.wait(_LOOK_S):
+            time.sleep(_LOOK_S)  # not sigtimedwait: to a process that was stopped in it, it tells of a signal that never came
+            if told_to_stop():
                 break
             if turn % _SILENCE_TURNS == 0:
                 silence.look()

@@ -483,7 +483,7 @@ class Health(Message):
     service: str
     doing: str  # in words
     steps: int
-    refused: int  # messages that did not decode
+    refused: int  # messages that did not decode, or were sent to another key
     dropped: int  # messages that came faster than they were read
     last_refusal: str
     stages: tuple[str, ...]  # names of the timed stages and streams

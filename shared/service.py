@@ -266,6 +266,8 @@ class Worker:
         self.service = service
         self._ahead_s = ahead_s
         self._astray = astray  # frames that the link has dropped, for they were sent to others, and which was the last
+        self._last_refusals = ("", "")  # of those, and of what did not decode
+        self._last_refusal = ""  # the newer one
         self.reads = tuple(
             dict.fromkeys([*([] if isinstance(service.paced_by, Every) else [service.paced_by]), *service.reads])
         )
@@ -308,6 +310,9 @@ class Worker:
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
         timings = self.service.stages.percentiles()
         astray, last_astray = self._astray()
+        refusals = (last_astray, self.inbox.last_refusal)
+        newer = [words for words, before in zip(refusals, self._last_refusals, strict=True) if words != before]
+        self._last_refusals, self._last_refusal = refusals, [self._last_refusal, *newer][-1]
         health = Health(
             stamp_ns=now_ns,
             service=self.service.name,
@@ -315,7 +320,7 @@ class Worker:
             steps=self._steps,
             refused=self.inbox.refused + astray,
             dropped=self.inbox.dropped,
-            last_refusal=self.inbox.last_refusal or last_astray,
+            last_refusal=self._last_refusal,
             stages=tuple(timings),
             stage_p50_ms=np.array([p50 for p50, _ in timings.values()], dtype=np.float64),
             stage_p99_ms=np.array([p99 for _, p99 in timings.values()], dtype=np.float64),
@@ -352,7 +357,7 @@ class Link(Protocol):
 
     @property
     def astray(self) -> int:
-        """Frames that came under a key that they were not sent to, and were dropped."""
+        """Frames that came under a key that they were not sent to, and were dropped; each once for every subscription."""
         ...
 
     @property

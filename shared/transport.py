@@ -267,6 +267,7 @@ class ZenohLink:
     def __init__(self, endpoints: Endpoints):
         self.astray = 0  # frames that came under the key of others, and were dropped
         self.last_astray = ""  # where the last was to go, and where it came, in words
+        self._counting = threading.Lock()  # between subscriptions
         self._endpoints = endpoints
         self._sessions: dict[Lane, zenoh.Session] = {}
         self._publishers: dict[str, zenoh.Publisher] = {}
@@ -295,7 +296,7 @@ class ZenohLink:
 
     def send(self, topic: Topic[Any], frame: bytes) -> None:
         """Publish a frame; under congestion it is dropped, never waited for."""
-        self._publisher(topic).put(frame, attachment=self._address(topic))
+        self._publisher(topic).put(frame, attachment=topic.address(self._endpoints.namespace))
 
     def wanted(self, topic: Topic[Any]) -> bool:
         """Whether anybody is subscribed to a topic."""
@@ -309,8 +310,8 @@ class ZenohLink:
         subscriber = self._sessions[topic.lane].declare_subscriber(topic.key, channel)
 
         def take(sample: Any) -> None:
-            if self._is_meant(topic, sample):
-                receive(topic, sample.payload.to_bytes())
+            if (frame := self._meant(topic, sample)) is not None:
+                receive(topic, frame)
 
         pump = _Pump(subscriber, take, f"receive {topic.key}")
         self._pumps.append(pump)
@@ -333,23 +334,27 @@ class ZenohLink:
         def come() -> list[bytes]:
             frames: list[bytes] = []
             while (sample := subscriber.try_recv()) is not None:
-                if self._is_meant(topic, sample):
-                    frames.append(sample.payload.to_bytes())
+                if (frame := self._meant(topic, sample)) is not None:
+                    frames.append(frame)
             return frames
 
         return come
 
-    def _address(self, topic: Topic[Any]) -> bytes:
-        return topic.address(self._endpoints.namespace).encode()
+    def _meant(self, topic: Topic[Any], sample: Any) -> bytes | None:
+        """The frame of a sample that was sent to where it has come; one without an address, of another's program, is believed.
 
-    def _is_meant(self, topic: Topic[Any], sample: Any) -> bool:
-        """Whether a sample has come where it was sent to; one without an address, of somebody else's program, is believed."""
-        address = self._address(topic)
+        Others are counted, and come to nothing.
+        """
+        address = topic.address(self._endpoints.namespace).encode()
         sent_to = address if sample.attachment is None else sample.attachment.to_bytes()
         if sent_to != address:
-            self.astray += 1
-            self.last_astray = f"{address.decode()}: a frame that was sent to {sent_to[:80]!r} has come"
-        return bool(sent_to == address)
+            found = sent_to[:80].decode(errors="backslashreplace")
+            self.last_astray = f"{topic.key}: a frame that was sent to {found} has come"
+            with self._counting:
+                self.astray += 1
+            return None
+        frame: bytes = sample.payload.to_bytes()
+        return frame
 
     def _publisher(self, topic: Topic[Any]) -> zenoh.Publisher:
         publisher = self._publishers.get(topic.key)

@@ -54,7 +54,7 @@ class Soak:
     age_p50_ms: Mapping[str, Sequence[float]]  # key -> (PARTS,) from a message's stamp to its receipt
     age_p99_ms: Mapping[str, Sequence[float]]
     ended: Sequence[str]  # processes that did meanwhile, in words
-    refused: Mapping[str, int]  # service -> messages that did not decode
+    refused: Mapping[str, int]  # service -> messages that did not decode, or were sent to another key
     dropped: Mapping[str, int]  # service -> messages that came faster than they were read
 
 
@@ -215,7 +215,7 @@ def faults(soak: Soak) -> list[str]:
         first, last = ends(parts)
         if not last - first < LATER_MS:
             found.append(f"{key}: comes after {last:.1f} ms at the end, {first:.1f} ms at the beginning")
-    return found + [f"{name}: {count} messages did not decode" for name, count in soak.refused.items() if count]
+    return found + [f"{name}: {count} messages were refused" for name, count in soak.refused.items() if count]
 
 
 def in_words(soak: Soak) -> str:

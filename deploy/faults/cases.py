@@ -101,7 +101,9 @@ class Case:
     charge: float = 1.0  # of the battery when the walk begins
     watch_s: float = 8.0  # [s] after the fault's end, at most
     live: bool = False  # of processes over Zenoh at real time; else in lockstep
-    halves: bool = False  # with mapper, planner and operator behind a router of their own, as on another machine
+    halves: bool = (
+        False  # with mapper, planner, console, recorder and operator behind a router of their own, as on another machine
+    )
 
     @property
     def for_s(self) -> float:
@@ -263,7 +265,7 @@ _PAGE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # what an oper
     ("recorder-killed", "the recorder is killed while it records", (Away("recorder", True, 0.0),), _CALM),
     ("recorder-stopped", "the recorder is stopped for 3 s while it records", (Away("recorder", False, 3.0),), _CALM),
 )
-_HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # the same of two halves, but what is of the robot's alone
+_HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # the same of two halves, but `hogs` and `off`
     *((name, words, deeds, limits) for name, words, deeds, limits in (*_LIVE, *_PAGE) if not name.startswith(("hogs", "off"))),
     ("base-router-killed", "the base's router is killed", (Away("base router", True, 0.0),), _UNHEARD),
     ("base-router-stopped", "the base's router is stopped for 2 s", (Away("base router", False, _OUT_S),), _UNHEARD),

@@ -67,9 +67,9 @@ class LiveWalk(Watched):
         self.port = tapped_robot.port(listen)
         self._latch = Latch.of_port(self.port)
         page = (free_port(), str(self._recordings)) if self._page else None
-        made = commands(self._endpoints, bus, listen, seed, base=self._base, world=self._world, page=page)
-        self.names = tuple(one.name for one in made)
-        self._launcher = Launcher(made, hear=self.hear_line)
+        self.commands = commands(self._endpoints, bus, listen, seed, base=self._base, world=self._world, page=page)
+        self.names = tuple(one.name for one in self.commands)
+        self._launcher = Launcher(self.commands, hear=self.hear_line)
 
     @property
     def now_s(self) -> float:
@@ -252,7 +252,7 @@ def commands(
         listen: TCP port of the tap.
         seed: Of the simulator.
         gate: Of the router, where it lets in others than those of this machine.
-        base: Where mapper, planner and operator meet, as on another machine; None for one router.
+        base: Where mapper, planner, page and operator meet, as on another machine; None for one router.
         world: Where the simulator is, so that the truth goes beside the router; None where the services meet.
         page: TCP port of the operators' page, and the folder in which recordings go; None for no page, and no recorder.
     """

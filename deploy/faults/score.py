@@ -8,7 +8,7 @@ from math import ceil, inf, nan
 import numpy as np
 
 from deploy.faults.cases import Case
-from deploy.faults.timeline import Timeline, Truth, Word
+from deploy.faults.timeline import STALE_S, Timeline, Truth, Word
 from deploy.judging.scorer import FALL_TILT_DEG
 from deploy.judging.walk_metrics import Flags, debounced, stability_margin
 from shared import dynamixel as dxl
@@ -23,11 +23,11 @@ _DOWN_BY = 0.010  # [m] over level ground: a foot of a body that leans may hang,
 _HANGING = 0.003  # [m] a foot so far over level ground catches the body after a degree of tilt
 _CYCLE_S = 0.02  # [s] of the actuator
 _SPRINGS_S = 0.2  # [s]
-_UNHEARD_S = 0.25  # [s] without a word after which nobody knows whether it walks
 _DEBOUNCE = 1  # samples of truth, 20 ms
 _TWICE_S = 0.002  # [s] within which goals are those of one cycle: they are sent twice while answers get lost
 _MISSED_S = 0.040  # [s] two periods: what takes a cycle longer has missed a beat
 _CLEARANCE = 0.005  # [m] the body's underside this near the ground is a fall, unless it was to come down
+_NOT_AS_PLANNED = re.compile("^(?!walking$)")  # reasons of one that walks, but stops or is about to
 _DOWN = (Mode.OFF, Mode.SIT, Mode.READY)
 
 
@@ -63,8 +63,9 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     since = [word for word in line.words if word.t_s > line.begin_s]
     pattern = re.compile(case.limits.named.format(servo=line.servo)) if case.limits.named else None
     decided = next((w.t_s for w in since if w.mode is not Mode.WALK or _names(pattern, w)), nan)
-    away = decided if np.isfinite(decided) else _unheard(line.words)
-    again = _again(since, max(line.end_s, away), pattern) if np.isfinite(away) else nan
+    # Who is not heard may have stopped; then only plain words say that it walks again.
+    away, stopping = (decided, pattern) if np.isfinite(decided) else (_unheard(line.words), _NOT_AS_PLANNED)
+    again = _again(since, max(line.end_s, away), stopping) if np.isfinite(away) else nan
     quiet = (line.end_s, min(again - _CYCLE_S, line.words[-1].t_s))  # it says that it walks after the first goals of the step
     reset = next((s.t_s for s in line.switches if s.heard and s.register is dxl.TORQUE_LIMIT and s.t_s > line.begin_s), inf)
     stopped = [w for w in since if w.mode is not Mode.WALK]
@@ -106,8 +107,8 @@ def _again(since: list[Word], after_s: float, stopping: re.Pattern[str] | None) 
 
 
 def _unheard(words: tuple[Word, ...]) -> float:
-    """Since when nothing was heard of it, NaN where there were always words: it may have stopped as its router did."""
-    return next((before.t_s for before, word in pairwise(words) if word.t_s - before.t_s > _UNHEARD_S), nan)
+    """Since when nothing was heard of it, NaN where there were always words."""
+    return next((before.t_s for before, word in pairwise(words) if word.t_s - before.t_s > STALE_S), nan)
 
 
 def _stops(words: tuple[Word, ...]) -> int:

@@ -10,6 +10,8 @@ from deploy.faults.wire import Goals, Outside, Switch
 from shared.geometry import Array
 from shared.messages import Mode
 
+STALE_S = 0.25  # [s] after which an actuator that says nothing is not known to walk
+
 
 class Word(NamedTuple):
     """What the actuator said at a time."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.faults.cases import Case
-from deploy.faults.timeline import Timeline, Truth, Word
+from deploy.faults.timeline import STALE_S, Timeline, Truth, Word
 from deploy.faults.wire import Goals, Outside, Recorder, Switch
 from shared import codec, topics
 from shared.messages import ActuatorState, GroundTruth, Mode
@@ -23,7 +23,6 @@ SCENARIO = Scenario("faults", (Plane(),), Goal(12.0), time_limit_s=600.0)
 STEADY_S = 0.5  # [s] of walking before a fault, ...
 PHASES_S = 2.0  # ... and up to so much more, drawn: two steps and more
 LEAST_WATCH_S = 3.0
-_STALE_S = 0.25  # [s] after which an actuator that says nothing does not walk
 REPEAT_S = 0.5  # [s] between an order and its repetition
 
 
@@ -141,7 +140,7 @@ class Watched(ABC):
     def walks(self) -> bool:
         """Whether the robot walks on its plans, nothing being wrong, by a word that is no older than it may be."""
         walking = self.state is not None and self.state.mode is Mode.WALK and self.state.reason == "walking"
-        return walking and self.now_s - self.words[-1].t_s < _STALE_S
+        return walking and self.now_s - self.words[-1].t_s < STALE_S
 
     def walk_for(self, length_s: float) -> None:
         """Let it walk without a stop for so long, then up to the next moment at which it does.

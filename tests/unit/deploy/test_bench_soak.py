@@ -44,7 +44,7 @@ def test_what_is_not_as_it_should_be_is_named() -> None:
     (later,) = soak.faults(walked(later_ms=4.0))
     assert later == "perception/pose: comes after 12.0 ms at the end, 8.0 ms at the beginning"
     broken = replace(walked(), ended=["mapper ended (killed)"], refused={"planner": 2, "mapper": 0})
-    assert soak.faults(broken) == ["mapper ended (killed)", "planner: 2 messages did not decode"]
+    assert soak.faults(broken) == ["mapper ended (killed)", "planner: 2 messages were refused"]
 
 
 @pytest.mark.parametrize("parts", [[float("nan")] * PARTS, [100.0] + [float("nan")] * (PARTS - 1)])

@@ -251,16 +251,22 @@ def test_health_tells_of_frames_that_went_astray() -> None:
     def send(topic: AnyTopic, frame: bytes, _: int) -> None:
         sent.append((topic, frame))
 
-    astray = (3, "a/imu: a frame that was sent to a/mode has come")
+    astray = (3, "imu: a frame that was sent to a/mode has come")
     worker = Worker(Scripted("planner", MODE), send, lambda: 0, astray=lambda: astray)
     worker.report_health(0)
     worker.inbox.receive(MODE, b"garbage", 0)
     worker.arrived()
     worker.report_health(2_000 * MS)
-    first, second = (codec.decode(frame, Health)[0] for _, frame in sent)
-    assert (first.refused, first.last_refusal) == astray
-    assert second.refused == 4
-    assert second.last_refusal.startswith("operator/mode: "), "what came here and was not understood is nearer"
+    worker.report_health(4_000 * MS)
+    astray = (4, "imu: a frame that was sent to a/goal has come")
+    worker.report_health(6_000 * MS)
+    healths = [codec.decode(frame, Health)[0] for _, frame in sent]
+    assert [health.refused for health in healths] == [3, 4, 4, 5]
+    words = [health.last_refusal for health in healths]
+    assert words[0] == "imu: a frame that was sent to a/mode has come"
+    assert words[1].startswith("operator/mode: ")
+    assert words[2] == words[1]
+    assert words[3] == astray[1], "the newest is told"
 
 
 def test_health_tells_of_refusals() -> None:
@@ -611,6 +617,7 @@ def test_live_a_beat_comes_at_its_rate_and_stops(wire: Wire) -> None:
 def test_live_a_service_may_wait_its_own_way_and_fetch_what_has_come(wire: Wire) -> None:
     waits: list[float] = []
     wire.kept[MODE.key] = _Kept(codec.encode(order(1)))
+    wire.astray, wire.last_astray = 3, "sent to another"
     stop = threading.Event()
 
     def wait(length_s: float) -> None:
@@ -625,6 +632,8 @@ def test_live_a_service_may_wait_its_own_way_and_fetch_what_has_come(wire: Wire)
     run_live(service, wire, stop)
     assert [c.sequence for c in seen] == [1]
     assert wire.receivers == {}, "no thread hands anything over"
+    (health,) = (codec.decode(frame, Health)[0] for topic, frame in wire.sent if topic is HEALTH)
+    assert (health.refused, health.last_refusal) == (3, "sent to another"), "what the link has dropped is told of"
     assert all(9.0 < length_s <= 10.0 for length_s in waits)
 
 

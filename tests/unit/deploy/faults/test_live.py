@@ -16,6 +16,7 @@ from services.actuator.latch import Latch
 from shared import codec, topics
 from shared import dynamixel as dxl
 from shared.messages import Health, Message, Mode
+from shared.service import AnyTopic
 from shared.transport import Endpoints
 from tests.support.states import actuator_state
 from tests.support.timelines import PROFILE
@@ -83,6 +84,36 @@ def test_while_the_robot_s_router_is_broken_the_truth_is_heard_at_another_that_i
     assert made["simulator"].after == ("world router",)
     assert made.keys() - plain.keys() == {"world router"}
     assert all(made[name] == plain[name] for name in plain if name != "simulator"), "nobody else is met there"
+
+
+@pytest.mark.parametrize("name", ["live-router-stopped", "live-planner-stopped"])
+def test_the_truth_is_heard_where_nothing_is_broken(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    met: dict[tuple[str, ...], list[str]] = {}
+
+    class Link:
+        def __init__(self, endpoints: Endpoints):
+            self.keys = met.setdefault(endpoints.connect, [])
+
+        def __enter__(self) -> "Link":
+            return self
+
+        def __exit__(self, *_: object) -> None: ...
+
+        def subscribe(self, topic: AnyTopic, _receive: object) -> None:
+            self.keys.append(topic.key)
+
+        def wanted(self, _topic: AnyTopic) -> bool:
+            return True
+
+    monkeypatch.setattr(live, "ZenohLink", Link)
+    monkeypatch.setattr(live.Launcher, "__enter__", lambda self: self)  # nobody is started
+    with LiveWalk(BY_NAME[name], 1) as walk:
+        simulator = next(one for one in walk.commands if one.name == "simulator")
+        router = next(one for one in walk.commands if one.name == "router")
+    at = {topic: endpoint for endpoint, keys in met.items() for topic in keys}
+    assert at[topics.TRUTH.key] == tuple(words(simulator, "--connect"))
+    assert at[topics.ACTUATOR_STATE.key] == tuple(words(router, "--listen"))
+    assert (at[topics.TRUTH.key] == at[topics.ACTUATOR_STATE.key]) == (name == "live-planner-stopped")
 
 
 @pytest.mark.parametrize("case", LIVE_CASES, ids=lambda case: case.name)

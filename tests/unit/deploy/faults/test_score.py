@@ -51,6 +51,12 @@ def test_where_its_words_did_not_come_through_it_walks_again_with_the_first_that
     assert isnan(found.decided_s), "nobody has heard of a stop"
 
 
+def test_who_is_about_to_stop_behind_a_gap_does_not_walk_again() -> None:
+    unheard = BY_NAME["live-router-stopped"]
+    again = [score(timeline(word(2.4, Mode.WALK, said)), unheard, PROFILE).again_s for said in ("walking", NO_PLAN)]
+    assert again == pytest.approx([0.4, nan], nan_ok=True)
+
+
 def test_walking_before_the_fault_is_over_is_no_return() -> None:
     said = (word(0.2, Mode.FAULT), word(1.0, Mode.WALK, "walking"), word(1.5, Mode.FAULT))
     assert isnan(score(timeline(*said), KILLED, PROFILE).again_s)
