@@ -16,6 +16,7 @@ Role = Literal["all", "onboard", "offboard", "sim"]
 
 BUS_PORT = 7450  # where compose's simulator offers its servo bus
 ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
+_ROUTER_SILENT_S = 1.5  # [s] as of the actuator; its links last for one without a word
 
 # A process gets one thread a library: a service must not take the cores of its neighbours.
 ENVIRONMENT: Mapping[str, str] = {
@@ -314,7 +315,7 @@ def router_command(listen: str, more: tuple[str, ...] = (), role: str = "", star
     port = int(listen.rpartition(":")[2])
     told = ("--role", role, "--starts", ",".join(p.name for p in starts)) if role else ()
     words = ("-m", "deploy.router", *(more or ("--listen", listen)), *told)
-    return Command("router", words, ENVIRONMENT, restarts=3, ready_port=port, memory_mb=256)
+    return Command("router", words, ENVIRONMENT, restarts=3, ready_port=port, watchdog_s=_ROUTER_SILENT_S, memory_mb=256)
 
 
 def _meeting(endpoints: Endpoints) -> tuple[str, ...]:

@@ -4,11 +4,13 @@ import argparse
 import contextlib
 import logging
 import os
+import signal
 import socket
 import sys
 import time
 from collections.abc import Callable, Sequence
 from itertools import count
+from types import FrameType
 
 from deploy.interrupts import Interrupts
 from deploy.network import gate, refusals
@@ -25,6 +27,9 @@ from shared.watchdog import Watchdog
 
 _WARN_S = 30.0  # between two warnings that it is open to anybody
 _LOOK_S = 0.1
+_LEASE_S = LEASE_MS * 1e-3
+_SOONEST_S = 0.75 * _LEASE_S  # after which a link may be given up: signs of life are a quarter of the lease apart
+_STOPPED = 75  # the status in which it ends for its links are over: EX_TEMPFAIL of sysexits(3)
 _SILENCE_TURNS = 5  # of such looks, to each for connections that are new
 
 
@@ -32,7 +37,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Host the router until told to stop.
 
     Returns:
-        0 then, 2 when the address cannot be listened on, nobody should be let in, or another machine does not fit.
+        0 then, 2 when the address cannot be listened on, nobody should be let in, or another machine does not fit; without
+        returning it ends with 75 where it was stopped for longer than its links last, for another to take its place.
     """
     parser = argparse.ArgumentParser(prog="python -m deploy.router", description="The router that the services meet at.")
     words = f"endpoint to listen on, as often as wanted (default {ROUTER_ENDPOINT}, with --keys also {gate.SECURE_ENDPOINT})"
@@ -88,10 +94,12 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
             machine = f"{socket.gethostname()}-{os.getpid()}"
             meeting = Meeting(link, machine, role, version(), starts, time.monotonic_ns, _tell)
             beats.append(lambda: _met(meeting))
-        _listening(gated)
-        silence = SilenceLimit(LEASE_MS * 1e-3)
+        logging.info("listening on %s", ", ".join(gated.listen))
+        silence = SilenceLimit(_LEASE_S)
         silence.look()
+        watchdog, awake = stack.enter_context(Watchdog(os.environ)), _Awake()
         for turn in count():
+            watchdog.beat(awake.look())
             time.sleep(_LOOK_S)  # not sigtimedwait: to a process that was stopped in it, it tells of a signal that never came
             if told_to_stop():
                 break
@@ -126,11 +134,26 @@ class _Guard:
         return ""
 
 
-def _listening(gated: gate.Gate) -> None:
-    """Say so, to people and to a service manager that starts others once this is ready."""
-    logging.info("listening on %s", ", ".join(gated.listen))
-    with Watchdog(os.environ) as watchdog:
-        watchdog.beat(time.monotonic_ns())
+class _Awake:
+    """Ends this process at once where it goes on after it was stopped for longer than its links last.
+
+    Before it has said a word to those who come again: `shared.transport.Router` says what became of that.
+    """
+
+    def __init__(self) -> None:
+        self._looked_ns = time.monotonic_ns()
+        signal.signal(signal.SIGCONT, self._go_on)
+
+    def look(self) -> int:
+        """Note that it is, and when [ns] by the monotonic clock."""
+        self._looked_ns = time.monotonic_ns()
+        return self._looked_ns
+
+    def _go_on(self, _number: int, _frame: FrameType | None) -> None:
+        away_s = (time.monotonic_ns() - self._looked_ns) * 1e-9
+        if away_s > _SOONEST_S:
+            os.write(2, f"router: it was stopped for {away_s:.1f} s, and who met at it has given it up; it ends\n".encode())
+            os._exit(_STOPPED)
 
 
 if __name__ == "__main__":

@@ -5,11 +5,11 @@ ring or a bounded queue and a thread that empties it at once; nothing is put wit
 a frozen peer would block for seconds. Sessions are closed under all circumstances: a process that ends without it hangs.
 
 Every frame travels with its address, and is dropped where that is not where it has come: what waits in a router that is frozen
-for longer than the lease may come under keys of others once it goes on (seen with Zenoh 1.10, whose numbers that stand for keys
-are given to others before all that bears them is sent).
+for longer than the lease may come under keys of others once it goes on (seen with Zenoh 1.10, where numbers stand for keys).
 """
 
 import json
+import logging
 import threading
 import time
 from collections import Counter
@@ -33,7 +33,11 @@ _RX_BYTES = 1 << 20  # read at once: a map comes in 14 pieces of 64 kB, Zenoh's 
 # A router that is cut off from another tries again soon: SYNs of the kernel's own wait for seconds.
 _ATTEMPT_MS, _RETRY_MS = 500, 100
 _SEND_BUFFER = 64 * 1024  # [bytes] of bulk over a radio: what waits in the kernel is late already
+_LOOK_S = 0.05  # between two looks of a router at the time
 _KEPT = 256  # frames of an EVERY topic that may wait to be taken
+
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +163,12 @@ def log_to_stdout(levels: str) -> None:
 
 
 class Router:
-    """Hosts the router in this process, so that no zenohd binary is needed; a context manager."""
+    """Hosts the router in this process, so that no zenohd binary is needed; a context manager.
+
+    Where the process was stopped for longer than the lease, as by Ctrl-Z, it begins anew: all who met there have given it up
+    and come again, and Zenoh 1.10 takes some for those whom it knew, and talks to them in the words that it had with these;
+    then they misunderstand it, or panic and hear nothing any more.
+    """
 
     def __init__(self, listen: tuple[str, ...], upstream: tuple[str, ...] = (), access: Mapping[str, Any] | None = None):
         """Prepare.
@@ -170,18 +179,45 @@ class Router:
             access: Configuration that says who may do what (`shared.access`).
         """
         self.configuration: Mapping[str, Any] = _merged(_router_config(listen, upstream), access or {})
+        self._session: zenoh.Session | None = None  # None while it begins anew
+        self._ended = threading.Event()
+        self._watch = threading.Thread(target=self._begin_anew_when_stopped, name="router", daemon=True)
 
     def __enter__(self) -> Self:
         self._session = _open(self.configuration)
+        self._watch.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        _close([self._session])
+        self._ended.set()
+        self._watch.join()
+        if self._session is not None:
+            _close([self._session])
 
     @property
     def chained(self) -> bool:
         """Whether it is connected to any other router."""
-        return bool(list(self._session.info.routers_zid()))
+        session = self._session
+        return session is not None and bool(list(session.info.routers_zid()))
+
+    def _begin_anew_when_stopped(self) -> None:
+        before = time.monotonic()
+        while not self._ended.wait(_LOOK_S):
+            now = time.monotonic()
+            if now - before > _LOOK_S + 1e-3 * LEASE_MS:
+                _log.warning("this process was stopped for %.1f s: the router begins anew", now - before)
+                self._begin_anew()
+                now = time.monotonic()
+            before = now
+
+    def _begin_anew(self) -> None:
+        session, self._session = self._session, None
+        _close([] if session is None else [session])
+        while self._session is None and not self._ended.wait(_LOOK_S):
+            try:
+                self._session = _open(self.configuration)
+            except TransportError as error:  # its port is not free yet
+                _log.warning("%s", error)
 
 
 class ForeignPublisher:

@@ -130,7 +130,7 @@ _ENDPOINTS = Endpoints((ROUTER_ENDPOINT,), namespace=NAMESPACE)
 
 def _together(router: Command, others: Sequence[Command]) -> tuple[Command, ...]:
     """All that waits for the router, and gives its signs of life where the health checks listen."""
-    return (router, *(_watched(replace(command, after=("router", *command.after))) for command in others))
+    return (_watched(router), *(_watched(replace(command, after=("router", *command.after))) for command in others))
 
 
 def _watched(command: Command) -> Command:

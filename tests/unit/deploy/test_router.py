@@ -84,17 +84,31 @@ def test_what_is_started_twice_is_refused_by_name_to_whoever_came_later() -> Non
         assert "another (offboard) has started mapper already; leave it out on one of the two: --without mapper" in said
 
 
-def test_one_that_was_stopped_goes_on_and_ends_when_it_is_told_to() -> None:
+def stopped(process: subprocess.Popen[str], port: int, for_s: float) -> None:
+    """Stop a router for some time, in which somebody calls in vain."""
+    process.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as caller:
+        caller.settimeout(for_s)
+        with pytest.raises(TimeoutError):
+            caller.recv(1)
+    process.send_signal(signal.SIGCONT)
+
+
+def test_one_that_was_stopped_for_a_moment_goes_on_and_ends_when_it_is_told_to() -> None:
     port = gated.free_port()
     with router(port=port) as (process, _):
-        process.send_signal(signal.SIGSTOP)
-        os.waitid(os.P_PID, process.pid, os.WSTOPPED)
-        with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as caller:
-            caller.settimeout(0.5)  # several of its looks at whether it shall end
-            with pytest.raises(TimeoutError):
-                caller.recv(1)
-        process.send_signal(signal.SIGCONT)
+        stopped(process, port, 0.25)
         with ZenohLink(Endpoints((f"tcp/127.0.0.1:{port}",))):
             assert process.poll() is None, "nobody has told it to end"
         process.terminate()
         assert process.wait(PATIENCE_S) == 0
+
+
+def test_one_that_was_stopped_for_longer_than_its_links_last_ends_for_another_to_take_its_place() -> None:
+    port = gated.free_port()
+    with router(port=port) as (process, _):
+        stopped(process, port, 1.5)
+        assert process.wait(PATIENCE_S) == 75
+        assert process.stderr is not None
+        assert "router: it was stopped for 1." in process.stderr.read()

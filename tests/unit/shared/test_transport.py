@@ -338,6 +338,39 @@ def test_a_frame_that_was_sent_to_another_key_or_robot_is_dropped_and_told_of(en
         assert reader.last_astray == "operator/mode: a frame that was sent to b/operator/mode has come"
 
 
+def test_a_router_that_was_away_for_long_begins_anew_and_all_meet_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    address, away_s = free_endpoint(), [0.0]
+    told: list[str] = []
+
+    class Clock:
+        sleep = time.sleep
+
+        @staticmethod
+        def monotonic() -> float:
+            return time.monotonic() + away_s[0]
+
+    monkeypatch.setattr(transport, "time", Clock)
+    monkeypatch.setattr(transport._log, "warning", lambda words, *values: told.append(words % values))
+    endpoints = Endpoints((address,))
+    with Router((address,)), ZenohLink(endpoints) as sender, ZenohLink(endpoints) as reader:
+        receiver = Receiver(b"before")
+        reader.subscribe(MODE, receiver)
+        wait_until_wanted(sender, MODE)
+        sender.send(MODE, b"before")
+        assert receiver.done.wait(PATIENCE_S)
+        assert told == []
+        receiver.expect(b"after")
+        away_s[0] = 5.0
+        pause, until = threading.Event(), time.monotonic() + PATIENCE_S
+        while not told:
+            assert time.monotonic() < until
+            pause.wait(0.01)
+        assert told[0].startswith("this process was stopped for 5.")
+        while not receiver.done.wait(0.05):
+            assert time.monotonic() < until
+            sender.send(MODE, b"after")
+
+
 def test_every_frame_goes_with_its_address(endpoint: str) -> None:
     endpoints = Endpoints((endpoint,), namespace="addressed")
     with ZenohLink(endpoints) as sender, zenoh.open(zenoh.Config.from_json5(json.dumps(endpoints.zenoh_config()))) as reader:
