@@ -117,9 +117,9 @@ def _hear(robot: PageRobot, page: ScriptedPage, way: Way, words: str, since_s: f
 
 def _last(file: Path) -> int:
     """When [ns] the last message came that a file holds."""
-    from services.console.recording.reader import Recording
+    from services.console.recording.reader import newest_ns
 
-    return max(at_ns for _, _, at_ns in Recording(file).frames())
+    return newest_ns(file)
 
 
 def _recorder(page: ScriptedPage) -> dict[str, str]:

@@ -85,6 +85,7 @@ class Limits:
     torque_stays: bool = True  # no torque is switched
     walks_on: bool = False  # there is no stop
     cycle_s: float = inf  # p99 of the time from one sync write of goals to the next; five that are missed in a row are said
+    lost_s: float = inf  # of a recording, from the last message that is in its file to the kill
     seated: bool = False  # it lies and has let go before a servo shuts down or the battery is empty
 
 
@@ -262,7 +263,12 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
 _PAGE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # what an operator's page needs, and no walk
     ("console-killed", "the console is killed", (Away("console", True, 0.0),), _CALM),
     ("console-stopped", "the console is stopped for 3 s", (Away("console", False, 3.0),), _CALM),
-    ("recorder-killed", "the recorder is killed while it records", (Away("recorder", True, 0.0),), _CALM),
+    (
+        "recorder-killed",
+        "the recorder is killed while it records",
+        (Away("recorder", True, 0.0),),
+        Limits(walks_on=True, lost_s=1.0),
+    ),
     ("recorder-stopped", "the recorder is stopped for 3 s while it records", (Away("recorder", False, 3.0),), _CALM),
 )
 _HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # the same of two halves, but `hogs` and `off`

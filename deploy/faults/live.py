@@ -22,6 +22,7 @@ from deploy.launch.launcher import Launcher, free_port
 from deploy.network.gate import Gate
 from deploy.process_table import ENVIRONMENT, Command
 from services.actuator.latch import Latch
+from services.console.recording.reader import files_of, newest_ns
 from shared import codec, topics
 from shared import dynamixel as dxl
 from shared.messages import Message, Mode, ModeCommand, RecordCommand
@@ -34,6 +35,7 @@ _LOOK_S = 0.02
 _SETTLE_S = 0.5  # [s] after a fault's end before which nothing is over
 _AGAIN_S = 0.3  # [s] from one crash to the next
 _BACK_S = 15.0  # [s] in which a killed process must be back
+_KILLING_S = 0.05  # [s] in which who is killed may still write; its successor's file begins later
 _RECORD_S = 0.5  # between two orders to record, until that is done
 _WORDS = 40  # lines kept of what the processes say
 
@@ -150,7 +152,18 @@ class LiveWalk(Watched):
         end = max(over() for over in ends)
         away = any(isinstance(deed, Away) and deed.service == "actuator" for deed in self._case.deeds)
         returned = (end if away else begin) if self._case.lets_go else nan
-        return Seen(self.now_s if np.isnan(end) else end, self.pulls(), ordered_s=self._ordered, returned_s=returned)
+        return Seen(
+            self.now_s if np.isnan(end) else end,
+            self.pulls(),
+            ordered_s=self._ordered,
+            returned_s=returned,
+            lost_s=begin - self._recorded_until(begin) if Away("recorder", True, 0.0) in self._case.deeds else nan,
+        )
+
+    def _recorded_until(self, killed_s: float) -> float:
+        """When [s] the last message came that is in the file of a recorder that was killed at a time [s]."""
+        ends = (newest_ns(file) * 1e-9 for folder in self._recordings.iterdir() for file in files_of(folder))
+        return max((end for end in ends if end <= killed_s + _KILLING_S), default=-inf)
 
     def _begin(self, deed: Deed, begin: float, rng: np.random.Generator) -> Callable[[], float]:
         """Begin to break something; tells when [s] that ends, NaN for not yet."""

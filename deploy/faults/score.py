@@ -55,6 +55,7 @@ class Outcome:
     reason: str  # of the last stop, in the actuator's words
     cycle_s: float = nan  # p99 of the time from one sync write of goals to the next, while the fault lasted
     missed: int = 0  # most cycles in a row that took more than two periods
+    lost_s: float = nan  # of a recording, before its recorder was killed
     stuck: str = ""  # why it did not walk on for long afterwards, in words, or nothing
 
 
@@ -91,6 +92,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         outside=len(line.outside),
         plans=line.plans,
         reason=stopped[-1].reason if stopped else "",
+        lost_s=line.lost_s,
         stuck=line.stuck,
         cycle_s=cycle_s,
         missed=missed,

@@ -45,6 +45,7 @@ class Row:
     outside: int  # goals outside of the joints' limits
     plans: int  # fuzzed
     missed: tuple[str, ...]  # limits, each with the number of injections that miss it
+    lost_s: Figure = Figure(0, nan, nan, nan)
 
     @property
     def passed(self) -> bool:
@@ -84,6 +85,7 @@ def row(case: Case, outcomes: Sequence[Outcome]) -> Row:
         outside=sum(one.outside for one in outcomes),
         plans=sum(one.plans for one in outcomes),
         missed=_missed(case, outcomes),
+        lost_s=of("lost_s"),
     )
 
 
@@ -143,6 +145,7 @@ _AT_MOST = (  # name, rounding allowed, words, unit, factor
     ("lunge_dps", 1e-6, "the joint after its reset at most", "deg/s", 1.0),
     ("off_s", 1e-6, "torque off within", "ms", 1e3),
     ("cycle_s", 1e-6, "cycle p99 at most", "ms", 1e3),
+    ("lost_s", 1e-6, "lost of the recording at most", "s", 1.0),
 )
 
 
@@ -184,6 +187,8 @@ def _others(one: Row) -> Iterable[str]:
         yield f"after the reset {_cell(one.lunge_dps, 1.0, '.0f')} deg/s"
     if not isinf(BY_NAME[one.fault].limits.cycle_s):
         yield f"cycle p99 {_cell(one.cycle_s, 1e3, '.1f')} ms"
+    if one.lost_s.n:
+        yield f"the recording lacks {_cell(one.lost_s, 1.0, '.1f')} s"
     if one.plans:
         yield f"{one.plans} plans, {one.outside} goals outside"
     if one.stopped < one.n:
@@ -207,8 +212,9 @@ def from_json(text: str) -> list[Row]:
 
 
 def _row(entry: dict[str, Any]) -> Row:
-    figures = {f.name: Figure(**_numbers(entry[f.name])) for f in fields(Row) if isinstance(entry[f.name], dict)}
-    values = {f.name: entry[f.name] for f in fields(Row) if f.name not in figures}
+    known = [f.name for f in fields(Row) if f.name in entry]  # what is measured since a row was made, it has not
+    figures = {name: Figure(**_numbers(entry[name])) for name in known if isinstance(entry[name], dict)}
+    values = {name: entry[name] for name in known if name not in figures}
     return Row(**values | figures | {"missed": tuple(entry["missed"])})
 
 

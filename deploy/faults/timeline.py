@@ -52,4 +52,5 @@ class Timeline:
     empty_s: float = np.nan  # when the battery was
     plans: int = 0  # that were fuzzed
     voltage: float = np.nan  # [V] in the end
+    lost_s: float = np.nan  # of a recording, before its recorder was killed
     stuck: str = ""  # why it did not walk on for long afterwards, in words, or nothing

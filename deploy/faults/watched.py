@@ -64,6 +64,7 @@ class Seen:
     empty_s: float = np.nan
     plans: int = 0
     voltage: float = np.nan
+    lost_s: float = np.nan
 
 
 class Watched(ABC):
@@ -126,6 +127,7 @@ class Watched(ABC):
             empty_s=seen.empty_s,
             plans=seen.plans,
             voltage=seen.voltage,
+            lost_s=seen.lost_s,
         )
 
     @abstractmethod

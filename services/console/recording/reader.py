@@ -1,12 +1,13 @@
 """Recordings, read from their beginning in the order in which they were written."""
 
+import contextlib
 import struct
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.records import Message as Entry
 from mcap.stream_reader import CRCValidationError, StreamReader
 
@@ -103,6 +104,21 @@ class Recording:
 def read(path: Path, wanted: Iterable[AnyTopic] = topics.TOPICS) -> Iterator[tuple[AnyTopic, Message, int]]:
     """(topic, message, time [ns]) of some topics of a recording, in the order in which they were written."""
     return Recording(path).messages(wanted)
+
+
+def newest_ns(path: Path) -> int:
+    """When [ns] the last message came that a file holds, -1 where it holds none; by the chunks, whatever became of its end.
+
+    Raises:
+        RecordingError: No such file, or not an MCAP file.
+    """
+    _check_magic(path)
+    newest = -1
+    with path.open("rb") as file, contextlib.suppress(*CUT_OFF):
+        for record in StreamReader(file, emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                newest = max(newest, record.message_end_time)
+    return newest
 
 
 def files_of(path: Path) -> list[Path]:

@@ -7,7 +7,7 @@ from mcap.reader import make_reader
 
 from deploy import cli
 from services.console.recording.layout import RecordingError
-from services.console.recording.reader import Recording
+from services.console.recording.reader import Recording, newest_ns
 from services.console.recording.recovery import recover
 from services.console.recording.writer import Recorder
 from tests.support.recorded import frames, some_messages
@@ -39,6 +39,7 @@ def test_whatever_was_cut_off_becomes_whole_with_all_that_was_there(
     folder, data = tmp_path_factory.mktemp("cut"), whole.read_bytes()
     (folder / "cut.mcap").write_bytes(data[: int(share * len(data))])
     before = read(folder / "cut.mcap")
+    assert newest_ns(folder / "cut.mcap") == max((at_ns for _, _, at_ns in before), default=-1)
     if not before:
         with pytest.raises(RecordingError, match="nothing in it is whole"):
             recover(folder / "cut.mcap", folder / "new.mcap")

@@ -83,6 +83,20 @@ def test_a_walk_that_is_to_go_on_may_not_stop_and_off_is_off() -> None:
         assert not tables.row(OFF, [wrong]).passed
 
 
+def test_a_recording_that_lacks_more_than_a_second_before_the_kill_is_lost() -> None:
+    killed = BY_NAME["live-recorder-killed"]
+    kept_one = tables.row(killed, [replace(CALM, lost_s=0.4)])
+    assert kept_one.passed
+    assert "the recording lacks 0.4 / 0.4 / 0.4 s" in tables.markdown([kept_one])
+    for lost_s in (1.1, nan):
+        assert tables.row(killed, [replace(CALM, lost_s=lost_s)]).missed == (
+            "lost of the recording at most 1 s: missed by 1 of 1",
+        )
+    (before,) = json.loads(tables.to_json([kept_one]))
+    del before["lost_s"]
+    assert tables.from_json(json.dumps([before]))[0].lost_s.n == 0, "a row of before that was measured"
+
+
 def test_ranks_are_nearest_and_a_least_margin_is_the_worst() -> None:
     values = [float(k) for k in range(1, 201)]
     assert tables.figure(values) == tables.Figure(200, 100.0, 198.0, 200.0)

@@ -1,6 +1,7 @@
 """A live walk without its processes: who is started and how they meet, and when one that was killed counts as back."""
 
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES, Away, Case, Hogs, Of
 from deploy.faults.live import LiveWalk
 from deploy.process_table import Command
 from services.actuator.latch import Latch
+from services.console.recording.writer import Recorder
 from shared import codec, topics
 from shared import dynamixel as dxl
 from shared.messages import Health, Message, Mode
@@ -176,6 +178,21 @@ def test_an_actuator_that_is_silent_does_not_walk(walk: LiveWalk) -> None:
 
     assert not says_walking(5.0)
     assert says_walking(0.0)
+
+
+def test_what_a_recording_lacks_counts_from_the_last_message_before_the_kill(
+    walk: LiveWalk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(walk, "_recordings", tmp_path)
+    killed_s = 100.0
+    assert walk._recorded_until(killed_s) == -np.inf, "nothing was recorded"
+    for name, ends_s in (("1", 60.0), ("2", 99.7), ("3", 101.0)):  # of an earlier walk, of the killed, of its successor
+        folder = tmp_path / name
+        folder.mkdir()
+        with Recorder(folder / "recording.mcap", {}) as recorder:
+            for at_s in (ends_s - 0.5, ends_s):
+                recorder.write(topics.HEALTH, codec.encode(health("planner", at_s)), round(at_s * 1e9))
+    assert walk._recorded_until(killed_s) == pytest.approx(99.7)
 
 
 def test_live_cases_break_processes_and_lockstep_has_no_hogs() -> None:
