@@ -22,13 +22,11 @@ from deploy.process_table import ROUTER_ENDPOINT
 from deploy.provenance import version
 from shared.access import AccessError
 from shared.host import end_with
-from shared.transport import LEASE_MS, Router, TransportError, ZenohLink, log_to_stdout
+from shared.transport import GIVEN_UP_S, LEASE_MS, Router, TransportError, ZenohLink, log_to_stdout
 from shared.watchdog import Watchdog
 
 _WARN_S = 30.0  # between two warnings that it is open to anybody
 _LOOK_S = 0.1
-_LEASE_S = LEASE_MS * 1e-3
-_SOONEST_S = 0.75 * _LEASE_S  # after which a link may be given up: signs of life are a quarter of the lease apart
 _STOPPED = 75  # the status in which it ends for its links are over: EX_TEMPFAIL of sysexits(3)
 _SILENCE_TURNS = 5  # of such looks, to each for connections that are new
 
@@ -95,7 +93,7 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
             meeting = Meeting(link, machine, role, version(), starts, time.monotonic_ns, _tell)
             beats.append(lambda: _met(meeting))
         logging.info("listening on %s", ", ".join(gated.listen))
-        silence = SilenceLimit(_LEASE_S)
+        silence = SilenceLimit(LEASE_MS * 1e-3)
         silence.look()
         watchdog, awake = stack.enter_context(Watchdog(os.environ)), _Awake()
         for turn in count():
@@ -151,7 +149,7 @@ class _Awake:
 
     def _go_on(self, _number: int, _frame: FrameType | None) -> None:
         away_s = (time.monotonic_ns() - self._looked_ns) * 1e-9
-        if away_s > _SOONEST_S:
+        if away_s > GIVEN_UP_S:
             os.write(2, f"router: it was stopped for {away_s:.1f} s, and who met at it has given it up; it ends\n".encode())
             os._exit(_STOPPED)
 

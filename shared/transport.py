@@ -10,12 +10,13 @@ for longer than the lease may come under keys of others once it goes on (seen wi
 
 import json
 import logging
+import signal
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import TracebackType
+from types import FrameType, TracebackType
 from typing import Any, Self
 
 import zenoh
@@ -25,7 +26,8 @@ from shared.handshake import refusal
 from shared.topics import Delivery, Lane, Topic
 
 CLOSE_TIMEOUT_S = 1.5  # closing waits for peers, a frozen one would hold it for 13 s
-LEASE_MS = 1000  # a frozen process is noticed after this
+LEASE_MS = 1000  # a frozen process is noticed after this, ...
+GIVEN_UP_S = 0.75e-3 * LEASE_MS  # ... or sooner: its signs of life are a quarter of that apart
 # Batches that may wait for the network, of each priority (16 is Zenoh's limit). With its default for control, a burst of
 # three frames on a busy machine lost one in 500: the sending thread had not had its turn within the millisecond of grace.
 QUEUE_SIZES = {"real_time": 16, "data": 8}
@@ -165,9 +167,10 @@ def log_to_stdout(levels: str) -> None:
 class Router:
     """Hosts the router in this process, so that no zenohd binary is needed; a context manager.
 
-    Where the process was stopped for longer than the lease, as by Ctrl-Z, it begins anew: all who met there have given it up
-    and come again, and Zenoh 1.10 takes some for those whom it knew, and talks to them in the words that it had with these;
-    then they misunderstand it, or panic and hear nothing any more.
+    Where the process was stopped for about as long as links last, as by Ctrl-Z, it begins anew: all who met there have given it
+    up and come again, and Zenoh 1.10 takes some for those whom it knew, and talks to them in the words that it had with these;
+    then they misunderstand it, or panic and hear nothing any more. It hears that the process goes on by SIGCONT, which it takes
+    for that where it is entered in the main thread.
     """
 
     def __init__(self, listen: tuple[str, ...], upstream: tuple[str, ...] = (), access: Mapping[str, Any] | None = None):
@@ -180,16 +183,23 @@ class Router:
         """
         self.configuration: Mapping[str, Any] = _merged(_router_config(listen, upstream), access or {})
         self._session: zenoh.Session | None = None  # None while it begins anew
-        self._ended = threading.Event()
+        self._ended = False
+        self._woken = threading.Event()  # by SIGCONT, or to end
+        self._before: Any = None  # who took SIGCONT
         self._watch = threading.Thread(target=self._begin_anew_when_stopped, name="router", daemon=True)
 
     def __enter__(self) -> Self:
         self._session = _open(self.configuration)
         self._watch.start()
+        if threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGCONT, self._go_on)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._ended.set()
+        if self._before is not None:
+            signal.signal(signal.SIGCONT, self._before)
+        self._ended = True
+        self._woken.set()
         self._watch.join()
         if self._session is not None:
             _close([self._session])
@@ -200,24 +210,32 @@ class Router:
         session = self._session
         return session is not None and bool(list(session.info.routers_zid()))
 
+    def _go_on(self, number: int, frame: FrameType | None) -> None:
+        self._woken.set()  # whose lock this thread never holds
+        if callable(self._before):  # another router of this process
+            self._before(number, frame)
+
     def _begin_anew_when_stopped(self) -> None:
-        before = time.monotonic()
-        while not self._ended.wait(_LOOK_S):
-            now = time.monotonic()
-            if now - before > _LOOK_S + 1e-3 * LEASE_MS:
-                _log.warning("this process was stopped for %.1f s: the router begins anew", now - before)
-                self._begin_anew()
-                now = time.monotonic()
-            before = now
+        before_s = time.monotonic()
+        while not self._ended:
+            continued = self._woken.wait(_LOOK_S)
+            away_s = time.monotonic() - before_s
+            if continued and not self._ended:  # without a signal it was others who had the processor
+                self._woken.clear()
+                if away_s > GIVEN_UP_S:
+                    _log.warning("this process was stopped for %.1f s: the router begins anew", away_s)
+                    self._begin_anew()
+            before_s = time.monotonic()
 
     def _begin_anew(self) -> None:
         session, self._session = self._session, None
         _close([] if session is None else [session])
-        while self._session is None and not self._ended.wait(_LOOK_S):
+        while self._session is None and not self._ended:
             try:
                 self._session = _open(self.configuration)
             except TransportError as error:  # its port is not free yet
                 _log.warning("%s", error)
+                self._woken.wait(_LOOK_S)
 
 
 class ForeignPublisher:

@@ -2,6 +2,8 @@
 
 import contextlib
 import json
+import os
+import signal
 import socket
 import threading
 import time
@@ -338,8 +340,16 @@ def test_a_frame_that_was_sent_to_another_key_or_robot_is_dropped_and_told_of(en
         assert reader.last_astray == "operator/mode: a frame that was sent to b/operator/mode has come"
 
 
-def test_a_router_that_was_away_for_long_begins_anew_and_all_meet_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    address, away_s = free_endpoint(), [0.0]
+@pytest.fixture
+def nobody_takes_sigcont() -> Iterator[None]:
+    before = signal.signal(signal.SIGCONT, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGCONT, before)
+
+
+@pytest.mark.usefixtures("nobody_takes_sigcont")
+def test_a_router_that_was_stopped_for_long_begins_anew_and_all_meet_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    address, away_s, looks = free_endpoint(), [0.0], [0]
     told: list[str] = []
 
     class Clock:
@@ -347,28 +357,35 @@ def test_a_router_that_was_away_for_long_begins_anew_and_all_meet_again(monkeypa
 
         @staticmethod
         def monotonic() -> float:
+            looks[0] += 1
             return time.monotonic() + away_s[0]
 
     monkeypatch.setattr(transport, "time", Clock)
     monkeypatch.setattr(transport._log, "warning", lambda words, *values: told.append(words % values))
     endpoints = Endpoints((address,))
+    pause, until = threading.Event(), time.monotonic() + PATIENCE_S
     with Router((address,)), ZenohLink(endpoints) as sender, ZenohLink(endpoints) as reader:
         receiver = Receiver(b"before")
         reader.subscribe(MODE, receiver)
         wait_until_wanted(sender, MODE)
+        away_s[0], looks[0] = 5.0, 0
+        while looks[0] < 4:
+            assert time.monotonic() < until
+            pause.wait(0.01)
         sender.send(MODE, b"before")
         assert receiver.done.wait(PATIENCE_S)
-        assert told == []
+        assert told == [], "without a signal it was others who had the processor"
         receiver.expect(b"after")
-        away_s[0] = 5.0
-        pause, until = threading.Event(), time.monotonic() + PATIENCE_S
         while not told:
             assert time.monotonic() < until
+            away_s[0] += 5.0
+            os.kill(os.getpid(), signal.SIGCONT)
             pause.wait(0.01)
         assert told[0].startswith("this process was stopped for 5.")
         while not receiver.done.wait(0.05):
             assert time.monotonic() < until
             sender.send(MODE, b"after")
+    assert signal.getsignal(signal.SIGCONT) is signal.SIG_DFL, "as it was"
 
 
 def test_every_frame_goes_with_its_address(endpoint: str) -> None:
