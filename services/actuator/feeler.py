@@ -24,6 +24,7 @@ _HEARD_NS = 5_000_000  # [ns] after they were told in which it is to be seen whe
 _TELLS = 0.1  # [N m] by which its pull must change with them to tell; ticks and the compliance margin are half of it
 _FRICTION = 2.5  # times the dry friction: goals come in steps, so at a reading the leg is always losing speed
 _DOUBT = 0.4  # of what speeds the leg up, for an armature is known no better, and of a jerk that the goal makes
+_LATE_NS = 30_000_000  # [ns] after a reading at which the next has been missed
 _SILENT_NS = 300_000_000  # [ns] without an answer of a servo, after which nobody knows what its leg feels
 _FREE = 0.75  # of the no-load speed: a femur that turns faster has met nothing, whatever is left of its full torque
 _NEAREST_ARM = 0.06  # [m] of a foot beside its femur's axis: nearer ones have too little leverage to tell a push from noise
@@ -42,6 +43,7 @@ class Felt:
     heaves: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that seem to lift the body
     leans: NDArray[np.bool_] = field(default_factory=lambda: _NONE)  # (6,) feet that bear if the next reading is like the last
     known: NDArray[np.bool_] = field(default_factory=lambda: _ALL)  # (6,) feet of which it is known where they are
+    heard: NDArray[np.bool_] = field(default_factory=lambda: _ALL)  # (6,) legs that have told of late what they feel
 
 
 class FemurReading(NamedTuple):
@@ -76,6 +78,7 @@ class Feeler:
         self._jerk = np.zeros(6)  # [rad] by how much that was another change than the one before
         self._stamp_ns = np.full(6, -_NEAR_NS - 1, dtype=np.int64)
         self._push = np.zeros((2, 6))  # [N] by the newest reading and the one before
+        self._tells = np.zeros(6, dtype=np.bool_)  # by the newest reading and the one before
         self._links = np.zeros((6, 3))  # [N m] that hold the links up, as the legs were in the last cycle
 
     def see(self, q: Array, q_goal: Array) -> None:
@@ -91,7 +94,8 @@ class Feeler:
         speed, since_ns = femur.speed, femur.stamp_ns - int(self._stamp_ns[leg])
         gathered, self._speed[leg], self._stamp_ns[leg] = speed - self._speed[leg], speed, femur.stamp_ns
         self._push[1, leg] = self._push[0, leg]
-        if not 0 < since_ns <= _NEAR_NS:
+        self._tells[leg] = 0 < since_ns <= _NEAR_NS
+        if not self._tells[leg]:
             self._push[:, leg] = 0.0  # how it gathers speed is not known
             return
         servo = self._profile.servo
@@ -144,6 +148,10 @@ class Feeler:
         """Feet (6,) whose push is above one limit [N] in two readings, or above another in one."""
         push = self._push / self._heavier
         return np.asarray((push > twice).all(axis=0) | (push[0] > once))
+
+    def heard(self, now_ns: int) -> NDArray[np.bool_]:
+        """(6,) legs whose newest readings tell what they feel: none of them was asked in vain."""
+        return np.asarray(self._tells & (now_ns - self._stamp_ns <= _LATE_NS))
 
     def silent(self, now_ns: int) -> NDArray[np.bool_]:
         """(6,) legs whose servo has not answered for a while: of them nothing is known."""

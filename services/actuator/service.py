@@ -336,7 +336,8 @@ class Actuator:
             feet, awaiting = self._odometry.feet, self._walker.awaiting
             heaves = self._plumb.heaves(T_odom_body, feet, awaiting, now_ns)
             feeler, firm, known = self._feeler, self._contact.firm, ~self._unsure()
-            felt = Felt(feeler.touches, stands, apply(T_odom_body, feet), firm, heaves, feeler.leans, known)
+            heard = feeler.heard(self._clock())
+            felt = Felt(feeler.touches, stands, apply(T_odom_body, feet), firm, heaves, feeler.leans, known, heard)
             targets = self._walker.update(dt, T_odom_body, felt, self._limits.pace)
         self._reach_for(targets, dt)
         if self._posing is not None and self._posing.done:

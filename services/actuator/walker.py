@@ -51,6 +51,7 @@ _FEEL_FROM_S = 0.03  # [s] before its legs are lifted from which a step wants to
 _SURVEY_S = 0.05  # [s] time constant in which the height of new footholds is measured at rest
 _SURVEYED = 0.010  # [m] by which that may differ from where the foot was felt to meet ground
 _WAIT_S, _LONGER_S = 0.07, 0.12  # [s] for which it waits for them, and for those that by their last reading may stand
+_IN_VAIN_S = 0.2  # [s] that it waits longer at most while their servos are asked in vain
 _BACK_S = 1.4  # [s] in which a step is taken back
 _SOON_S = 0.33  # [s] in which feet in the air are on the ground, once the robot has to stand
 _BRAKE_S = 0.2  # [s] that a body has for it at least, if its step goes on for so long
@@ -128,6 +129,7 @@ class Walker:
         self._search: _Search | None = None
         self._way_back: StepPlan | None = None  # of the last step, {world} being {cmd}
         self._waited = 0.0  # [s] before lift-off, for legs that have yet to prove that they stand
+        self._in_vain = 0.0  # [s] beside that, while they could not be heard
         self._hurry = 1.0  # times as fast as planned
         self.gentle = False  # whether the running step is none of a plan, but brings feet back that hung anywhere
         self._returning = False  # whether feet go back to where they have just come from
@@ -373,7 +375,8 @@ class Walker:
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
         self._start_ref, self._start_velocity, self._start_elapsed = self._ref.copy(), self._velocity.copy(), 0.0
         self._end_elapsed = plan.duration
-        self._flight, self._waited, self._hurry, self._returning, self.gentle = None, 0.0, 1.0, False, False
+        self._flight, self._waited, self._in_vain = None, 0.0, 0.0
+        self._hurry, self._returning, self.gentle = 1.0, False, False
         self._stopped &= ~plan.swing
 
     def _advance(self, dt: float, plan: StepPlan, felt: Felt | None) -> None:
@@ -389,7 +392,10 @@ class Walker:
         if self._flight is None and self._elapsed > self._settings.unload_s:
             unproven = ~plan.swing & ~self._proven
             if felt is not None and unproven.any() and not self.gentle:  # legs that lie bear nothing that others had to take
-                self._waited += self._elapsed - before
+                if (unproven & ~felt.heard).any() and self._in_vain < _IN_VAIN_S - 1e-9:
+                    self._in_vain += self._elapsed - before
+                else:
+                    self._waited += self._elapsed - before
                 self._elapsed, self._velocity = before, np.zeros(6)  # time stands still
                 lost = unproven & ~felt.leans if self._waited <= _LONGER_S else unproven
                 if self._waited > _WAIT_S and lost.any():

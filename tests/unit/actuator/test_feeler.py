@@ -258,6 +258,20 @@ def test_a_leg_s_inertia_is_that_of_the_simulated_one_with_its_knee_bent_square(
     np.testing.assert_allclose(inertia[femora, femora], Feeler(robot)._inertia, rtol=0.05)
 
 
+def test_a_leg_is_heard_whose_last_two_readings_are_near_and_of_late() -> None:
+    feeler = Feeler(PROFILE)
+    feeler.see(Q, Q)
+    expected = []
+    for cycle, asked_in_vain in enumerate((False, False, False, True, False, True, True, False, False)):
+        now = cycle * PERIOD + PERIOD * 3 // 4
+        if not asked_in_vain:
+            feeler.read(LEG, femur(0.0, 0.0, now))
+        expected.append(bool(feeler.heard(now + 2_000_000)[LEG]))
+        assert not np.delete(feeler.heard(now), LEG).any()
+    # One that is missed is not yet felt, two are; and after these the first reading has none before it to be compared with.
+    assert expected == [False, True, True, True, True, True, False, False, True]
+
+
 def test_readings_far_apart_say_nothing() -> None:
     feeler = Feeler(PROFILE)
     for cycle in range(5):

@@ -174,8 +174,11 @@ def test_a_foot_over_lower_ground_reaches_down_to_it_before_others_lift(depth: f
     np.testing.assert_allclose(walker.feet_odom[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)  # nobody has lifted
 
 
-def called_off_after(leg: int, leans: bool, bears_from: int) -> int | None:
-    """Cycles of waiting for a leg that leans, or bears from one of them on, before the next step is called off, if it is."""
+def called_off_after(leg: int, leans: bool, bears_from: int, unheard: int = 0) -> int | None:
+    """Cycles of waiting for a leg that leans, or bears from one of them on, before the next step is called off, if it is.
+
+    In so many of them, from the first on, it is asked in vain.
+    """
     walker, waiting, waited = new_walker(), list(STEPS_2), 0
     while not (walker.step == 2 and walker.load_share[~TRIPOD].max() == 0):  # others lift
         if waiting and walker.resting:
@@ -183,7 +186,7 @@ def called_off_after(leg: int, leans: bool, bears_from: int) -> int | None:
         waited += bool(walker.step == 2 and walker.awaiting[leg])
         bears, feels = ~walker.swing, np.zeros(6, dtype=bool)
         bears[leg], feels[leg] = waited >= bears_from, leans
-        walker.update(DT, walker.body_ref, Felt(~ALL, bears, walker.feet_odom, leans=feels))
+        walker.update(DT, walker.body_ref, Felt(~ALL, bears, walker.feet_odom, leans=feels, heard=ALL & (waited > unheard)))
         if walker.searching.any():
             return waited
     return None
@@ -201,6 +204,17 @@ def test_a_foot_that_leans_on_the_ground_is_waited_for_a_little_longer(leg: int)
     assert called_off_after(leg, False, short + 1) == short
     assert called_off_after(leg, True, long) is None
     assert called_off_after(leg, True, long + 1) == long
+
+
+@pytest.mark.parametrize("leans", [False, True])
+def test_a_foot_that_is_asked_in_vain_is_waited_for_as_long_as_it_is_so_but_not_for_ever(leans: bool) -> None:
+    usual = called_off_after(2, leans, 99)
+    assert usual is not None
+    for cycles in (1, 4, 9):  # in the first it does not wait yet
+        assert called_off_after(2, leans, 99, unheard=cycles) == usual + cycles - 1
+    for_ever = called_off_after(2, leans, 99, unheard=99)
+    assert for_ever is not None
+    assert (for_ever - usual) * DT == pytest.approx(0.2)
 
 
 def test_a_foot_that_stood_all_the_while_unfelt_pushes_its_body_by_millimetres_and_no_more() -> None:
