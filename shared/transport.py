@@ -38,7 +38,6 @@ _SEND_BUFFER = 64 * 1024  # [bytes] of bulk over a radio: what waits in the kern
 _LOOK_S = 0.05  # between two looks of a router at the time
 _KEPT = 256  # frames of an EVERY topic that may wait to be taken
 
-
 _log = logging.getLogger(__name__)
 
 

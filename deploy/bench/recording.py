@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from deploy.bench.page_robot import PageRobot
 from deploy.bench.scripted_page import ScriptedPage
 from deploy.bench.timing import machine
+from services.console.recording.reader import newest_ns
 from shared.messages import Mode
 
 CYCLE_S = 0.001  # by which the cycle's p99 may differ from that of a walk that nobody records
@@ -83,7 +84,7 @@ def _walk(robot: PageRobot, page: ScriptedPage, way: Way, forward: float) -> Non
             killed_ns = time.monotonic_ns()
             robot.kill("recorder")
             _hear(robot, page, way, "not recorded", broken)
-            way.lost_s.append((killed_ns - _last(file)) * 1e-9)
+            way.lost_s.append((killed_ns - newest_ns(file)) * 1e-9)
         robot.pass_time(max(0.0, since + _WALK_S - time.monotonic()))
         until = time.monotonic()
     times = robot.goal_times()
@@ -113,13 +114,6 @@ def _hear(robot: PageRobot, page: ScriptedPage, way: Way, words: str, since_s: f
     said_s = page.said_after(words, since_s)
     assert said_s is not None
     way.said_s.append(said_s)
-
-
-def _last(file: Path) -> int:
-    """When [ns] the last message came that a file holds."""
-    from services.console.recording.reader import newest_ns
-
-    return newest_ns(file)
 
 
 def _recorder(page: ScriptedPage) -> dict[str, str]:

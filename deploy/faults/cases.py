@@ -102,9 +102,7 @@ class Case:
     charge: float = 1.0  # of the battery when the walk begins
     watch_s: float = 8.0  # [s] after the fault's end, at most
     live: bool = False  # of processes over Zenoh at real time; else in lockstep
-    halves: bool = (
-        False  # with mapper, planner, console, recorder and operator behind a router of their own, as on another machine
-    )
+    halves: bool = False  # with mapper, planner, page and operator behind a router of their own, as on another machine
 
     @property
     def for_s(self) -> float:
