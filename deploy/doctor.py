@@ -139,7 +139,8 @@ def cores(count: int | None = None) -> Check:
 def cycle(clock: Callable[[], int] = time.monotonic_ns, wait: Callable[[float], object] = time.sleep) -> Check:
     """Whether this machine keeps the time of a control loop, as it is loaded now: the actuator's cycle, without its work."""
     from shared.host import go_first
-    from shared.service import Beats, Every
+    from shared.live import Beats
+    from shared.service import Every
 
     def beat() -> tuple[str, list[float]]:
         refused, beats = go_first(), Beats(Every.hz(_CYCLE_HZ), clock)

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 from shared import topics
 from shared.codec import Label
-from shared.service import AnyTopic, Link
+from shared.live import Link
+from shared.service import AnyTopic
 from shared.topics import Delivery
 
 # A megabyte a frame, and a camera takes colour only for who asks: nobody is to be asked for them by the way.

@@ -22,9 +22,10 @@ from typing import Any, NoReturn, TypeVar
 from shared import clock, codec, config, topics
 from shared.access import Keys
 from shared.host import end_with, go_first, keep_memory, switch_often
+from shared.live import run_live
 from shared.profiles import load_profile
 from shared.robot import RobotProfile
-from shared.service import Service, run_live
+from shared.service import Service
 from shared.transport import Endpoints, TransportError, ZenohLink
 from shared.watchdog import Watchdog
 

@@ -9,9 +9,9 @@ import sys
 import threading
 
 from deploy.runs.operator import Operator
+from shared.live import run_live
 from shared.profiles import load_profile
 from shared.scenario import load_scenario
-from shared.service import run_live
 from shared.transport import Endpoints, ZenohLink
 
 _LOOK_S = 0.2

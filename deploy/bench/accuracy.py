@@ -24,8 +24,9 @@ from services.perception.service import Perception
 from services.simulator.render import Renderer
 from shared import topics
 from shared.geometry import apply
+from shared.lockstep import Lockstep
 from shared.messages import TerrainMap
-from shared.service import Lockstep, Service
+from shared.service import Service
 
 Cells = NDArray[np.bool_]
 

@@ -14,7 +14,7 @@ def order(arguments: argparse.Namespace) -> int:
     from deploy.interrupts import Interrupts
     from deploy.order import STOPS, Order
     from shared import codec, topics
-    from shared.service import run_live
+    from shared.live import run_live
     from shared.transport import ZenohLink
 
     endpoints = met(arguments)

@@ -20,8 +20,8 @@ def ros2(arguments: argparse.Namespace) -> int:
     from deploy.ros2.lead import Lead, Walk
     from deploy.ros2.names import Node
     from shared import codec, topics
+    from shared.live import run_live
     from shared.profiles import load_profile
-    from shared.service import run_live
     from shared.transport import ForeignLink, ZenohLink
 
     profile = load_profile(arguments.robot)

@@ -18,8 +18,9 @@ from services.actuator.latch import Latch
 from services.simulator.service import Simulator
 from shared import dynamixel as dxl
 from shared import topics
+from shared.lockstep import Outage
 from shared.messages import Mode, ModeCommand
-from shared.service import AnyTopic, Outage
+from shared.service import AnyTopic
 
 _LOOK_NS = 20_000_000
 SOON_S = 0.06  # [s] in which an order to let go is to be on the bus: a gap that begins in it may swallow it

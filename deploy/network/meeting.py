@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from shared import codec, topics
+from shared.live import Link
 from shared.messages import Health, Presence
-from shared.service import Link
 
 PERIOD_NS = 1_000_000_000
 SILENT_NS = 5_000_000_000  # after which another machine is taken to be away

@@ -26,10 +26,11 @@ from services.perception.trajectory import TrajectoryError, trajectory_error
 from shared import topics
 from shared.camera import DepthSensor
 from shared.geometry import Array, inverse, log_so3, transform
+from shared.lockstep import Lockstep
 from shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
 from shared.profiles import load_profile
 from shared.robot import Camera, RobotProfile
-from shared.service import AnyTopic, Every, Inbox, Lockstep, Service, Stages
+from shared.service import AnyTopic, Every, Inbox, Service, Stages
 
 _FLAT = 0.05  # [m] of height that a picture's colours span at least: noise is no relief
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way

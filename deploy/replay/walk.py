@@ -21,9 +21,10 @@ from services.mapper.service import Mapper
 from services.planner.config import Settings as PlannerSettings
 from services.planner.service import Planner
 from shared import codec, topics
+from shared.lockstep import Lockstep
 from shared.messages import ActuatorState, Message, StepPlan, TerrainMap
 from shared.profiles import load_profile
-from shared.service import AnyTopic, Lockstep, Service
+from shared.service import AnyTopic, Service
 
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
 _SHOW_FRAMES = 5000

@@ -19,9 +19,10 @@ from deploy.runs.attendance import Attendance, about
 from services.console.recording.foxglove.translation import Foxglove
 from services.console.recording.live import LiveRecorder
 from services.console.recording.writer import Recorder
+from shared.live import run_live
 from shared.profiles import load_profile
 from shared.scenario import Fault, Scenario
-from shared.service import Service, run_live
+from shared.service import Service
 from shared.transport import Endpoints, ZenohLink
 
 _LOOK_S = 0.1  # between two looks at the run

@@ -34,11 +34,12 @@ from services.simulator.bus import MemoryPort
 from services.simulator.config import Settings as SimulatorSettings
 from services.simulator.service import Simulator
 from shared.host import keep_memory, spare_collector
+from shared.lockstep import Lockstep, Outage
 from shared.messages import Message
 from shared.profiles import load_profile
 from shared.robot import RobotProfile
 from shared.scenario import Fault, Scenario
-from shared.service import AnyTopic, Lockstep, Outage, Service
+from shared.service import AnyTopic, Service
 
 _LOOK_NS = 250_000_000  # simulated time between two looks at whether it is over
 

@@ -18,9 +18,10 @@ from services.planner.config import Settings as PlannerSettings
 from services.planner.service import Planner
 from shared import codec, topics
 from shared.geometry import from_xyz_rpy
+from shared.lockstep import Lockstep
 from shared.messages import Message, Odometry, Tick, VelocityCommand
 from shared.profiles import load_profile
-from shared.service import AnyTopic, Every, Inbox, Lockstep, Stages
+from shared.service import AnyTopic, Every, Inbox, Stages
 from tests.support.states import actuator_state
 from tests.support.walks import Heard, flat
 

@@ -26,9 +26,10 @@ from services.simulator import terrain as ground
 from services.simulator.terrain import build_terrain
 from shared import codec, topics
 from shared.geometry import Array
+from shared.lockstep import Lockstep
 from shared.messages import UNKNOWN, TerrainMap
 from shared.scenario import load_scenario
-from shared.service import AnyTopic, Lockstep
+from shared.service import AnyTopic
 from tests.support import thesis_grounds as things
 from tests.support.walks import blocked
 

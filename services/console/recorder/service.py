@@ -14,9 +14,10 @@ from services.console.recording.live import LiveRecorder
 from services.console.recording.rotation import Rotation
 from services.console.recording.writer import LEFT_OUT, Recorder
 from shared import clock, topics
+from shared.live import Link
 from shared.messages import Message, RecordCommand, RecorderState, Tick
 from shared.robot import RobotProfile
-from shared.service import AnyTopic, Every, Inbox, Link, Stages
+from shared.service import AnyTopic, Every, Inbox, Stages
 
 _LOGGER = logging.getLogger(__name__)
 

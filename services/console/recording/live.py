@@ -9,7 +9,8 @@ from typing import Protocol, Self
 
 from services.console.recording.rotation import NoRoomError
 from shared import topics
-from shared.service import AnyTopic, Link
+from shared.live import Link
+from shared.service import AnyTopic
 
 _QUEUE_FRAMES = 2000  # that may wait for the disk
 _QUEUE_BYTES = 64 << 20  # of them together

@@ -13,10 +13,11 @@ from shared import codec, topics
 from shared import dynamixel as dxl
 from shared.bus_fault import BusFault
 from shared.config import ConfigError
+from shared.lockstep import Lockstep
 from shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
 from shared.profiles import load_profile
 from shared.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Start, Variation
-from shared.service import AnyTopic, Inbox, Lockstep
+from shared.service import AnyTopic, Inbox
 
 PROFILE = load_profile("phantomx_mk2")
 FLAT = Scenario("flat", (Plane(),), Goal(1.0))

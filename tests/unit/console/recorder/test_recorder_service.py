@@ -10,9 +10,10 @@ from services.console.recorder.config import Settings
 from services.console.recorder.service import RecorderService
 from services.console.recording.reader import Recording
 from shared import codec, topics
+from shared.live import Listening
 from shared.messages import RecordCommand, RecorderState, Tick
 from shared.profiles import load_profile
-from shared.service import AnyTopic, Inbox, Listening, Stages
+from shared.service import AnyTopic, Inbox, Stages
 from tests.support.recorded import frames, some_messages
 
 PROFILE = load_profile("phantomx_mk2")

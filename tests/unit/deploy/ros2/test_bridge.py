@@ -25,9 +25,10 @@ from deploy.ros2.names import Node, dds_name, gid
 from shared import codec, topics
 from shared.codec import Timing
 from shared.geometry import from_xyz_rpy
+from shared.live import run_live
 from shared.messages import BodyPose, Message, Mode, ModeCommand, Odometry, Preview, TerrainMap, Tick, VelocityCommand
 from shared.profiles import load_profile
-from shared.service import AnyTopic, Inbox, run_live
+from shared.service import AnyTopic, Inbox
 from shared.transport import Endpoints, ForeignLink, Router, ZenohLink
 from tests.support.commands import eventually
 from tests.support.states import actuator_state
