@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.faults.live import commands
-from deploy.launch import tapped_robot
 from deploy.launch.launcher import Launcher, free_port
+from deploy.launch.tapped_robot import Places
 from deploy.network.authority import Authority
 from deploy.network.gate import Gate
 from services.actuator.latch import Latch
@@ -53,12 +53,11 @@ class _Robot:
         authority = Authority(days=1)
         for role in ROLES:
             authority.issue(folder / role.name, role.name)
-        plain, self._secure = f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
-        self._folder, self._own = folder, Endpoints((plain,), namespace=_NAMESPACE)
-        bus, listen = free_port(), free_port()
-        self._latch = Latch.of_port(tapped_robot.port(listen))
-        gate = Gate((plain, self._secure), _NAMESPACE, folder / "robot")
-        self._launcher = Launcher(commands(self._own, bus, listen, 1, gate))
+        self._folder, self._secure = folder, f"tls/127.0.0.1:{free_port()}"
+        self._places = Places.free(_NAMESPACE)
+        self._latch = Latch.of_port(self._places.servos)
+        gate = Gate((*self._places.robot.connect, self._secure), _NAMESPACE, folder / "robot")
+        self._launcher = Launcher(commands(self._places, 1, gate))
         self.states: list[ActuatorState] = []
         self._leads, self._number, self._due_s = False, 0, 0.0
 
@@ -67,7 +66,7 @@ class _Robot:
         with contextlib.ExitStack() as stack:
             stack.callback(self._latch.open)
             stack.enter_context(self._launcher)
-            self._link = stack.enter_context(ZenohLink(self._own))
+            self._link = stack.enter_context(ZenohLink(self._places.robot))
             self._link.subscribe(topics.ACTUATOR_STATE, self._hear)
             self._stack = stack.pop_all()
         return self

@@ -13,6 +13,7 @@ from deploy.faults import tap
 from deploy.faults.wire import Recorder
 from deploy.launch import tapped_robot
 from deploy.launch.launcher import Launcher, free_port
+from deploy.launch.tapped_robot import Page, Places
 from services.actuator.latch import Latch
 from shared import codec, topics
 from shared import dynamixel as dxl
@@ -20,7 +21,7 @@ from shared.kinematics import body_forward
 from shared.messages import ActuatorState, BodyPose, Health, Mode, ModeCommand
 from shared.profiles import load_profile
 from shared.service import AnyTopic
-from shared.transport import Endpoints, ZenohLink
+from shared.transport import ZenohLink
 
 _STILL_TICKS = 1  # by which goals may go on changing in a cycle of a robot that stands
 _STILL_S = 0.25
@@ -51,10 +52,10 @@ class PageRobot:
         self.said: deque[str] = deque(maxlen=200)
         self.ended: list[str] = []  # processes that did, in words
         self.page_port = free_port()
-        self.endpoints = Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="page")
-        bus, listen = free_port(), free_port()
-        self._latch = Latch.of_port(tapped_robot.port(listen))
-        made = tapped_robot.commands(self.endpoints, bus, listen, seed, scenario, self.page_port, recordings, scan_rate_hz)
+        places = Places.free("page")
+        self.endpoints = places.robot
+        self._latch = Latch.of_port(places.servos)
+        made = tapped_robot.commands(places, seed, scenario, Page(self.page_port, recordings), scan_rate_hz)
         self._launcher = Launcher(made, hear=self._hear_line)
 
     @property

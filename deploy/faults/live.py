@@ -19,6 +19,7 @@ from deploy.faults.cases import Away, Case, Deed, Hogs, Off
 from deploy.faults.watched import LEAST_WATCH_S, Seen, Watched
 from deploy.launch import tapped_robot
 from deploy.launch.launcher import Launcher, free_port
+from deploy.launch.tapped_robot import Page, Places
 from deploy.network.gate import Gate
 from deploy.process_table import ENVIRONMENT, Command
 from services.actuator.latch import Latch
@@ -28,7 +29,7 @@ from shared import dynamixel as dxl
 from shared.messages import Message, Mode, ModeCommand, RecordCommand
 from shared.scenario import load_scenario
 from shared.service import AnyTopic
-from shared.transport import Endpoints, ZenohLink
+from shared.transport import ZenohLink
 
 _GROUND = "flat"  # the scenario that the simulator is given: level ground
 _LOOK_S = 0.02
@@ -57,19 +58,16 @@ class LiveWalk(Watched):
         self._signs: dict[str, float] = {}  # newest sign of life [s] of each process
         self._ended: dict[str, float] = {}  # when [s] each was last seen to have ended
         self._acts: list[tuple[float, Callable[[], object]]] = []  # what is to be done, and when [s]
-        self._endpoints = _somewhere()
         broken = {deed.service for deed in case.deeds if isinstance(deed, Away)}
-        self._base = _somewhere() if case.halves else None
-        self._world = _somewhere() if "router" in broken else None
+        self._places = Places.free("faults", base=case.halves, world="router" in broken)
         self._page = bool(broken & {"console", "recorder"})
         self._recording, self._record_due = False, 0.0
         # Made by who records, if anybody.
         self._recordings = Path(tempfile.gettempdir()) / f"sextant-faults-{secrets.token_hex(8)}"
-        bus, listen = free_port(), free_port()
-        self.port = tapped_robot.port(listen)
+        self.port = self._places.servos
         self._latch = Latch.of_port(self.port)
-        page = (free_port(), str(self._recordings)) if self._page else None
-        self.commands = commands(self._endpoints, bus, listen, seed, base=self._base, world=self._world, page=page)
+        page = Page(free_port(), str(self._recordings)) if self._page else None
+        self.commands = commands(self._places, seed, page=page)
         self.names = tuple(one.name for one in self.commands)
         self._launcher = Launcher(self.commands, hear=self.hear_line)
 
@@ -85,14 +83,15 @@ class LiveWalk(Watched):
             stack.callback(self._latch.open)  # leave none behind
             stack.callback(self._launcher.stop)
             self._launcher.__enter__()
-            self._link = stack.enter_context(ZenohLink(self._endpoints))
+            self._link = stack.enter_context(ZenohLink(self._places.robot))
             for topic in (topics.ACTUATOR_STATE, topics.HEALTH, topics.RECORDER_STATE):
                 self._link.subscribe(topic, self.hear)
-            world = self._link if self._world is None else stack.enter_context(ZenohLink(self._world))
+            away = self._places.world
+            world = self._link if away is None else stack.enter_context(ZenohLink(away))
             world.subscribe(topics.TRUTH, self.hear)
             self._link.wanted(topics.MODE)  # announced now, the order to let go is not the first word
-            if self._base is not None:
-                base = stack.enter_context(ZenohLink(self._base))
+            if self._places.base is not None:
+                base = stack.enter_context(ZenohLink(self._places.base))
                 base.subscribe(topics.ACTUATOR_STATE, lambda *_: self._sign(tapped_robot.BASE_ROUTER, self.now_s))
             self._stack = stack.pop_all()
         return self
@@ -247,36 +246,18 @@ class LiveWalk(Watched):
             self._signs[name] = at_s
 
 
-def commands(
-    endpoints: Endpoints,
-    bus: int,
-    listen: int,
-    seed: int,
-    gate: Gate | None = None,
-    base: Endpoints | None = None,
-    world: Endpoints | None = None,
-    page: tuple[int, str] | None = None,
-) -> list[Command]:
+def commands(places: Places, seed: int, gate: Gate | None = None, page: Page | None = None) -> list[Command]:
     """All processes of a robot on level ground with a tap on its bus, and the operator who walks it.
 
     Args:
-        endpoints: Where they meet; the router listens at the first of them.
-        bus: TCP port of the simulated servo bus.
-        listen: TCP port of the tap.
+        places: Where they meet; the operator with mapper, planner and page, where those have a router of their own.
         seed: Of the simulator.
         gate: Of the router, where it lets in others than those of this machine.
-        base: Where mapper, planner, page and operator meet, as on another machine; None for one router.
-        world: Where the simulator is, so that the truth goes beside the router; None where the services meet.
-        page: TCP port of the operators' page, and the folder in which recordings go; None for no page, and no recorder.
+        page: None for no page, and no recorder.
     """
-    port, recordings = page or (None, "")
-    robot = tapped_robot.commands(endpoints, bus, listen, seed, _GROUND, port, recordings, gate=gate, base=base, world=world)
-    met = (base or endpoints).connect[0]
-    meeting = ("--robot", load_scenario(_GROUND).robot, "--connect", met, "--namespace", endpoints.namespace)
-    words = ("-m", "deploy.faults.console", *meeting, *(() if base is None else ("--elsewhere",)))
-    after = ("router",) if base is None else (tapped_robot.BASE_ROUTER,)
+    robot = tapped_robot.commands(places, seed, _GROUND, page, gate=gate)
+    met = places.base or places.robot
+    meeting = ("--robot", load_scenario(_GROUND).robot, "--connect", met.connect[0], "--namespace", met.namespace)
+    words = ("-m", "deploy.faults.console", *meeting, *(() if places.base is None else ("--elsewhere",)))
+    after = ("router",) if places.base is None else (tapped_robot.BASE_ROUTER,)
     return [*robot, Command("operator", words, ENVIRONMENT, restarts=tapped_robot.RESTARTS, after=after)]
-
-
-def _somewhere() -> Endpoints:
-    return Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace="faults")

@@ -1,9 +1,11 @@
 """The processes of a simulated robot whose servo bus is tapped: to break one of them, or to time what reaches the servos."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Self
 
 from deploy import process_table
 from deploy.faults import tap
+from deploy.launch.launcher import free_port
 from deploy.network.gate import Gate
 from deploy.process_table import Command
 from shared.scenario import load_scenario
@@ -14,52 +16,69 @@ BASE_ROUTER = "base router"
 WORLD_ROUTER = "world router"
 
 
-def port(listen: int) -> str:
-    """The tap as pyserial opens it, by its TCP port."""
-    return f"socket://127.0.0.1:{listen}"
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where the processes of one robot meet each other, and its servos."""
+
+    robot: Endpoints  # the router listens at the first of them
+    bus: int  # TCP port of the simulated servo bus
+    tap: int  # TCP port of the tap in front of it
+    base: Endpoints | None = None  # of the other half, by a router chained to the robot's; None for one router
+    world: Endpoints | None = None  # of the simulator likewise, so that the truth is heard while the robot's router is broken
+
+    @classmethod
+    def free(cls, namespace: str, base: bool = False, world: bool = False) -> Self:
+        """Places on this machine that nobody has, with or without routers of the other half and of the simulator."""
+
+        def somewhere() -> Endpoints:
+            return Endpoints((f"tcp/127.0.0.1:{free_port()}",), namespace=namespace)
+
+        return cls(somewhere(), free_port(), free_port(), somewhere() if base else None, somewhere() if world else None)
+
+    @property
+    def servos(self) -> str:
+        """The tap as pyserial opens it."""
+        return f"socket://127.0.0.1:{self.tap}"
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """The operators' page of a robot, and its recorder."""
+
+    port: int
+    recordings: str  # folder in which they go
 
 
 def commands(
-    endpoints: Endpoints,
-    bus: int,
-    listen: int,
+    places: Places,
     seed: int,
     scenario: str,
-    page_port: int | None = None,
-    recordings: str = "recordings",
+    page: Page | None = None,
     scan_rate_hz: float | None = None,
     gate: Gate | None = None,
-    base: Endpoints | None = None,
-    world: Endpoints | None = None,
 ) -> list[Command]:
     """The services, their router, and the tap between actuator and servos.
 
     Args:
-        endpoints: Where they meet; the router listens at the first of them.
-        bus: TCP port of the simulated servo bus.
-        listen: TCP port of the tap.
+        places: Where they meet.
         seed: Of the simulator.
         scenario: That it is given.
-        page_port: TCP port of the operators' page; None for no page, and no recorder.
-        recordings: Folder in which recordings go.
+        page: None for no page, and no recorder.
         scan_rate_hz: Of perception; None for what it takes by itself.
         gate: Of the router, where it lets in others than those of this machine.
-        base: Where those of the other half meet, by a router of their own, chained to the robot's; None for one router.
-        world: Where the simulator is, by a router of its own, chained to the robot's, so that the truth can be heard while that
-            is broken; None where the services meet.
     """
-    chosen = process_table.choices(load_scenario(scenario), scenario, seed, bus)
-    if page_port is not None:
-        chosen = replace(chosen, console_port=page_port, lift=0.025, recordings=recordings)
-    tapped = (process_table.assignment("port", port(listen)),)
+    chosen = process_table.choices(load_scenario(scenario), scenario, seed, places.bus)
+    if page is not None:
+        chosen = replace(chosen, console_port=page.port, lift=0.025, recordings=page.recordings)
+    tapped = (process_table.assignment("port", places.servos),)
     rarer = () if scan_rate_hz is None else (process_table.assignment("scan_rate_hz", scan_rate_hz),)
     extra = {"actuator": tapped, "stop": tapped, "perception": rarer}
-    page = page_port is not None
-    here = process_table.rows("all" if base is None else "onboard", True, page)
-    there = () if base is None else process_table.rows("offboard", False, page)
+    base, world, paged = places.base, places.world, page is not None
+    here = process_table.rows("all" if base is None else "onboard", True, paged)
+    there = () if base is None else process_table.rows("offboard", False, paged)
     services = (
-        *process_table.commands(here, chosen, endpoints, extra),
-        *process_table.commands(there, chosen, base or endpoints, extra, elsewhere=True),
+        *process_table.commands(here, chosen, places.robot, extra),
+        *process_table.commands(there, chosen, base or places.robot, extra, elsewhere=True),
     )
     router = {p.name: BASE_ROUTER for p in there}
     if world is not None:
@@ -68,10 +87,10 @@ def commands(
         router[simulator.name] = WORLD_ROUTER
     needs = {"actuator": ("tap",)}
     return [
-        replace(process_table.router_command(endpoints.connect[0], gate.words() if gate else ()), restarts=RESTARTS),
-        *([] if base is None else [_chained_router(BASE_ROUTER, base, endpoints)]),
-        *([] if world is None else [_chained_router(WORLD_ROUTER, world, endpoints)]),
-        tap.command(listen, bus),
+        replace(process_table.router_command(places.robot.connect[0], gate.words() if gate else ()), restarts=RESTARTS),
+        *([] if base is None else [_chained_router(BASE_ROUTER, base, places.robot)]),
+        *([] if world is None else [_chained_router(WORLD_ROUTER, world, places.robot)]),
+        tap.command(places.tap, places.bus),
         *(
             replace(
                 one,

@@ -12,6 +12,7 @@ from deploy import process_table
 from deploy.faults import hog, live
 from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES, Away, Case, Hogs, Off
 from deploy.faults.live import LiveWalk
+from deploy.launch.tapped_robot import Places
 from deploy.process_table import Command
 from services.actuator.latch import Latch
 from services.console.recording.writer import Recorder
@@ -37,6 +38,14 @@ def health(service: str, at_s: float) -> Health:
     return Health(round(at_s * 1e9), service, "", 1, 0, 0, "", (), NOTHING, NOTHING)
 
 
+def at(port: int) -> Endpoints:
+    return Endpoints((f"tcp/127.0.0.1:{port}",), namespace="n")
+
+
+def places(base: Endpoints | None = None, world: Endpoints | None = None) -> Places:
+    return Places(at(1), 21000, 22000, base, world)
+
+
 @pytest.fixture
 def walk() -> LiveWalk:
     return LiveWalk(BY_NAME["live-planner-killed"], 1)
@@ -47,7 +56,7 @@ def hear(walk: LiveWalk, message: Message) -> None:
 
 
 def test_everybody_meets_at_the_router_and_the_actuator_s_bytes_pass_the_tap() -> None:
-    made = {one.name: one for one in live.commands(Endpoints(("tcp/127.0.0.1:1",), namespace="n"), 21000, 22000, 5)}
+    made = {one.name: one for one in live.commands(places(), 5)}
     assert made["router"].after == ()
     assert all("router" in one.after for name, one in made.items() if name not in ("router", "tap"))
     services = [one for name, one in made.items() if name not in ("router", "tap")]
@@ -63,8 +72,7 @@ def test_everybody_meets_at_the_router_and_the_actuator_s_bytes_pass_the_tap() -
 
 
 def test_of_two_halves_the_base_meets_at_a_router_of_its_own_that_is_chained_to_the_robot_s() -> None:
-    robot, base = (Endpoints((f"tcp/127.0.0.1:{port}",), namespace="n") for port in (1, 2))
-    made = {one.name: one for one in live.commands(robot, 21000, 22000, 5, base=base)}
+    made = {one.name: one for one in live.commands(places(base=at(2)), 5)}
     assert words(made["base router"], "--listen") == ["tcp/127.0.0.1:2"]
     assert words(made["base router"], "--connect") == ["tcp/127.0.0.1:1"]
     there = {name for name, one in made.items() if words(one, "--connect") == ["tcp/127.0.0.1:2"]}
@@ -77,9 +85,8 @@ def test_of_two_halves_the_base_meets_at_a_router_of_its_own_that_is_chained_to_
 
 
 def test_while_the_robot_s_router_is_broken_the_truth_is_heard_at_another_that_is_chained_to_it() -> None:
-    robot, world = (Endpoints((f"tcp/127.0.0.1:{port}",), namespace="n") for port in (1, 3))
-    made = {one.name: one for one in live.commands(robot, 21000, 22000, 5, world=world)}
-    plain = {one.name: one for one in live.commands(robot, 21000, 22000, 5)}
+    made = {one.name: one for one in live.commands(places(world=at(3)), 5)}
+    plain = {one.name: one for one in live.commands(places(), 5)}
     assert words(made["world router"], "--listen") == ["tcp/127.0.0.1:3"]
     assert words(made["world router"], "--connect") == ["tcp/127.0.0.1:1"]
     assert words(made["simulator"], "--connect") == ["tcp/127.0.0.1:3"]
