@@ -80,6 +80,23 @@ class _Search:
     depth: float = 0.0  # [m] below where they stood
 
 
+@dataclass(slots=True)
+class _Patience:
+    """For how long a step has waited, before it lifts its legs, for those that have yet to prove that they stand."""
+
+    waited_s: float = 0.0
+    in_vain_s: float = 0.0  # beside that, while they could not be heard
+
+    def is_over(self, legs: NDArray[np.bool_], felt: Felt, dt: float) -> bool:
+        """Whether legs (6,) that prove nothing have had their time, after some more [s] of it."""
+        if (legs & ~felt.heard).any() and self.in_vain_s < _IN_VAIN_S - 1e-9:
+            self.in_vain_s += dt
+        else:
+            self.waited_s += dt
+        lost = legs & ~felt.leans if self.waited_s <= _LONGER_S else legs
+        return self.waited_s > _WAIT_S and bool(lost.any())
+
+
 @dataclass(frozen=True, slots=True)
 class Targets:
     """What the legs shall do in this cycle."""
@@ -128,8 +145,7 @@ class Walker:
         self._surveyed = np.zeros(6)  # [m] by which they were found to stand higher than felt
         self._search: _Search | None = None
         self._way_back: StepPlan | None = None  # of the last step, {world} being {cmd}
-        self._waited = 0.0  # [s] before lift-off, for legs that have yet to prove that they stand
-        self._in_vain = 0.0  # [s] beside that, while they could not be heard
+        self._patience = _Patience()
         self._hurry = 1.0  # times as fast as planned
         self.gentle = False  # whether the running step is none of a plan, but brings feet back that hung anywhere
         self._returning = False  # whether feet go back to where they have just come from
@@ -375,7 +391,7 @@ class Walker:
         self.step, self.phase, self.swing, self._elapsed = plan.step, 0.0, plan.swing.copy(), 0.0
         self._start_ref, self._start_velocity, self._start_elapsed = self._ref.copy(), self._velocity.copy(), 0.0
         self._end_elapsed = plan.duration
-        self._flight, self._waited, self._in_vain = None, 0.0, 0.0
+        self._flight, self._patience = None, _Patience()
         self._hurry, self._returning, self.gentle = 1.0, False, False
         self._stopped &= ~plan.swing
 
@@ -392,14 +408,9 @@ class Walker:
         if self._flight is None and self._elapsed > self._settings.unload_s:
             unproven = ~plan.swing & ~self._proven
             if felt is not None and unproven.any() and not self.gentle:  # legs that lie bear nothing that others had to take
-                if (unproven & ~felt.heard).any() and self._in_vain < _IN_VAIN_S - 1e-9:
-                    self._in_vain += self._elapsed - before
-                else:
-                    self._waited += self._elapsed - before
-                self._elapsed, self._velocity = before, np.zeros(6)  # time stands still
-                lost = unproven & ~felt.leans if self._waited <= _LONGER_S else unproven
-                if self._waited > _WAIT_S and lost.any():
+                if self._patience.is_over(unproven, felt, self._elapsed - before):
                     self._call_off(unproven)
+                self._elapsed, self._velocity = before, np.zeros(6)  # time stands still
                 return
             self._lift_off(plan)
         self._swing_feet(before, plan, apply(T_cmd_world, plan.touchdown), felt)
