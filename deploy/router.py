@@ -77,6 +77,7 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
 
     Where somebody may be refused, say whom, and warn for as long as nobody is; where it speaks for a machine, meet the others.
     """
+    awake = _Awake()  # before anybody can meet here
     with contextlib.ExitStack() as stack:
         beats: list[Callable[[], str]] = []  # each says why all of this has to end
         caught = stack.enter_context(CaughtOutput()) if gated.guarded else None
@@ -95,7 +96,7 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
         logging.info("listening on %s", ", ".join(gated.listen))
         silence = SilenceLimit(LEASE_MS * 1e-3)
         silence.look()
-        watchdog, awake = stack.enter_context(Watchdog(os.environ)), _Awake()
+        watchdog = stack.enter_context(Watchdog(os.environ))
         for turn in count():
             watchdog.beat(awake.look())
             time.sleep(_LOOK_S)  # not sigtimedwait: to a process that was stopped in it, it tells of a signal that never came

@@ -185,18 +185,23 @@ class Router:
         self._ended = False
         self._woken = threading.Event()  # by SIGCONT, or to end
         self._before: Any = None  # who took SIGCONT
+        self._awake_s = 0.0  # when it was last known to be
         self._watch = threading.Thread(target=self._begin_anew_when_stopped, name="router", daemon=True)
 
     def __enter__(self) -> Self:
-        self._session = _open(self.configuration)
-        self._watch.start()
+        self._awake_s = time.monotonic()
         if threading.current_thread() is threading.main_thread():
-            self._before = signal.signal(signal.SIGCONT, self._go_on)
+            self._before = signal.signal(signal.SIGCONT, self._go_on)  # before anybody can meet here
+        try:
+            self._session = _open(self.configuration)
+        except TransportError:
+            self._take_no_signals()
+            raise
+        self._watch.start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._before is not None:
-            signal.signal(signal.SIGCONT, self._before)
+        self._take_no_signals()
         self._ended = True
         self._woken.set()
         self._watch.join()
@@ -214,17 +219,20 @@ class Router:
         if callable(self._before):  # another router of this process
             self._before(number, frame)
 
+    def _take_no_signals(self) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGCONT, self._before)
+
     def _begin_anew_when_stopped(self) -> None:
-        before_s = time.monotonic()
         while not self._ended:
             continued = self._woken.wait(_LOOK_S)
-            away_s = time.monotonic() - before_s
+            away_s = time.monotonic() - self._awake_s
             if continued and not self._ended:  # without a signal it was others who had the processor
                 self._woken.clear()
                 if away_s > GIVEN_UP_S:
                     _log.warning("this process was stopped for %.1f s: the router begins anew", away_s)
                     self._begin_anew()
-            before_s = time.monotonic()
+            self._awake_s = time.monotonic()
 
     def _begin_anew(self) -> None:
         session, self._session = self._session, None

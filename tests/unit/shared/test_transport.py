@@ -438,3 +438,18 @@ def test_commands_and_bulk_take_a_link_each_between_routers() -> None:
     low, high = (int(n) for n in bulk.partition("#")[0].removeprefix("prio=").split("-"))
     assert int(zenoh.Priority.REAL_TIME) < low <= int(zenoh.Priority.DATA) <= high
     assert upstream["connect"]["exit_on_failure"] is False, "it may be there later"
+
+
+def test_a_router_would_hear_that_it_was_stopped_before_anybody_can_meet_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual, meanwhile = signal.getsignal(signal.SIGCONT), []  # type: ignore[var-annotated]
+
+    def fail(_config: object) -> None:
+        meanwhile.append(signal.getsignal(signal.SIGCONT))
+        raise TransportError("its port is taken")
+
+    monkeypatch.setattr(transport, "_open", fail)
+    router = Router(("tcp/127.0.0.1:1",))
+    with pytest.raises(TransportError, match="its port is taken"):
+        router.__enter__()
+    assert meanwhile[0] != usual
+    assert signal.getsignal(signal.SIGCONT) == usual, "as it was"
