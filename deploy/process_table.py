@@ -25,6 +25,7 @@ ENVIRONMENT: Mapping[str, str] = {
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONUNBUFFERED": "1",
 }
+_ONE_HEAP = {"MALLOC_ARENA_MAX": "1"}  # of the GNU C library; others have but one
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +65,7 @@ class Process:
     ready_port: Callable[[Choices], int] = field(default=lambda _: 0, compare=False)  # listens there once ready, 0: at once
     watchdog_s: float = 10.0  # [s] for which its loop may be silent, once it has begun, before it counts as hung
     memory_mb: int = 512  # [MB] beyond which something has gone wrong with it: several times what it took when it was measured
+    one_heap: bool = False  # for all its threads: where many hand on what one frees, heaps of their own would creep up
 
 
 def _simulator(choices: Choices) -> dict[str, Value]:
@@ -132,7 +134,9 @@ TABLE: tuple[Process, ...] = (
     Process("planner", "services.planner", "either", 3, _planner, nice=2, memory_mb=768),
     Process("console", "services.console", "page", 3, _console, memory_mb=256),  # what stops the robot waits for no map
     # A disk may take its time.
-    Process("recorder", "services.console.recorder", "page", 3, _recorder, nice=3, watchdog_s=120.0, memory_mb=512),
+    Process(
+        "recorder", "services.console.recorder", "page", 3, _recorder, nice=3, watchdog_s=120.0, memory_mb=512, one_heap=True
+    ),
 )
 
 
@@ -268,7 +272,7 @@ def commands(
                 *_set([assignment(key, value) for key, value in p.settings(chosen).items()]),
                 *_set((extra or {}).get(p.name, ())),
             ),
-            environment=ENVIRONMENT,
+            environment={**ENVIRONMENT, **(_ONE_HEAP if p.one_heap else {})},
             restarts=p.restarts,
             after=tuple(name for name in p.after if name in started),
             ready_port=p.ready_port(chosen),

@@ -21,6 +21,7 @@ from shared.service import AnyTopic
 from shared.transport import ZenohLink
 
 GROWTH_MB_H = 1.0  # [MB/h] that a process's memory may grow by
+IN_ALL_MB = 2.0  # that it may have grown by in all: two maps were on their way at once, and the room for both is kept
 LATER_MS = 2.0  # by which the median of a stream may come later at the end
 PARTS = 60  # of the time, of each of which the medians are kept
 WARM_UP = 12  # of them before anything is judged: maps fill, and pools of memory do
@@ -183,13 +184,13 @@ def by_part(samples: Samples, length_s: float, percent: float) -> list[float]:
 def growth_mb_h(parts: Sequence[float], length_s: float) -> float:
     """By how much [MB/h] memory grows once warm; NaN where it is not known.
 
-    The median of the slopes between parts of the first half and of the second (Theil 1950, incomplete method): a process whose
-    memory goes up and down, as garbage comes and is collected, has one of about zero.
+    The median of the slopes between every two parts (Theil 1950; Sen 1968). A process whose memory goes up and down, as garbage
+    comes and is collected, has one of about zero, and so has one that takes more a single time: fewer than half of all pairs
+    have that between them, but where it is in the very middle. One that takes more again and again grows by all of it.
     """
-    mb = np.array(parts[WARM_UP:])
-    t, half = np.arange(len(mb)) * length_s / PARTS, len(mb) // 2
-    slopes = (mb[half:, None] - mb[None, :half]) / (t[half:, None] - t[None, :half])
-    return 3600.0 * _median(slopes)
+    mb, t = np.array(parts[WARM_UP:]), np.arange(PARTS - WARM_UP) * length_s / PARTS
+    earlier, later = np.triu_indices(len(mb), 1)
+    return 3600.0 * _median((mb[later] - mb[earlier]) / (t[later] - t[earlier]))
 
 
 def ends(parts: Sequence[float]) -> tuple[float, float]:
@@ -211,6 +212,9 @@ def faults(soak: Soak) -> list[str]:
         growth = growth_mb_h(parts, soak.length_s)
         if not growth < GROWTH_MB_H:
             found.append(f"{name}: its memory grows by {growth:.1f} MB/h, less than {GROWTH_MB_H:.0f} wanted")
+        first, last = ends(parts)
+        if not last - first < IN_ALL_MB:
+            found.append(f"{name}: has grown by {last - first:.1f} MB in all, less than {IN_ALL_MB:.0f} wanted")
     for key, parts in soak.age_p50_ms.items():
         first, last = ends(parts)
         if not last - first < LATER_MS:
@@ -231,7 +235,8 @@ def in_words(soak: Soak) -> str:
     lines += [
         "",
         f"{soak.length_s / 60:.1f} minutes, {soak.legs} times forth or back; the first {100 * WARM_UP / PARTS:.0f} % of the "
-        f"time are not judged. Wanted: less than {GROWTH_MB_H:.0f} MB/h, no median later by {LATER_MS:.0f} ms, nobody ends.",
+        f"time are not judged. Wanted: less than {GROWTH_MB_H:.0f} MB/h and {IN_ALL_MB:.0f} MB in all, no median later by "
+        f"{LATER_MS:.0f} ms, nobody ends.",
         *(faults(soak) or ["All of it is so."]),
     ]
     return "\n".join(lines)

@@ -153,3 +153,9 @@ def test_only_another_machine_than_the_robot_goes_by_its_clock() -> None:
     here, away = (process_table.commands(rows, Choices(), ENDPOINTS, elsewhere=elsewhere) for elsewhere in (False, True))
     assert not any("--elsewhere" in command.arguments for command in here)
     assert all("--elsewhere" in command.arguments for command in away)
+
+
+def test_one_heap_is_for_who_frees_what_many_hand_on_and_for_nobody_with_a_beat_to_keep() -> None:
+    made = process_table.commands(process_table.rows("all", True, page=True), Choices(), ENDPOINTS)
+    assert [one.name for one in made if "MALLOC_ARENA_MAX" in one.environment] == ["recorder"]
+    assert all(one.environment.items() >= process_table.ENVIRONMENT.items() for one in made)
