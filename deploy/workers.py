@@ -7,6 +7,7 @@ import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 _PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when its parent dies
@@ -49,6 +50,34 @@ def share_out(
             for worker in set(multiprocessing.active_children()) - others:
                 worker.terminate()
             raise
+
+
+def in_copy(work: Callable[[], Result]) -> Result:
+    """What comes of work in a copy of this process, which has a single thread and goes on as if the work had never been.
+
+    Raises:
+        RuntimeError: The work did not come to its end; why is on stderr.
+    """
+    context = multiprocessing.get_context("fork")
+    ours, theirs = context.Pipe(duplex=False)
+    copy = context.Process(target=_answer, args=(os.getpid(), work, theirs))
+    copy.start()
+    theirs.close()
+    with ours:
+        try:
+            return ours.recv()  # type: ignore[no-any-return]
+        except EOFError:
+            copy.join()
+            words = f"a result of a copy of this process expected, it ended with exit code {copy.exitcode}; see stderr for why"
+            raise RuntimeError(words) from None
+        finally:
+            copy.join()
+
+
+def _answer(parent: int, work: Callable[[], object], result: Connection) -> None:
+    """Do work in a copy, and tell the original what comes of it."""
+    _prepare(parent)
+    result.send(work())
 
 
 def _prepare(parent: int) -> None:

@@ -97,7 +97,7 @@ class Case:
     words: str
     deeds: tuple[Deed, ...]
     limits: Limits = field(default_factory=Limits)
-    per_walk: int = 6  # injections in one walk, one after the other
+    per_walk: int = 6  # injections in one walk, one after the other, or into a copy each where they end the walk
     warm_c: float = 0.0  # [deg C] of the drawn servo when the walk begins; 0 leaves it as it is
     charge: float = 1.0  # of the battery when the walk begins
     watch_s: float = 8.0  # [s] after the fault's end, at most
@@ -113,6 +113,11 @@ class Case:
     def lets_go(self) -> bool:
         """Whether torque is ordered off."""
         return any(isinstance(deed, Off) for deed in self.deeds)
+
+    @property
+    def ends_the_walk(self) -> bool:
+        """Whether the robot has let go afterwards, and lies."""
+        return self.lets_go or self.limits.seated
 
 
 _OUT_S = 2.0  # [s] that what is broken stays so
@@ -200,7 +205,6 @@ CASES: tuple[Case, ...] = (
         "one servo, 58 deg C warm, is heated by 1 K/s",
         (_bus("servo", "heat", 30.0, kelvin_per_s=1.0),),
         Limits(torque_stays=False, seated=True),
-        per_walk=1,
         warm_c=58.0,
         watch_s=0.0,
     ),
@@ -209,14 +213,13 @@ CASES: tuple[Case, ...] = (
         "the battery, 12 % full, runs empty within 60 s",
         (_bus("supply", "drain", 60.0),),
         Limits(torque_stays=False, seated=True),
-        per_walk=1,
         charge=0.12,
         watch_s=0.0,
     ),
     Case("sag", "the voltage is 3 V lower for 0.4 s", (_bus("supply", "sag", 0.4, volts=3.0),), _CALM),
     Case("fuzzed-plans", "plans are fuzzed by the thousand for 1 s", (Meddling("fuzzed", 1.0),)),
     Case("clock-stepped", "the wall clock is stepped by an hour", (Clock(3600.0, 3.0),), _CALM),
-    *(Case(name, f"torque is ordered off; {words}", deeds, _LETS_GO, per_walk=1, watch_s=2.0) for name, words, deeds in _OFF),
+    *(Case(name, f"torque is ordered off; {words}", deeds, _LETS_GO, per_walk=12, watch_s=2.0) for name, words, deeds in _OFF),
 )
 
 _BACK_AT_ONCE = replace(_STOPS, rest_s=inf)  # before it has come to rest

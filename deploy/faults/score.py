@@ -68,7 +68,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     away, stopping = (decided, pattern) if np.isfinite(decided) else (_unheard(line.words), _NOT_AS_PLANNED)
     again = _again(since, max(line.end_s, away), stopping) if np.isfinite(away) else nan
     quiet = (line.end_s, min(again - _CYCLE_S, line.words[-1].t_s))  # it says that it walks after the first goals of the step
-    reset = next((s.t_s for s in line.switches if s.heard and s.register is dxl.TORQUE_LIMIT and s.t_s > line.begin_s), inf)
+    reset = next((s.t_s for s in line.switches if s.heard and s.register == dxl.TORQUE_LIMIT and s.t_s > line.begin_s), inf)
     stopped = [w for w in since if w.mode is not Mode.WALK]
     off_s, before = off_time(line)
     seated = next((w.t_s for w in since if w.mode is Mode.OFF), nan)
@@ -82,7 +82,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         again_s=again - line.end_s,
         jump_deg=_jump(line, *quiet, profile) if np.isfinite(away) else 0.0,
         lunge_dps=_fastest(line, reset, again if np.isfinite(again) else inf, profile),
-        switched=any(s.heard and s.register is dxl.TORQUE_ENABLE and s.t_s > line.begin_s for s in line.switches),
+        switched=any(s.heard and s.register == dxl.TORQUE_ENABLE and s.t_s > line.begin_s for s in line.switches),
         off_s=off_s,
         goals_before_off=before,
         on_again=bool(np.isfinite(line.ordered_s) and line.pulls.any()),
@@ -126,7 +126,7 @@ def off_time(line: Timeline) -> tuple[float, int]:
     if not np.isfinite(line.ordered_s):
         return nan, 0
     begin = np.fmax(line.ordered_s, line.returned_s)
-    offs = [s for s in line.switches if s.register is dxl.TORQUE_ENABLE and not any(s.values.values()) and len(s.values) == 18]
+    offs = [s for s in line.switches if s.register == dxl.TORQUE_ENABLE and not any(s.values.values()) and len(s.values) == 18]
     heard = next((s.t_s for s in offs if s.heard and s.t_s >= line.ordered_s), nan)
     sent = next((s.t_s for s in offs if not s.heard and s.t_s >= begin), inf)
     first = min(heard, sent) if np.isfinite(heard) else sent

@@ -4,6 +4,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from math import inf, nan
 from typing import Self
 from zlib import crc32
@@ -12,8 +13,10 @@ import numpy as np
 
 from deploy.faults.cases import Away, Case, Clock, Deed, Meddling, Off, OnBus
 from deploy.faults.planner import Meddler
+from deploy.faults.timeline import Timeline
 from deploy.faults.watched import LEAST_WATCH_S, REPEAT_S, SCENARIO, Seen, Watched
 from deploy.runs.lockstep_run import LockstepRun, assemble
+from deploy.workers import in_copy
 from services.actuator.latch import Latch
 from services.simulator.service import Simulator
 from shared import dynamixel as dxl
@@ -74,6 +77,15 @@ class FaultWalk(Watched):
     @property
     def _concerns_one(self) -> bool:
         return any(isinstance(deed, OnBus) and deed.any_servo for deed in self._case.deeds)
+
+    def what_happens(self, rng: np.random.Generator) -> Timeline:
+        """Break something now and watch; where that ends the walk, it is the walk of a copy, and this one goes on."""
+        if not self._case.ends_the_walk:
+            return super().what_happens(rng)
+        try:
+            return in_copy(partial(super().what_happens, rng))
+        finally:
+            self._latch.open()  # for the copy's is the same file
 
     def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
         """Do what the case says, and watch."""

@@ -106,6 +106,10 @@ class Watched(ABC):
         """
         rng = np.random.default_rng([crc32(self._case.name.encode()), number])
         self.walk_for(STEADY_S + PHASES_S * rng.random())
+        return self.what_happens(rng)
+
+    def what_happens(self, rng: np.random.Generator) -> Timeline:
+        """Break something now, and watch until the robot walks again."""
         mark, begin = self.mark(), self.now_s
         assert self.state is not None
         phase = self.state.phase

@@ -3,10 +3,11 @@
 import multiprocessing
 import os
 import time
+from collections.abc import Callable
 
 import pytest
 
-from deploy.workers import share_out
+from deploy.workers import in_copy, share_out
 
 TASKS = [(7, 2), (9, 4), (5, 5), (8, 3)]
 
@@ -40,6 +41,25 @@ def test_nobody_waits_for_the_rest_when_no_more_is_asked_for() -> None:
     assert next(results) == 2.0
     results.close()  # type: ignore[attr-defined]
     assert not multiprocessing.active_children()
+
+
+def test_what_a_copy_does_to_itself_is_not_done_here() -> None:
+    here = [1]
+
+    def work() -> tuple[int, list[int]]:
+        here.append(2)
+        return os.getpid(), here
+
+    process, there = in_copy(work)
+    assert process != os.getpid()
+    assert (here, there) == ([1], [1, 2])
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize(("end", "code"), [(lambda: os._exit(3), 3), (lambda: 1 // 0, 1)])
+def test_a_copy_that_does_not_come_to_its_end_is_an_error(end: Callable[[], object], code: int) -> None:
+    with pytest.raises(RuntimeError, match=f"ended with exit code {code}"):
+        in_copy(end)
 
 
 def _divide_or_sleep(a: int, b: int) -> float:

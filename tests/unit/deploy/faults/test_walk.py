@@ -2,10 +2,12 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from deploy.faults.cases import BY_NAME
-from deploy.faults.walk import gap_after
+from deploy.faults.score import score
+from deploy.faults.walk import FaultWalk, gap_after
 
 NOW_AND_THEN = ("bus-intermittent", "noise-bursts", "off-bus-intermittent", "off-noise-bursts")
 
@@ -22,3 +24,17 @@ def test_all_others_have_no_gaps() -> None:
     for name, case in BY_NAME.items():
         if name not in NOW_AND_THEN:
             assert gap_after(case.deeds, 0.24) == (math.inf, math.inf), name
+
+
+def test_torque_is_ordered_off_in_a_copy_of_the_walk_and_the_walk_goes_on_as_if_it_had_not_been() -> None:
+    case = BY_NAME["off"]
+    with FaultWalk(case, 1000) as walk, FaultWalk(case, 1000) as undisturbed:
+        for one in (walk, undisturbed):
+            one.walk_for(0.2)
+        line = walk.what_happens(np.random.default_rng(0))
+        assert not line.pulls.any()
+        assert score(line, case, walk.profile).off_s < 0.06
+        for one in (walk, undisturbed):
+            one.walk_for(0.5)
+        assert walk.words == undisturbed.words
+        assert [goals.ticks.tolist() for goals in walk.recorder.goals] == [g.ticks.tolist() for g in undisturbed.recorder.goals]
