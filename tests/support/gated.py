@@ -19,6 +19,7 @@ from shared.transport import Endpoints, ZenohLink
 
 NAMESPACE = "here"
 PATIENCE_S = 10.0  # an event that has not come by then never will
+_REFUSAL_S = 1.5  # for which somebody tries who is not to be let in
 
 
 def make_keys(folder: Path) -> Path:
@@ -37,7 +38,18 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def session(endpoint: str, tls: dict[str, Any] | None = None, mode: str = "client", listen: str = "") -> zenoh.Session:
+def stranger(endpoint: str, tls: dict[str, Any] | None, mode: str = "client") -> zenoh.Session:
+    """A client that is not to be let in, and soon gives up.
+
+    Raises:
+        zenoh.ZError: It is not let in.
+    """
+    return session(endpoint, tls, mode, patience_s=_REFUSAL_S)
+
+
+def session(
+    endpoint: str, tls: dict[str, Any] | None, mode: str = "client", listen: str = "", patience_s: float = PATIENCE_S
+) -> zenoh.Session:
     """A client that keeps to no rules of ours: only what the listener lets through comes through.
 
     Raises:
@@ -45,7 +57,7 @@ def session(endpoint: str, tls: dict[str, Any] | None = None, mode: str = "clien
     """
     config: dict[str, Any] = {
         "mode": mode,
-        "connect": {"endpoints": [endpoint], "timeout_ms": 1500, "exit_on_failure": True},
+        "connect": {"endpoints": [endpoint], "timeout_ms": round(1e3 * patience_s), "exit_on_failure": True},
         "listen": {"endpoints": [listen] if listen else []},
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "transport": {"shared_memory": {"enabled": False}, "link": {"tls": tls or {}}},

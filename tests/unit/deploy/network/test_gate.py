@@ -17,7 +17,7 @@ from shared import topics
 from shared.access import AccessError, Keys
 from shared.transport import Endpoints, Router, TransportError, ZenohLink
 from tests.support import gated
-from tests.support.gated import NAMESPACE, Inside, put_until, session, tls_of
+from tests.support.gated import NAMESPACE, Inside, put_until, session, stranger, tls_of
 
 N = 200  # messages of each kind that are put in vain
 READ = (topics.STEP_PLAN, topics.MODE, topics.VELOCITY, topics.HEALTH, topics.ACTUATOR_STATE)
@@ -130,14 +130,14 @@ def test_a_stranger_is_not_let_in(robot: Robot, keys: Path, who: str) -> None:
         case _:
             endpoint, tls = robot.secure, tls_of(keys / who, trusted=keys / "robot")
     with pytest.raises(zenoh.ZError):
-        session(endpoint, tls)
+        stranger(endpoint, tls)
 
 
 def test_a_peer_without_a_certificate_sees_nobody(robot: Robot, keys: Path, inside: Inside) -> None:
     """In peer mode opening never fails; nothing comes of it."""
     config = {"root_ca_certificate": str(keys / "robot" / "ca.pem")}
     try:
-        peer = session(robot.secure, config, mode="peer")
+        peer = stranger(robot.secure, config, mode="peer")
     except zenoh.ZError:
         return
     with peer, link(robot, keys, "base") as base:

@@ -20,7 +20,7 @@ from shared import codec, topics
 from shared.messages import Health
 from shared.transport import Endpoints, ZenohLink
 from tests.support import gated
-from tests.support.gated import NAMESPACE, PATIENCE_S, session, tls_of
+from tests.support.gated import NAMESPACE, PATIENCE_S, session, stranger, tls_of
 
 VIEWER, OWN = "5e8de63f1c", "a1b2c3d4e5"
 ON = "Interface(lo)+CertCommonName(viewer)+Transport(Tls)"
@@ -212,7 +212,7 @@ def test_whom_a_router_refuses_is_said_in_its_health(router: tuple[str, str], ke
         with session(secure, tls_of(keys / "viewer")) as viewer:
             viewer.put(f"{NAMESPACE}/operator/mode", b"walk")
             with pytest.raises(zenoh.ZError):
-                session(secure, tls_of(keys / "foreign", trusted=keys / "robot"))
+                stranger(secure, tls_of(keys / "foreign", trusted=keys / "robot"))
             assert told.wait(PATIENCE_S), [word.doing for word in words[-3:]]
     assert "viewer may not put operator/mode: 1 times" in words[-1].doing
     assert words[-1].service == "router of robot"
