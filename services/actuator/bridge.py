@@ -138,7 +138,7 @@ class Bridge:
     def missed(self) -> NDArray[np.int64]:
         """(n,) cycles in which each servo has told nothing new."""
         ages = self.ages()
-        return np.where(np.isfinite(ages), ages * 1e9 // _CYCLE_NS, 0.0).astype(np.int64)
+        return (np.where(np.isfinite(ages), ages, 0.0) * 1e9 // _CYCLE_NS).astype(np.int64)
 
     @property
     def loss(self) -> float:
@@ -162,6 +162,16 @@ class Bridge:
             BusSetupError: Nobody answers, it speaks another version, or servos are missing or wrong; all are named.
             BusGone: The port is gone.
         """
+        self.meet()
+        self._registers.setup()
+
+    def meet(self) -> None:
+        """Open a session; the servos and what they are told stay as they are.
+
+        Raises:
+            BusSetupError: Nobody answers, or it speaks another version.
+            BusGone: The port is gone.
+        """
         self._session = self._clock() // _US % 0xFFFF_FFFF + 1  # another one than the last
         self._sequence = 0
         self._welcomed = False
@@ -180,7 +190,6 @@ class Bridge:
                     "no bridge answers on the port; check its power and cable, and that the setting `bridge` is meant: "
                     "a servo adapter needs it off"
                 )
-        self._registers.setup()
 
     def read(self, servo_id: int, register: Register) -> int | None:
         """Value of one register, None when the servo does not answer."""

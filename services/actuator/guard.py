@@ -51,6 +51,7 @@ class Legs:
     feet: Array  # (6, 3) [m] {odom} likewise
     body_now: Array  # (4, 4) {odom} where it should be now
     feet_now: Array  # (6, 3) [m] {odom} likewise
+    air_s: Array  # (6,) [s] for which feet of the running step are still in the air, infinite for those that are not
     trouble: str  # what happened to the last step, in words, or nothing
     waits: str  # why no plan may be walked yet, in words, or nothing
 
@@ -58,7 +59,7 @@ class Legs:
 class Guard:
     """Decides about modes, orders and plans."""
 
-    def __init__(self, profile: RobotProfile, plan_age_s: float, epoch: int, torque: bool):
+    def __init__(self, profile: RobotProfile, plan_age_s: float, epoch: int, torque: bool, handover_s: float = 0.0):
         """Begin as the servos stand: torque that is on stays on, torque that is off stays off.
 
         Args:
@@ -66,13 +67,14 @@ class Guard:
             plan_age_s: [s] older plans are refused.
             epoch: Of {odom}.
             torque: Whether the servos pull.
+            handover_s: [s] of a step in which the feet of its legs are not in the air.
         """
         self.mode = Mode.HOLD if torque else Mode.OFF
         self.reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
         self.refused = ""  # why the newest plan was, in words
         self.refused_ns = -1  # [ns] stamp of the newest plan that was refused for what it asks of the legs
         self.objection = ""  # why the newest order was not obeyed, in words
-        self._check = PlanCheck(profile, plan_age_s, epoch)
+        self._check = PlanCheck(profile, plan_age_s, epoch, handover_s)
         self._sequences: dict[str, int] = {}  # newest order of each holder
         self._stops: dict[str, int] = {}  # newest of those who stop without leading
         self._holder, self._heard_ns = "", 0
@@ -241,7 +243,7 @@ class Guard:
             return False
         revises = plan.step == legs.step
         self.refused = self._check.unwalkable(
-            plan, legs.body_now if revises else legs.body, legs.feet_now if revises else legs.feet, revises
+            plan, legs.body_now if revises else legs.body, legs.feet_now if revises else legs.feet, revises, legs.air_s
         )
         if self.refused:
             self.refused_ns = plan.stamp_ns

@@ -90,8 +90,10 @@ class Health:
         self._late = self._late + 1 if dt > _LATE * self._period else 0
         share = vitals.load / self._profile.servo.stall_torque
         self._effort += (1.0 - np.exp(-dt / _TIRES_S)) * (share * share - self._effort)
-        overloaded = self._overloads(now, vitals.errors, torque)
-        heat, empty = self._heat(vitals), self._empty(now, dt, vitals.voltage)
+        # What was read before a servo, or all of them, fell silent says nothing of now.
+        silent = (vitals.missed >= SILENT) | (vitals.newest > _QUIET_S)
+        overloaded = self._overloads(now, vitals.errors, silent, torque)
+        heat, empty = self._heat(vitals), self._empty(now, dt, np.where(silent, np.nan, vitals.voltage))
         limp, weak = self._limp(vitals.limp) if torque else "", self._weak(vitals.strength)
         unknown = (self._silence(vitals), self._delay(dt), self._error(vitals.errors))
         broken = (*unknown, limp, overloaded.broken, weak if torque else "")
@@ -148,10 +150,12 @@ class Health:
             return f"{_named(self._profile, [index])} reports {words.lower().replace('_', ' ')}"
         return ""
 
-    def _overloads(self, now: float, errors: NDArray[np.uint8], torque: bool) -> Verdict:
+    def _overloads(self, now: float, errors: NDArray[np.uint8], silent: NDArray[np.bool_], torque: bool) -> Verdict:
         """Servos that have shut down: to be reset a few times, if it is for their load."""
         broken, sit, revive = "", "", list[int]()
         for index, latch in enumerate(self._latches):
+            if silent[index]:
+                continue
             error = ServoError(int(errors[index])) & SHUT_DOWN
             if not error:
                 latch.since = None
@@ -161,6 +165,7 @@ class Health:
                 broken = sit = f"{name} has shut down for its heat"
                 continue
             if not torque:
+                latch.since = None  # it is judged anew once somebody wants it to pull
                 continue
             latch.since = now if latch.since is None else latch.since
             # By when it will have rested: what is decided of a shutdown stays so for as long as it lasts.
@@ -192,6 +197,7 @@ class Health:
     def _empty(self, now: float, dt: float, voltage: Array) -> Verdict:
         """How far down the battery is; a sag that passes is none."""
         if np.isnan(voltage).all():
+            self._low_since = None
             return Verdict()
         lowest = float(np.nanmin(voltage))
         rate = 1.0 - np.exp(-dt / _SETTLED_S)

@@ -24,6 +24,8 @@ _AGAIN_NS = 200_000_000  # [ns] between two attempts at finding a bus that is go
 _STANDS = (dxl.MAX_TORQUE, dxl.TORQUE_ENABLE, dxl.GOAL_POSITION, dxl.TORQUE_LIMIT, dxl.PRESENT_POSITION, dxl.PRESENT_LOAD)
 _BLOCK = range(dxl.MAX_TORQUE.address, dxl.PRESENT_LOAD.address + dxl.PRESENT_LOAD.size)
 _TRIES = 3  # questions to one servo of a bus that is back
+_VERIFIED = 3  # doubtful servos in a cycle that are asked whether they still pull
+_DOUBTED_EVERY = 5  # cycles after which one more is doubted: all of them within 1.8 s
 _DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: nobody may hear what is sent; nobody knows how the robot stands
 _WATCHED_NS = 200_000_000  # [ns] of reading before the share of lost answers counts
 _PATIENT_S = 1.0  # [s] for which servos that stay silent are waited for once the others have answered again
@@ -67,7 +69,8 @@ class Joints:
         self._tried_ns = clock()
         self._since_ns = -1  # since when the bus has been read without a gap
         self.gone = ""  # why there is no bus, in words
-        self._doubted = np.zeros(18, dtype=np.bool_)  # servos that have been silent since it was seen that they pull
+        self._doubted = np.zeros(18, dtype=np.bool_)  # servos that may have missed an order since they last said that they pull
+        self._cycle = 0
         self._behind = np.zeros(18, dtype=np.bool_)  # servos that missed goals: they go slowly until they have caught up
         self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those were heard again, 0 before
         self.out_of_touch = False  # whether all of them have, and are not heard and caught up yet
@@ -161,6 +164,7 @@ class Joints:
     def lose_touch(self) -> None:
         """Begin to find out anew where all joints are: goals that were sent of late may not have been heard, or meant."""
         self.out_of_touch = True
+        self._doubted[:] = True
         self._leave_behind(np.ones(18, dtype=np.bool_))
 
     def let_go(self) -> None:
@@ -181,6 +185,7 @@ class Joints:
         for _ in range(2):  # nobody answers a broadcast
             self._tell(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
+        self._doubted[:] = True
         for index in np.flatnonzero(weak).tolist():
             self._tell(partial(self._wake, index))
 
@@ -259,16 +264,16 @@ class Joints:
             self._behind[i] = False
 
     def _find_the_limp(self, readings: list[ServoReading]) -> None:
-        """See of servos that answer again whether they still pull: one whose power was cut does not."""
-        for reading in readings:
-            i = reading.index
-            if self._doubted[i] and self.torque[i]:
-                enabled = self._bus.read(reading.servo_id, dxl.TORQUE_ENABLE)
-                if enabled is None:
-                    continue
-                self.torque[i] = bool(enabled)
-            self._doubted[i] = False
-        self._doubted |= self._bus.missed >= SILENT
+        """See of doubtful servos whether they pull, a few in a cycle: one that had no power for a moment does not."""
+        answers = [(reading.index, reading.servo_id) for reading in readings]
+        for index, servo_id in [(i, servo_id) for i, servo_id in answers if self._doubted[i] and self.torque[i]][:_VERIFIED]:
+            enabled = self._bus.read(servo_id, dxl.TORQUE_ENABLE)
+            if enabled is not None:
+                self.torque[index], self._doubted[index] = bool(enabled), False
+        self._doubted |= self._bus.missed > 0
+        self._cycle += 1
+        if self._cycle % _DOUBTED_EVERY == 0:  # power may be gone for a moment between two questions
+            self._doubted[self._cycle // _DOUBTED_EVERY % 18] = True
 
     def _wake(self, index: int) -> None:
         """Give a servo all its torque, if it says that it has its place for its goal."""
@@ -301,8 +306,9 @@ class Joints:
             self._bus = self._open()
             if self._lets_go:
                 self._bus.set_torque(False)
+            self._bus.meet()
             found = [self._insist(i) for i in self._bus.servo_ids]
-        except OSError as error:
+        except (OSError, BusSetupError) as error:
             self._bus.close()
             self.gone = f"the servo port is gone: {error}"
             return
@@ -315,7 +321,8 @@ class Joints:
         """Take over how each servo stands; goals are kept where the joints are near them, and else are where those are."""
         found = [[_value(table, register) for register in _STANDS] for table in tables]
         most, pulls, goals, limits, ticks, loads = np.array(found).T
-        self.torque, self.strength = pulls.astype(np.bool_), np.minimum(limits / np.maximum(most, 1), 1.0)
+        self.torque = pulls.astype(np.bool_) & (not self._lets_go)  # whoever has missed that order hears it again
+        self.strength = np.minimum(limits / np.maximum(most, 1), 1.0)
         self.q, stand = self._angles(ticks), self._angles(goals)
         self.load = self._torques(loads.tolist())  # those of before tell of a robot that moved
         self.goals = np.where(np.abs(stand - self.q) < _ADOPT_WITHIN, stand, self.q)

@@ -20,22 +20,29 @@ MAX_TURN = np.radians(25.0)
 DURATION = (SHORTEST_STEP_S, 4.0)  # [s]
 MAX_CLEARANCE = 0.12  # [m]
 MIN_MARGIN = 0.005  # [m] of the body's centre inside the standing feet
+MEAN_SPEED = 0.6  # of the servos' greatest speed, that a joint may need on average: it peaks at more
+GATHERED_S = 1.0  # [s] of a motion for each of those greatest speeds that it needs on average: it is gathered in 8 % of it
+FLIES_AT = 0.8  # of its clearance, between its rise and its fall
+SHORTEST_LEFT_S = 0.1  # [s] in which a revision may ask for the last millimetres
 MOVED = 0.005  # [m] by which a standing leg may turn out in mid-step to be short of its foot, by its length or its joints
+STAYS = np.full(6, np.inf)  # [s]
 
 
 class PlanCheck:
     """Judges plans; keeps what it needs to know their order."""
 
-    def __init__(self, profile: RobotProfile, plan_age_s: float, epoch: int = 0):
+    def __init__(self, profile: RobotProfile, plan_age_s: float, epoch: int = 0, handover_s: float = 0.0):
         """Begin with nothing accepted.
 
         Args:
             profile: The robot.
             plan_age_s: [s] older plans are refused.
             epoch: Of {odom}; plans of another one are refused.
+            handover_s: [s] of a step in which the feet of its legs are not in the air.
         """
         self.epoch = epoch
         self._profile = profile
+        self._handover_s = handover_s
         self._plan_age_ns = round(plan_age_s * 1e9)
         self._last_stamp_ns = -1
 
@@ -71,20 +78,22 @@ class PlanCheck:
             return f"a revision of step {plan.step} asks for more clearance than its feet were lifted with"
         return ""
 
-    def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool = False) -> str:
+    def unwalkable(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool = False, air_s: Array = STAYS) -> str:
         """Why a plan must not be walked, in words; empty when it may, and then it counts as the newest.
 
         Args:
             plan: The plan.
             T_odom_body: (4, 4) where the body should be when the plan sets in: for the next step, at the end of this one.
             feet: (6, 3) [m] {odom} where the feet will be then.
-            revises: Whether it is of the step that is running.
+            revises: Whether it is of the step that is running; ...
+            air_s: (6,) [s] ... for which its feet are then still in the air, infinite for those that are not.
         """
         reason = (
             _malformed(plan)
             or _out_of_bounds(plan, T_odom_body)
             or self._unstable(plan, T_odom_body, feet)
             or self._out_of_reach(plan, T_odom_body, feet, revises)
+            or self._too_fast(plan, T_odom_body, feet, air_s if revises and np.isfinite(air_s).any() else None)
         )
         if not reason:
             self._last_stamp_ns = plan.stamp_ns
@@ -102,6 +111,32 @@ class PlanCheck:
                 inside = f"{margin * 1e3:.0f} mm inside its standing feet {where}"
                 return f"the body would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
         return ""
+
+    def _too_fast(self, plan: StepPlan, T_odom_body: Array, feet: Array, air_s: Array | None) -> str:
+        """Whether a joint would have to go faster, or gather speed faster, than the servos do.
+
+        Of a swing four places count: where it begins, where it has risen, where it comes down, and where it ends; of one
+        that is under way (`air_s`) where it is and where it ends.
+        """
+        T_odom_world = inverse(plan.T_world_odom)
+        goal, touchdown = T_odom_world @ plan.body_goal, apply(T_odom_world, plan.touchdown)
+        end = np.where(plan.swing[:, None], touchdown, feet)
+        way, bodies = [feet, end], [T_odom_body, goal]
+        if air_s is None:
+            top = np.where(plan.swing, np.maximum(feet[:, 2], end[:, 2]) + FLIES_AT * plan.clearance, feet[:, 2])
+            over = [np.column_stack([(feet + share * (end - feet))[:, :2], top]) for share in (0.25, 0.75)]
+            way, bodies = [feet, *over, end], [T_odom_body, T_odom_body, goal, goal]
+        feet_body = [nearest_reachable(self._profile, apply(inverse(T), p)) for T, p in zip(bodies, way, strict=True)]
+        turns = np.abs(np.diff(body_inverse(self._profile, np.array(feet_body)), axis=0)).sum(axis=0)
+        flight = np.full(6, plan.duration - self._handover_s) if air_s is None else np.maximum(air_s, SHORTEST_LEFT_S)
+        time = np.where(plan.swing, flight, plan.duration if air_s is None else np.inf)[:, None]
+        share = np.minimum(MEAN_SPEED, time / GATHERED_S) if air_s is None else MEAN_SPEED  # it has speed already
+        most = self._profile.servo.no_load_speed * time * share
+        if not (turns > most).any():
+            return ""
+        leg, joint = np.argwhere(turns > most)[0]
+        words = f"the {JOINTS[joint]} of the {LEGS[leg]} leg would turn by {np.degrees(turns[leg, joint]):.0f} deg"
+        return f"{words} in {time[leg, 0]:.2f} s, at most {np.degrees(most[leg, 0]):.0f} deg allowed"
 
     def _out_of_reach(self, plan: StepPlan, T_odom_body: Array, feet: Array, revises: bool) -> str:
         """Whether the stance at the end asks more of a leg, swung or not, than it can.

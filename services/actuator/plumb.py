@@ -17,6 +17,8 @@ from shared.messages import Imu
 
 _HEAVED, _HEAVES_FROM = np.radians(2.0), 0.05  # of lean, and [m] of a foot on the side that rises, to be what lifts it
 TIPPED = np.radians(20.0)  # of the body against what is commanded, from which a robot must not go on
+_MOST_TURN, _MOST_FORCE = 100.0, 2000.0  # [rad/s] and [m/s^2] that an inertial sensor can measure
+_ODD_NS = 1_000_000_000  # [ns] for which it is told that one has said more
 _GAP_NS = 100_000_000  # [ns] without a reading from which nothing is known of how the body turned meanwhile
 _OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a reading may be late; further back it is of another clock
 _CALM_NS = 1_000_000_000  # [ns] for which a robot must stand until nothing of its body moves any more
@@ -35,6 +37,7 @@ class Plumb:
         self._attitude: Attitude | None = None
         self._stamp_ns = -1  # of the newest reading
         self._heard_ns = -1  # when it came
+        self._odd_ns = -_ODD_NS - 1  # when a reading came that no sensor can have made
         self._moved_ns = -1  # stamp of the last reading of a robot that did not stand
         self.restart()
 
@@ -54,8 +57,11 @@ class Plumb:
     def take(self, reading: Imu, now_ns: int, still: bool = False) -> None:
         """Take in a reading [ns] when it comes, of a robot that may be known to stand still.
 
-        One that was overtaken says nothing, and after a gap all begins anew.
+        One that was overtaken says nothing, nor does one of more than a sensor can measure; after a gap all begins anew.
         """
+        if np.abs(reading.gyro).max() > _MOST_TURN or np.abs(reading.specific_force).max() > _MOST_FORCE:
+            self._odd_ns = now_ns
+            return
         since_ns = reading.stamp_ns - self._stamp_ns if self._attitude is not None else 1
         if -_OTHER_CLOCK_NS < since_ns <= 0:
             return
@@ -75,6 +81,8 @@ class Plumb:
 
     def problem(self, now_ns: int) -> str:
         """Why a sensor that was heard is not heeded, in words, or nothing."""
+        if now_ns - self._odd_ns < _ODD_NS:
+            return "the IMU says more than a sensor can measure (rad/s and m/s^2 expected); such readings are left out"
         if self._attitude is None:
             return ""
         if self.attitude(now_ns) is not None:

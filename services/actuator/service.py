@@ -72,11 +72,12 @@ class Actuator:
         self._settings = settings
         self._clock = clock
         self._latch = latch or (None if opener else Latch.of_port(settings.port))
+        self._unlatched = self._latch_stuck = ""  # why the latch is open, or closed, though it should not be, in words
         self._joints = Joints(profile, settings, opener, clock, self._latched)
         if self._latched():
             self._joints.let_go()
         torque = bool(self._joints.torque.any())  # one that does not pull then is a fault, and named
-        self._guard = Guard(profile, settings.plan_age_s, clock(), torque)
+        self._guard = Guard(profile, settings.plan_age_s, clock(), torque, settings.unload_s + settings.load_s)
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
         self._limits = GoalLimits(profile)
@@ -127,6 +128,8 @@ class Actuator:
         if self._latched() and self._guard.mode is not Mode.OFF:
             off = ModeCommand(tick.stamp_ns, "off", tick.stamp_ns, "stop path")
             self._perform(self._guard.hear(off, tick.stamp_ns))
+        if self._unlatched:
+            self._close_latch()
         for order in inbox.drain(topics.MODE):
             self._perform(self._guard.hear(order, tick.stamp_ns))
         for stop in inbox.drain(topics.STOP):
@@ -224,7 +227,8 @@ class Actuator:
         self._perform(self._guard.watch(now_ns, self._legs(), self._verdict))
         for index in self._verdict.revive:
             self._joints.revive(index)
-            self._limits.ease(*divmod(index, 3))
+            if not self._still:  # then it has nothing to take up
+                self._limits.ease(*divmod(index, 3))
 
     def _behind(self) -> NDArray[np.bool_]:
         """(18,) joints that have not taken up their work yet, and those for which legs are put back, or wait for that."""
@@ -271,6 +275,7 @@ class Actuator:
             feet=feet,
             body_now=walker.body_ref,
             feet_now=walker.feet_odom,
+            air_s=walker.air_s,
             trouble=walker.trouble,
             waits=self._waits(),
         )
@@ -286,20 +291,37 @@ class Actuator:
         """Whether torque is to be off, by an order that may be older than this process."""
         return self._latch is not None and self._latch.closed
 
+    def _close_latch(self) -> None:
+        """See to it that a restart knows that torque is to be off; what is in the way is said, and it is tried again."""
+        self._unlatched = ""
+        try:
+            if self._latch is not None:
+                self._latch.close()
+        except OSError as error:
+            self._unlatched = f"torque is off, but a restarted actuator would not know of that order: {error}"
+
+    def _open_latch(self) -> bool:
+        """Take the order to let go off; whether it could be, or else why not is said, and it goes on to be obeyed."""
+        self._unlatched = self._latch_stuck = ""
+        try:
+            if self._latch is not None:
+                self._latch.open()
+        except OSError as error:
+            self._latch_stuck = f"torque stays off, for that order cannot be taken back: {error}"
+        return not self._latch_stuck
+
     def _perform(self, acts: tuple[Act, ...]) -> None:
         """Do what the guard has decided."""
         for act in acts:
             match act:
                 case Act.LET_GO:
-                    if self._latch is not None:
-                        self._latch.close()
                     self._joints.let_go()
+                    self._close_latch()
                     self._limits.forget()
                     self._posing, self._hung = None, HungLegs()
                 case Act.GRIP:
-                    if self._latch is not None:
-                        self._latch.open()
-                    self._joints.grip()
+                    if self._open_latch():
+                        self._joints.grip()
                     self._limits.forget()
                     self._still, self._posing, self._hung = True, None, HungLegs()
                     self._q_wanted = self._joints.goals.copy()
@@ -432,7 +454,16 @@ class Actuator:
     def _warnings(self) -> tuple[str, ...]:
         """What is not as it should be, in words."""
         guard = self._guard
-        return (self._warning, self._slipping(), guard.tipped, self._imu_problem, guard.objection, *self._verdict.warnings)
+        return (
+            self._warning,
+            self._slipping(),
+            guard.tipped,
+            self._imu_problem,
+            guard.objection,
+            self._unlatched,
+            self._latch_stuck,
+            *self._verdict.warnings,
+        )
 
     def _state_message(self, stamp_ns: int) -> ActuatorState:
         walker = self._walker

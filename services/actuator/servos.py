@@ -43,8 +43,12 @@ class Servos(Protocol):
         """Share of the questions of late without a usable answer."""
         ...
 
+    def meet(self) -> None:
+        """Open a session with whoever stands between here and the servos, if somebody does, on a port that was opened anew."""
+        ...
+
     def setup(self) -> None:
-        """Check that all servos are there and right, and make them answer quickly; torque and limits stay."""
+        """Meet them, check that all servos are there and right, and make them answer quickly; torque and limits stay."""
         ...
 
     def read(self, servo_id: int, register: Register) -> int | None:

@@ -188,6 +188,14 @@ class Walker:
         return np.asarray(self.swing & ~self._stopped & coming)
 
     @property
+    def air_s(self) -> Array:
+        """(6,) [s] for which feet of the running step are still in the air, infinite for those that are not."""
+        if self._plan is None:
+            return np.full(6, np.inf)
+        end, begin = self._plan.duration - self._settings.load_s, self._settings.unload_s
+        return np.where(self.flying, max(end - max(self._elapsed, begin), 0.0) / self._hurry, np.inf)
+
+    @property
     def flying(self) -> NDArray[np.bool_]:
         """(6,) legs of the running step, from when they begin to be lifted until they meet ground or the step is over."""
         lifts = self._flight is not None or self.gentle

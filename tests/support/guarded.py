@@ -46,7 +46,7 @@ class Robot:
     def legs(self) -> Legs:
         resting = not self.running and not self.searching
         planned = self.running and not self.own
-        where = (START, FEET, START, FEET)
+        where = (START, FEET, START, FEET, np.full(6, np.inf))
         return Legs(
             self.step, resting, planned, self.swing, self.lifted, *where, self.trouble, self.trouble if self.searching else ""
         )

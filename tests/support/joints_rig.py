@@ -7,6 +7,7 @@ import numpy as np
 
 from services.actuator.config import Settings
 from services.actuator.joints import Joints
+from services.simulator.board import Board
 from services.simulator.bus import MemoryPort, ServoBusEmulator
 from services.simulator.bus_faults import BusFaults
 from services.simulator.servos import ServoBank
@@ -50,6 +51,7 @@ class JointsRig:
             self.put(row, dxl.GOAL_POSITION, dxl.ticks_from_angle(goal))
             self.put(row, dxl.TORQUE_ENABLE, int(torque))
         self.bus = Tap(self.bank)
+        self.device: Tap | Board = self.bus  # that the port leads to
         self.q = STAND.copy()
         self.port: MemoryPort | None = None
         self.opener = opener or self.plug_in
@@ -61,8 +63,8 @@ class JointsRig:
     def clock(self) -> int:
         return self.now_ns if self.port is None else self.port.now_ns()
 
-    def start(self) -> "JointsRig":
-        self.joints = Joints(PROFILE, Settings(), self.opener, self.clock)
+    def start(self, settings: Settings | None = None) -> "JointsRig":
+        self.joints = Joints(PROFILE, settings or Settings(), self.opener, self.clock)
         self.now_ns = self.clock()
         return self
 
@@ -78,7 +80,7 @@ class JointsRig:
     def cycle(self, count: int = 1, write: bool = False) -> None:
         for _ in range(count):
             self.now_ns = max(self.now_ns + PERIOD, self.clock())
-            self.bus.advance(self.now_ns)
+            self.device.advance(self.now_ns)
             goals = np.array([dxl.angle_from_ticks(ticks) for ticks in self.registers(dxl.GOAL_POSITION)])
             pulls = np.array(self.registers(dxl.TORQUE_ENABLE)) * np.array(self.registers(dxl.TORQUE_LIMIT)) > 0
             self.q = np.where(pulls, goals, self.q)

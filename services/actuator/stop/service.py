@@ -25,11 +25,14 @@ class Stop:
         self.paced_by = Every.hz(_BEAT_HZ)
         self.stages = Stages()
         self._latch = Latch.of_port(settings.port)
+        self._problem = ""  # why the newest order to let go is not latched, in words, or nothing
         self._newest: dict[str, int] = {}
         self._stops: dict[str, int] = {}
 
     def doing(self) -> str:
         """Whether the latch is closed."""
+        if self._problem:
+            return self._problem
         return "torque is latched off" if self._latch.closed else "listening for the order to let go"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
@@ -48,5 +51,10 @@ class Stop:
         newest[order.holder] = order.sequence
         if len(newest) > _HOLDERS:
             del newest[next(iter(newest))]
-        if order.mode == "off":
+        if order.mode != "off":
+            return
+        self._problem = ""
+        try:
             self._latch.close()
+        except OSError as error:  # the actuator hears the order, too
+            self._problem = f"an order to let go cannot be latched: {error}"

@@ -375,3 +375,57 @@ def test_what_is_broken_and_what_is_spent_are_told_at_once() -> None:
     assert "battery" in verdict.sit
     hot = one(4, errors=int(ServoError.OVERHEATING), temperature=LIMIT)
     assert "shut down for its heat" in Patient().cycle(hot).sit, "the worst comes first"
+
+
+def silenced(vitals: Vitals, servos: slice, questions: int = SILENT) -> Vitals:
+    """What was read last, of servos that say nothing more."""
+    missed = WELL.missed.copy()
+    missed[servos] = questions
+    return replace(vitals, missed=missed)
+
+
+@pytest.mark.parametrize(("low", "quiet"), [(slice(None), 0.2), (slice(7, 8), 0.0)])
+def test_a_sag_in_which_servos_fall_silent_empties_no_battery(low: slice, quiet: float) -> None:
+    """A brown-out: the last that was read is low, and the voltage has long been normal."""
+    voltage = WELL.voltage.copy()
+    voltage[low] = EMPTY - 1.0
+    patient, sagging = Patient(), replace(WELL, voltage=voltage)
+    patient.live(1.0)
+    found = patient.live(0.3, sagging) + patient.live(3.0, replace(silenced(sagging, low), newest=quiet))
+    assert not any(verdict.sit for verdict in found)
+    assert not any(verdict.sit for verdict in patient.live(2.0))
+
+
+def test_but_one_that_goes_on_to_be_low_when_it_is_heard_again_is_empty() -> None:
+    empty = replace(WELL, voltage=np.full(18, EMPTY - 0.5))
+    patient = Patient()
+    patient.live(1.0)
+    patient.live(2.0, replace(silenced(empty, slice(None)), newest=0.2))
+    assert patient.live(2.5, empty)[-1].sit
+
+
+@pytest.mark.parametrize("quiet", [0.0, 0.2])
+def test_a_servo_that_cannot_be_heard_is_not_reset_and_that_counts_for_nothing(quiet: float) -> None:
+    shut = one(7, errors=int(ServoError.OVERLOAD))
+    patient = Patient()
+    patient.live(0.5, shut)
+    away = replace(silenced(shut, slice(7, 8)), newest=quiet)
+    for verdict in patient.live(10.0, away):
+        assert not verdict.revive
+        assert not verdict.sit
+    assert any(verdict.revive == (7,) for verdict in patient.live(1.5, shut)), "it is reset once it is heard again"
+
+
+def test_resets_count_for_five_minutes_also_of_a_servo_that_has_stayed_shut_down() -> None:
+    shut, patient = one(7, errors=int(ServoError.OVERLOAD)), Patient()
+    for _ in range(3):
+        assert any(verdict.revive for verdict in patient.live(1.2, shut))
+        patient.live(0.5)
+    assert patient.live(1.2, shut)[-1].sit
+    patient.live(2.0, shut, torque=False)
+    assert patient.live(1.2, shut)[-1].sit, "a moment later it is no better"
+    for _ in range(320):
+        patient.cycle(shut, torque=False, dt=1.0)
+    found = patient.live(1.2, shut)
+    assert any(verdict.revive == (7,) for verdict in found)
+    assert not any(verdict.sit for verdict in found)

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from services.actuator import servos
+from services.actuator.bridge import READ_NS
 from services.actuator.bus import BusGone
 from services.actuator.config import Settings
+from services.simulator.board import Board
 from services.simulator.bus import MemoryPort
+from services.simulator.wire import Reply
 from shared import dynamixel as dxl
 from shared.dynamixel import Instruction, Register
 from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
@@ -171,7 +174,7 @@ def test_it_is_asked_again_where_that_answer_is_lost(monkeypatch: pytest.MonkeyP
     read, lost = rig.joints._bus.read, list[int]()
 
     def lossy(servo_id: int, register: Register) -> int | None:
-        if register is dxl.TORQUE_ENABLE and len(lost) < 3:
+        if register is dxl.TORQUE_ENABLE and servo_id == IDS[SERVO] and len(lost) < 3:
             lost.append(servo_id)
             return None
         return read(servo_id, register)
@@ -251,3 +254,82 @@ def test_closing_leaves_all_as_it_is() -> None:
     np.testing.assert_array_equal(rig.bank.tables, before)
     with pytest.raises(OSError, match="closed"):
         rig.port.write(b"x")  # type: ignore[union-attr]
+
+
+def test_a_port_behind_which_a_bridge_stands_comes_back_too() -> None:
+    rig = JointsRig()
+    board = Board(rig.bus)
+
+    def plug_in() -> MemoryPort:
+        rig.port = MemoryPort(board, lambda: rig.now_ns, READ_NS * 1e-9, start_ns=rig.clock())
+        return rig.port
+
+    rig.opener, rig.device = plug_in, board
+    rig.start(Settings(bridge=True))
+    rig.cycle(20, write=True)
+    rig.suffer("bus", "gone", 0.5)
+    rig.until(lambda: rig.joints.gone != "", write=True)
+    lost_ns = rig.now_ns
+    rig.until(lambda: rig.joints.trouble == "" and not rig.joints.out_of_touch, write=True)
+    assert rig.now_ns - lost_ns < 2.0e9
+    assert rig.joints.torque.all()
+    rig.cycle(20, write=True)
+    assert rig.joints.trouble == ""
+
+
+# ---------------------------------------------------------------------------------------------- servos that do not pull
+
+
+@pytest.mark.parametrize("servo", [None, SERVO])
+def test_servos_that_did_not_hear_that_they_shall_pull_are_known_to_be_limp(servo: int | None) -> None:
+    rig = JointsRig(torque=False).start()
+    rig.cycle(8)
+    target = {"servo": IDS[servo]} if servo is not None else {}
+    rig.suffer("bus" if servo is None else "servo", "silent", 0.03, **target)
+    rig.joints.grip()
+    rig.cycle(60, write=True)
+    truly = np.array(rig.registers(dxl.TORQUE_ENABLE)) > 0
+    np.testing.assert_array_equal(rig.joints.torque, truly)
+    assert truly.sum() == (0 if servo is None else 17)
+    rig.joints.grip()
+    rig.cycle(60, write=True)
+    assert rig.joints.torque.all()
+    assert all(rig.registers(dxl.TORQUE_ENABLE))
+
+
+@pytest.mark.parametrize("gap_s", [0.04, 0.06, 0.08, 0.10, 0.12, 0.2])
+def test_a_servo_that_was_without_power_between_two_questions_is_known_to_be_limp(gap_s: float) -> None:
+    rig = JointsRig().start()
+    rig.cycle(20, write=True)
+    rig.suffer("servo", "silent", gap_s, servo=IDS[SERVO], cable=True)
+    rig.cycle(120, write=True)
+    assert rig.registers(dxl.TORQUE_ENABLE)[SERVO] == 0
+    assert np.flatnonzero(~rig.joints.torque).tolist() == [SERVO]
+
+
+def test_servos_that_missed_the_order_to_let_go_while_the_port_was_gone_are_held_for_limp_and_gripped_where_they_are() -> None:
+    rig = JointsRig().start()
+    rig.cycle(5, write=True)
+    rig.suffer("bus", "gone", 0.5)
+    rig.until(lambda: rig.joints.gone != "")
+    rig.joints.let_go()
+    hears, deaf_for = rig.bus.receive, [2]
+
+    def spoil(data: bytes, now_ns: int) -> list[Reply]:
+        """The first two packets that turn torque off are lost."""
+        if deaf_for[0] and data == dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\x00"):
+            deaf_for[0] -= 1
+            return []
+        return hears(data, now_ns)
+
+    rig.bus.receive = spoil  # type: ignore[method-assign]
+    rig.until(lambda: rig.joints.gone == "")
+    assert not deaf_for[0]
+    rig.cycle(5)
+    assert not any(rig.registers(dxl.TORQUE_ENABLE))
+    assert not rig.joints.torque.any()
+    rig.q = STAND + 0.7  # the legs hang
+    rig.cycle(30)
+    rig.joints.grip()
+    rig.cycle()
+    np.testing.assert_allclose(np.array(rig.registers(dxl.GOAL_POSITION)), rig.registers(dxl.PRESENT_POSITION), atol=1.0)

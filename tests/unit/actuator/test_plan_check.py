@@ -108,14 +108,45 @@ def test_it_says_why_it_refuses(changes: dict[str, object], words: str) -> None:
     [
         {"stamp_ns": NOW - 600_000_000},
         {"stamp_ns": NOW + 600_000_000},
-        {"duration": 0.3},
+        {"duration": 0.3, "touchdown": FEET, "clearance": np.full(6, 0.002), "body_goal": START},
         {"duration": 4.0},
         {"clearance": np.zeros(6)},
-        {"clearance": np.full(6, 0.12)},
+        {"clearance": np.full(6, 0.12), "duration": 0.9},
     ],
 )
 def test_what_is_allowed_at_most_passes(changes: dict[str, object]) -> None:
     assert refusal(plan(**changes)) == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"clearance": np.full(6, 0.12), "duration": 0.6}, "femur of the left front leg would turn by"),
+        ({"duration": 0.3}, "in 0.30 s, at most 32 deg allowed"),
+        ({"swing": NOBODY, "touchdown": FEET, "body_goal": goal(0.06), "duration": 0.3}, "in 0.30 s, at most 32 deg allowed"),
+    ],
+)
+def test_no_joint_is_asked_to_go_or_gather_speed_faster_than_its_servo_does(changes: dict[str, object], words: str) -> None:
+    assert words in refusal(plan(**changes))
+    assert refusal(plan(**changes | {"duration": 1.2})) == ""
+
+
+def test_the_time_in_which_feet_are_on_the_ground_is_none_to_swing_in() -> None:
+    quick = plan(duration=0.5, clearance=np.full(6, 0.03))
+    assert refusal(quick) == ""
+    assert "in 0.35 s, at most" in refusal(quick, PlanCheck(PROFILE, AGE, handover_s=0.15))
+
+
+def test_a_revision_may_move_a_foot_no_faster_than_the_time_in_the_air_that_is_left_allows() -> None:
+    """A foot that has met ground goes nowhere, and so may be far from where the plan has it."""
+    where = plan().touchdown
+    now = where + np.array([0.0, 0.0, 0.005]) * TRIPOD[:, None]  # nearly there
+    for left_s, moved, refused in ((0.5, 0.03, False), (0.02, 0.001, False), (0.02, 0.08, True), (np.inf, 0.08, False)):
+        left = np.where(TRIPOD, 0.3, np.inf)
+        left[0] = left_s
+        revised = plan(touchdown=where + np.array([moved, 0.0, 0.0]) * (np.arange(6) == 0)[:, None])
+        found = PlanCheck(PROFILE, AGE).unwalkable(revised, START, now, revises=True, air_s=left)
+        assert ("of the left front leg would turn by" in found) == refused, (left_s, moved, found)
 
 
 @pytest.mark.parametrize("stamp_ns", [NOW - 600_000_001, NOW + 600_000_001])

@@ -267,3 +267,17 @@ def test_a_gyro_that_counts_in_degrees_is_not_heeded_and_that_is_said(unit: floa
         assert believed or i < 800 or "rad/s" in plumb.problem(now_ns)
     assert all(trusted[800:]) if believed else not any(trusted[800:])
     assert not believed or plumb.problem(now_ns) == ""
+
+
+@pytest.mark.parametrize("length", [150.0, 1e19, 1.2e154, 1e200, 1e308])
+@pytest.mark.parametrize("of", ["gyro", "force"])
+def test_what_no_sensor_can_have_measured_is_left_out_and_that_is_said(length: float, of: str) -> None:
+    plumb, now_ns = told(np.eye(3))
+    before = plumb.attitude(now_ns)
+    gyro, force = (np.full(3, length), G) if of == "gyro" else (np.zeros(3), np.full(3, 20.0 * min(length, 1e306)))
+    plumb.take(Imu(now_ns + MS, gyro, force), now_ns + MS)
+    assert plumb.attitude(now_ns + MS) is before
+    assert "more than a sensor can measure" in plumb.problem(now_ns + MS)
+    later_ns = now_ns + 1001 * MS
+    plumb.take(Imu(later_ns, np.zeros(3), G), later_ns)
+    assert "more than a sensor can measure" not in plumb.problem(later_ns + MS)

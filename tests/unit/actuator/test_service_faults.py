@@ -1,9 +1,12 @@
 """The actuator whole where servos fail, legs hang, or nobody has led them for a while."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from services.actuator.goal_limits import GENTLE, LOWERED
+from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward
 from shared import dynamixel as dxl
 from shared.geometry import Array, apply, from_xyz_rpy
@@ -307,3 +310,51 @@ def test_legs_that_begin_anew_are_on_no_way_from_where_they_were_wanted_before(
     while rig.cycle().epoch == epoch:
         rates.clear()
     assert rates[0] == 0.0
+
+
+def test_torque_goes_off_though_the_order_cannot_be_latched_and_that_is_said_until_it_can(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    rig = Rig(latch=Latch(folder / "off"))
+    rig.cycle(2)
+    rig.command("off")
+    state = rig.cycle(2)
+    assert (state.mode, rig.torque) == (Mode.OFF, False)
+    words = "torque is off, but a restarted actuator would not know of that order: "
+    assert any(warning.startswith(words) for warning in state.warnings)
+    folder.mkdir()
+    state = rig.cycle(3)
+    assert not any(warning.startswith(words) for warning in state.warnings)
+    rig.start()
+    assert rig.cycle(2).mode is Mode.OFF
+
+
+def test_torque_stays_off_where_the_order_to_let_go_cannot_be_taken_back(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "off")
+    latch.path.mkdir()  # nobody unlinks a folder
+    rig = Rig(torque=False, latch=latch)
+    rig.cycle(2)
+    rig.command("ready")
+    for _ in range(10):
+        state = rig.cycle()
+        assert not rig.torque
+    assert state.mode is Mode.OFF
+    assert any(warning.startswith("torque stays off, for that order cannot be taken back: ") for warning in state.warnings)
+
+
+@pytest.mark.parametrize("order", ["ready", "stand"])
+def test_a_robot_that_is_still_may_stand_once_a_servo_has_been_reset(order: str) -> None:
+    """It has nothing to take up: what it was on its way to was given up when that servo shut down."""
+    rig = Rig(feet=CRAWL, torque=False)
+    rig.cycle(2)
+    rig.command("ready")
+    rig.cycle(5)
+    if order == "stand":
+        rig.command("stand")
+    rig.cycle(20)
+    shut_down(rig, IDS.index(16))
+    state = rig.cycle(10)
+    assert state.mode is (Mode.FAULT if order == "stand" else Mode.READY)
+    state = rig.cycle(60)
+    assert (state.mode, rig.bank._faults.any()) == (Mode.READY, False)
+    rig.command("stand")
+    assert rig.cycle(200).mode is Mode.HOLD

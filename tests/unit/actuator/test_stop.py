@@ -96,3 +96,15 @@ def test_many_holders_take_no_more_room(latch: Latch) -> None:
     for k in range(1000):
         say(stop, "off", k, f"holder {k}")
     assert len(stop._newest) <= 64
+
+
+def test_a_latch_that_cannot_be_closed_is_said_and_the_stop_path_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "gone"))
+    stop = Stop(PROFILE, Settings(PORT))
+    say(stop, "off", 1)
+    assert stop.doing().startswith("an order to let go cannot be latched: ")
+    (tmp_path / "gone").mkdir()
+    say(stop, "off", 2)
+    assert stop.doing() == "torque is latched off"
