@@ -82,7 +82,7 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     try:
         opened = open_port(port, timeout_ns=_PATIENCE_NS)
     except BusGone as error:
-        yield Check(name, Level.FAIL, str(error), "close what else uses the port, or give another")
+        yield Check(name, Level.FAIL, str(error), "or give another port with --port")
         return
     try:
         seen, echo = _called(opened, names)
@@ -99,7 +99,9 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     wrong = problems(names, seen, model)
     words = "; ".join(problem.words for problem in wrong.values())
     advice = "; ".join(dict.fromkeys(problem.advice for problem in wrong.values()))
-    yield Check(name, Level.FAIL if wrong else Level.OK, words or f"all {len(names)} servos answer", advice)
+    pulling = sum(bool(one[dxl.TORQUE_ENABLE]) for i, one in seen.items() if i not in wrong)
+    fine = f"all {len(names)} servos answer" + (f"; the torque of {pulling} is on" if pulling else "")
+    yield Check(name, Level.FAIL if wrong else Level.OK, words or fine, advice)
     yield from well([one for i, one in seen.items() if i not in wrong], profile)
 
 

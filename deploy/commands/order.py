@@ -1,27 +1,45 @@
 """`sextant order`: stand, walk, stop, sit or let go, from the terminal."""
 
 import argparse
+from typing import TYPE_CHECKING
 
 from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, met, say
+
+if TYPE_CHECKING:
+    from deploy.order import Order
+    from shared.transport import Endpoints
 
 _LOOK_S = 0.05
 
 
 def order(arguments: argparse.Namespace) -> int:
     """`sextant order`: give one order to the legs, and say what has come of it."""
-    import threading
-
-    from deploy.interrupts import Interrupts
     from deploy.order import STOPS, Order
-    from shared import codec, topics
-    from shared.live import run_live
-    from shared.transport import ZenohLink
+    from shared import topics
+    from shared.transport import TransportError
 
     endpoints = met(arguments)
     refused = endpoints.keys.refusal([topics.MODE]) if endpoints.keys is not None else ""
     if refused and arguments.what not in STOPS:
         raise InputError(refused)
     given = Order(arguments.what, arguments.holder, arguments.take, leads=not refused)
+    try:
+        return _give(given, arguments.what, endpoints)
+    except TransportError as error:
+        if arguments.what != "off":
+            raise
+        raise TransportError(f"{error} On the robot, `sextant servos off --port PORT` lets go without an actuator.") from None
+
+
+def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
+    """Give an order until something has come of it, or the operator has had enough."""
+    import threading
+
+    from deploy.interrupts import Interrupts
+    from shared import codec, topics
+    from shared.live import run_live
+    from shared.transport import ZenohLink
+
     stop, told = threading.Event(), ""
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:
         running = threading.Thread(target=run_live, args=(given, link, stop), name="order")
@@ -36,13 +54,13 @@ def order(arguments: argparse.Namespace) -> int:
             stop.set()
             running.join()
         if not given.finished:
-            withdrawn = given.withdraw() if arguments.what == "walk" else ()
+            withdrawn = given.withdraw() if what == "walk" else ()
             for message in withdrawn:
                 link.send(topics.OF_TYPE[type(message)], codec.encode(message))
             complain(f"stopped by the operator{': the feet are set down' if withdrawn else ''}")
             return INTERRUPTED
     if given.failed:
-        complain(f"sextant order {arguments.what}: {given.failed}")
+        complain(f"sextant order {what}: {given.failed}")
         return FAILED
     say(given.doing())
     return SUCCESS

@@ -30,6 +30,11 @@ class Terminal:
         """Nobody is asked anything yet."""
         self._yes = yes
 
+    @property
+    def absent(self) -> bool:
+        """Whether nobody is there to do anything."""
+        return self._yes
+
     def say(self, text: str) -> None:
         """Print a line."""
         say(text)
@@ -67,11 +72,27 @@ def scan(arguments: argparse.Namespace) -> int:
         say(json.dumps({"servos": [_row(one, profile) for one in found], "problems": problems}, indent=1))
         return FAILED if wrong else SUCCESS
     say(commissioning.in_words(found, profile))
+    if holding := commissioning.holding(found, profile):
+        say(f"{holding}; `sextant servos off` lets go")
     for words, advice in wrong:
         say(f"{words}\n  -> {advice}")
     if not wrong:
         say(f"all {len(profile.servo_names)} servos of {profile.name} are in order")
     return FAILED if wrong else SUCCESS
+
+
+def off(arguments: argparse.Namespace) -> int:
+    """`sextant servos off`: torque off, without an actuator."""
+    from services.actuator.let_go import let_go
+    from services.actuator.roll_call import named
+
+    profile = _profile(arguments.robot)
+    with _line(arguments, profile) as line:
+        left = let_go(line.at(line.rates[0]))
+    for servo_id, words in left.items():
+        say(f"{named(servo_id, profile.servo_names)} {words}\n  -> see to its cable, or switch the servos' power off")
+    say(f"torque is off: {len(profile.servo_names) - len(left)} of {len(profile.servo_names)} servos say so")
+    return FAILED if left else SUCCESS
 
 
 def set_id(arguments: argparse.Namespace) -> int:
@@ -200,6 +221,10 @@ def _profile(robot: str) -> "RobotProfile":
 def _own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
     """The robot's own TOML, the profile that it extends where it is yet to be made, and the robot as it is now."""
     path = Path(out or (robot if robot.endswith(".toml") else f"my_{robot}.toml"))
+    if path.suffix != ".toml":  # what has another name is no profile to `--robot`
+        raise InputError(f"--out: a file that ends in .toml expected, found {path}")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"--out: a folder that is there and may be written expected, found {path.parent.resolve()}")
     base, profile = robot, _profile(robot)
     if robot.endswith(".toml"):
         base = os.path.relpath(Path(robot).resolve(), path.resolve().parent)

@@ -41,6 +41,8 @@ def up(arguments: argparse.Namespace) -> int:
                     complain(f"sextant up: {problem}")
                     return FAILED
             half.stop(interrupts.insisted)
+    if any(row.name == "actuator" for row in rows) and not chosen.scenario:
+        say("the servos hold, or hang, as they did; `sextant servos off` takes their torque off")
     return INTERRUPTED
 
 

@@ -4,6 +4,8 @@ import argparse
 import re
 from collections.abc import Sequence
 
+_SERVO_IDS = 254  # the next is everybody's
+
 
 def seeds(text: str) -> range:
     """Seeds from A to B."""
@@ -11,6 +13,14 @@ def seeds(text: str) -> range:
     if found is None or int(found[1]) >= int(found[2]):
         raise argparse.ArgumentTypeError(f"A:B with A < B expected, B not included, found {text!r}; for example 0:50")
     return range(int(found[1]), int(found[2]))
+
+
+def servo_ids(text: str) -> range:
+    """Servo ids from A to B."""
+    found = seeds(text)
+    if found.stop > _SERVO_IDS:
+        raise argparse.ArgumentTypeError(f"ids of servos expected, 0 to {_SERVO_IDS - 1}, found {text!r}; for example 1:19")
+    return found
 
 
 def any_seeds(text: str) -> Sequence[int]:

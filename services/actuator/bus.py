@@ -48,7 +48,7 @@ _SMOOTHING = 8  # transactions over which the typical time is smoothed
 _SEC = 1e9
 
 
-class BusSetupError(RuntimeError):
+class BusSetupError(ConnectionError):
     """The bus does not have the servos that the robot needs; the message names each and what to do."""
 
 

@@ -101,10 +101,14 @@ def _measure_leg(
         servo = resting(bus, ids)
         if servo is None:
             operator.say("the leg moves; hold it still")
+            if operator.absent:
+                return None
             continue
         trims = trims_deg(profile, leg, servo, pose_deg)
         if words := implausible(trims):
             operator.say(words)
+            if operator.absent:
+                return None
             continue
         operator.say("trims: " + ", ".join(f"{joint} {trim:+.1f} deg" for joint, trim in zip(JOINTS, trims, strict=True)))
         answer = _content(bus, operator, ids)

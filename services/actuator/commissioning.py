@@ -32,6 +32,11 @@ _LEAVE = "q"
 class Operator(Protocol):
     """Who builds the robot."""
 
+    @property
+    def absent(self) -> bool:
+        """Whether nobody is there: every question has its plain answer, and nothing changes by being asked again."""
+        ...
+
     def say(self, text: str) -> None:
         """Tell something."""
 
@@ -114,6 +119,15 @@ def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
     return "\n".join(lines)
 
 
+def holding(found: Sequence[Found], profile: RobotProfile) -> str:
+    """Whose torque is on, in words, or nothing."""
+    pulling = [one.seen.servo_id for one in found if one.seen.voice is Voice.CLEAR and one.seen[dxl.TORQUE_ENABLE]]
+    if not pulling:
+        return ""
+    others = f", and of {len(pulling) - 1} more" if len(pulling) > 1 else ""
+    return f"torque is on, of {named(pulling[0], profile.servo_names)}{others}"
+
+
 def verdict(found: Sequence[Found], profile: RobotProfile) -> list[Problem]:
     """What keeps these from being the robot's servos, and what to do."""
     names = profile.servo_names
@@ -157,8 +171,11 @@ def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
         target = _by_name(profile)[words] if words else missing[0]
         found = _likely(line, profile, done)
         new = _new_one(line, found, profile, operator, named_by_hand=bool(words))
-        if new is not None and _give(line, new, target, profile, operator):
-            done.add(target)
+        if new is None or not _may_change(new, target, done, profile, operator):
+            continue
+        if _give(line, new, target, profile, operator):
+            done = (done - {new.seen.servo_id}) | {target}
+            found = [one for one in found if one is not new]
 
 
 def _likely(line: Line, profile: RobotProfile, done: Collection[int] = ()) -> list[Found]:
@@ -225,6 +242,18 @@ def _new_one(
     else:
         operator.say("no new servo answers; see to its cable, and to its power: its LED blinks once when that comes")
     return None
+
+
+def _may_change(new: Found, target: int, done: Collection[int], profile: RobotProfile, operator: Operator) -> bool:
+    """Whether a servo may become that of a joint: one that is another joint's already only where the operator says so."""
+    old = new.seen.servo_id
+    if old == target or old not in done:
+        return True
+    names = profile.servo_names
+    if operator.agree(f"{named(old, names)} is the only one that answers, and is set already. Make it the {names[target]}?"):
+        return True
+    operator.say("it is left as it is; plug the new one in")
+    return False
 
 
 def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: Operator) -> bool:

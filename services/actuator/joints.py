@@ -308,7 +308,7 @@ class Joints:
                 self._bus.set_torque(False)
             self._bus.meet()
             found = [self._insist(i) for i in self._bus.servo_ids]
-        except (OSError, BusSetupError) as error:
+        except OSError as error:
             self._bus.close()
             self.gone = f"the servo port is gone: {error}"
             return

@@ -3,8 +3,10 @@
 Resynchronised on noise, echoes of single-wire adapters dropped, every loss counted. No thread, no sleep; time is an argument.
 """
 
+import errno
 import logging
 import os
+import re
 import socket
 import termios
 from collections import Counter
@@ -29,6 +31,7 @@ _SETTLES_NS = 100_000_000  # [ns] after which no lost answer comes any more: six
 _ALL = 4096  # [bytes] more than comes within a timeout
 _SEC = 1e9
 LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
+_EXPECTED = "a serial device such as /dev/ttyUSB0, or socket://HOST:PORT,"
 
 
 class BusGone(ConnectionError):  # noqa: N818  (a state of the bus, handled by the caller)
@@ -72,6 +75,8 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
     Raises:
         BusGone: The port cannot be opened.
     """
+    if url.startswith("socket://") and re.fullmatch(r"socket://[^/]+:\d{1,5}(/.*)?", url) is None:
+        raise BusGone(f"cannot open servo port {url}: {_EXPECTED} expected")
     alone = None if "://" in url else True  # two programs would read each other's answers
     try:
         port = serial.serial_for_url(
@@ -83,12 +88,26 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
             with socket.socket(fileno=os.dup(port.fileno())) as connection:
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except LOST as error:
-        raise BusGone(
-            f"cannot open servo port {url}: {error}; is the adapter plugged in and nobody else using it, or the simulator up?"
-        ) from error
+        raise BusGone(f"cannot open servo port {url}: {error}; {_advice(error)}") from error
+    except (ValueError, TypeError) as error:  # as pyserial has it for an address that is none
+        raise BusGone(f"cannot open servo port {url}: {_EXPECTED} expected ({error})") from error
     if slow := usb_adapter.quicken(url, port):
         log.warning(slow)
     return port
+
+
+def _advice(error: Exception) -> str:
+    """What to do about a port that cannot be opened."""
+    match getattr(error, "errno", None):
+        case errno.EACCES | errno.EPERM:
+            return "this user has no right to it: `sudo usermod -aG dialout $USER`, then log in again"
+        case errno.EAGAIN | errno.EBUSY:
+            return "another program uses it: end that first"
+        case errno.ENOENT:
+            return "is the adapter plugged in? `ls /dev/ttyUSB* /dev/ttyACM*` shows where"
+        case errno.ECONNREFUSED:
+            return "is the simulator, or `sextant servos emulate`, up?"
+    return "is the adapter plugged in and nobody else using it, or the simulator up?"
 
 
 class Line:

@@ -19,6 +19,7 @@ from shared.geometry import Array
 from shared.robot import JOINTS, LEGS, Calibration, RobotProfile
 
 HORNS_DEG = 6.0  # by which the horns of the emulated robot sit wrong, at most
+_BENT_DEG = 150.0  # by hand, at most: as far as a servo can tell
 _STEP_NS = 4_000_000
 _PATIENCE_NS = 2_000_000_000  # what nobody looked at for longer has come to rest
 _RAM = dxl.TORQUE_ENABLE.address  # from here on the control table is lost with the power
@@ -107,13 +108,19 @@ class Workbench(ServoBusEmulator):
             ValueError: What is typed is no order; the message says what would be one.
         """
         words = line.split()
-        bend = re.fullmatch(r"bend (.+?)((?: +-?[0-9.]+){3})", line.strip())
+        bend = re.fullmatch(r"bend (.+?)((?: +-?\d+(?:\.\d*)?){3})", line.strip())
         if words[:1] == ["plug"] and len(words) <= 2 and all(w.isdecimal() for w in words[1:]):
             self.plug(self.boxed[: int(words[1]) if len(words) == 2 else 1])
         elif words[:1] == ["unplug"] and len(words) <= 2 and all(w.isdecimal() for w in words[1:]):
-            self.unplug(self._with_id(int(words[1])) if len(words) == 2 else set(self._plugged))
+            rows = self._with_id(int(words[1])) if len(words) == 2 else list(self._plugged)
+            if not self._plugged.intersection(rows):
+                raise ValueError(f"the id of a servo that is plugged in expected, found {line.strip()!r}; `list` shows them")
+            self.unplug(rows)
         elif bend and bend[1] in LEGS:
-            self.bend(LEGS.index(bend[1]), np.radians([float(angle) for angle in bend[2].split()]))
+            pose = [float(angle) for angle in bend[2].split()]
+            if max(map(abs, pose)) > _BENT_DEG:
+                raise ValueError(f"angles of at most {_BENT_DEG:.0f} deg either way expected, found {line.strip()!r}")
+            self.bend(LEGS.index(bend[1]), np.radians(pose))
             return f"the {bend[1]} leg is bent to {', '.join(bend[2].split())} deg ({', '.join(JOINTS)})"
         elif words != ["list"]:
             raise ValueError(f"one of {HELP} expected, found {line.strip()!r}")

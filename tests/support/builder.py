@@ -8,7 +8,8 @@ Answer = str | bool | Callable[[], str | bool]
 class Builder:
     """An operator whose answers are given in advance; a call among them is done when its turn comes."""
 
-    def __init__(self, answers: Iterable[Answer] = ()) -> None:
+    def __init__(self, answers: Iterable[Answer] = (), absent: bool = False) -> None:
+        self.absent = absent
         self.answers = list(answers)
         self.told: list[str] = []
         self.asked: list[str] = []

@@ -1,11 +1,14 @@
 """The driver whole, against the emulated bus: in memory, over TCP through pyserial, and with everything going wrong."""
 
+import errno
 import math
+import os
 import time
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+import serial
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -411,3 +414,22 @@ def test_a_port_that_is_not_there_is_named() -> None:
         open_port(url)
     with pytest.raises(BusGone, match="cannot open servo port /dev/nonexistent"):
         open_port("/dev/nonexistent")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (errno.EACCES, "sudo usermod -aG dialout"),
+        (errno.EBUSY, "another program uses it"),
+        (errno.ENOENT, "is the adapter plugged in"),
+        (errno.ECONNREFUSED, "sextant servos emulate"),
+        (errno.EIO, "nobody else using it"),
+    ],
+)
+def test_who_cannot_open_a_port_is_told_what_to_do(error: int, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise serial.SerialException(error, os.strerror(error))
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(BusGone, match=words):
+        open_port("/dev/ttyUSB0")

@@ -238,3 +238,16 @@ def test_a_locked_servo_is_told() -> None:
     commissioning.set_ids(line(desk), PHANTOMX, builder := Builder([plug_locked, "q"]))
     assert "switch its power off and on and try again" in builder.all_told
     assert np.all(desk.tables[:, dxl.ID.address] == 1)
+
+
+@pytest.mark.parametrize("agreed", [False, True])
+def test_a_servo_that_is_done_becomes_another_joints_only_with_a_yes(agreed: bool) -> None:
+    """Whoever names the next joint and forgets to plug its servo in has but the last one on the bus."""
+    desk = Desk(fresh=True)
+    femur, tibia = (i for i, name in PHANTOMX.servo_names.items() if name in ("left front femur", "left front tibia"))
+    builder = Builder([plug(desk, answer="left front femur"), "left front tibia", agreed, "q"])
+    assert not commissioning.set_ids(line(desk), desk.profile, builder)
+    desk.settle()
+    assert (tibia in ids(desk), femur in ids(desk)) == (agreed, not agreed)
+    assert "is the only one that answers, and is set already. Make it the left front tibia?" in builder.asked[2]
+    assert "2 of 18" not in builder.all_told

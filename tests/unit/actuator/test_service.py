@@ -292,7 +292,7 @@ def test_contacts_and_loads_are_those_the_servos_feel() -> None:
 def test_a_robot_without_servos_does_not_start() -> None:
     rig = Rig()
     rig.bus = ServoBusEmulator(ServoBank([1, 2, 3]))
-    with pytest.raises(RuntimeError, match="15 of 18 servos are not ready"):
+    with pytest.raises(OSError, match="15 of 18 servos are not ready"):
         rig.start()
 
 

@@ -60,7 +60,7 @@ def test_a_port_without_rights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 def test_a_network_port_where_nobody_listens() -> None:
     check, *_ = servo_checks.examine(f"socket://127.0.0.1:{free_port()}", "phantomx_mk2")
     assert check.level is Level.FAIL
-    assert "close what else uses the port" in check.advice
+    assert "give another port" in check.advice
 
 
 def test_a_robot_in_order_lacks_nothing_but_a_calibration(bench: Workbench) -> None:

@@ -40,6 +40,9 @@ def url(bench: Workbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
         (["calibrate", "--robot", "nowhere.toml"], "nowhere.toml: no such file"),
         (["calibrate", "--pose", "0", "0", "90"], "--pose: a pose within the left front leg's limits expected, found tibia 90"),
         (["calibrate", "--out", "other.toml"], "other.toml is a lotriet_rx64, phantomx_mk2 expected"),
+        (["calibrate", "--out", "other"], "--out: a file that ends in .toml expected, found other"),
+        (["calibrate", "--out", "nowhere/other.toml"], "--out: a folder that is there and may be written expected"),
+        (["scan", "--ids", "0:300"], "ids of servos expected, 0 to 253, found '0:300'"),
         (["emulate", "--listen", "70000"], "give another with --listen"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -48,12 +51,22 @@ def test_wrong_input_is_refused_before_a_servo_hears_of_it(
     words: list[str], hint: str, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("other.toml").write_text('extends = "lotriet_rx64"\n')
-    assert cli.main(["servos", *words, *(["--port", url] if words[0] != "emulate" else [])]) == 2
+    try:
+        status = cli.main(["servos", *words, *(["--port", url] if words[0] != "emulate" else [])])
+    except SystemExit as end:  # of the argument parser
+        status = end.code  # type: ignore[assignment]
+    assert status == 2
     assert hint in capsys.readouterr().err
     assert not bench.counts.instructions
 
 
-@pytest.mark.parametrize("command", ["scan", "set-id", "calibrate", "test"])
+@pytest.mark.parametrize("port", ["sock://127.0.0.1:5201", "socket://127.0.0.1", "socket://127.0.0.1:x"])
+def test_a_port_that_is_none_is_told_what_one_looks_like(port: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["servos", "scan", "--port", port]) == 1
+    assert "socket://HOST:PORT" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["scan", "off", "set-id", "calibrate", "test"])
 def test_a_port_that_is_not_there_fails_in_words(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["servos", command, "--port", f"socket://127.0.0.1:{free_port()}"]) == 1
     told = capsys.readouterr().err
@@ -113,3 +126,32 @@ def test_torque_is_left_as_a_script_says(
     assert capsys.readouterr().out.splitlines()[-1] == "3 of 3 joints are in order"
     assert cli.main(["servos", "scan", "--port", url, "--ids", "1:2"]) == 1  # time goes on: what was written arrives
     assert (bench._servos.tables[:, dxl.TORQUE_ENABLE.address] == left).all()
+
+
+@pytest.mark.parametrize("deaf", [False, True])
+def test_torque_goes_off_at_the_port_itself(deaf: bool, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """An actuator that is gone has left a robot standing; one of its servos may have lost its cable since."""
+    torque = bench._servos.tables[:, dxl.TORQUE_ENABLE.address]
+    torque[:] = 1
+    assert cli.main(["servos", "scan", "--port", url]) == 0
+    assert "torque is on, of servo 1 (left front coxa), and of 17 more; `sextant servos off`" in capsys.readouterr().out
+    if deaf:
+        bench.unplug(bench._with_id(9))
+    assert cli.main(["servos", "off", "--port", url]) == int(deaf)
+    told = capsys.readouterr().out
+    assert f"torque is off: {18 - deaf} of 18 servos say so" in told
+    assert ("servo 9 (left rear femur) does not answer, or refuses" in told) == deaf
+    assert int(torque.sum()) == int(deaf)
+    if not deaf:
+        assert cli.main(["servos", "scan", "--port", url]) == 0
+        assert "torque is on" not in capsys.readouterr().out
+
+
+def test_a_script_does_not_wait_for_a_leg_that_nobody_bends(
+    bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench.bend(LEGS.index("left rear"), np.radians([0.0, 40.0, 0.0]))
+    assert cli.main(["servos", "calibrate", "--port", url, "--leg", "left rear", "--yes"]) == 1
+    told = capsys.readouterr().out
+    assert told.count("the leg is not in the pose") == 1
+    assert "the left rear leg is left out" in told

@@ -91,7 +91,18 @@ def test_a_host_at_another_rate_is_not_heard() -> None:
     assert len(answers(made, dxl.ping(1), 20 * MS)) == 1
 
 
-@pytest.mark.parametrize("line", ["", "plug x", "plug 1 2", "bend left knee 0 0 0", "bend left front 0 0", "jump"])
+@pytest.mark.parametrize(
+    "line", ["", "plug x", "plug 1 2", "bend left knee 0 0 0", "bend left front 0 1.2.3 0", "bend left front 0 0", "jump"]
+)
 def test_what_is_no_order_is_told(line: str) -> None:
     with pytest.raises(ValueError, match=r"one of plug \[N\], .* expected, found"):
         bench().obey(line)
+
+
+@pytest.mark.parametrize("line", ["unplug 99", "bend left front 0 999 0"])
+def test_what_is_not_there_or_cannot_be_is_told(line: str) -> None:
+    made = bench()
+    before = made.obey("list")
+    with pytest.raises(ValueError, match=rf"expected, found '{line}'"):
+        made.obey(line)
+    assert made.obey("list") == before
