@@ -118,16 +118,35 @@ def test_what_is_allowed_at_most_passes(changes: dict[str, object]) -> None:
     assert refusal(plan(**changes)) == ""
 
 
+QUICK: dict[str, Any] = {"swing": NOBODY, "touchdown": FEET, "body_goal": goal(0.05, z=0.15), "duration": 0.3}
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"clearance": np.full(6, 0.12), "duration": 0.5}, "in 0.50 s, at most 159 deg allowed"),
-        ({"duration": 0.3}, "in 0.30 s, at most 58 deg allowed"),
+        (
+            {"clearance": np.full(6, 0.12), "duration": 0.5},
+            "femur of the left front leg would turn by 180 deg in 0.50 s, at most 159",
+        ),
+        ({"duration": 0.3}, "femur of the left front leg would turn by 73 deg in 0.30 s, at most 58"),
+        (QUICK, "tibia of the right rear leg would turn by 60 deg in 0.30 s, at most 58"),  # which stands
     ],
 )
 def test_no_joint_is_asked_to_go_or_gather_speed_faster_than_its_servo_does(changes: dict[str, object], words: str) -> None:
-    assert words in refusal(plan(**changes))
+    assert refusal(plan(**changes)) == f"the {words} deg allowed"
     assert refusal(plan(**changes | {"duration": 1.2})) == ""
+
+
+def test_legs_that_stand_under_a_step_that_is_under_way_are_on_the_way_that_was_accepted() -> None:
+    landing, left = plan(**QUICK | {"swing": TRIPOD}), np.where(TRIPOD, 0.2, np.inf)
+    check = PlanCheck(PROFILE, AGE)
+    assert check.unwalkable(landing, START, FEET, revises=True, air_s=left) == ""
+    words = "the femur of the left front leg would turn by 115 deg in 0.30 s, at most 58 deg allowed"
+    for lifted in (False, True):
+        until_now = {} if lifted else {"revises": True}
+        air_s = left if lifted else np.full(6, np.inf)
+        found = PlanCheck(PROFILE, AGE).unwalkable(landing, START, FEET, **until_now, air_s=air_s)
+        assert found == words, "it has not been lifted, or is no revision: its whole way counts"
 
 
 def test_the_time_in_which_feet_are_on_the_ground_is_none_to_swing_in() -> None:
