@@ -429,3 +429,13 @@ def test_resets_count_for_five_minutes_also_of_a_servo_that_has_stayed_shut_down
     found = patient.live(1.2, shut)
     assert any(verdict.revive == (7,) for verdict in found)
     assert not any(verdict.sit for verdict in found)
+
+
+def test_two_sags_with_a_silence_between_them_are_two() -> None:
+    sagging = replace(WELL, voltage=np.full(18, EMPTY - 1.5))
+    patient = Patient()
+    patient.live(1.0)
+    silent = replace(silenced(sagging, slice(None)), newest=0.2)
+    found = patient.live(0.5, sagging) + patient.live(2.0, silent) + patient.live(0.5, sagging)
+    assert not any(verdict.sit for verdict in found)
+    assert patient.live(1.0, sagging)[-1].sit
