@@ -14,6 +14,7 @@ from shared.messages import StepPlan
 from shared.robot import JOINTS, LEGS, RobotProfile
 from shared.stability import support_margin
 
+FURTHEST = 1e6  # [m] from the origin of {world}
 MAX_TRAVEL = 0.20  # [m] of the body in one step
 MAX_TILT = np.radians(15.0)
 MAX_TURN = np.radians(25.0)
@@ -175,6 +176,8 @@ def _malformed(plan: StepPlan) -> str:
     for name, T in (("T_world_odom", plan.T_world_odom), ("body_goal", plan.body_goal)):
         if not is_rigid(T):
             return f"the plan's {name} is not a rigid transform"
+        if np.abs(T[:3, 3]).max() > FURTHEST:
+            return f"the plan's {name} is more than {FURTHEST * 1e-3:.0f} km away: numbers so large say nothing of millimetres"
     return ""
 
 

@@ -66,6 +66,7 @@ def test_a_good_plan_passes() -> None:
 FAR = apply(START, REST)
 FAR[0] += [0.15, 0.15, 0.0]
 SKEWED = np.diag([1.0, 1.0, 1.1, 1.0])
+FAR_AWAY = from_xyz_rpy((0.0, 1e13, 0.0), np.zeros(3))
 MIRRORED = np.diag([1.0, -1.0, 1.0, 1.0])
 FOUR = np.array([True, True, True, True, False, False])
 
@@ -81,6 +82,14 @@ FOUR = np.array([True, True, True, True, False, False])
         ({"T_world_odom": SKEWED}, "the plan's T_world_odom is not a rigid transform"),
         ({"body_goal": MIRRORED}, "the plan's body_goal is not a rigid transform"),
         ({"T_world_odom": np.zeros((4, 4))}, "the plan's T_world_odom is not a rigid transform"),
+        (
+            {"T_world_odom": FAR_AWAY},
+            "the plan's T_world_odom is more than 1000 km away: numbers so large say nothing of millimetres",
+        ),
+        (
+            {"body_goal": goal(-2e6)},
+            "the plan's body_goal is more than 1000 km away: numbers so large say nothing of millimetres",
+        ),
         ({"body_goal": goal(0.25)}, "the body would travel 0.25 m in one step, at most 0.2 m allowed"),
         ({"body_goal": goal(roll=0.4)}, "the body would turn by [22.9, -0.0, 0.0] deg in one step"),
         ({"body_goal": goal(roll=np.radians(15.5))}, "the body would turn by [15.5, -0.0, 0.0] deg in one step"),
