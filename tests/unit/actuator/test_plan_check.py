@@ -127,6 +127,8 @@ def test_what_is_allowed_at_most_passes(changes: dict[str, object]) -> None:
     assert refusal(plan(**changes)) == ""
 
 
+OUT_AND_UP = plan().touchdown
+OUT_AND_UP[0] += [0.0, 0.05, 0.03]
 QUICK: dict[str, Any] = {"swing": NOBODY, "touchdown": FEET, "body_goal": goal(0.05, z=0.15), "duration": 0.3}
 
 
@@ -138,6 +140,7 @@ QUICK: dict[str, Any] = {"swing": NOBODY, "touchdown": FEET, "body_goal": goal(0
             "femur of the left front leg would turn by 180 deg in 0.50 s, at most 159",
         ),
         ({"duration": 0.3}, "femur of the left front leg would turn by 73 deg in 0.30 s, at most 58"),
+        ({"touchdown": OUT_AND_UP, "duration": 0.3}, "femur of the left front leg would turn by 114 deg in 0.30 s, at most 58"),
         (QUICK, "tibia of the right rear leg would turn by 60 deg in 0.30 s, at most 58"),  # which stands
     ],
 )
@@ -156,6 +159,21 @@ def test_legs_that_stand_under_a_step_that_is_under_way_are_on_the_way_that_was_
         air_s = left if lifted else np.full(6, np.inf)
         found = PlanCheck(PROFILE, AGE).unwalkable(landing, START, FEET, **until_now, air_s=air_s)
         assert found == words, "it has not been lifted, or is no revision: its whole way counts"
+
+
+def test_the_world_may_be_a_thousand_kilometres_wide_and_no_more() -> None:
+    for away, words in ((1e6, ""), (1e6 + 0.5, "the plan's T_world_odom is more than 1000 km away")):
+        T_world_odom = from_xyz_rpy((0.0, -away, 0.0), np.zeros(3))
+        there = plan(touchdown=apply(T_world_odom, plan().touchdown), body_goal=T_world_odom @ plan().body_goal)
+        assert refusal(replace(there, T_world_odom=T_world_odom)).startswith(words)
+        assert bool(words) == bool(refusal(replace(there, T_world_odom=T_world_odom)))
+
+
+def test_a_body_that_is_nowhere_near_its_feet_is_told_by_how_much() -> None:
+    found = PlanCheck(PROFILE, AGE).unwalkable(plan(), START, FEET + np.array([0.0, 1.5, 0.0]))
+    margin = support_margin((FEET + np.array([0.0, 1.5, 0.0]))[~TRIPOD][:, :2], START[:2, 3])
+    assert margin < -1.0
+    assert found == f"the body would be {margin * 1e3:.0f} mm inside its standing feet at the start, 5 mm needed"
 
 
 def test_the_time_in_which_feet_are_on_the_ground_is_none_to_swing_in() -> None:
