@@ -162,7 +162,7 @@ def emulate(arguments: argparse.Namespace) -> int:
         raise InputError(f"a port up to {_LAST_PORT} expected, found {arguments.listen}; give another with --listen")
     bench = Workbench(_profile(arguments.robot), np.random.default_rng(arguments.seed), fresh=arguments.fresh)
     try:
-        server = TcpBusServer(bench, port=arguments.listen)
+        server = TcpBusServer(bench, port=arguments.listen, turns_away=True)
     except OSError as error:
         raise InputError(f"cannot listen on port {arguments.listen}: {error}; give another with --listen") from None
     with server:

@@ -242,4 +242,6 @@ class Line:
 
 def gone(error: Exception) -> BusGone:
     """What a failure of the port means."""
-    return BusGone(f"the servo port is gone ({error}); check the adapter's cable, or the simulator, and open it again")
+    return BusGone(
+        f"the servo port is gone ({error}); check the adapter's cable, or the simulator, and whether another program uses it"
+    )

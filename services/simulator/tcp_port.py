@@ -34,6 +34,7 @@ class TcpBusServer:
         other_port: int = 0,
         clock: Callable[[], int] = time.monotonic_ns,
         answering: Callable[[], bool] = lambda: True,
+        turns_away: bool = False,
     ) -> None:
         """Listen and start serving.
 
@@ -45,6 +46,7 @@ class TcpBusServer:
             clock: Bus time [ns]; it must run at real time, for answers are held back until it reaches them.
             answering: Whether the physics is up to date; while it is not the servos stay silent, rather than tell where
                 they were some time ago.
+            turns_away: Hang up on whoever comes while somebody is connected; else they wait until that one has left.
 
         Raises:
             OSError: The address cannot be listened on.
@@ -55,6 +57,7 @@ class TcpBusServer:
         self._speaks = bus.due_ns is not None  # of itself, too
         self._clock = clock
         self._answering = answering
+        self._turns_away = turns_away
         self._host, self._ports = host, [port, other_port]
         self._outlet: Outlet | None = Outlet()
         self._listener: socket.socket | None = self._listen(Outlet())
@@ -135,7 +138,8 @@ class TcpBusServer:
         self._spoken()  # to nobody
         try:
             while True:
-                ready, _, _ = select.select([client, self._woken], [], [], self._wait_s(outbox))
+                doors = [self._listener] if self._turns_away and self._listener else []
+                ready, _, _ = select.select([client, self._woken, *doors], [], [], self._wait_s(outbox))
                 if self._closing:
                     return "server closed"
                 if self._woken in ready:
@@ -149,6 +153,11 @@ class TcpBusServer:
                     with self.lock:
                         answers = self._bus.receive(data, self._clock())
                     outbox.put(answers if self._answering() else ())
+                for door in doors:
+                    if door in ready:  # and the client is still there
+                        other, peer = door.accept()
+                        other.close()
+                        log.info("servo bus client %s turned away: another is connected", peer)
                 outbox.put(self._spoken())
                 due = outbox.take(self._clock())
                 if due:

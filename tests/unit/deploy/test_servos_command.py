@@ -2,6 +2,7 @@
 
 import io
 import json
+import socket
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -155,3 +156,19 @@ def test_a_script_does_not_wait_for_a_leg_that_nobody_bends(
     told = capsys.readouterr().out
     assert told.count("the leg is not in the pose") == 1
     assert "the left rear leg is left out" in told
+
+
+@pytest.mark.filterwarnings("ignore:.*socket.*:pytest.PytestUnraisableExceptionWarning")  # pyserial drops one that was hung up
+def test_a_second_program_is_told_that_it_is_not_alone(bench: Workbench, capsys: pytest.CaptureFixture[str]) -> None:
+    """It would hear nothing, and look for 18 cables."""
+    with TcpBusServer(bench, turns_away=True) as server:
+        for _ in range(3):
+            with socket.create_connection(server.address) as first:
+                first.sendall(dxl.ping(1))
+                assert first.recv(64)
+                assert cli.main(["servos", "scan", "--port", server.url]) == 1
+                assert "whether another program uses it" in capsys.readouterr().err
+                first.sendall(dxl.ping(2))
+                assert first.recv(64)
+            assert cli.main(["servos", "scan", "--port", server.url, "--ids", "1:3"]) == 1
+            assert "servo 3 (left front femur) does not answer" in capsys.readouterr().out, "whoever comes next is served"
