@@ -71,6 +71,9 @@ class Joints:
         self.gone = ""  # why there is no bus, in words
         self._doubted = np.zeros(18, dtype=np.bool_)  # servos that may have missed an order since they last said that they pull
         self._cycle = 0
+        self._excused = int(
+            settings.bridge
+        )  # questions left open without a doubt: news from behind a bridge may be a cycle old
         self._behind = np.zeros(18, dtype=np.bool_)  # servos that missed goals: they go slowly until they have caught up
         self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those were heard again, 0 before
         self.out_of_touch = False  # whether all of them have, and are not heard and caught up yet
@@ -270,7 +273,7 @@ class Joints:
             enabled = self._bus.read(servo_id, dxl.TORQUE_ENABLE)
             if enabled is not None:
                 self.torque[index], self._doubted[index] = bool(enabled), False
-        self._doubted |= self._bus.missed > 0
+        self._doubted |= self._bus.missed > self._excused
         self._cycle += 1
         if self._cycle % _DOUBTED_EVERY == 0:  # power may be gone for a moment between two questions
             self._doubted[self._cycle // _DOUBTED_EVERY % 18] = True
