@@ -36,14 +36,16 @@ def up(arguments: argparse.Namespace) -> int:
             say(f"starting {', '.join(half.names)}; Ctrl-C ends them")
             if paged:
                 say(f"the operator's page: http://127.0.0.1:{chosen.console_port}/")
-            while not interrupts.asked():
-                if problem := half.beat(0.2):
-                    complain(f"sextant up: {problem}")
-                    return FAILED
-            half.stop(interrupts.insisted)
+            problem = ""
+            while not problem and not interrupts.asked():
+                problem = half.beat(0.2)
+            if problem:
+                complain(f"sextant up: {problem}")
+            else:
+                half.stop(interrupts.insisted)
     if any(row.name == "actuator" for row in rows) and not chosen.scenario:
         say("the servos hold, or hang, as they did; `sextant servos off` takes their torque off")
-    return INTERRUPTED
+    return FAILED if problem else INTERRUPTED
 
 
 def _print_zenoh(gated: "Gate") -> int:

@@ -1,7 +1,7 @@
 """Torque off at the port itself, where no actuator runs to be ordered so."""
 
 from services.actuator.bus import ServoBus
-from services.actuator.roll_call import retry
+from services.actuator.gentle import took
 from shared import dynamixel as dxl
 
 
@@ -14,7 +14,7 @@ def let_go(bus: ServoBus) -> dict[int, str]:
     bus.set_torque(False)
     left = {}
     for servo_id in bus.servo_ids:
-        if retry(lambda servo_id=servo_id: bus.write(servo_id, dxl.TORQUE_ENABLE, 0) or None) is None:  # type: ignore[misc]
+        if not took(bus, servo_id, dxl.TORQUE_ENABLE, 0):
             left[servo_id] = "does not answer, or refuses"
         elif bus.read(servo_id, dxl.TORQUE_ENABLE):
             left[servo_id] = "says that its torque is on"

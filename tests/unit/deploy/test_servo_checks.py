@@ -134,3 +134,9 @@ def test_legs_that_were_never_measured_are_named() -> None:
     check = servo_checks.calibration(robot, TODAY)
     assert check.level is Level.WARN
     assert check.found == f"0 days old; not of {', '.join(LEGS[1:])}"
+
+
+def test_torque_that_is_on_is_told_and_is_no_fault(bench: Workbench) -> None:
+    bench._servos.tables[:, dxl.TORQUE_ENABLE.address] = 1
+    check = examined(bench)["servo port"]
+    assert (check.level, check.found) == (Level.OK, "all 18 servos answer; the torque of 18 is on")
