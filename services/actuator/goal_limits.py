@@ -8,7 +8,7 @@ from shared.robot import LEGS, RobotProfile
 _FULL_SPEED_S = 0.04  # [s] in which a goal may come from rest to the servos' greatest speed; to stop takes no time
 GENTLE = np.radians(25.0)  # [rad/s] of a joint that takes up its work again
 LOWERED = np.radians(35.0)  # [rad/s] of one whose foot was left in the air, and comes down
-FETCHED = np.radians(80.0)  # [rad/s] of one whose leg waited in the air for a servo that was silent, and is where it was sent
+FETCHED = np.radians(95.0)  # [rad/s] of one whose leg waited in the air for a servo that was silent, and is where it was sent
 _NEAR = np.radians(5.0)  # of what is wanted, within which it has taken it up
 _FAR = np.radians(3.0)  # of what is wanted, at which what is wanted waits for it
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from services.actuator.bus import BusGone, BusSetupError, Port, ServoReading
 from services.actuator.config import Settings
-from services.actuator.goal_limits import GENTLE
+from services.actuator.goal_limits import GENTLE, LOWERED
 from services.actuator.health import SHUT_DOWN, SILENT, Vitals
 from services.actuator.servos import Outlet, Servos, connect
 from shared import dynamixel as dxl
@@ -75,6 +75,7 @@ class Joints:
             settings.bridge
         )  # questions left open without a doubt: news from behind a bridge may be a cycle old
         self._behind = np.zeros(18, dtype=np.bool_)  # servos that missed goals: they go slowly until they have caught up
+        self._catch_up: Array = np.full(18, GENTLE)  # [rad/s] of those
         self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those were heard again, 0 before
         self.out_of_touch = False  # whether all of them have, and are not heard and caught up yet
         self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; as they stand in the servos
@@ -160,15 +161,15 @@ class Joints:
         Servos that have missed goals are told to go slowly: nobody knows from where they set out when they hear again.
         """
         self.goals = q_goal
-        self._leave_behind(self._bus.missed >= SILENT)
-        speeds = np.where(self._behind, dxl.moving_speed_from(GENTLE), 0)
+        self._leave_behind(self._bus.missed >= SILENT, LOWERED)
+        speeds = np.where(self._behind, [dxl.moving_speed_from(top) for top in self._catch_up.tolist()], 0)
         self._tell(lambda: self._bus.sync_write_goals(_ticks(self._profile.servo_angles(q_goal).ravel()), speeds))
 
     def lose_touch(self) -> None:
         """Begin to find out anew where all joints are: goals that were sent of late may not have been heard, or meant."""
         self.out_of_touch = True
         self._doubted[:] = True
-        self._leave_behind(np.ones(18, dtype=np.bool_))
+        self._leave_behind(np.ones(18, dtype=np.bool_), GENTLE)
 
     def let_go(self) -> None:
         """Turn all torque off; where there is no bus, as soon as there is one, before anything else."""
@@ -200,7 +201,7 @@ class Joints:
         leg, joint = divmod(index, 3)
         goals = self.goals.copy()
         goals[leg, joint] = np.clip(self.q[leg, joint], *self._profile.joint_limits[leg, joint])
-        self._leave_behind(np.arange(18) == index)
+        self._leave_behind(np.arange(18) == index, GENTLE)
         self.write(goals)
         self._tell(lambda: self._wake(index))
 
@@ -243,7 +244,9 @@ class Joints:
         self.voltage[reading.index] = reading.voltage
         self.temperature[reading.index] = reading.temperature
 
-    def _leave_behind(self, servos: NDArray[np.bool_]) -> None:
+    def _leave_behind(self, servos: NDArray[np.bool_], catch_up: float) -> None:
+        self._catch_up[servos & ~self._behind] = catch_up
+        self._catch_up[servos] = np.minimum(self._catch_up[servos], catch_up)
         self._behind |= servos
         self._back_ns[servos] = 0
 

@@ -7,7 +7,7 @@ import pytest
 
 from services.actuator.bus import BusSetupError
 from services.actuator.config import Settings
-from services.actuator.goal_limits import GENTLE
+from services.actuator.goal_limits import GENTLE, LOWERED
 from services.actuator.health import SILENT
 from services.actuator.joints import Joints
 from shared import dynamixel as dxl
@@ -188,7 +188,7 @@ def test_motor_torques_are_those_in_the_direction_of_growing_angles_and_zero_whe
 
 # ------------------------------------------------------------------------------------------------------- missed goals
 
-GENTLY = dxl.moving_speed_from(GENTLE)
+GENTLY, SLOWLY = (dxl.moving_speed_from(speed) for speed in (GENTLE, LOWERED))
 
 
 def test_a_servo_that_was_silent_goes_slowly_until_it_is_where_it_was_sent_and_nobody_else_does() -> None:
@@ -201,12 +201,24 @@ def test_a_servo_that_was_silent_goes_slowly_until_it_is_where_it_was_sent_and_n
     rig.joints.write(moved)
     rig.until(lambda: rig.joints.vitals.missed[SERVO] == 0, write=True)
     speeds = np.array(rig.registers(dxl.MOVING_SPEED))
-    np.testing.assert_array_equal(speeds, np.where(np.arange(18) == SERVO, GENTLY, 0))
+    np.testing.assert_array_equal(speeds, np.where(np.arange(18) == SERVO, SLOWLY, 0))
     assert not rig.joints.out_of_touch, "the others were there all the while"
     rig.until(lambda: not rig.joints.vitals.behind.any(), write=True)
     rig.cycle(2, write=True)
     assert rig.registers(dxl.MOVING_SPEED) == [0] * 18
     assert abs(rig.measured[LEG, JOINT] - moved[LEG, JOINT]) < np.radians(5.0)
+
+
+def test_a_servo_that_missed_goals_goes_as_gently_as_all_where_touch_is_lost_meanwhile() -> None:
+    rig = JointsRig().start()
+    rig.cycle(8, write=True)
+    rig.suffer("servo", "silent", 5.0, servo=IDS[SERVO])
+    rig.until(lambda: rig.joints.vitals.missed[SERVO] >= SILENT, write=True)
+    rig.cycle(write=True)
+    assert rig.said_speeds == [SLOWLY if row == SERVO else 0 for row in range(18)]
+    rig.joints.lose_touch()
+    rig.joints.write(rig.joints.goals)
+    assert rig.said_speeds == [GENTLY] * 18
 
 
 def test_where_nobody_answers_touch_is_lost_and_regained_once_all_have_answered_and_all_go_slowly_meanwhile() -> None:
