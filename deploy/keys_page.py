@@ -56,8 +56,9 @@ address), with scouting off. A key of this page stands behind the namespace of t
   another machine go by the robot's clock, too, which they follow by what `actuator/state` says of when it was sent.
 - Whoever orders takes the lease, by the `holder` of a `ModeCommand`: one at a time may move the legs, everybody may stop them.
   An order to move, a velocity and a goal count only where their stamp is at most two seconds off the robot's clock, for else
-  they may have been recorded. A client on any machine may stamp by the newest `actuator/state`, and number its orders by
-  that, too, so that they count on from those that its holder gave elsewhere; the one below does.
+  they may have been recorded. The `sequence` of an order is the time at which it was given, and stays as it is repeated: one
+  that the actuator hears for the first time over two seconds later raises nobody and no torque. A client on any machine may
+  take both from the newest `actuator/state`; the one below does.
 - Transforms `T_a_b` are 4 × 4 and take coordinates of frame b to frame a: {{world}} is fixed where the robot started, z up,
   {{odom}} is what the legs alone believe, {{body}} moves along, x forward, y left, z up.
 - `sextant topics echo KEY` shows what is said, `sextant topics hz` how often and how much.

@@ -400,7 +400,7 @@ class ModeCommand(Message):
     """What the operator orders of the legs; operator -> actuator."""
 
     mode: Literal["off", "stop", "ready", "stand", "walk", "sit"]
-    sequence: int  # counts up: an order counts once, however often it is repeated
+    sequence: int  # [ns] by the robot's clock when it was given: an order counts once, however often it is repeated
     holder: str = "operator"  # who orders: one at a time may move the legs, everybody may stop them
     take: bool = False  # True: take over from whoever may move them now; with `stop` without moving anything
 

@@ -74,7 +74,7 @@ class Operator:
         self._walk = scenario.walk
         self._speed = min(scenario.walk.speed, profile.stance.max_speed)
         self._order: Literal["stand", "walk"] = "stand"
-        self._first_order = -1  # number of the first order; the second follows it
+        self._given_ns = -1  # when that was, by the robot's clock
         self._order_due_ns = 0
         self._rising = False
         self._arrived_ns: int | None = None
@@ -86,9 +86,9 @@ class Operator:
         now = tick.stamp_ns
         state = inbox.latest(topics.ACTUATOR_STATE)
         if self._robot.see(now, None if state is None else state.stamp_ns):
-            self._first_order = -1
-        if self._first_order < 0 and self._robot.known:
-            self._first_order = self._robot() + 1  # an actuator that has heard another operator before counts on
+            self._given_ns = -1
+        if self._given_ns < 0 and self._robot.known:
+            self._given_ns = self._robot()
         pose = inbox.latest(topics.BODY_POSE)
         steerable = inbox.fresh(topics.BODY_POSE) is not None
         status = inbox.latest(topics.PLANNER_STATUS)
@@ -100,7 +100,7 @@ class Operator:
             self._give_up(now, state, status, ever_posed=pose is not None, posed=steerable)
         if now >= self._order_due_ns and self._robot.known:
             self._order_due_ns = now + _ORDER_NS
-            yield ModeCommand(self._robot(), self._order, self._first_order + (self._order == "walk"))
+            yield ModeCommand(self._robot(), self._order, self._given_ns)
         if self._order == "walk":
             known = pose is not None and steerable and not self.finished
             if self._route is None:
@@ -131,11 +131,14 @@ class Operator:
             self._since.pop("waits", None)
         elif now - self._since.setdefault("waits", now) >= _AGAIN_NS:
             self._since.pop("waits")
-            self._first_order, self._order_due_ns = self._first_order + 2, 0
+            self._give("stand")
         risen = self._rising and state.mode is Mode.HOLD
         if posed and (risen or state.mode is Mode.WALK):
-            self._order = "walk"
-            self._order_due_ns = 0
+            self._give("walk")
+
+    def _give(self, order: Literal["stand", "walk"]) -> None:
+        """Order that from now on."""
+        self._order, self._given_ns, self._order_due_ns = order, max(self._given_ns + 1, self._robot()), 0
 
     def _ask_for_touch(self, now: int, status: PlannerStatus | None) -> None:
         """Where the scenario allows it, have the robot go on by touch once it has stood for want of sight; for good."""

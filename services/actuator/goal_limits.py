@@ -63,9 +63,10 @@ class GoalLimits:
         wanted = np.where(lost[:, None], q_last, q_goal)
         limits, fastest = self._profile.joint_limits, self._profile.servo.no_load_speed
         wanted = np.minimum(np.maximum(wanted, limits[..., 0]), limits[..., 1])
-        top = np.minimum(np.abs(self._rates) + fastest / _FULL_SPEED_S * dt, fastest)
-        top = np.where(self.gentle, np.minimum(top, self._top), top)
-        q = np.minimum(np.maximum(wanted, q_last - top * dt), q_last + top * dt)
+        gained = fastest / _FULL_SPEED_S * dt
+        down, up = (np.minimum(np.maximum(way * self._rates, 0.0) + gained, fastest) for way in (-1.0, 1.0))
+        down, up = (np.where(self.gentle, np.minimum(top, self._top), top) for top in (down, up))
+        q = np.minimum(np.maximum(wanted, q_last - down * dt), q_last + up * dt)
         if dt > 0.0:
             self._rates = (q - q_last) / dt
         left = np.abs(wanted - q)

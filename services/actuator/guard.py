@@ -22,6 +22,7 @@ from shared.robot import RobotProfile
 
 DEADLINE_NS = 180_000_000  # [ns] that a walk goes on without a new plan
 LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order, be it one that is repeated
+AWAY_NS = 30_000_000_000  # [ns] after which a leader who was not heard is followed only by a new order to walk
 ORDER_AGE_NS = 2_000_000_000  # [ns] by which an order to move may be older than now, or stamped ahead: else it was put anew
 _HOLDERS = 16  # whose orders are remembered; more of them are not obeyed but to stop
 _STOPS = ("off", "stop")  # orders that anybody may give
@@ -59,15 +60,18 @@ class Legs:
 class Guard:
     """Decides about modes, orders and plans."""
 
-    def __init__(self, profile: RobotProfile, plan_age_s: float, epoch: int, torque: bool, handover_s: float = 0.0):
+    def __init__(
+        self, profile: RobotProfile, plan_age_s: float, epoch: int, torque: bool, handover_s: float = 0.0, off_ns: int = -1
+    ):
         """Begin as the servos stand: torque that is on stays on, torque that is off stays off.
 
         Args:
             profile: The robot.
             plan_age_s: [s] older plans are refused.
-            epoch: Of {odom}.
+            epoch: [ns] of {odom}, which begins now.
             torque: Whether the servos pull.
             handover_s: [s] of a step in which the feet of its legs are not in the air.
+            off_ns: [ns] when torque was ordered off, if nobody has taken that back.
         """
         self.mode = Mode.HOLD if torque else Mode.OFF
         self.reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
@@ -77,7 +81,9 @@ class Guard:
         self._check = PlanCheck(profile, plan_age_s, epoch, handover_s)
         self._sequences: dict[str, int] = {}  # newest order of each holder
         self._stops: dict[str, int] = {}  # newest of those who stop without leading
-        self._holder, self._heard_ns = "", 0
+        self._holder, self._heard_ns, self._begun_ns = "", 0, epoch
+        self._off_ns = off_ns  # when torque was ordered off last: no order of before turns it on
+        self.given_ns = -1  # when the order was given that was obeyed last
         self._may_walk = False
         self._accepted_ns = 0  # when the newest plan was
         self._late = False  # whether this walk has gone on for too long without one
@@ -109,7 +115,9 @@ class Guard:
         A stop is obeyed whoever orders it; one that takes over gives the lease to who has ordered it, and nothing moves. An
         order must be of now, by its stamp: one that was recorded and is put again neither moves the legs nor keeps a lease,
         also where this process has begun anew and remembers nobody's orders. A stop that is not of now is obeyed where nobody
-        knows a newer order of its holder, and counts for nothing else.
+        knows a newer order of its holder, and counts for nothing else. An order that was given a while ago, by its sequence,
+        and is heard for the first time since this process has begun anew, or the link was cut, keeps the lease and lets a
+        robot that stands walk on; it raises nobody, and no torque.
         """
         newest, stops = self._sequences.get(order.holder), order.mode in _STOPS
         untimely = _untimely(order, now_ns)
@@ -120,10 +128,14 @@ class Guard:
             if order.sequence < newest:
                 self.objection = f"`{order.mode}` of {order.holder} refused: it is older than their newest order"
             elif order.holder == self._holder and not untimely:
-                self._heard_ns = now_ns
+                self._hear_again(now_ns)
             return ()
         if untimely:
-            return self.hear_stop(StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder))  # type: ignore[arg-type]
+            stop = StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder)  # type: ignore[arg-type]
+            return self.hear_stop(stop, now_ns)
+        if not stops and order.sequence > now_ns + ORDER_AGE_NS:
+            self.objection = f"`{order.mode}` of {order.holder} refused: its sequence, when it was given [ns], is ahead of now"
+            return ()
         stranger = newest is None and len(self._sequences) >= _HOLDERS
         if not stranger:
             self._sequences[order.holder] = order.sequence
@@ -133,15 +145,42 @@ class Guard:
             return ()
         if order.holder == self._holder:
             self._heard_ns = now_ns
+        if not stops and (late := self._late_order(order, now_ns)):
+            self.objection = late
+            return ()
+        if order.mode == "off":
+            self._off_ns = max(self._off_ns, min(order.sequence, now_ns))
+        self.given_ns = order.sequence
         return self._obey(order.mode)
 
-    def hear_stop(self, order: StopOrder) -> tuple[Act, ...]:
+    def hear_stop(self, order: StopOrder, now_ns: int) -> tuple[Act, ...]:
         """Obey whoever orders to stop or to let go; it takes no lease, and nobody who does is remembered for longer for it."""
         known = self._stops.pop(order.holder, None)
         self._stops[order.holder] = order.sequence
         if len(self._stops) > _HOLDERS:
             del self._stops[next(iter(self._stops))]
-        return self._obey(order.mode) if order.sequence != known else ()
+        if order.sequence == known:
+            return ()
+        if order.mode == "off":
+            self._off_ns = max(self._off_ns, now_ns)
+        return self._obey(order.mode)
+
+    def _hear_again(self, now_ns: int) -> None:
+        """The leader's order is repeated: that keeps the lease, and after long silence gives it back, but not the walk."""
+        if self._may_walk and now_ns - self._heard_ns > AWAY_NS:
+            self._may_walk, silent_s = False, (now_ns - self._heard_ns) * 1e-9
+            self.objection = f"nothing was heard of {self._holder} for {silent_s:.0f} s; order `walk` anew"
+        self._heard_ns = now_ns
+
+    def _late_order(self, order: ModeCommand, now_ns: int) -> str:
+        """Why an order to move that is heard for the first time is too old to be obeyed, in words, or nothing."""
+        age_ns = now_ns - order.sequence
+        gone = f"`{order.mode}` of {order.holder} refused: by its sequence, the time [ns] of the robot's clock, it was given"
+        if self.mode is Mode.OFF and order.sequence < self._off_ns:
+            return f"{gone} before torque was ordered off; order it anew"
+        lasting = AWAY_NS if order.mode == "walk" else ORDER_AGE_NS
+        resumes = order.mode == "walk" and now_ns - self._begun_ns <= AWAY_NS
+        return f"{gone} {age_ns * 1e-9:.1f} s ago; order it anew" if age_ns > lasting and not resumes else ""
 
     def _claim(self, order: ModeCommand, now_ns: int, stranger: bool) -> str:
         """Give the lease to who orders; why it is refused, in words, or nothing."""

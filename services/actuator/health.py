@@ -12,7 +12,7 @@ from shared.robot import JOINTS, LEGS, RobotProfile
 SILENT = 4  # questions in a row that a servo has left open, from which it counts as silent
 _QUIET_S = 0.1  # [s] without any reading from which it is the bus, and no servo, that is silent
 _LOSS = 0.30  # share of the questions of late without a usable answer, from which nobody knows how the robot stands
-_LATE, _LATE_CYCLES = 2.0, 5  # periods that a cycle may take, and how many in a row may take longer
+_LATE, _LATE_CYCLES = 1.5, 5  # periods that a cycle may take, and how many in a row may take longer
 GAP_S = 0.2  # [s] between two cycles in which nobody has led the robot
 _WARM, _HOT = 12.0, 5.0  # [K] below the servos' own limit: from here on slower; from here on to the ground
 _LOW_S, _SETTLED_S = 1.0, 0.3  # [s] for which the voltage must be low, and its time constant

@@ -81,6 +81,7 @@ class Joints:
         self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; as they stand in the servos
         self.torque = np.zeros(18, dtype=np.bool_)  # that pull
         self.strength = np.ones(18)  # share of its torque that each was left with
+        self._most = np.full(18, dxl.TORQUE_LIMIT.max)  # registers of that which each is set up to have
         self._take_in([self._ask(i) for i in self._bus.servo_ids])
         self._bus.between = _nothing
         self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
@@ -180,12 +181,14 @@ class Joints:
     def grip(self) -> None:
         """Turn torque on where it is off, and up where a servo was left weak, at the places where those joints are.
 
-        An operator's act alone leads here.
+        An operator's act alone leads here. A joint that hangs beyond its limit comes back to that, slowly.
         """
         self._lets_go = False
         weak = (self.strength < 1.0) & (self._bus.errors & ServoError.OVERHEATING == 0)
         anew = (~self.torque | weak).reshape(6, 3)
-        self.write(np.where(anew, self.q, self.goals))
+        within = self._within(self.q)
+        self._leave_behind((anew & (within != self.q)).ravel(), GENTLE)
+        self.write(np.where(anew, within, self.goals))
         for _ in range(2):  # nobody answers a broadcast
             self._tell(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone
@@ -200,7 +203,7 @@ class Joints:
         """
         leg, joint = divmod(index, 3)
         goals = self.goals.copy()
-        goals[leg, joint] = np.clip(self.q[leg, joint], *self._profile.joint_limits[leg, joint])
+        goals[leg, joint] = self._within(self.q)[leg, joint]
         self._leave_behind(np.arange(18) == index, GENTLE)
         self.write(goals)
         self._tell(lambda: self._wake(index))
@@ -244,6 +247,11 @@ class Joints:
         self.voltage[reading.index] = reading.voltage
         self.temperature[reading.index] = reading.temperature
 
+    def _within(self, q: Array) -> Array:
+        """Joint angles (6, 3) [rad] within the joints' limits."""
+        limits = self._profile.joint_limits
+        return np.asarray(np.minimum(np.maximum(q, limits[..., 0]), limits[..., 1]))
+
     def _leave_behind(self, servos: NDArray[np.bool_], catch_up: float) -> None:
         self._catch_up[servos & ~self._behind] = catch_up
         self._catch_up[servos] = np.minimum(self._catch_up[servos], catch_up)
@@ -285,7 +293,7 @@ class Joints:
         """Give a servo all its torque, if it says that it has its place for its goal."""
         servo_id, goal = self._bus.servo_ids[index], _ticks(self._profile.servo_angles(self.goals).ravel())[index]
         placed = self._bus.write(servo_id, dxl.GOAL_POSITION, int(goal))
-        if placed and self._bus.write(servo_id, dxl.TORQUE_LIMIT, dxl.TORQUE_LIMIT.max):
+        if placed and self._bus.write(servo_id, dxl.TORQUE_LIMIT, int(self._most[index])):
             self.strength[index] = 1.0
 
     def _tell(self, say: Callable[[], object]) -> None:
@@ -328,6 +336,7 @@ class Joints:
         found = [[_value(table, register) for register in _STANDS] for table in tables]
         most, pulls, goals, limits, ticks, loads = np.array(found).T
         self.torque = pulls.astype(np.bool_) & (not self._lets_go)  # whoever has missed that order hears it again
+        self._most = most
         self.strength = np.minimum(limits / np.maximum(most, 1), 1.0)
         self.q, stand = self._angles(ticks), self._angles(goals)
         self.load = self._torques(loads.tolist())  # those of before tell of a robot that moved

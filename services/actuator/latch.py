@@ -1,4 +1,4 @@
-"""That torque is to be off, as a file: an order that outlives the processes it was given to."""
+"""That torque is to be off, as a file with the time of that order, which outlives the processes it was given to."""
 
 import os
 import re
@@ -24,10 +24,50 @@ class Latch:
         """Whether torque is to be off."""
         return self.path.exists()
 
-    def close(self) -> None:
-        """Set it."""
-        self.path.touch()
+    @property
+    def since_ns(self) -> int:
+        """[ns] by the robot's clock when that was ordered; 0 where nobody knows, or it is open."""
+        return _time_in(self.path)
 
-    def open(self) -> None:
-        """Take it off."""
-        self.path.unlink(missing_ok=True)
+    def close(self, at_ns: int = 0) -> None:
+        """Set it, for an order of that time [ns]; a newer one that is there stays."""
+        if not self.path.exists() or self.since_ns < at_ns:
+            written = self._beside("new")
+            written.write_text(str(at_ns))
+            written.replace(self.path)
+
+    def open(self, given_ns: int | None = None) -> bool:
+        """Take it off; by an order that was given at a time [ns] not where torque was ordered off since.
+
+        It is taken away before it is looked at: whoever closes it meanwhile does not lose that order.
+
+        Returns:
+            Whether it was taken off, or there was none.
+        """
+        if given_ns is not None and self.since_ns > given_ns:
+            return False
+        taken = self._beside("taken")
+        try:
+            self.path.replace(taken)
+        except FileNotFoundError:
+            return True
+        newer = given_ns is not None and _time_in(taken) > given_ns
+        try:
+            if newer:
+                self.close(_time_in(taken))
+            taken.unlink()
+        except OSError:
+            taken.replace(self.path)
+            raise
+        return not newer
+
+    def _beside(self, what: str) -> Path:
+        return self.path.with_name(f"{self.path.name}.{what}-{os.getpid()}")
+
+
+def _time_in(path: Path) -> int:
+    try:
+        text = path.read_text()
+    except OSError:
+        return 0
+    return int(text) if text.isascii() and text.isdigit() else 0

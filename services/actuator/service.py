@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Self
 
@@ -28,7 +28,7 @@ from services.actuator.walker import Targets, Walker
 from shared import topics
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_forward, body_inverse, nearest_reachable
-from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, Tick
+from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StopOrder, Tick
 from shared.robot import LEGS, RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
@@ -77,7 +77,8 @@ class Actuator:
         if self._latched():
             self._joints.let_go()
         torque = bool(self._joints.torque.any())  # one that does not pull then is a fault, and named
-        self._guard = Guard(profile, settings.plan_age_s, clock(), torque, settings.unload_s + settings.load_s)
+        off_ns = -1 if self._latch is None else self._latch.since_ns
+        self._guard = Guard(profile, settings.plan_age_s, clock(), torque, settings.unload_s + settings.load_s, off_ns)
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
         self._limits = GoalLimits(profile)
@@ -126,14 +127,10 @@ class Actuator:
         self._contact.update(self._measured(), self._joints.load, dt)
         self._odometry.update(self._measured(), self._standing(), self._walker.ground)
         if self._latched() and self._guard.mode is not Mode.OFF:
-            off = ModeCommand(tick.stamp_ns, "off", tick.stamp_ns, "stop path")
-            self._perform(self._guard.hear(off, tick.stamp_ns))
+            self._perform(self._guard.hear_stop(StopOrder(tick.stamp_ns, "off", tick.stamp_ns, "stop path"), tick.stamp_ns))
         if self._unlatched:
             self._close_latch()
-        for order in inbox.drain(topics.MODE):
-            self._perform(self._guard.hear(order, tick.stamp_ns))
-        for stop in inbox.drain(topics.STOP):
-            self._perform(self._guard.hear_stop(stop))
+        self._obey(inbox.drain(topics.MODE), inbox.drain(topics.STOP), tick.stamp_ns)
         self._level(dt, tick.stamp_ns, inbox)
         for plan in inbox.drain(topics.STEP_PLAN):
             if self._guard.consider(plan, tick.stamp_ns, self._legs()):
@@ -153,6 +150,15 @@ class Actuator:
             self._silent = True
 
     # ---------------------------------------------------------------------------------------------------------- inputs
+
+    def _obey(self, orders: Sequence[ModeCommand], stops: Sequence[StopOrder], now_ns: int) -> None:
+        """Obey what was ordered; who has torque turned off is heard first, so that it rises for no order of before."""
+        both: list[ModeCommand | StopOrder] = [*orders, *stops]
+        for order in sorted(both, key=lambda order: (order.mode != "off", isinstance(order, StopOrder))):
+            if isinstance(order, StopOrder):
+                self._perform(self._guard.hear_stop(order, now_ns))
+            else:
+                self._perform(self._guard.hear(order, now_ns))
 
     def _cycle_time(self, stamp_ns: int) -> tuple[float, float]:
         """Time [s] since the last cycle, and as much of it as the legs may move in."""
@@ -225,7 +231,7 @@ class Actuator:
         vitals = replace(vitals, behind=vitals.behind | self._behind())
         self._verdict = self._health.update(now_ns * 1e-9, elapsed, vitals, torque)
         self._perform(self._guard.watch(now_ns, self._legs(), self._verdict))
-        for index in self._verdict.revive:
+        for index in () if self._latched() else self._verdict.revive:
             self._joints.revive(index)
             if not self._still:  # then it has nothing to take up
                 self._limits.ease(*divmod(index, 3))
@@ -296,7 +302,7 @@ class Actuator:
         self._unlatched = ""
         try:
             if self._latch is not None:
-                self._latch.close()
+                self._latch.close(self._last_ns)
         except OSError as error:
             self._unlatched = f"torque is off, but a restarted actuator would not know of that order: {error}"
 
@@ -304,8 +310,8 @@ class Actuator:
         """Take the order to let go off; whether it could be, or else why not is said, and it goes on to be obeyed."""
         self._unlatched = self._latch_stuck = ""
         try:
-            if self._latch is not None:
-                self._latch.open()
+            if self._latch is not None and not self._latch.open(self._guard.given_ns):
+                self._latch_stuck = "torque stays off, for that was ordered meanwhile; order it anew"
         except OSError as error:
             self._latch_stuck = f"torque stays off, for that order cannot be taken back: {error}"
         return not self._latch_stuck
@@ -462,6 +468,7 @@ class Actuator:
             guard.objection,
             self._unlatched,
             self._latch_stuck,
+            self._verdict.broken if guard.mode in (Mode.OFF, Mode.READY) else "",  # else the reason
             *self._verdict.warnings,
         )
 

@@ -17,6 +17,7 @@ SEATS = 8  # pages that may lead; others look on, and may stop
 DEAD_MAN_NS = 300_000_000  # [ns] without a word from a page that holds the pad, after which it has let go
 _AWAY_NS = 5_000_000_000  # [ns] without any word, after which a page leads no more: it is hidden, frozen or cut off
 _REPEAT_NS = 500_000_000  # [ns] between two messages of an order: that keeps the lease
+_HEARD_NS = 2_000_000_000  # [ns] in which an order is heard, or is too old to be obeyed
 _URGENT_NS = 100_000_000  # [ns] likewise, of one that turns torque off, until it has come about
 _VELOCITY_NS = 40_000_000  # [ns] between two velocities at least; a page that holds the pad says so every 66 ms
 _ZERO_NS = 300_000_000  # [ns] for which a pad that was let go says so
@@ -264,12 +265,23 @@ class Desk:
 
     def _repeat_orders(self, now_ns: int) -> None:
         for sitting in self._pages.values():
+            if sitting.order is not None and self._is_over(sitting.order, now_ns):
+                sitting.order = None
             order = sitting.order
             if order is None:
                 continue
             pending = order.mode == "off" and (self._state is None or self._state.mode is not Mode.OFF)
             if now_ns - sitting.said_ns >= (_URGENT_NS if pending else _REPEAT_NS):
                 self._say(sitting, order, now_ns)
+
+    def _is_over(self, order: ModeCommand, now_ns: int) -> bool:
+        """Whether nobody is to hear of an order any more: torque is off, or it has stopped somebody else."""
+        state, heard = self._state, now_ns - order.sequence > _HEARD_NS
+        if state is None or state.stamp_ns < order.sequence:
+            return False
+        if state.mode is Mode.OFF:
+            return order.mode == "off" or heard
+        return order.mode == "stop" and heard and state.lease != order.holder
 
     def _velocity(self, now_ns: int) -> list[Message]:
         if now_ns - self._velocity_ns < _VELOCITY_NS:
@@ -340,7 +352,8 @@ class Desk:
         self._order(sitting, mode, now_ns, take)
 
     def _order(self, sitting: _Page, mode: str, now_ns: int, take: bool = False) -> None:
-        self._sequence = max(self._sequence + 1, now_ns)  # above those of a console that ran before
+        ahead = self._sequence - now_ns > _HEARD_NS  # the robot's clock has begun anew
+        self._sequence = now_ns if ahead else max(self._sequence + 1, now_ns)
         order = ModeCommand(now_ns, mode, self._sequence, sitting.holder, take)  # type: ignore[arg-type]
         sitting.order = order
         self._say(sitting, order, now_ns)

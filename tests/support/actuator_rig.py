@@ -76,7 +76,7 @@ class Rig:
         self.inbox.receive(topics.OF_TYPE[type(message)], codec.encode(message), self.now_ns)
 
     def command(self, mode: str) -> None:
-        self.order += 1
+        self.order = max(self.order + 1, self.now_ns)
         self.ordered = ModeCommand(self.now_ns, mode, self.order)  # type: ignore[arg-type]
         self.hear(self.ordered)
 

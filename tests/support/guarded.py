@@ -55,7 +55,7 @@ class Robot:
 
     def order(self, mode: str, holder: str = "a", take: bool = False) -> tuple[Act, ...]:
         """A new order."""
-        self.number += 1
+        self.number = max(self.number + 1, self.now)
         return self.hear(ModeCommand(self.now, mode, self.number, holder, take))  # type: ignore[arg-type]
 
     def hear(self, order: ModeCommand) -> tuple[Act, ...]:

@@ -37,16 +37,17 @@ class Stop:
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Hear what was ordered."""
-        for order in inbox.drain(topics.MODE):
-            newest = self._newest.get(order.holder)
-            if newest is None or order.sequence > newest:
-                self._hear(self._newest, order)
+        newest = {order.holder: order for order in sorted(inbox.drain(topics.MODE), key=lambda order: order.sequence)}
+        for order in newest.values():  # an order to let go that was taken back before it was heard here is none
+            known = self._newest.get(order.holder)
+            if known is None or order.sequence > known:
+                self._hear(self._newest, order, min(order.sequence, tick.stamp_ns))
         for stop in inbox.drain(topics.STOP):
             if stop.sequence != self._stops.get(stop.holder):
-                self._hear(self._stops, stop)
+                self._hear(self._stops, stop, tick.stamp_ns)
         yield from ()
 
-    def _hear(self, newest: dict[str, int], order: ModeCommand | StopOrder) -> None:
+    def _hear(self, newest: dict[str, int], order: ModeCommand | StopOrder, given_ns: int) -> None:
         newest.pop(order.holder, None)
         newest[order.holder] = order.sequence
         if len(newest) > _HOLDERS:
@@ -55,6 +56,6 @@ class Stop:
             return
         self._problem = ""
         try:
-            self._latch.close()
+            self._latch.close(given_ns)
         except OSError as error:  # the actuator hears the order, too
             self._problem = f"an order to let go cannot be latched: {error}"

@@ -136,6 +136,16 @@ def test_nobody_takes_up_work_where_torque_is_off() -> None:
     assert (goal - REST)[3, 1] > GENTLE * DT
 
 
+def test_a_goal_that_turns_back_gathers_speed_from_rest() -> None:
+    limits, fastest = GoalLimits(PROFILE), PROFILE.servo.no_load_speed
+    last, rates = REST.copy(), []
+    for way in (1.0, 1.0, 1.0, -1.0, -1.0, -1.0):
+        goal, _ = limits.safe(last + way * np.radians(30.0), last, DT)
+        rates.append((goal - last)[3, 0] / DT / fastest)
+        last = goal
+    np.testing.assert_allclose(rates, [0.5, 1.0, 1.0, -0.5, -1.0, -1.0], atol=1e-9)
+
+
 def test_gentle_speeds_are_those_that_the_docs_promise() -> None:
     np.testing.assert_allclose(np.degrees([GENTLE, LOWERED, FETCHED]), [25.0, 35.0, 95.0])
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from services.actuator.guard import LEASE_NS, ORDER_AGE_NS, Act, Guard
+from services.actuator.guard import AWAY_NS, LEASE_NS, ORDER_AGE_NS, Act, Guard
 from services.actuator.health import Verdict
 from shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import BROKEN, CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode, rested
@@ -198,7 +198,7 @@ ALLOWED = "at most 2 s allowed; orders are stamped by the robot's clock"
 def test_an_order_to_move_that_is_not_of_now_counts_for_nothing(mode: str, take: bool, off_ns: int, words: str) -> None:
     robot = in_mode(Mode.HOLD)
     robot.now += LEASE_NS + 1  # nobody leads
-    put_again = ModeCommand(robot.now + off_ns, mode, 5, "b", take)  # type: ignore[arg-type]
+    put_again = ModeCommand(robot.now + off_ns, mode, robot.now, "b", take)  # type: ignore[arg-type]
     assert robot.hear(put_again) == ()
     assert robot.guard.objection == f"`{mode}` of b refused: it is {words}, {ALLOWED}"
     assert robot.mode is Mode.HOLD
@@ -208,10 +208,86 @@ def test_an_order_to_move_that_is_not_of_now_counts_for_nothing(mode: str, take:
     assert robot.guard.lease(robot.now) == "b"
 
 
+@pytest.mark.parametrize("mode", [Mode.OFF, Mode.HOLD])
+@pytest.mark.parametrize("order", ["ready", "stand", "sit"])
+def test_what_was_ordered_a_while_ago_and_is_heard_for_the_first_time_moves_nothing(mode: Mode, order: str) -> None:
+    """It is repeated by who has ordered it, and this process, or the link, began anew since."""
+    robot = in_mode(mode)
+    robot.now += LEASE_NS + 1
+    given = ModeCommand(robot.now, order, robot.now - ORDER_AGE_NS - 1, "b")  # type: ignore[arg-type]
+    assert robot.hear(given) == ()
+    words = (
+        f"`{order}` of b refused: by its sequence, the time [ns] of the robot's clock, it was given 2.0 s ago; order it anew"
+    )
+    assert robot.guard.objection == words
+    assert robot.guard.lease(robot.now) == "b"
+    assert robot.cycle() == ()
+    assert robot.mode is mode
+    again = replace(given, stamp_ns=robot.now, sequence=robot.now - ORDER_AGE_NS)
+    robot.hear(again)
+    assert robot.guard.objection == ("`sit` refused: torque is off" if (mode, order) == (Mode.OFF, "sit") else "")
+
+
+def test_who_led_a_walk_goes_on_leading_it_where_the_guard_begins_anew_and_else_orders_it_anew() -> None:
+    for begun_s, given_s, walks in ((1, 3600, True), (30, 3600, True), (31, 3600, False), (31, 31, False), (31, 29, True)):
+        robot = in_mode(Mode.HOLD)
+        robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=True)
+        robot.now = EPOCH + begun_s * 1_000_000_000
+        robot.hear(ModeCommand(robot.now, "walk", robot.now - given_s * 1_000_000_000, "b"))
+        assert robot.guard.lease(robot.now) == "b"
+        assert robot.consider(robot.plan(epoch=EPOCH)) == walks, (begun_s, given_s)
+        assert (robot.guard.objection == "") == walks
+
+
+def test_no_order_of_before_torque_was_ordered_off_turns_it_on() -> None:
+    robot = in_mode(Mode.HOLD)
+    off_ns = robot.now + 500_000_000
+    robot.now = off_ns + 100_000_000
+    robot.hear(ModeCommand(robot.now, "off", off_ns, "a"))
+    assert robot.hear(ModeCommand(robot.now, "stand", off_ns - 1, "b", take=True)) == ()
+    assert robot.guard.objection.endswith("it was given before torque was ordered off; order it anew")
+    assert not robot.torque
+    assert robot.hear(ModeCommand(robot.now, "stand", off_ns, "b", take=True)) == (Act.GRIP, Act.RISE)
+    assert robot.guard.given_ns == off_ns
+    robot.now += CYCLE
+    robot.perform(robot.guard.hear_stop(StopOrder(0, "off", 1, "viewer"), robot.now))
+    assert robot.hear(ModeCommand(robot.now, "ready", robot.now - 1, "b", take=True)) == ()
+    assert robot.hear(ModeCommand(robot.now, "ready", robot.now, "b", take=True)) == (Act.GRIP,)
+
+
+def test_a_latch_that_was_closed_counts_for_a_guard_that_begins_anew() -> None:
+    robot = in_mode(Mode.OFF)
+    robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False, off_ns=robot.now)
+    assert robot.hear(ModeCommand(robot.now, "stand", robot.now - 1, "a")) == ()
+    assert robot.hear(ModeCommand(robot.now, "stand", robot.now, "a")) == (Act.GRIP, Act.RISE)
+
+
+def test_a_leader_who_was_unheard_for_long_leads_again_but_does_not_walk_on() -> None:
+    for away_ns, walks in ((AWAY_NS, True), (AWAY_NS + 1, False)):
+        robot = in_mode(Mode.HOLD)
+        robot.order("walk")
+        robot.now += away_ns
+        robot.hear(ModeCommand(robot.now, "walk", robot.number, "a"))
+        assert robot.guard.lease(robot.now) == "a"
+        assert robot.consider(robot.plan()) == walks
+        assert robot.guard.objection == ("" if walks else "nothing was heard of a for 30 s; order `walk` anew")
+    assert robot.order("walk") == ()
+    assert robot.consider(robot.plan())
+
+
+def test_an_order_given_ahead_of_now_is_refused() -> None:
+    robot = in_mode(Mode.HOLD)
+    ahead = robot.now + ORDER_AGE_NS
+    robot.hear(ModeCommand(robot.now, "sit", ahead + 1, "b"))
+    assert robot.guard.objection == "`sit` of b refused: its sequence, when it was given [ns], is ahead of now"
+    robot.hear(ModeCommand(robot.now, "sit", ahead, "b", take=True))
+    assert robot.guard.objection == ""
+
+
 @pytest.mark.parametrize("off_ns", [-ORDER_AGE_NS, ORDER_AGE_NS])
 def test_an_order_may_be_two_seconds_under_way(off_ns: int) -> None:
     robot = in_mode(Mode.HOLD)
-    robot.hear(ModeCommand(robot.now + off_ns, "sit", 1000, "a"))
+    robot.hear(ModeCommand(robot.now + off_ns, "sit", robot.now + off_ns, "b"))
     assert robot.guard.objection == ""
     assert robot.cycle() == (Act.LIE_DOWN,)
 
@@ -240,15 +316,15 @@ def test_a_stop_that_was_recorded_and_is_put_again_keeps_no_lease() -> None:
 @pytest.mark.parametrize("mode", ["off", "stop"])
 def test_a_stop_that_is_not_of_now_is_obeyed_but_takes_and_keeps_no_lease(mode: str) -> None:
     robot = in_mode(Mode.WALK)
-    robot.guard.hear(ModeCommand(robot.now, "walk", 50, "a"), robot.now)
-    given_ns = robot.now
+    robot.order("walk")
+    given_ns, later = robot.now, robot.now + 1
     robot.now += ORDER_AGE_NS + 1
     old_ns = robot.now - ORDER_AGE_NS - 1
     acts = robot.hear(ModeCommand(old_ns, mode, 1, "b", take=True))  # type: ignore[arg-type]
     assert acts == ((Act.LET_GO,) if mode == "off" else (Act.SET_DOWN,))
     assert robot.guard.lease(robot.now) == "a"
-    robot.hear(ModeCommand(old_ns, mode, 51, "a"))  # type: ignore[arg-type]
-    robot.hear(ModeCommand(old_ns, mode, 51, "a"))  # type: ignore[arg-type]
+    robot.hear(ModeCommand(old_ns, mode, later, "a"))  # type: ignore[arg-type]
+    robot.hear(ModeCommand(old_ns, mode, later, "a"))  # type: ignore[arg-type]
     assert robot.guard.lease(given_ns + LEASE_NS) == "a"
     assert robot.guard.lease(given_ns + LEASE_NS + 1) == ""
 
@@ -299,11 +375,11 @@ def test_of_those_who_let_go_without_leading_the_last_sixteen_are_remembered() -
     robot = in_mode(Mode.HOLD)
     words = [StopOrder(robot.now, "off", 1, f"onlooker {k}") for k in range(17)]
     for order in words[:16]:
-        assert robot.guard.hear_stop(order) == (Act.LET_GO,)
-    assert robot.guard.hear_stop(words[0]) == (), "a repetition is nothing new"
-    assert robot.guard.hear_stop(words[16]) == (Act.LET_GO,)
-    assert robot.guard.hear_stop(words[0]) == (), "it was heard since"
-    assert robot.guard.hear_stop(words[1]) == (Act.LET_GO,), "forgotten: in doubt it is obeyed"
+        assert robot.guard.hear_stop(order, robot.now) == (Act.LET_GO,)
+    assert robot.guard.hear_stop(words[0], robot.now) == (), "a repetition is nothing new"
+    assert robot.guard.hear_stop(words[16], robot.now) == (Act.LET_GO,)
+    assert robot.guard.hear_stop(words[0], robot.now) == (), "it was heard since"
+    assert robot.guard.hear_stop(words[1], robot.now) == (Act.LET_GO,), "forgotten: in doubt it is obeyed"
 
 
 # ---------------------------------------------------------------------------------------------------------------- modes
@@ -508,25 +584,27 @@ def test_who_may_only_stop_does_so_from_anywhere_and_takes_nothing(mode: Mode) -
     robot = in_mode(mode)
     lease, leading = robot.guard.lease(robot.now), in_mode(mode)
     leading.order("stop", "viewer")
-    robot.guard.hear_stop(StopOrder(0, "stop", 5, "viewer"))
+    robot.guard.hear_stop(StopOrder(0, "stop", 5, "viewer"), robot.now)
     assert robot.guard.lease(robot.now) == lease
     assert robot.mode is leading.mode, "as anybody's stop"
-    assert robot.guard.hear_stop(StopOrder(0, "off", 6, "viewer")) == (Act.LET_GO,)
+    assert robot.guard.hear_stop(StopOrder(0, "off", 6, "viewer"), robot.now) == (Act.LET_GO,)
     assert robot.mode is Mode.OFF
 
 
 def test_an_order_to_stop_counts_once_and_does_not_shut_out_who_leads() -> None:
     robot = in_mode(Mode.WALK)
     for k in range(1000):
-        robot.guard.hear_stop(StopOrder(0, "stop", k, f"stranger {k}"))
+        robot.guard.hear_stop(StopOrder(0, "stop", k, f"stranger {k}"), robot.now)
     old = StopOrder(0, "stop", 999, "stranger 999")
     robot = in_mode(Mode.HOLD)
-    robot.guard.hear_stop(old)
+    robot.guard.hear_stop(old, robot.now)
     robot.order("walk")
-    assert robot.guard.hear_stop(old) == ()
+    assert robot.guard.hear_stop(old, robot.now) == ()
     assert robot.guard.objection == ""
     assert robot.consider(robot.plan()), robot.guard.refused
-    assert robot.guard.hear_stop(StopOrder(0, "stop", 1, "stranger 999")) == (Act.SET_DOWN,), "whose machine began anew"
+    assert robot.guard.hear_stop(StopOrder(0, "stop", 1, "stranger 999"), robot.now) == (Act.SET_DOWN,), (
+        "whose machine began anew"
+    )
 
 
 @pytest.mark.parametrize("begun_anew", [False, True])

@@ -114,6 +114,26 @@ def test_a_joint_that_hangs_beyond_its_limit_is_taken_up_at_the_limit_and_slowly
     assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
 
 
+def test_a_joint_beyond_its_limit_gets_the_limit_for_its_goal_when_torque_is_ordered_on_and_goes_there_slowly() -> None:
+    rig = JointsRig(torque=False).start()
+    rig.cycle(8)
+    low = PROFILE.joint_limits[LEG, JOINT, 0]
+    rig.joints.q[LEG, JOINT] = low - np.radians(12.0)
+    rig.joints.grip()
+    assert rig.joints.goals[LEG, JOINT] == low
+    assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
+
+
+def test_a_servo_that_was_set_up_weaker_is_woken_with_no_more_than_that() -> None:
+    rig = JointsRig()
+    rig.put(SERVO, dxl.MAX_TORQUE, 700)
+    rig.put(SERVO, dxl.TORQUE_LIMIT, 700)
+    rig.start()
+    rig.cycle(8)
+    rig.joints.revive(SERVO)
+    assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 700
+
+
 def test_nothing_is_known_before_the_first_readings_and_then_all_is() -> None:
     rig = JointsRig().start()
     assert np.isnan(rig.joints.voltage).all()

@@ -11,7 +11,7 @@ from services.actuator.load import lag_feed_forward
 from shared import dynamixel as dxl
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_forward
-from shared.messages import Mode
+from shared.messages import Mode, ModeCommand, StopOrder
 from shared.robot import RobotProfile
 from tests.support.actuator_rig import CRAWL, IDS, PROFILE, REST, TICK, TRIPOD, UP, Rig
 
@@ -339,6 +339,73 @@ def test_torque_stays_off_where_the_order_to_let_go_cannot_be_taken_back(tmp_pat
         assert not rig.torque
     assert state.mode is Mode.OFF
     assert any(warning.startswith("torque stays off, for that order cannot be taken back: ") for warning in state.warnings)
+
+
+def test_torque_stays_off_where_who_had_it_rise_repeats_that_and_the_actuator_begins_anew(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "off")
+    rig = Rig(torque=False, latch=latch)
+    rig.cycle(2)
+    rig.command("stand")  # and the rig repeats it all the while
+    rig.cycle(250)
+    assert rig.torque
+    rig.hear(StopOrder(rig.now_ns, "off", 1, "a terminal"))
+    rig.cycle(100)
+    rig.start()
+    for _ in range(200):
+        state = rig.cycle()
+        assert not rig.torque
+        assert latch.closed
+    assert state.mode is Mode.OFF
+    assert any("it was given before torque was ordered off; order it anew" in words for words in state.warnings)
+    rig.command("stand")
+    rig.cycle(2)
+    assert rig.torque
+    assert not latch.closed
+
+
+@pytest.mark.parametrize("stops_only", [False, True])
+def test_who_has_torque_turned_off_is_heard_before_who_rises_though_he_came_later(tmp_path: Path, stops_only: bool) -> None:
+    rig = Rig(torque=False, latch=Latch(tmp_path / "off"))
+    rig.leads = False
+    rig.cycle(2)
+    heard: list[bytes] = []
+    rig.bus.overhear = lambda data, _: heard.append(data)
+    rig.command("stand")
+    later = rig.now_ns + 5_000_000
+    rig.hear(StopOrder(later, "off", 1, "b") if stops_only else ModeCommand(later, "off", later, "b"))
+    assert rig.cycle(5).mode is Mode.OFF
+    written = [bytes(data[5:]) for data in heard if data[4] in (dxl.Instruction.WRITE, dxl.Instruction.SYNC_WRITE)]
+    assert {data[0] for data in written} == {dxl.TORQUE_ENABLE.address}
+    assert not rig.torque
+
+
+def test_torque_that_is_ordered_off_while_it_is_turned_on_stays_off(tmp_path: Path) -> None:
+    class Closing(Latch):
+        def open(self, given_ns: int | None = None) -> bool:
+            self.close((given_ns or 0) + 1)  # by the stop path, just now
+            return super().open(given_ns)
+
+    rig = Rig(torque=False, latch=Closing(tmp_path / "off"))
+    rig.cycle(2)
+    rig.command("ready")
+    state = rig.cycle()
+    assert "torque stays off, for that was ordered meanwhile; order it anew" in state.warnings
+    assert rig.cycle(5).mode is Mode.OFF
+    assert not rig.torque
+
+
+@pytest.mark.parametrize("mode", ["off", "ready"])
+def test_a_robot_that_lies_says_what_is_broken(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(torque=False)
+    rig.cycle(2)
+    if mode == "ready":
+        rig.command("ready")
+    rig.cycle(10)
+    read = rig.port.read
+    monkeypatch.setattr(rig.port, "read", lambda size=1: read(size)[:0])
+    state = rig.cycle(20)
+    assert state.mode.value == mode
+    assert "no servo answers; check the power of the bus, its cable and the adapter" in state.warnings
 
 
 @pytest.mark.parametrize("order", ["ready", "stand"])

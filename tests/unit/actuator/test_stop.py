@@ -66,6 +66,50 @@ def test_those_who_may_not_lead_let_go_by_a_key_of_their_own(latch: Latch) -> No
     assert len(stop._stops) <= 64
 
 
+def test_an_order_to_let_go_that_was_taken_back_before_it_was_heard_is_not_latched(latch: Latch) -> None:
+    """As where this process was stopped meanwhile: the robot rises by now, and would fall."""
+    stop = Stop(PROFILE, Settings(PORT))
+    inbox = Inbox(stop.reads, stop.stages)
+    for sequence, mode in ((5, "off"), (9, "stand"), (7, "off")):
+        inbox.receive(topics.MODE, codec.encode(ModeCommand(0, mode, sequence, "a")), 0)  # type: ignore[arg-type]
+    assert list(stop.step(Tick(20), inbox)) == []
+    assert not latch.closed
+    inbox.receive(topics.MODE, codec.encode(ModeCommand(0, "off", 4, "b")), 0)
+    assert list(stop.step(Tick(20), inbox)) == []
+    assert latch.closed
+    assert latch.since_ns == 4
+
+
+def test_it_is_not_opened_by_an_order_of_before_it_was_closed(latch: Latch) -> None:
+    latch.close(100)
+    latch.close(50)
+    assert latch.since_ns == 100, "the newest counts"
+    assert not latch.open(99)
+    assert latch.closed
+    assert latch.open(100)
+    assert not latch.closed
+    assert latch.since_ns == 0
+    assert latch.open(0), "nothing is in the way"
+    latch.path.write_text("nonsense")
+    assert (latch.closed, latch.since_ns) == (True, 0)
+    assert latch.open(1)
+    assert list(latch.path.parent.iterdir()) == []
+
+
+def test_who_closes_it_while_it_is_taken_off_is_not_lost(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
+    latch.close(100)
+    replace = Path.replace
+
+    def close_first(path: Path, target: Path) -> Path:
+        monkeypatch.undo()
+        latch.close(200)
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", close_first)
+    assert not latch.open(150)
+    assert latch.since_ns == 200
+
+
 def test_no_order_opens_it(latch: Latch) -> None:
     stop = Stop(PROFILE, Settings(PORT))
     say(stop, "off", 1)

@@ -242,7 +242,45 @@ def test_an_order_to_let_go_is_repeated_soon_until_it_has_come_about(office: Off
     assert len({m.sequence for m in sent}) == 1  # type: ignore[attr-defined]
     office.mode = Mode.OFF
     office.ask(1, Here())
-    assert len(of(ModeCommand, [m for _ in range(50) for m in office.beat()])) == 2
+    assert not of(ModeCommand, [m for _ in range(50) for m in office.beat()]), "a stop path that begins anew would obey it anew"
+
+
+@pytest.mark.parametrize("order", ["stand", "ready", "sit", "stop"])
+def test_no_page_repeats_what_it_ordered_before_somebody_let_go(office: Office, order: str) -> None:
+    """An actuator that begins anew knows nobody's orders, and would take it for a new one."""
+    office.ask(1, Command(order))  # type: ignore[arg-type]
+    assert of(ModeCommand, office.beat())
+    office.mode = Mode.OFF
+    office.beat(2100 * MS)
+    for mode in (Mode.OFF, Mode.HOLD):
+        office.mode = mode
+        office.ask(1, Here())
+        assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
+
+
+def test_who_rises_from_torque_off_goes_on_ordering_it_until_it_is_heard(office: Office) -> None:
+    office.mode = Mode.OFF
+    office.ask(1, Command("stand"))
+    assert len(of(ModeCommand, [m for _ in range(90) for m in office.beat()])) >= 4
+
+
+def test_a_stop_of_who_does_not_lead_is_not_repeated_for_long(office: Office) -> None:
+    office.lease = "another"
+    office.ask(1, Command("stop"))
+    assert len(of(ModeCommand, [m for _ in range(90) for m in office.beat()])) >= 4
+    office.ask(1, Here())
+    office.beat(400 * MS)
+    assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
+
+
+def test_orders_count_on_from_now_where_the_robots_clock_began_anew(office: Office) -> None:
+    office.ask(1, Command("stand"))
+    office.beat()
+    office.now = 10 * MS
+    office.ask(1, Here())
+    office.ask(1, Command("sit"))
+    sit = next(m for m in office.beat() if isinstance(m, ModeCommand) and m.mode == "sit")
+    assert sit.sequence <= office.now + 2000 * MS
 
 
 def test_orders_count_up_over_all_pages_and_restarts(office: Office) -> None:
