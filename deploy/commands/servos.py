@@ -1,6 +1,7 @@
 """`sextant servos`: from a box of servos to a robot that can be trusted, on the real bus or an emulated one."""
 
 import argparse
+import errno
 import json
 import os
 import sys
@@ -82,13 +83,24 @@ def scan(arguments: argparse.Namespace) -> int:
 
 
 def off(arguments: argparse.Namespace) -> int:
-    """`sextant servos off`: torque off, without an actuator."""
+    """`sextant servos off`: torque off, without an actuator, or past whatever router it hears."""
+    from services.actuator.bus import BusGone
+    from services.actuator.latch import Latch
     from services.actuator.let_go import let_go
     from services.actuator.roll_call import named
+    from shared.clock import now_ns
 
     profile = _profile(arguments.robot)
     with _line(arguments, profile) as line:
-        left = let_go(line.at(line.rates[0]))
+        try:
+            bus = line.at(line.rates[0])
+        except BusGone as error:
+            if getattr(error.__cause__, "errno", None) not in (errno.EAGAIN, errno.EBUSY):
+                raise
+            Latch.of_port(arguments.port).close(now_ns())
+            say(f"{arguments.port} is in use: an actuator that has it lets go within a cycle, and torque is latched off")
+            return SUCCESS
+        left = let_go(bus)
     for servo_id, words in left.items():
         say(f"{named(servo_id, profile.servo_names)} {words}\n  -> see to its cable, or switch the servos' power off")
     say(f"torque is off: {len(profile.servo_names) - len(left)} of {len(profile.servo_names)} servos say so")

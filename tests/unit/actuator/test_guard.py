@@ -2,14 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from services.actuator.guard import DEADLINE_NS, LEASE_NS, ORDER_AGE_NS, Act
+from services.actuator.guard import AWAY_NS, DEADLINE_NS, LEASE_NS, ORDER_AGE_NS, Act, Guard
 from services.actuator.health import Verdict
 from shared.messages import Mode, ModeCommand, StepPlan
-from tests.support.guarded import AGE_NS, BAD, BROKEN, CYCLE, ORDERS, SPENT, Robot, rested
+from tests.support.guarded import AGE_NS, BAD, BROKEN, CYCLE, ORDERS, PROFILE, SPENT, Robot, rested
 
 PLANS = ["next", "renewal", *BAD]
 HOLDERS = ("a", "b", "c")
@@ -24,6 +25,7 @@ class Everything(RuleBasedStateMachine):
         self.orders: list[ModeCommand] = []
         self.newest: dict[str, int] = {}
         self.holder, self.heard = "", -1
+        self.begun, self.off_at = self.robot.now, -1  # [ns]; when torque was ordered off last
         self.ordered_to_walk = False  # by who leads, and nothing has come between
         self.stamps = [-1]  # of accepted plans
         self.considered: list[StepPlan] = []
@@ -54,6 +56,9 @@ class Everything(RuleBasedStateMachine):
         if mode not in ("off", "stop"):
             assert (acts, self.robot.mode) == ((), was)
             assert "at most 2 s allowed" in self.robot.guard.objection
+        elif mode == "off" and (acts or number > self.newest.get(holder, -1)):
+            self.off_at = self.robot.now
+            self.ordered_to_walk = self.seats = False
         elif self.robot.mode is not was or acts:
             self.ordered_to_walk = self.seats = False
             self.halted |= was is Mode.WALK and mode == "stop"
@@ -62,9 +67,29 @@ class Everything(RuleBasedStateMachine):
 
     @rule(mode=st.sampled_from(ORDERS), holder=st.sampled_from(HOLDERS), take=st.booleans(), skip=st.integers(1, 3))
     def a_new_order(self, mode: str, holder: str, take: bool, skip: int) -> None:
-        order = ModeCommand(self.robot.now, mode, self.newest.get(holder, 0) + skip, holder, take)  # type: ignore[arg-type]
-        self.newest[holder] = order.sequence
+        number = max(self.newest.get(holder, 0) + skip, self.robot.now)
+        order = ModeCommand(self.robot.now, mode, number, holder, take)  # type: ignore[arg-type]
         self.orders.append(order)
+        self.give(order)
+
+    @rule(
+        mode=st.sampled_from(ORDERS),
+        holder=st.sampled_from(HOLDERS),
+        take=st.booleans(),
+        age_ns=st.sampled_from([ORDER_AGE_NS, ORDER_AGE_NS + 1, AWAY_NS, AWAY_NS + 1]),
+    )
+    def an_order_that_was_given_a_while_ago(self, mode: str, holder: str, take: bool, age_ns: int) -> None:
+        """And is repeated since, but the link was cut."""
+        given_ns = self.robot.now - age_ns
+        if given_ns > self.newest.get(holder, -1):
+            order = ModeCommand(self.robot.now, mode, given_ns, holder, take)  # type: ignore[arg-type]
+            self.orders.append(order)
+            self.give(order)
+
+    def give(self, order: ModeCommand) -> None:
+        """An order that the guard does not know."""
+        mode, holder, take, given_ns = order.mode, order.holder, order.take, order.sequence
+        self.newest[holder] = given_ns
         was, leads = self.robot.mode, self.leader
         may = mode in ("off", "stop") or not leads or leads == holder or take
         acts = self.robot.hear(order)
@@ -74,6 +99,16 @@ class Everything(RuleBasedStateMachine):
             assert leads in self.robot.guard.objection
             return
         self.obeyed(order, was, acts)
+        age_ns = self.robot.now - given_ns
+        if mode in ("ready", "stand", "sit") and age_ns > ORDER_AGE_NS:
+            assert (acts, self.robot.mode) == ((), was)
+            assert self.robot.guard.objection
+        if mode == "walk" and age_ns > AWAY_NS and self.robot.now - self.begun > AWAY_NS:
+            assert self.robot.guard.objection
+        if was is Mode.OFF and Act.GRIP in acts:
+            assert given_ns >= self.off_at
+        if mode == "off":
+            self.off_at = max(self.off_at, min(given_ns, self.robot.now))
 
     def obeyed(self, order: ModeCommand, was: Mode, acts: tuple[Act, ...]) -> None:
         guard, mode = self.robot.guard, order.mode
@@ -105,14 +140,36 @@ class Everything(RuleBasedStateMachine):
     @precondition(lambda self: self.orders)
     @rule(data=st.data())
     def an_order_again(self, data: st.DataObject) -> None:
-        order = data.draw(st.sampled_from(self.orders))
+        order = replace(data.draw(st.sampled_from(self.orders)), stamp_ns=self.robot.now)
+        if order.sequence > self.newest.get(order.holder, -1):
+            self.give(order)  # the guard has begun anew
+            return
         guard, was, reason = self.robot.guard, self.robot.mode, self.robot.guard.reason
-        assert self.robot.hear(replace(order, stamp_ns=self.robot.now)) == ()
+        assert self.robot.hear(order) == ()
         assert (guard.mode, guard.reason) == (was, reason)
         if order.sequence == self.newest[order.holder]:
-            self.heard = self.robot.now if order.holder == self.holder else self.heard
+            if order.holder == self.holder:
+                self.ordered_to_walk &= self.robot.now - self.heard <= AWAY_NS
+                self.heard = self.robot.now
         else:
             assert "older" in guard.objection
+
+    @rule()
+    def it_begins_anew(self) -> None:
+        """Whoever orders goes on repeating it; the robot stands, or lies, as it did."""
+        robot = self.robot
+        robot.now += CYCLE
+        robot.guard = Guard(PROFILE, AGE_NS * 1e-9, robot.now, robot.torque, off_ns=-1 if robot.torque else self.off_at)
+        rested(robot)
+        robot.still, robot.posing, robot.next = False, "", None
+        robot.step, robot.swing = 0, np.zeros(6, dtype=bool)
+        robot.guard.watch(robot.now, robot.legs, robot.verdict)
+        self.newest, self.holder, self.heard, self.begun = {}, "", -1, robot.now
+        self.ordered_to_walk = self.late = self.halted = self.seats = False
+
+    @rule()
+    def nobody_says_anything_for_long(self) -> None:
+        self.time_passes(AWAY_NS, 1, ends=False)
 
     # --------------------------------------------------------------------------------------------------------- plans
 

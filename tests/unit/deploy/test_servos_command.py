@@ -2,9 +2,12 @@
 
 import io
 import json
+import os
+import pty
 import socket
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +15,12 @@ import pytest
 
 from deploy import cli
 from deploy.launch.launcher import free_port
+from services.actuator.bus import open_port
+from services.actuator.latch import Latch
 from services.simulator.tcp_port import TcpBusServer
 from services.simulator.workbench import Workbench
 from shared import dynamixel as dxl
+from shared.clock import now_ns
 from shared.profiles import load_profile
 from shared.robot import LEGS
 
@@ -127,6 +133,21 @@ def test_torque_is_left_as_a_script_says(
     assert capsys.readouterr().out.splitlines()[-1] == "3 of 3 joints are in order"
     assert cli.main(["servos", "scan", "--port", url, "--ids", "1:2"]) == 1  # time goes on: what was written arrives
     assert (bench._servos.tables[:, dxl.TORQUE_ENABLE.address] == left).all()
+
+
+def test_an_actuator_that_has_the_port_is_told_to_let_go_by_its_latch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where the router is dead over which it would hear an order."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    _, end = pty.openpty()
+    port = os.ttyname(end)
+    with closing(open_port(port)):
+        assert cli.main(["servos", "off", "--port", port]) == 0
+    assert "lets go within a cycle, and torque is latched off" in capsys.readouterr().out
+    latch = Latch.of_port(port)
+    assert latch.closed
+    assert 0 <= now_ns() - latch.since_ns < 10_000_000_000
 
 
 @pytest.mark.parametrize("deaf", [False, True])
