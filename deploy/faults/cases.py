@@ -122,7 +122,8 @@ class Case:
 
 _OUT_S = 2.0  # [s] that what is broken stays so
 _RESTART_S = 1.0  # [s] in which a killed actuator's successor is there: seen, started, imported
-_STOPPED_S = 3.5  # [s] that a stopped one stays so
+_STOPPED_S = 3.4  # [s] that a stopped one stays so
+_STOPPED = Limits(decided_s=3.5, jump_deg=2.0)
 _STOPS = Limits(decided_s=0.25, named="no new plan", rest_s=0.7, margin_m=0.010, again_s=2.0)
 _ONE_SERVO = Limits(decided_s=0.25, named=r"\(id {servo}\)", again_s=3.0)
 _NO_BUS = Limits(decided_s=0.25, named="no servo answers|port", again_s=3.0)
@@ -157,6 +158,15 @@ _BROKEN_BUSES: tuple[tuple[str, str, OnBus], ...] = (
     ("bus-intermittent", "the bus is away for 50 of every 250 ms", _bus("bus", "intermittent")),
     ("bus-gone", "the adapter is unplugged and comes back under another name", _bus("bus", "gone", renamed=True)),
 )
+# The rest of the emulator's grid.
+_NUISANCES: tuple[tuple[str, str, OnBus], ...] = (
+    ("bytes-stuck", "1 % of the bytes become 255, both ways", _bus("bytes", "stuck", share=0.01, value=255)),
+    ("bytes-wrong", "1 % of the bytes with one bit flipped, both ways", _bus("bytes", "wrong", share=0.01)),
+    ("bytes-slow", "1 % of the bytes from servos 16 ms late", _bus("bytes", "slow", share=0.01)),
+    ("packets-stuck", "the answer before again in place of 10 %", _bus("packets", "stuck", share=0.10)),
+    ("packets-slow", "10 % of the answers 16 ms late", _bus("packets", "slow", share=0.10)),
+    ("packets-intermittent", "every answer lost, 50 of every 250 ms", _bus("packets", "intermittent")),
+)
 _LIMITS_OF_BUSES = {
     "lost-40": _MOSTLY_LOST,
     "servo-silent": _ONE_SERVO,
@@ -185,14 +195,14 @@ CASES: tuple[Case, ...] = (
     ),
     Case(
         "actuator-stopped",
-        "the actuator is stopped for 3.5 s",
+        "the actuator is stopped for 3.4 s",
         (Away("actuator", False, _STOPPED_S),),
-        Limits(decided_s=_STOPPED_S + 0.1, jump_deg=2.0),
+        _STOPPED,
     ),
     Case("lost-1", "1 % of the answers lost", (_bus("packets", "silent", 4.0, share=0.01),), _CALM),
     Case("corrupted-1", "1 % of the answers broken", (_bus("packets", "wrong", 4.0, share=0.01, part="two bytes"),), _CALM),
     Case("corrupted-10", "10 % of the answers broken", (_bus("packets", "wrong", 4.0, share=0.10, part="two bytes"),)),
-    *(Case(name, words, (deed,), _LIMITS_OF_BUSES.get(name, Limits())) for name, words, deed in _BROKEN_BUSES),
+    *(Case(name, words, (deed,), _LIMITS_OF_BUSES.get(name, Limits())) for name, words, deed in (*_BROKEN_BUSES, *_NUISANCES)),
     Case("servo-stuck", "one servo's position register does not change", (_bus("servo", "stuck"),)),
     Case("servo-wrong", "one servo's position register is 29 deg off", (_bus("servo", "wrong"),)),
     Case("servo-jammed", "one joint does not move", (_bus("servo", "jammed", 1.0),)),
@@ -247,7 +257,7 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
         "actuator-stopped",
         "the actuator is stopped for good; the launcher finds that it hangs",
         (Away("actuator", False, _STOPPED_S),),
-        Limits(decided_s=_STOPPED_S, jump_deg=2.0),
+        _STOPPED,
     ),
     ("hogs", "a busy process for each core, 5 s long", (Hogs(5.0),), Limits(cycle_s=0.025)),
     ("off", "torque is ordered off", (Off(),), _LETS_GO),
