@@ -139,11 +139,11 @@ def test_nobody_takes_up_work_where_torque_is_off() -> None:
 def test_a_goal_that_turns_back_gathers_speed_from_rest() -> None:
     limits, fastest = GoalLimits(PROFILE), PROFILE.servo.no_load_speed
     last, rates = REST.copy(), []
-    for way in (1.0, 1.0, 1.0, -1.0, -1.0, -1.0):
-        goal, _ = limits.safe(last + way * np.radians(30.0), last, DT)
-        rates.append((goal - last)[3, 0] / DT / fastest)
+    for way in (1.0,) * 5 + (-1.0,) * 5:
+        goal, _ = limits.safe(last + way * np.radians(30.0), last, DT / 2)
+        rates.append((goal - last)[3, 0] / (DT / 2) / fastest)
         last = goal
-    np.testing.assert_allclose(rates, [0.5, 1.0, 1.0, -0.5, -1.0, -1.0], atol=1e-9)
+    np.testing.assert_allclose(rates, [0.25, 0.5, 0.75, 1.0, 1.0, -0.25, -0.5, -0.75, -1.0, -1.0], atol=1e-9)
 
 
 def test_gentle_speeds_are_those_that_the_docs_promise() -> None:

@@ -255,6 +255,31 @@ def test_no_order_of_before_torque_was_ordered_off_turns_it_on() -> None:
     assert robot.hear(ModeCommand(robot.now, "ready", robot.now, "b", take=True)) == (Act.GRIP,)
 
 
+def test_torque_comes_on_for_an_order_of_before_somebody_stopped() -> None:
+    for stops_only in (False, True):
+        robot = in_mode(Mode.OFF)
+        robot.now += LEASE_NS
+        if stops_only:
+            robot.guard.hear_stop(StopOrder(0, "stop", 1, "b"), robot.now)
+        else:
+            robot.order("stop", "b")
+        assert robot.hear(ModeCommand(robot.now, "stand", robot.now - 1, "a")) == (Act.GRIP, Act.RISE)
+
+
+def test_a_stop_that_was_given_ahead_of_now_is_obeyed() -> None:
+    robot = in_mode(Mode.HOLD)
+    assert robot.hear(ModeCommand(robot.now, "off", robot.now + 10 * ORDER_AGE_NS, "b")) == (Act.LET_GO,)
+
+
+def test_a_leader_who_was_unheard_for_long_and_had_ordered_no_walk_is_told_nothing() -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.order("stop", take=True)
+    robot.now += AWAY_NS + 1
+    robot.hear(ModeCommand(robot.now, "stop", robot.number, "a"))
+    assert robot.guard.lease(robot.now) == "a"
+    assert robot.guard.objection == ""
+
+
 def test_a_latch_that_was_closed_counts_for_a_guard_that_begins_anew() -> None:
     robot = in_mode(Mode.OFF)
     robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False, off_ns=robot.now)
