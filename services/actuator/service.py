@@ -231,7 +231,9 @@ class Actuator:
         vitals = replace(vitals, behind=vitals.behind | self._behind())
         self._verdict = self._health.update(now_ns * 1e-9, elapsed, vitals, torque)
         self._perform(self._guard.watch(now_ns, self._legs(), self._verdict))
-        for index in () if self._latched() else self._verdict.revive:
+        for index in self._verdict.revive:
+            if self._latched():  # it has not been let go yet
+                break
             self._joints.revive(index)
             if not self._still:  # then it has nothing to take up
                 self._limits.ease(*divmod(index, 3))
