@@ -97,14 +97,23 @@ def off(arguments: argparse.Namespace) -> int:
         except BusGone as error:
             if getattr(error.__cause__, "errno", None) not in (errno.EAGAIN, errno.EBUSY):
                 raise
-            Latch.of_port(arguments.port).close(now_ns())
-            say(f"{arguments.port} is in use: an actuator that has it lets go within a cycle, and torque is latched off")
-            return SUCCESS
+            for name in _names(arguments.port):
+                Latch.of_port(name).close(now_ns())
+            say(f"{arguments.port} is in use: torque is latched off; an actuator of this user that has it lets go at once")
+            complain("nobody says that torque is off: see whether the legs give way, else switch the servos' power off")
+            return FAILED
         left = let_go(bus)
     for servo_id, words in left.items():
         say(f"{named(servo_id, profile.servo_names)} {words}\n  -> see to its cable, or switch the servos' power off")
     say(f"torque is off: {len(profile.servo_names) - len(left)} of {len(profile.servo_names)} servos say so")
     return FAILED if left else SUCCESS
+
+
+def _names(port: str) -> set[str]:
+    """The paths under which an actuator may have a port: udev's are links to one device."""
+    links = [str(path) for folder in ("by-id", "by-path") for path in Path("/dev/serial", folder).glob("*")]
+    device = os.path.realpath(port)
+    return {port, device, *(link for link in links if os.path.realpath(link) == device)}
 
 
 def set_id(arguments: argparse.Namespace) -> int:

@@ -94,6 +94,8 @@ class Operator:
         status = inbox.latest(topics.PLANNER_STATUS)
         if self._by_touch and pose is not None and state is not None:  # nobody else says where it is
             pose, steerable = replace(pose, T_world_body=pose.T_world_odom @ state.T_odom_body), True
+        if state is not None and self._is_to_repeat(state):
+            self._give(self._order)
         if not self.finished:
             self._choose_order(now, state, pose is not None)
             self._ask_for_touch(now, status)
@@ -135,6 +137,13 @@ class Operator:
         risen = self._rising and state.mode is Mode.HOLD
         if posed and (risen or state.mode is Mode.WALK):
             self._give("walk")
+
+    def _is_to_repeat(self, state: ActuatorState) -> bool:
+        """Whether the actuator asks for the order anew, since it heard it late, and nobody has let go meanwhile."""
+        refused = f"`{self._order}` of operator refused: "
+        asked = [words for words in state.warnings if words.startswith(refused) and words.endswith("; order it anew")]
+        late = [words for words in asked if "ordered off" not in words]
+        return bool(late) and not self.finished and state.stamp_ns - self._given_ns > _ORDER_NS
 
     def _give(self, order: Literal["stand", "walk"]) -> None:
         """Order that from now on."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.actuator.health import Verdict
+from services.actuator.latch import AHEAD_NS
 from services.actuator.plan_check import PlanCheck
 from shared.geometry import Array
 from shared.messages import Mode, ModeCommand, StepPlan, StopOrder
@@ -82,7 +83,7 @@ class Guard:
         self._sequences: dict[str, int] = {}  # newest order of each holder
         self._stops: dict[str, int] = {}  # newest of those who stop without leading
         self._holder, self._heard_ns, self._begun_ns = "", 0, epoch
-        self._off_ns = off_ns  # when torque was ordered off last: no order of before turns it on
+        self.off_ns = off_ns  # when torque went off last by an order, or by itself: no order of before turns it on
         self.given_ns = -1  # when the order was given that was obeyed last
         self._may_walk = False
         self._accepted_ns = 0  # when the newest plan was
@@ -116,8 +117,8 @@ class Guard:
         order must be of now, by its stamp: one that was recorded and is put again neither moves the legs nor keeps a lease,
         also where this process has begun anew and remembers nobody's orders. A stop that is not of now is obeyed where nobody
         knows a newer order of its holder, and counts for nothing else. An order that was given a while ago, by its sequence,
-        and is heard for the first time since this process has begun anew, or the link was cut, keeps the lease and lets a
-        robot that stands walk on; it raises nobody, and no torque.
+        and is heard for the first time since this process has begun anew, or the link was cut, lets a robot that stands walk
+        on, and else counts for nothing.
         """
         newest, stops = self._sequences.get(order.holder), order.mode in _STOPS
         untimely = _untimely(order, now_ns)
@@ -130,26 +131,26 @@ class Guard:
             elif order.holder == self._holder and not untimely:
                 self._hear_again(now_ns)
             return ()
-        if untimely:
+        ahead = order.sequence > now_ns + AHEAD_NS
+        if untimely or (ahead and stops):
             stop = StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder)  # type: ignore[arg-type]
             return self.hear_stop(stop, now_ns)
-        if not stops and order.sequence > now_ns + ORDER_AGE_NS:
+        if ahead:
             self.objection = f"`{order.mode}` of {order.holder} refused: its sequence, when it was given [ns], is ahead of now"
             return ()
         stranger = newest is None and len(self._sequences) >= _HOLDERS
         if not stranger:
             self._sequences[order.holder] = order.sequence
-        refused = self._claim(order, now_ns, stranger) if order.take or not stops else ""
+        refused = "" if stops else self._late_order(order, now_ns)
+        if not refused and (order.take or not stops):
+            refused = self._claim(order, now_ns, stranger)
         self.objection = "" if stops else refused
         if self.objection:
             return ()
         if order.holder == self._holder:
             self._heard_ns = now_ns
-        if not stops and (late := self._late_order(order, now_ns)):
-            self.objection = late
-            return ()
         if order.mode == "off":
-            self._off_ns = max(self._off_ns, min(order.sequence, now_ns))
+            self.off_ns = max(self.off_ns, min(order.sequence, now_ns))
         self.given_ns = order.sequence
         return self._obey(order.mode)
 
@@ -162,21 +163,21 @@ class Guard:
         if order.sequence == known:
             return ()
         if order.mode == "off":
-            self._off_ns = max(self._off_ns, now_ns)
+            self.off_ns = max(self.off_ns, now_ns)
         return self._obey(order.mode)
 
     def _hear_again(self, now_ns: int) -> None:
         """The leader's order is repeated: that keeps the lease, and after long silence gives it back, but not the walk."""
         if self._may_walk and now_ns - self._heard_ns > AWAY_NS:
             self._may_walk, silent_s = False, (now_ns - self._heard_ns) * 1e-9
-            self.objection = f"nothing was heard of {self._holder} for {silent_s:.0f} s; order `walk` anew"
+            self.objection = f"`walk` of {self._holder} refused: nothing was heard of it for {silent_s:.0f} s; order it anew"
         self._heard_ns = now_ns
 
     def _late_order(self, order: ModeCommand, now_ns: int) -> str:
         """Why an order to move that is heard for the first time is too old to be obeyed, in words, or nothing."""
         age_ns = now_ns - order.sequence
         gone = f"`{order.mode}` of {order.holder} refused: by its sequence, the time [ns] of the robot's clock, it was given"
-        if self.mode is Mode.OFF and order.sequence < self._off_ns:
+        if self.mode is Mode.OFF and order.sequence < self.off_ns:
             return f"{gone} before torque was ordered off; order it anew"
         lasting = AWAY_NS if order.mode == "walk" else ORDER_AGE_NS
         resumes = order.mode == "walk" and now_ns - self._begun_ns <= AWAY_NS
@@ -323,11 +324,12 @@ class Guard:
         if self.mode is Mode.STAND:
             self._enter(Mode.HOLD, "standing")
 
-    def seated(self) -> tuple[Act, ...]:
+    def seated(self, now_ns: int) -> tuple[Act, ...]:
         """The robot lies."""
         if self.mode is not Mode.SIT:
             return ()
         if self._lets_go:
+            self.off_ns = max(self.off_ns, now_ns)
             return self._let_go(self.reason)
         self._enter(Mode.READY, "sitting; order `stand` to rise, or `off`")
         return ()

@@ -3,7 +3,10 @@
 import os
 import re
 import tempfile
+from contextlib import suppress
 from pathlib import Path
+
+AHEAD_NS = 500_000_000  # [ns] by which the time at which an order was given may be ahead of now, as clocks are read
 
 
 class Latch:
@@ -26,32 +29,46 @@ class Latch:
 
     @property
     def since_ns(self) -> int:
-        """[ns] by the robot's clock when that was ordered; 0 where nobody knows, or it is open."""
+        """[ns] by the robot's clock when that was ordered; 0 where nobody knows, or it is open.
+
+        One that has outlived the machine's last start tells of another clock, maybe of a time to come.
+        """
         return _time_in(self.path)
 
     def close(self, at_ns: int = 0) -> None:
-        """Set it, for an order of that time [ns]; a newer one that is there stays."""
-        if not self.path.exists() or self.since_ns < at_ns:
-            written = self._beside("new")
+        """Set it, for an order of that time [ns]; a newer one that is there stays.
+
+        Raises:
+            OSError: It cannot be set, and is not.
+        """
+        if self.path.exists() and self.since_ns >= at_ns:
+            return
+        written = self._beside("new")
+        try:
             written.write_text(str(at_ns))
             written.replace(self.path)
+        except OSError:
+            with suppress(OSError):
+                written.unlink(missing_ok=True)
+            if not self.path.exists():
+                self.path.touch()  # a disk that is full has room for a name
 
-    def open(self, given_ns: int | None = None) -> bool:
-        """Take it off; by an order that was given at a time [ns] not where torque was ordered off since.
+    def open(self, given_ns: int | None = None, now_ns: int = 0) -> bool:
+        """Take it off; by an order that was given at a time [ns] not where torque was ordered off since, by now [ns].
 
         It is taken away before it is looked at: whoever closes it meanwhile does not lose that order.
 
         Returns:
             Whether it was taken off, or there was none.
         """
-        if given_ns is not None and self.since_ns > given_ns:
+        if given_ns is not None and given_ns < self.since_ns <= now_ns:
             return False
         taken = self._beside("taken")
         try:
             self.path.replace(taken)
         except FileNotFoundError:
             return True
-        newer = given_ns is not None and _time_in(taken) > given_ns
+        newer = given_ns is not None and given_ns < _time_in(taken) <= now_ns
         try:
             if newer:
                 self.close(_time_in(taken))

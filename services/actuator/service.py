@@ -72,12 +72,13 @@ class Actuator:
         self._settings = settings
         self._clock = clock
         self._latch = latch or (None if opener else Latch.of_port(settings.port))
+        self._gripped_ns = -1  # when the order was given that turned torque on
         self._unlatched = self._latch_stuck = ""  # why the latch is open, or closed, though it should not be, in words
         self._joints = Joints(profile, settings, opener, clock, self._latched)
         if self._latched():
             self._joints.let_go()
         torque = bool(self._joints.torque.any())  # one that does not pull then is a fault, and named
-        off_ns = -1 if self._latch is None else self._latch.since_ns
+        off_ns = self._off_since(clock()) if self._latched() else -1
         self._guard = Guard(profile, settings.plan_age_s, clock(), torque, settings.unload_s + settings.load_s, off_ns)
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
@@ -127,7 +128,10 @@ class Actuator:
         self._contact.update(self._measured(), self._joints.load, dt)
         self._odometry.update(self._measured(), self._standing(), self._walker.ground)
         if self._latched() and self._guard.mode is not Mode.OFF:
-            self._perform(self._guard.hear_stop(StopOrder(tick.stamp_ns, "off", tick.stamp_ns, "stop path"), tick.stamp_ns))
+            stop = StopOrder(tick.stamp_ns, "off", tick.stamp_ns, "stop path")
+            self._perform(self._guard.hear_stop(stop, self._off_since(tick.stamp_ns)))
+        elif self._latch is not None and self._latch.closed and self._guard.mode is not Mode.OFF:
+            self._open_latch(self._gripped_ns)  # the stop path hears late of what was taken back since
         if self._unlatched:
             self._close_latch()
         self._obey(inbox.drain(topics.MODE), inbox.drain(topics.STOP), tick.stamp_ns)
@@ -296,23 +300,31 @@ class Actuator:
         return "the joints take up their work again, slowly" if takes_up else ""
 
     def _latched(self) -> bool:
-        """Whether torque is to be off, by an order that may be older than this process."""
-        return self._latch is not None and self._latch.closed
+        """Whether torque is to be off, by an order that may be older than this process, but not than what turned it on."""
+        if self._latch is None or not self._latch.closed:
+            return False
+        since_ns = self._latch.since_ns
+        return since_ns == 0 or since_ns > self._gripped_ns
+
+    def _off_since(self, now_ns: int) -> int:
+        """When torque was ordered off [ns]; now, where the latch does not know that."""
+        since_ns = 0 if self._latch is None else self._latch.since_ns
+        return since_ns if 0 < since_ns <= now_ns else now_ns
 
     def _close_latch(self) -> None:
         """See to it that a restart knows that torque is to be off; what is in the way is said, and it is tried again."""
         self._unlatched = ""
         try:
             if self._latch is not None:
-                self._latch.close(self._last_ns)
+                self._latch.close(self._guard.off_ns)
         except OSError as error:
             self._unlatched = f"torque is off, but a restarted actuator would not know of that order: {error}"
 
-    def _open_latch(self) -> bool:
+    def _open_latch(self, given_ns: int) -> bool:
         """Take the order to let go off; whether it could be, or else why not is said, and it goes on to be obeyed."""
         self._unlatched = self._latch_stuck = ""
         try:
-            if self._latch is not None and not self._latch.open(self._guard.given_ns):
+            if self._latch is not None and not self._latch.open(given_ns, self._clock()):
                 self._latch_stuck = "torque stays off, for that was ordered meanwhile; order it anew"
         except OSError as error:
             self._latch_stuck = f"torque stays off, for that order cannot be taken back: {error}"
@@ -328,7 +340,8 @@ class Actuator:
                     self._limits.forget()
                     self._posing, self._hung = None, HungLegs()
                 case Act.GRIP:
-                    if self._open_latch():
+                    if self._open_latch(self._guard.given_ns):
+                        self._gripped_ns = self._guard.given_ns
                         self._joints.grip()
                     self._limits.forget()
                     self._still, self._posing, self._hung = True, None, HungLegs()
@@ -382,7 +395,7 @@ class Actuator:
             self._guard.risen()
         else:
             self._still = True
-            self._perform(self._guard.seated())
+            self._perform(self._guard.seated(self._last_ns))
 
     def _note_findings(self, now_ns: int) -> None:
         """Keep what feet have found for everybody."""

@@ -100,7 +100,7 @@ class Robot:
             posing, self.posing = self.posing, ""
             if posing == "lie":
                 self.still = True
-                return self.perform(self.guard.seated())
+                return self.perform(self.guard.seated(self.now))
             self.guard.risen()
             self.running = self.own = self.searching = False
             self.step, self.swing, self.next = 0, np.zeros(6, dtype=bool), None

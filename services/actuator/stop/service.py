@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from services.actuator.latch import Latch
+from services.actuator.latch import AHEAD_NS, Latch
 from services.actuator.stop.config import Settings
 from shared import topics
 from shared.messages import Message, ModeCommand, StopOrder, Tick
@@ -26,6 +26,7 @@ class Stop:
         self.stages = Stages()
         self._latch = Latch.of_port(settings.port)
         self._problem = ""  # why the newest order to let go is not latched, in words, or nothing
+        self._due_ns: int | None = None  # time of the order to let go that is still to be latched
         self._newest: dict[str, int] = {}
         self._stops: dict[str, int] = {}
 
@@ -37,25 +38,34 @@ class Stop:
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Hear what was ordered."""
-        newest = {order.holder: order for order in sorted(inbox.drain(topics.MODE), key=lambda order: order.sequence)}
-        for order in newest.values():  # an order to let go that was taken back before it was heard here is none
-            known = self._newest.get(order.holder)
-            if known is None or order.sequence > known:
-                self._hear(self._newest, order, min(order.sequence, tick.stamp_ns))
+        for order in inbox.drain(topics.MODE):
+            if order.sequence > tick.stamp_ns + AHEAD_NS:  # its numbers are no times, and bar no later one's way
+                self._hear_stop(order, tick.stamp_ns)
+            elif order.sequence > self._newest.get(order.holder, -1):
+                self._hear(self._newest, order, order.sequence)
         for stop in inbox.drain(topics.STOP):
-            if stop.sequence != self._stops.get(stop.holder):
-                self._hear(self._stops, stop, tick.stamp_ns)
+            self._hear_stop(stop, tick.stamp_ns)
+        if self._due_ns is not None:
+            self._close(self._due_ns)
         yield from ()
+
+    def _hear_stop(self, order: ModeCommand | StopOrder, now_ns: int) -> None:
+        if order.sequence != self._stops.get(order.holder):
+            self._hear(self._stops, order, now_ns)
 
     def _hear(self, newest: dict[str, int], order: ModeCommand | StopOrder, given_ns: int) -> None:
         newest.pop(order.holder, None)
         newest[order.holder] = order.sequence
         if len(newest) > _HOLDERS:
             del newest[next(iter(newest))]
-        if order.mode != "off":
-            return
+        if order.mode == "off":
+            self._due_ns = given_ns if self._due_ns is None else max(self._due_ns, given_ns)
+
+    def _close(self, given_ns: int) -> None:
+        """Close the latch, or try again at the next beat."""
         self._problem = ""
         try:
             self._latch.close(given_ns)
+            self._due_ns = None
         except OSError as error:  # the actuator hears the order, too
             self._problem = f"an order to let go cannot be latched: {error}"

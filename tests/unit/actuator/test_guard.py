@@ -98,8 +98,12 @@ class Everything(RuleBasedStateMachine):
             assert self.robot.mode is was
             assert leads in self.robot.guard.objection
             return
-        self.obeyed(order, was, acts)
         age_ns = self.robot.now - given_ns
+        if "by its sequence" in self.robot.guard.objection and mode not in ("off", "stop"):
+            assert (acts, self.robot.mode) == ((), was)
+            assert age_ns > ORDER_AGE_NS or given_ns < self.off_at
+            return
+        self.obeyed(order, was, acts)
         if mode in ("ready", "stand", "sit") and age_ns > ORDER_AGE_NS:
             assert (acts, self.robot.mode) == ((), was)
             assert self.robot.guard.objection

@@ -6,6 +6,7 @@ import pytest
 
 from services.actuator.guard import AWAY_NS, LEASE_NS, ORDER_AGE_NS, Act, Guard
 from services.actuator.health import Verdict
+from services.actuator.latch import AHEAD_NS
 from shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import BROKEN, CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode, rested
 
@@ -51,7 +52,7 @@ def test_off_is_latched() -> None:
         assert robot.cycle() == ()
         assert robot.mode is Mode.OFF
     robot.guard.risen()
-    assert robot.guard.seated() == ()
+    assert robot.guard.seated(robot.now) == ()
     assert robot.guard.tip("it leans") == ()
     assert not robot.consider(robot.plan())
     robot.verdict = SPENT
@@ -220,7 +221,7 @@ def test_what_was_ordered_a_while_ago_and_is_heard_for_the_first_time_moves_noth
         f"`{order}` of b refused: by its sequence, the time [ns] of the robot's clock, it was given 2.0 s ago; order it anew"
     )
     assert robot.guard.objection == words
-    assert robot.guard.lease(robot.now) == "b"
+    assert robot.guard.lease(robot.now) == ""
     assert robot.cycle() == ()
     assert robot.mode is mode
     again = replace(given, stamp_ns=robot.now, sequence=robot.now - ORDER_AGE_NS)
@@ -234,7 +235,7 @@ def test_who_led_a_walk_goes_on_leading_it_where_the_guard_begins_anew_and_else_
         robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=True)
         robot.now = EPOCH + begun_s * 1_000_000_000
         robot.hear(ModeCommand(robot.now, "walk", robot.now - given_s * 1_000_000_000, "b"))
-        assert robot.guard.lease(robot.now) == "b"
+        assert robot.guard.lease(robot.now) == ("b" if walks else "")
         assert robot.consider(robot.plan(epoch=EPOCH)) == walks, (begun_s, given_s)
         assert (robot.guard.objection == "") == walks
 
@@ -266,9 +267,23 @@ def test_torque_comes_on_for_an_order_of_before_somebody_stopped() -> None:
         assert robot.hear(ModeCommand(robot.now, "stand", robot.now - 1, "a")) == (Act.GRIP, Act.RISE)
 
 
-def test_a_stop_that_was_given_ahead_of_now_is_obeyed() -> None:
+def test_a_stop_whose_number_is_no_time_is_obeyed_and_bars_no_later_ones_way() -> None:
     robot = in_mode(Mode.HOLD)
-    assert robot.hear(ModeCommand(robot.now, "off", robot.now + 10 * ORDER_AGE_NS, "b")) == (Act.LET_GO,)
+    for number in (10**18, robot.now, robot.now + AHEAD_NS + 1):
+        assert robot.hear(ModeCommand(robot.now, "off", number, "b")) == (Act.LET_GO,)
+
+
+def test_a_robot_that_has_let_go_by_itself_rises_for_no_order_of_before() -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.verdict = SPENT
+    while robot.mode is not Mode.OFF:
+        robot.cycle(ends=True)
+    robot.verdict = Verdict()
+    robot.cycle()
+    robot.hear(ModeCommand(robot.now, "stand", robot.guard.off_ns - 1, "b"))
+    assert not robot.torque
+    robot.hear(ModeCommand(robot.now, "stand", robot.guard.off_ns, "b"))
+    assert robot.torque
 
 
 def test_a_leader_who_was_unheard_for_long_and_had_ordered_no_walk_is_told_nothing() -> None:
@@ -295,14 +310,16 @@ def test_a_leader_who_was_unheard_for_long_leads_again_but_does_not_walk_on() ->
         robot.hear(ModeCommand(robot.now, "walk", robot.number, "a"))
         assert robot.guard.lease(robot.now) == "a"
         assert robot.consider(robot.plan()) == walks
-        assert robot.guard.objection == ("" if walks else "nothing was heard of a for 30 s; order `walk` anew")
+        assert robot.guard.objection == (
+            "" if walks else "`walk` of a refused: nothing was heard of it for 30 s; order it anew"
+        )
     assert robot.order("walk") == ()
     assert robot.consider(robot.plan())
 
 
 def test_an_order_given_ahead_of_now_is_refused() -> None:
     robot = in_mode(Mode.HOLD)
-    ahead = robot.now + ORDER_AGE_NS
+    ahead = robot.now + AHEAD_NS
     robot.hear(ModeCommand(robot.now, "sit", ahead + 1, "b"))
     assert robot.guard.objection == "`sit` of b refused: its sequence, when it was given [ns], is ahead of now"
     robot.hear(ModeCommand(robot.now, "sit", ahead, "b", take=True))
@@ -312,7 +329,7 @@ def test_an_order_given_ahead_of_now_is_refused() -> None:
 @pytest.mark.parametrize("off_ns", [-ORDER_AGE_NS, ORDER_AGE_NS])
 def test_an_order_may_be_two_seconds_under_way(off_ns: int) -> None:
     robot = in_mode(Mode.HOLD)
-    robot.hear(ModeCommand(robot.now + off_ns, "sit", robot.now + off_ns, "b"))
+    robot.hear(ModeCommand(robot.now + off_ns, "sit", robot.now + min(off_ns, 0), "b"))
     assert robot.guard.objection == ""
     assert robot.cycle() == (Act.LIE_DOWN,)
 
@@ -483,7 +500,7 @@ def test_it_stands_and_sits_when_that_is_done() -> None:
     robot.order("stop")
     assert robot.guard.reason == "stopped on its way; order `stand` or `sit`"
     robot.guard.risen()
-    assert robot.guard.seated() == ()
+    assert robot.guard.seated(robot.now) == ()
     assert robot.mode is Mode.READY
 
 

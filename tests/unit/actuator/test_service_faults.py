@@ -379,11 +379,45 @@ def test_who_has_torque_turned_off_is_heard_before_who_rises_though_he_came_late
     assert not rig.torque
 
 
+def test_a_robot_that_rises_does_not_fall_for_an_order_of_before_that_is_latched_late(tmp_path: Path) -> None:
+    latch = Latch(tmp_path / "off")
+    rig = Rig(torque=False, latch=latch)
+    rig.cycle(2)
+    rig.command("off")
+    off_ns = rig.order
+    rig.cycle(5)
+    rig.command("stand")
+    rig.cycle(20)
+    assert rig.torque
+    latch.close(off_ns)  # by a stop path that was stopped meanwhile
+    rig.cycle(20)
+    assert rig.torque
+    assert not latch.closed, "nor after a restart"
+    latch.close(rig.order + 1)
+    assert rig.cycle(5).mode is Mode.OFF
+    assert not rig.torque
+
+
+@pytest.mark.parametrize("since_ns", [0, 10**18])
+def test_a_latch_that_does_not_know_when_it_was_closed_was_closed_just_now(tmp_path: Path, since_ns: int) -> None:
+    latch = Latch(tmp_path / "off")
+    latch.close(since_ns)
+    rig = Rig(torque=True, latch=latch)
+    before = rig.actuator._guard.off_ns - 1
+    rig.hear(ModeCommand(rig.now_ns, "stand", before, "a"))
+    assert rig.cycle(2).mode is Mode.OFF
+    assert not rig.torque
+    rig.command("stand")
+    rig.cycle(2)
+    assert rig.torque
+    assert not latch.closed
+
+
 def test_torque_that_is_ordered_off_while_it_is_turned_on_stays_off(tmp_path: Path) -> None:
     class Closing(Latch):
-        def open(self, given_ns: int | None = None) -> bool:
+        def open(self, given_ns: int | None = None, now_ns: int = 0) -> bool:
             self.close((given_ns or 0) + 1)  # by the stop path, just now
-            return super().open(given_ns)
+            return super().open(given_ns, now_ns)
 
     rig = Rig(torque=False, latch=Closing(tmp_path / "off"))
     rig.cycle(2)

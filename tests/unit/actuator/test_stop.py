@@ -66,33 +66,62 @@ def test_those_who_may_not_lead_let_go_by_a_key_of_their_own(latch: Latch) -> No
     assert len(stop._stops) <= 64
 
 
-def test_an_order_to_let_go_that_was_taken_back_before_it_was_heard_is_not_latched(latch: Latch) -> None:
-    """As where this process was stopped meanwhile: the robot rises by now, and would fall."""
+@pytest.mark.parametrize("mode", ["stop", "sit", "walk", "stand"])
+def test_an_order_to_let_go_is_latched_with_its_time_whatever_comes_after_it(latch: Latch, mode: str) -> None:
+    """The actuator knows whether it was taken back since."""
     stop = Stop(PROFILE, Settings(PORT))
     inbox = Inbox(stop.reads, stop.stages)
-    for sequence, mode in ((5, "off"), (9, "stand"), (7, "off")):
-        inbox.receive(topics.MODE, codec.encode(ModeCommand(0, mode, sequence, "a")), 0)  # type: ignore[arg-type]
+    for sequence, order in ((5, "off"), (9, mode), (7, "off")):
+        inbox.receive(topics.MODE, codec.encode(ModeCommand(0, order, sequence, "a")), 0)  # type: ignore[arg-type]
     assert list(stop.step(Tick(20), inbox)) == []
-    assert not latch.closed
-    inbox.receive(topics.MODE, codec.encode(ModeCommand(0, "off", 4, "b")), 0)
-    assert list(stop.step(Tick(20), inbox)) == []
+    assert latch.since_ns == 5
+
+
+def test_numbers_that_are_no_times_bar_no_later_orders_way(latch: Latch) -> None:
+    stop = Stop(PROFILE, Settings(PORT))
+    say(stop, "off", 10**18)
     assert latch.closed
-    assert latch.since_ns == 4
+    latch.open()
+    say(stop, "off", 10**18)
+    assert not latch.closed, "an order counts once"
+    say(stop, "off", 1)
+    assert latch.closed
+
+
+def test_it_tries_again_where_the_latch_cannot_be_closed(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
+    stop = Stop(PROFILE, Settings(PORT))
+    with monkeypatch.context() as patched:
+        patched.setattr(Latch, "close", lambda *_: (_ for _ in ()).throw(OSError("no such folder")))
+        say(stop, "off", 3)
+        assert "cannot be latched: no such folder" in stop.doing()
+    assert list(stop.step(Tick(0), Inbox(stop.reads, stop.stages))) == []
+    assert latch.since_ns == 3
+    assert stop.doing() == "torque is latched off"
+
+
+def test_a_disk_that_is_full_has_room_for_a_latch(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Path, "write_text", lambda *_: (_ for _ in ()).throw(OSError("no space left")))
+    latch.close(5)
+    assert (latch.closed, latch.since_ns) == (True, 0)
+    assert [path.name for path in latch.path.parent.iterdir()] == [latch.path.name]
 
 
 def test_it_is_not_opened_by_an_order_of_before_it_was_closed(latch: Latch) -> None:
     latch.close(100)
     latch.close(50)
     assert latch.since_ns == 100, "the newest counts"
-    assert not latch.open(99)
+    assert latch.path.exists()
+    assert not latch.open(99, 100)
     assert latch.closed
-    assert latch.open(100)
+    assert latch.open(100, 1000)
     assert not latch.closed
     assert latch.since_ns == 0
-    assert latch.open(0), "nothing is in the way"
+    assert latch.open(0, 1000), "nothing is in the way"
+    latch.close(2000)
+    assert latch.open(1, 1000), "that was before the machine was switched on"
     latch.path.write_text("nonsense")
     assert (latch.closed, latch.since_ns) == (True, 0)
-    assert latch.open(1)
+    assert latch.open(1, 1000)
     assert list(latch.path.parent.iterdir()) == []
 
 
@@ -106,7 +135,7 @@ def test_who_closes_it_while_it_is_taken_off_is_not_lost(latch: Latch, monkeypat
         return replace(path, target)
 
     monkeypatch.setattr(Path, "replace", close_first)
-    assert not latch.open(150)
+    assert not latch.open(150, 1000)
     assert latch.since_ns == 200
 
 

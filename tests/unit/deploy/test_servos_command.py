@@ -141,13 +141,17 @@ def test_an_actuator_that_has_the_port_is_told_to_let_go_by_its_latch(
     """As where the router is dead over which it would hear an order."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     _, end = pty.openpty()
-    port = os.ttyname(end)
+    port, link = os.ttyname(end), tmp_path / "link"
+    link.symlink_to(port)
     with closing(open_port(port)):
-        assert cli.main(["servos", "off", "--port", port]) == 0
-    assert "lets go within a cycle, and torque is latched off" in capsys.readouterr().out
-    latch = Latch.of_port(port)
-    assert latch.closed
-    assert 0 <= now_ns() - latch.since_ns < 10_000_000_000
+        assert cli.main(["servos", "off", "--port", str(link)]) == 1, "nobody says that torque is off"
+    told = capsys.readouterr()
+    assert "torque is latched off; an actuator of this user that has it lets go at once" in told.out
+    assert "see whether the legs give way" in told.err
+    for name in (str(link), port):
+        latch = Latch.of_port(name)
+        assert latch.closed
+        assert 0 <= now_ns() - latch.since_ns < 10_000_000_000
 
 
 @pytest.mark.parametrize("deaf", [False, True])
