@@ -150,7 +150,7 @@ class Guard:
         if order.holder == self._holder:
             self._heard_ns = now_ns
         if order.mode == "off":
-            self.off_ns = max(self.off_ns, min(order.sequence, now_ns))
+            self.off_ns = max(self.off_ns, min(max(order.sequence, self.given_ns + 1), now_ns))  # whatever clock it came by
         self.given_ns = order.sequence
         return self._obey(order.mode)
 

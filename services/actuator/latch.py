@@ -61,6 +61,8 @@ class Latch:
         Returns:
             Whether it was taken off, or there was none.
         """
+        if not self.path.exists():
+            return True
         if given_ns is not None and given_ns < self.since_ns <= now_ns:
             return False
         taken = self._beside("taken")
@@ -84,7 +86,7 @@ class Latch:
 
 def _time_in(path: Path) -> int:
     try:
-        text = path.read_text()
+        text = path.read_bytes()
     except OSError:
         return 0
-    return int(text) if text.isascii() and text.isdigit() else 0
+    return int(text) if text.isdigit() else 0

@@ -341,7 +341,7 @@ class Actuator:
                     self._posing, self._hung = None, HungLegs()
                 case Act.GRIP:
                     if self._open_latch(self._guard.given_ns):
-                        self._gripped_ns = self._guard.given_ns
+                        self._gripped_ns = min(self._guard.given_ns, self._last_ns)
                         self._joints.grip()
                     self._limits.forget()
                     self._still, self._posing, self._hung = True, None, HungLegs()

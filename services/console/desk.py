@@ -280,7 +280,7 @@ class Desk:
         if state is None or state.stamp_ns < order.sequence:
             return False
         if state.mode is Mode.OFF:
-            return order.mode == "off" or heard
+            return heard
         return order.mode == "stop" and heard and state.lease != order.holder
 
     def _velocity(self, now_ns: int) -> list[Message]:

@@ -27,6 +27,9 @@ class Stop:
         self._latch = Latch.of_port(settings.port)
         self._problem = ""  # why the newest order to let go is not latched, in words, or nothing
         self._due_ns: int | None = None  # time of the order to let go that is still to be latched
+        self._latest_ns = (
+            0  # after the newest order of anybody: one that is heard after it was given after it, whatever its clock
+        )
         self._newest: dict[str, int] = {}
         self._stops: dict[str, int] = {}
 
@@ -42,7 +45,8 @@ class Stop:
             if order.sequence > tick.stamp_ns + AHEAD_NS:  # its numbers are no times, and bar no later one's way
                 self._hear_stop(order, tick.stamp_ns)
             elif order.sequence > self._newest.get(order.holder, -1):
-                self._hear(self._newest, order, order.sequence)
+                self._hear(self._newest, order, max(order.sequence, self._latest_ns))
+                self._latest_ns = max(self._latest_ns, order.sequence + 1)
         for stop in inbox.drain(topics.STOP):
             self._hear_stop(stop, tick.stamp_ns)
         if self._due_ns is not None:

@@ -295,6 +295,18 @@ def test_a_leader_who_was_unheard_for_long_and_had_ordered_no_walk_is_told_nothi
     assert robot.guard.objection == ""
 
 
+def test_an_order_to_let_go_that_comes_by_a_late_clock_takes_back_what_was_ordered_before_it() -> None:
+    robot = in_mode(Mode.OFF)
+    robot.order("stand")
+    given_ns = robot.number
+    robot.now += 200_000_000
+    robot.hear(ModeCommand(robot.now, "off", given_ns - 50_000_000, "b"))
+    assert robot.guard.off_ns > given_ns
+    robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False, off_ns=robot.guard.off_ns)
+    robot.hear(ModeCommand(robot.now, "stand", given_ns, "a"))
+    assert not robot.torque
+
+
 def test_a_latch_that_was_closed_counts_for_a_guard_that_begins_anew() -> None:
     robot = in_mode(Mode.OFF)
     robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=False, off_ns=robot.now)

@@ -77,6 +77,13 @@ def test_an_order_to_let_go_is_latched_with_its_time_whatever_comes_after_it(lat
     assert latch.since_ns == 5
 
 
+def test_an_order_to_let_go_that_comes_by_a_late_clock_is_latched_as_one_after_what_it_takes_back(latch: Latch) -> None:
+    stop = Stop(PROFILE, Settings(PORT))
+    say(stop, "stand", 9, "a")
+    say(stop, "off", 5, "b")
+    assert latch.since_ns == 10
+
+
 def test_numbers_that_are_no_times_bar_no_later_orders_way(latch: Latch) -> None:
     stop = Stop(PROFILE, Settings(PORT))
     say(stop, "off", 10**18)
@@ -119,7 +126,7 @@ def test_it_is_not_opened_by_an_order_of_before_it_was_closed(latch: Latch) -> N
     assert latch.open(0, 1000), "nothing is in the way"
     latch.close(2000)
     assert latch.open(1, 1000), "that was before the machine was switched on"
-    latch.path.write_text("nonsense")
+    latch.path.write_bytes(b"\xff\xfe")
     assert (latch.closed, latch.since_ns) == (True, 0)
     assert latch.open(1, 1000)
     assert list(latch.path.parent.iterdir()) == []
