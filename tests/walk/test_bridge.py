@@ -43,7 +43,7 @@ def test_through_a_bridge_it_walks_as_on_the_bus_itself(tmp_path: Path, capsys: 
     assert bridged["speed_mps"] == pytest.approx(direct["speed_mps"], rel=0.05)
     assert bridged["tilt_deg"]["p95"] <= direct["tilt_deg"]["p95"] + 0.1
     assert bridged["min_stability_margin_m"] >= direct["min_stability_margin_m"] - 0.005
-    assert bridged["torque_nm"]["rms_worst_joint"] == pytest.approx(direct["torque_nm"]["rms_worst_joint"], rel=0.1)
+    assert bridged["torque_nm"]["rms_worst_joint"] <= 1.1 * direct["torque_nm"]["rms_worst_joint"]
 
 
 def test_the_microcontroller_restarts_in_the_middle_of_a_walk_and_nothing_falls_or_lunges() -> None:
