@@ -158,8 +158,7 @@ _BROKEN_BUSES: tuple[tuple[str, str, OnBus], ...] = (
     ("bus-intermittent", "the bus is away for 50 of every 250 ms", _bus("bus", "intermittent")),
     ("bus-gone", "the adapter is unplugged and comes back under another name", _bus("bus", "gone", renamed=True)),
 )
-# The rest of the emulator's grid.
-_NUISANCES: tuple[tuple[str, str, OnBus], ...] = (
+_REST_OF_THE_GRID: tuple[tuple[str, str, OnBus], ...] = (
     ("bytes-stuck", "1 % of the bytes become 255, both ways", _bus("bytes", "stuck", share=0.01, value=255)),
     ("bytes-wrong", "1 % of the bytes with one bit flipped, both ways", _bus("bytes", "wrong", share=0.01)),
     ("bytes-slow", "1 % of the bytes from servos 16 ms late", _bus("bytes", "slow", share=0.01)),
@@ -202,7 +201,10 @@ CASES: tuple[Case, ...] = (
     Case("lost-1", "1 % of the answers lost", (_bus("packets", "silent", 4.0, share=0.01),), _CALM),
     Case("corrupted-1", "1 % of the answers broken", (_bus("packets", "wrong", 4.0, share=0.01, part="two bytes"),), _CALM),
     Case("corrupted-10", "10 % of the answers broken", (_bus("packets", "wrong", 4.0, share=0.10, part="two bytes"),)),
-    *(Case(name, words, (deed,), _LIMITS_OF_BUSES.get(name, Limits())) for name, words, deed in (*_BROKEN_BUSES, *_NUISANCES)),
+    *(
+        Case(name, words, (deed,), _LIMITS_OF_BUSES.get(name, Limits()))
+        for name, words, deed in (*_BROKEN_BUSES, *_REST_OF_THE_GRID)
+    ),
     Case("servo-stuck", "one servo's position register does not change", (_bus("servo", "stuck"),)),
     Case("servo-wrong", "one servo's position register is 29 deg off", (_bus("servo", "wrong"),)),
     Case("servo-jammed", "one joint does not move", (_bus("servo", "jammed", 1.0),)),

@@ -74,7 +74,7 @@ class Operator:
         self._walk = scenario.walk
         self._speed = min(scenario.walk.speed, profile.stance.max_speed)
         self._order: Literal["stand", "walk"] = "stand"
-        self._given_ns = -1  # when that was, by the robot's clock
+        self._given_ns = -1  # when that was ordered, by the robot's clock
         self._order_due_ns = 0
         self._rising = False
         self._arrived_ns: int | None = None

@@ -21,6 +21,7 @@ from services.actuator.joints import Joints
 from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward, sag_feed_forward
 from services.actuator.odometry import LegOdometry
+from services.actuator.off_order import OffOrder
 from services.actuator.plan_check import reaches
 from services.actuator.plumb import Plumb
 from services.actuator.stand_up import LieDown, StandUp
@@ -71,14 +72,12 @@ class Actuator:
         self._profile = profile
         self._settings = settings
         self._clock = clock
-        self._latch = latch or (None if opener else Latch.of_port(settings.port))
-        self._gripped_ns = -1  # when the order was given that turned torque on
-        self._unlatched = self._latch_stuck = ""  # why the latch is open, or closed, though it should not be, in words
-        self._joints = Joints(profile, settings, opener, clock, self._latched)
-        if self._latched():
+        self._off = OffOrder(latch or (None if opener else Latch.of_port(settings.port)))
+        self._joints = Joints(profile, settings, opener, clock, lambda: self._off.holds)
+        if self._off.holds:
             self._joints.let_go()
         torque = bool(self._joints.torque.any())  # one that does not pull then is a fault, and named
-        off_ns = self._off_since(clock()) if self._latched() else -1
+        off_ns = self._off.since_ns(clock()) if self._off.holds else -1
         self._guard = Guard(profile, settings.plan_age_s, clock(), torque, settings.unload_s + settings.load_s, off_ns)
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
@@ -127,13 +126,7 @@ class Actuator:
         now_ns = self._clock()
         self._contact.update(self._measured(), self._joints.load, dt)
         self._odometry.update(self._measured(), self._standing(), self._walker.ground)
-        if self._latched() and self._guard.mode is not Mode.OFF:
-            stop = StopOrder(tick.stamp_ns, "off", tick.stamp_ns, "stop path")
-            self._perform(self._guard.hear_stop(stop, self._off_since(tick.stamp_ns)))
-        elif self._latch is not None and self._latch.closed and self._guard.mode is not Mode.OFF:
-            self._open_latch(self._gripped_ns)  # the stop path hears late of what was taken back since
-        if self._unlatched:
-            self._close_latch()
+        self._obey_the_latch(tick.stamp_ns)
         self._obey(inbox.drain(topics.MODE), inbox.drain(topics.STOP), tick.stamp_ns)
         self._level(dt, tick.stamp_ns, inbox)
         for plan in inbox.drain(topics.STEP_PLAN):
@@ -154,6 +147,16 @@ class Actuator:
             self._silent = True
 
     # ---------------------------------------------------------------------------------------------------------- inputs
+
+    def _obey_the_latch(self, now_ns: int) -> None:
+        """Let go where that was ordered past this process; and see to it that the latch is closed where torque is to be off."""
+        if self._guard.mode is not Mode.OFF:
+            self._off.drop_old(self._clock())
+            if self._off.holds:
+                stop = StopOrder(now_ns, "off", now_ns, "stop path")
+                self._perform(self._guard.hear_stop(stop, self._off.since_ns(now_ns)))
+        if self._off.unkept:
+            self._off.keep(self._guard.off_ns)
 
     def _obey(self, orders: Sequence[ModeCommand], stops: Sequence[StopOrder], now_ns: int) -> None:
         """Obey what was ordered; who has torque turned off is heard first, so that it rises for no order of before."""
@@ -236,7 +239,7 @@ class Actuator:
         self._verdict = self._health.update(now_ns * 1e-9, elapsed, vitals, torque)
         self._perform(self._guard.watch(now_ns, self._legs(), self._verdict))
         for index in self._verdict.revive:
-            if self._latched():  # it has not been let go yet
+            if self._off.holds:  # it has not been let go yet
                 break
             self._joints.revive(index)
             if not self._still:  # then it has nothing to take up
@@ -299,49 +302,17 @@ class Actuator:
         takes_up = self._walker.gentle or (self._walker.resting and self._limits.easing)
         return "the joints take up their work again, slowly" if takes_up else ""
 
-    def _latched(self) -> bool:
-        """Whether torque is to be off, by an order that may be older than this process, but not than what turned it on."""
-        if self._latch is None or not self._latch.closed:
-            return False
-        since_ns = self._latch.since_ns
-        return since_ns == 0 or since_ns > self._gripped_ns
-
-    def _off_since(self, now_ns: int) -> int:
-        """When torque was ordered off [ns]; now, where the latch does not know that."""
-        since_ns = 0 if self._latch is None else self._latch.since_ns
-        return since_ns if 0 < since_ns <= now_ns else now_ns
-
-    def _close_latch(self) -> None:
-        """See to it that a restart knows that torque is to be off; what is in the way is said, and it is tried again."""
-        self._unlatched = ""
-        try:
-            if self._latch is not None:
-                self._latch.close(self._guard.off_ns)
-        except OSError as error:
-            self._unlatched = f"torque is off, but a restarted actuator would not know of that order: {error}"
-
-    def _open_latch(self, given_ns: int) -> bool:
-        """Take the order to let go off; whether it could be, or else why not is said, and it goes on to be obeyed."""
-        self._unlatched = self._latch_stuck = ""
-        try:
-            if self._latch is not None and not self._latch.open(given_ns, self._clock()):
-                self._latch_stuck = "torque stays off, for that was ordered meanwhile; order it anew"
-        except OSError as error:
-            self._latch_stuck = f"torque stays off, for that order cannot be taken back: {error}"
-        return not self._latch_stuck
-
     def _perform(self, acts: tuple[Act, ...]) -> None:
         """Do what the guard has decided."""
         for act in acts:
             match act:
                 case Act.LET_GO:
                     self._joints.let_go()
-                    self._close_latch()
+                    self._off.keep(self._guard.off_ns)
                     self._limits.forget()
                     self._posing, self._hung = None, HungLegs()
                 case Act.GRIP:
-                    if self._open_latch(self._guard.given_ns):
-                        self._gripped_ns = min(self._guard.given_ns, self._last_ns)
+                    if self._off.take_back(self._guard.given_ns, self._clock()):
                         self._joints.grip()
                     self._limits.forget()
                     self._still, self._posing, self._hung = True, None, HungLegs()
@@ -422,7 +393,7 @@ class Actuator:
 
     def _send(self, goals: Array) -> None:
         """Send goals, unless torque is to be off or they are too old: this process may have been stopped in mid-cycle."""
-        if not self._latched() and self._clock() - self._last_ns < GAP_S * 1e9:
+        if not self._off.holds and self._clock() - self._last_ns < GAP_S * 1e9:
             self._joints.write(goals)
 
     def _take_over(self, torque: bool, load: Array) -> None:
@@ -481,8 +452,8 @@ class Actuator:
             guard.tipped,
             self._imu_problem,
             guard.objection,
-            self._unlatched,
-            self._latch_stuck,
+            self._off.unkept,
+            self._off.stuck,
             self._verdict.broken if guard.mode in (Mode.OFF, Mode.READY) else "",  # else the reason
             *self._verdict.warnings,
         )

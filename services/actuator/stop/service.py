@@ -27,9 +27,7 @@ class Stop:
         self._latch = Latch.of_port(settings.port)
         self._problem = ""  # why the newest order to let go is not latched, in words, or nothing
         self._due_ns: int | None = None  # time of the order to let go that is still to be latched
-        self._latest_ns = (
-            0  # after the newest order of anybody: one that is heard after it was given after it, whatever its clock
-        )
+        self._latest_ns = 0  # just after the newest order of anybody: who is heard after it, by whatever clock, came after it
         self._newest: dict[str, int] = {}
         self._stops: dict[str, int] = {}
 
