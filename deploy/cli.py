@@ -267,7 +267,7 @@ def _add_robots(add: Any) -> None:
     words = "off: let go; stop: set the feet down; ready: torque on; stand: rise; walk: let the planner walk; sit: lie down"
     one.add_argument("what", choices=("off", "stop", "ready", "stand", "walk", "sit"), help=words)
     _add_meeting(one)
-    one.add_argument("--holder", default="operator", help="who orders: one at a time may move the legs (default %(default)s)")
+    one.add_argument("--holder", default="", help="who orders: one at a time may move the legs (default: USER at MACHINE)")
     one.add_argument("--take", action="store_true", help="take over from whoever may move them now")
 
     one = add("ros2", ros2, "make the robot a node of ROS 2 over rmw_zenoh, without ROS, see docs/ros2.md")

@@ -1,6 +1,9 @@
 """`sextant order`: stand, walk, stop, sit or let go, from the terminal."""
 
 import argparse
+import getpass
+import os
+import socket
 from typing import TYPE_CHECKING
 
 from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, met, say
@@ -22,13 +25,22 @@ def order(arguments: argparse.Namespace) -> int:
     refused = endpoints.keys.refusal([topics.MODE]) if endpoints.keys is not None else ""
     if refused and arguments.what not in STOPS:
         raise InputError(refused)
-    given = Order(arguments.what, arguments.holder, arguments.take, leads=not refused)
+    given = Order(arguments.what, arguments.holder or _whoever_this_is(), arguments.take, leads=not refused)
     try:
         return _give(given, arguments.what, endpoints)
     except TransportError as error:
         if arguments.what != "off":
             raise
         raise TransportError(f"{error} On the robot, `sextant servos off --port PORT` lets go without an actuator.") from None
+
+
+def _whoever_this_is() -> str:
+    """The user and the machine; two that order at once are two."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):  # a container's user may have no name
+        user = str(os.getuid())
+    return f"{user} at {socket.gethostname()}"
 
 
 def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 PATIENCE_NS = 25_000_000  # [ns] for an answer: outlasts the latency timer of an adapter that nobody has set
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] a machine that emulates servos may be busy
 _LAST_PORT = 65535
+_LINKS = ("", "serial/by-id", "serial/by-path")  # folders of /dev in which udev gives devices further names
 
 
 class Terminal:
@@ -83,35 +84,56 @@ def scan(arguments: argparse.Namespace) -> int:
 
 
 def off(arguments: argparse.Namespace) -> int:
-    """`sextant servos off`: torque off, without an actuator, or past whatever router it hears."""
+    """`sextant servos off`: torque off, without an actuator, or past whatever router it hears.
+
+    It is latched first: an actuator that has the port, or looks for it, lets go, and one that begins later does, too.
+    """
     from services.actuator.bus import BusGone
-    from services.actuator.latch import Latch
     from services.actuator.let_go import let_go
     from services.actuator.roll_call import named
-    from shared.clock import now_ns
 
     profile = _profile(arguments.robot)
+    unlatched = _latch_off(arguments.port)
     with _line(arguments, profile) as line:
         try:
             bus = line.at(line.rates[0])
         except BusGone as error:
-            if getattr(error.__cause__, "errno", None) not in (errno.EAGAIN, errno.EBUSY):
-                raise
-            for name in _names(arguments.port):
-                Latch.of_port(name).close(now_ns())
-            say(f"{arguments.port} is in use: torque is latched off; an actuator of this user that has it lets go at once")
+            used = getattr(error.__cause__, "errno", None) in (errno.EAGAIN, errno.EBUSY)
+            lets_go = "torque is latched off: an actuator that has this port lets go at once, or as soon as its servos are back"
+            say(unlatched or lets_go)
             complain("nobody says that torque is off: see whether the legs give way, else switch the servos' power off")
+            if not used:
+                raise
+            complain(f"sextant servos off: {arguments.port} is in use")
             return FAILED
         left = let_go(bus)
     for servo_id, words in left.items():
         say(f"{named(servo_id, profile.servo_names)} {words}\n  -> see to its cable, or switch the servos' power off")
     say(f"torque is off: {len(profile.servo_names) - len(left)} of {len(profile.servo_names)} servos say so")
-    return FAILED if left else SUCCESS
+    if unlatched:
+        complain(f"{unlatched}; an actuator that begins now leaves torque on where a servo has not heard this")
+    return FAILED if left or unlatched else SUCCESS
+
+
+def _latch_off(port: str) -> str:
+    """Latch torque off for whoever has a port; why that could not be, in words, or nothing."""
+    from services.actuator.latch import Latch
+    from shared.clock import now_ns
+
+    problem = ""
+    for name in sorted(_names(port)):
+        try:
+            Latch.of_port(name).close(now_ns())
+        except OSError as error:
+            problem = f"torque is not latched off: {error}"
+    return problem
 
 
 def _names(port: str) -> set[str]:
     """The paths under which an actuator may have a port: udev's are links to one device."""
-    links = [str(path) for folder in ("by-id", "by-path") for path in Path("/dev/serial", folder).glob("*")]
+    if "://" in port:
+        return {port}
+    links = [str(path) for folder in _LINKS for path in Path("/dev", folder).glob("*") if path.is_symlink()]
     device = os.path.realpath(port)
     return {port, device, *(link for link in links if os.path.realpath(link) == device)}
 

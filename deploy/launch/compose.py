@@ -18,6 +18,7 @@ from deploy.process_table import (
     router_command,
     rows,
 )
+from services.actuator.latch import SHARED
 from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE
 from shared.config import ConfigError
 from shared.scenario import load_scenario
@@ -26,7 +27,6 @@ from shared.transport import Endpoints
 NAMESPACE = "sextant"
 KEYS = "/run/secrets/sextant"  # where a container finds its machine's certificates
 RECORDINGS = "/recordings"
-LATCH = "/run/sextant"  # holds the file that says that torque is to be off
 CACHE = "/cache"  # of what is compiled
 NOTIFY_SOCKET = "/tmp/notify"  # signs of life come there while a health check listens
 WARM_UP = "warm-up"  # ends once all is compiled
@@ -201,7 +201,7 @@ def _health(command: Command) -> list[str]:
 
 def _volumes(command: Command) -> list[str]:
     """What a container shares with others, or keeps."""
-    found = [f"latch:{LATCH}"] if command.name in _LATCHED else []
+    found = [f"latch:{SHARED}"] if command.name in _LATCHED else []
     if command.name not in ("router", "actuator", "stop", "console", "recorder"):
         found += [f"cache:{CACHE}"]  # of what compiles
     if command.name == "recorder":

@@ -47,12 +47,13 @@ _HARDENED_SYSTEM = (  # that a user's own service manager may not do
     "ProtectHostname=yes",
     "RestrictNamespaces=yes",
     "RestrictSUIDSGID=yes",
-    # The order to let go is a file that all share, and outlives them.
+    # The order to let go is a file that all share, and outlives them; anybody may give it, at a terminal.
     "RuntimeDirectory=sextant",
+    "RuntimeDirectoryMode=1777",
     "RuntimeDirectoryPreserve=yes",
     "CacheDirectory=sextant",
 )
-_SYSTEM_ENVIRONMENT = {"XDG_RUNTIME_DIR": "%t/sextant", "NUMBA_CACHE_DIR": "%C/sextant"}
+_SYSTEM_ENVIRONMENT = {"NUMBA_CACHE_DIR": "%C/sextant"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from deploy.runs.pose_error import MODELS, Erring
 from deploy.runs.radio import Radio
 from services.actuator.config import Settings as ActuatorSettings
 from services.actuator.latch import Latch
+from services.actuator.permit import Permit
 from services.actuator.service import Actuator
 from services.actuator.servos import read_timeout_ns
 from services.actuator.stop.config import Settings as StopSettings
@@ -117,11 +118,11 @@ class LockstepRun:
     def _actuator(
         self, profile: RobotProfile, scenario: Scenario, simulator: Simulator, latch: Latch | None
     ) -> Callable[[], Actuator]:
-        settings = ActuatorSettings(arc=scenario.walk.arc, bridge=scenario.bridge)
+        settings, permit = ActuatorSettings(arc=scenario.walk.arc, bridge=scenario.bridge), Permit()
 
         def make() -> Actuator:
             self._socket = socket = _Socket(simulator, self.now_ns, read_timeout_ns(settings) * 1e-9)
-            return Actuator(profile, settings, socket.open, socket.now_ns, latch)
+            return Actuator(profile, settings, socket.open, socket.now_ns, latch, permit)
 
         return make
 

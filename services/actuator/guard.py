@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from services.actuator.health import Verdict
 from services.actuator.latch import AHEAD_NS
+from services.actuator.permit import WalkOrder
 from services.actuator.plan_check import PlanCheck
 from shared.geometry import Array
 from shared.messages import Mode, ModeCommand, StepPlan, StopOrder
@@ -62,7 +63,14 @@ class Guard:
     """Decides about modes, orders and plans."""
 
     def __init__(
-        self, profile: RobotProfile, plan_age_s: float, epoch: int, torque: bool, handover_s: float = 0.0, off_ns: int = -1
+        self,
+        profile: RobotProfile,
+        plan_age_s: float,
+        epoch: int,
+        torque: bool,
+        handover_s: float = 0.0,
+        off_ns: int = -1,
+        walk: WalkOrder | None = None,
     ):
         """Begin as the servos stand: torque that is on stays on, torque that is off stays off.
 
@@ -73,6 +81,7 @@ class Guard:
             torque: Whether the servos pull.
             handover_s: [s] of a step in which the feet of its legs are not in the air.
             off_ns: [ns] when torque was ordered off, if nobody has taken that back.
+            walk: The order that was in force when the process before this one ended.
         """
         self.mode = Mode.HOLD if torque else Mode.OFF
         self.reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
@@ -86,6 +95,7 @@ class Guard:
         self.off_ns = off_ns  # when torque went off last by an order, or by itself: no order of before turns it on
         self.given_ns = -1  # when the order was given that was obeyed last
         self._may_walk = False
+        self._permit = walk  # the order to walk that is in force, be it that nobody has heard it yet since this began
         self._accepted_ns = 0  # when the newest plan was
         self._late = False  # whether this walk has gone on for too long without one
         self._halted = False  # whether this walk was ordered to stop
@@ -104,6 +114,11 @@ class Guard:
         """Who may move the legs, or nothing."""
         return self._holder if now_ns - self._heard_ns <= LEASE_NS else ""
 
+    def walk_order(self, now_ns: int) -> WalkOrder | None:
+        """The order to walk by which one that begins after this one may walk on; none once it has ended for any reason."""
+        heard_ns = self._heard_ns if self._may_walk else self._begun_ns
+        return self._permit if now_ns - heard_ns <= AWAY_NS else None
+
     def begin_anew(self, epoch: int) -> None:
         """A new {odom} has begun."""
         self._check.epoch = epoch
@@ -117,8 +132,8 @@ class Guard:
         order must be of now, by its stamp: one that was recorded and is put again neither moves the legs nor keeps a lease,
         also where this process has begun anew and remembers nobody's orders. A stop that is not of now is obeyed where nobody
         knows a newer order of its holder, and counts for nothing else. An order that was given a while ago, by its sequence,
-        and is heard for the first time since this process has begun anew, or the link was cut, lets a robot that stands walk
-        on, and else counts for nothing.
+        and is heard for the first time, as after the link was cut, counts for nothing but that a robot that stands walks on.
+        Of before this process began no order to walk does that but the one that was in force when its predecessor ended.
         """
         newest, stops = self._sequences.get(order.holder), order.mode in _STOPS
         untimely = _untimely(order, now_ns)
@@ -138,7 +153,7 @@ class Guard:
         if ahead:
             self.objection = f"`{order.mode}` of {order.holder} refused: its sequence, when it was given [ns], is ahead of now"
             return ()
-        stranger = newest is None and len(self._sequences) >= _HOLDERS
+        stranger = newest is None and not self._has_room(now_ns)
         if not stranger:
             self._sequences[order.holder] = order.sequence
         refused = "" if stops else self._late_order(order, now_ns)
@@ -166,11 +181,24 @@ class Guard:
             self.off_ns = max(self.off_ns, now_ns)
         return self._obey(order.mode)
 
+    def _has_room(self, now_ns: int) -> bool:
+        """Whether one more holder can be remembered, be it in place of one whose order is too old to move anything."""
+        if len(self._sequences) < _HOLDERS:
+            return True
+        oldest = min((holder for holder in self._sequences if holder != self._holder), key=self._sequences.__getitem__)
+        if now_ns - self._sequences[oldest] <= AWAY_NS:
+            return False
+        del self._sequences[oldest]
+        return True
+
     def _hear_again(self, now_ns: int) -> None:
         """The leader's order is repeated: that keeps the lease, and after long silence gives it back, but not the walk."""
-        if self._may_walk and now_ns - self._heard_ns > AWAY_NS:
-            self._may_walk, silent_s = False, (now_ns - self._heard_ns) * 1e-9
-            self.objection = f"`walk` of {self._holder} refused: nothing was heard of it for {silent_s:.0f} s; order it anew"
+        silent_ns = now_ns - self._heard_ns
+        if self._may_walk and silent_ns > AWAY_NS:
+            self._end_walk_order()
+            self.objection = (
+                f"`walk` of {self._holder} refused: nothing was heard of it for {silent_ns * 1e-9:.0f} s; order it anew"
+            )
         self._heard_ns = now_ns
 
     def _late_order(self, order: ModeCommand, now_ns: int) -> str:
@@ -179,19 +207,21 @@ class Guard:
         gone = f"`{order.mode}` of {order.holder} refused: by its sequence, the time [ns] of the robot's clock, it was given"
         if self.mode is Mode.OFF and order.sequence < self.off_ns:
             return f"{gone} before torque was ordered off; order it anew"
+        if order.mode == "walk" and order.sequence < self._begun_ns:
+            resumes = self.walk_order(now_ns) == WalkOrder(order.holder, order.sequence)
+            return "" if resumes else f"{gone} before this actuator began, and was not in force then; order it anew"
         lasting = AWAY_NS if order.mode == "walk" else ORDER_AGE_NS
-        resumes = order.mode == "walk" and now_ns - self._begun_ns <= AWAY_NS
-        return f"{gone} {age_ns * 1e-9:.1f} s ago; order it anew" if age_ns > lasting and not resumes else ""
+        return f"{gone} {age_ns * 1e-9:.1f} s ago; order it anew" if age_ns > lasting else ""
 
     def _claim(self, order: ModeCommand, now_ns: int, stranger: bool) -> str:
         """Give the lease to who orders; why it is refused, in words, or nothing."""
         holder, refused = self.lease(now_ns), f"`{order.mode}` of {order.holder} refused"
         if stranger:
-            return f"{refused}: {_HOLDERS} others have given orders"
+            return f"{refused}: {_HOLDERS} others have given orders within {AWAY_NS * 1e-9:.0f} s"
         if holder and holder != order.holder and not order.take:
             return f"{refused}: {holder} holds the lease; take it over, or wait for its end"
         if order.holder != self._holder:
-            self._may_walk = False
+            self._end_walk_order()
         self._holder, self._heard_ns = order.holder, now_ns
         return ""
 
@@ -212,11 +242,12 @@ class Guard:
 
     def _let_go(self, reason: str) -> tuple[Act, ...]:
         self._enter(Mode.OFF, reason)
-        self._may_walk, self.tipped, self._seat, self._lets_go, self._midway = False, "", "", False, False
+        self._end_walk_order()
+        self.tipped, self._seat, self._lets_go, self._midway = "", "", False, False
         return (Act.LET_GO,)
 
     def _stop(self) -> tuple[Act, ...]:
-        self._may_walk = False
+        self._end_walk_order()
         if not self._verdict.sit:
             self._seat, self._lets_go = "", False
         if self.mode is Mode.WALK:
@@ -235,7 +266,8 @@ class Guard:
             self.objection = f"torque stays off: {why}"
             return ()
         self._enter(Mode.READY, "torque is on; order `stand` to rise")
-        self._may_walk, self._seat, self._lets_go, self._midway = False, "", False, False
+        self._end_walk_order()
+        self._seat, self._lets_go, self._midway = "", False, False
         return (Act.GRIP,)
 
     def _stand(self) -> tuple[Act, ...]:
@@ -247,7 +279,8 @@ class Guard:
             return ()
         grip = (Act.GRIP,) if self.mode is Mode.OFF else ()
         self._enter(Mode.STAND, "standing up")
-        self._may_walk, self.tipped, self._seat, self._lets_go = False, "", "", False
+        self._end_walk_order()
+        self.tipped, self._seat, self._lets_go = "", "", False
         return (*grip, Act.RISE)
 
     def _walk(self) -> tuple[Act, ...]:
@@ -257,16 +290,22 @@ class Guard:
         elif self._verdict.sit:
             self.objection = f"`walk` refused: {self._verdict.sit}"
         else:
-            self._may_walk, self.tipped, self._seat, self._lets_go = True, "", "", False
+            self._may_walk, self._permit = True, WalkOrder(self._holder, self.given_ns)
+            self.tipped, self._seat, self._lets_go = "", "", False
         return ()
 
     def _sit(self) -> tuple[Act, ...]:
         if self.mode is Mode.OFF:
             self.objection = "`sit` refused: torque is off"
         elif self.mode is not Mode.SIT:
-            self._may_walk, self._seat = False, self._seat or "ordered to sit"
+            self._end_walk_order()
+            self._seat = self._seat or "ordered to sit"
             self._lets_go |= self.mode is Mode.FAULT  # nobody can answer for how it would lie with torque on
         return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
+
+    def _end_walk_order(self) -> None:
+        """No order to walk is in force any more, neither here nor after a restart."""
+        self._may_walk, self._permit = False, None
 
     def _enter(self, mode: Mode, reason: str) -> None:
         self.mode, self.reason, self._late, self._halted = mode, reason, False, False
@@ -316,7 +355,8 @@ class Guard:
 
     def tip(self, words: str) -> tuple[Act, ...]:
         """The body leans too far to go on; until it is ordered to walk or stand."""
-        self.tipped, self._may_walk = words, False
+        self.tipped = words
+        self._end_walk_order()
         return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
 
     def risen(self) -> None:
@@ -354,7 +394,8 @@ class Guard:
 
     def _give_in(self, why: str) -> tuple[Act, ...]:
         """Lie down for what cannot be borne, and let go."""
-        self._lets_go, self._may_walk = True, False
+        self._lets_go = True
+        self._end_walk_order()
         if self.mode is Mode.SIT:
             self.reason = why
         else:

@@ -189,6 +189,9 @@ class Joints:
         within = self._within(self.q)
         self._leave_behind((anew & (within != self.q)).ravel(), GENTLE)
         self.write(np.where(anew, within, self.goals))
+        if self._latched():  # ordered off while this process was late
+            self.let_go()
+            return
         for _ in range(2):  # nobody answers a broadcast
             self._tell(lambda: self._bus.set_torque(True))
         self.torque[:] = not self.gone

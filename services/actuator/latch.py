@@ -1,31 +1,51 @@
 """That torque is to be off, as a file with the time of that order, which outlives the processes it was given to."""
 
+import hashlib
 import os
 import re
-import tempfile
 from contextlib import suppress
+from errno import ENOENT
 from pathlib import Path
+from secrets import token_hex
 
 AHEAD_NS = 500_000_000  # [ns] by which the time at which an order was given may be ahead of now, as clocks are read
+# Where all who have to do with one robot look, whoever they are and however they were started: what an installation shares
+# (systemd's units, containers), and what is there on every machine.
+SHARED = Path("/run/sextant")
+FOLDERS = (SHARED, Path("/tmp"))
+_LONG = 100  # characters of a port's name from which it is cut
 
 
 class Latch:
     """One robot's latch. It is set by whoever hears the order, and taken off by an order to turn torque on alone."""
 
-    def __init__(self, path: Path):
-        """Keep it in a file."""
-        self.path = path
+    def __init__(self, *paths: Path):
+        """Keep it in files, one in each folder that is there: it is closed where any of them is."""
+        self.paths = paths
 
     @classmethod
     def of_port(cls, port: str) -> "Latch":
-        """The latch of the robot behind a servo port; it lasts until the machine is switched off."""
-        folder = Path(os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir())
-        return cls(folder / f"sextant-{os.getuid()}-off-{re.sub(r'[^A-Za-z0-9]+', '-', port).strip('-')}")
+        """The latch of the robot behind a servo port, or several with commas between; it lasts until the machine is off."""
+        names = [name_of(one.strip()) for one in port.split(",")]
+        return cls(*(folder / f"sextant-off-{name}" for name in names for folder in FOLDERS))
 
     @property
     def closed(self) -> bool:
-        """Whether torque is to be off."""
-        return self.path.exists()
+        """Whether torque is to be off.
+
+        Raises:
+            OSError: No file says so, and one cannot be looked at.
+        """
+        trouble: OSError | None = None
+        for path in self.paths:
+            try:
+                if _is_there(path):
+                    return True
+            except OSError as error:
+                trouble = error
+        if trouble is not None:
+            raise trouble
+        return False
 
     @property
     def since_ns(self) -> int:
@@ -33,25 +53,24 @@ class Latch:
 
         One that has outlived the machine's last start tells of another clock, maybe of a time to come.
         """
-        return _time_in(self.path)
+        times = [_time_in(path) for path in self.paths if _may_be_there(path)]
+        return max(times) if times and min(times) > 0 else 0
 
     def close(self, at_ns: int = 0) -> None:
         """Set it, for an order of that time [ns]; a newer one that is there stays.
 
         Raises:
-            OSError: It cannot be set, and is not.
+            OSError: It cannot be set anywhere, and is not.
         """
-        if self.path.exists() and self.since_ns >= at_ns:
-            return
-        written = self._beside("new")
-        try:
-            written.write_text(str(at_ns))
-            written.replace(self.path)
-        except OSError:
-            with suppress(OSError):
-                written.unlink(missing_ok=True)
-            if not self.path.exists():
-                self.path.touch()  # a disk that is full has room for a name
+        trouble: OSError = FileNotFoundError(ENOENT, os.strerror(ENOENT), str(self.paths[0].parent))
+        kept = False
+        for path in self.paths:
+            try:
+                kept = _close(path, at_ns) or kept
+            except OSError as error:
+                trouble = error
+        if not kept:
+            raise trouble
 
     def open(self, given_ns: int | None = None, now_ns: int = 0) -> bool:
         """Take it off; by an order that was given at a time [ns] not where torque was ordered off since, by now [ns].
@@ -60,14 +79,19 @@ class Latch:
 
         Returns:
             Whether it was taken off, or there was none.
+
+        Raises:
+            OSError: It cannot be taken off, and is not.
         """
-        if not self.path.exists():
-            return True
-        if given_ns is not None and given_ns < self.since_ns <= now_ns:
+        there = [path for path in self.paths if _is_there(path)]
+        if given_ns is not None and any(given_ns < _time_in(path) <= now_ns for path in there):
             return False
-        taken = self._beside("taken")
+        return all(self._take_off(path, given_ns, now_ns) for path in there)
+
+    def _take_off(self, path: Path, given_ns: int | None, now_ns: int) -> bool:
+        taken = _beside(path, "taken")
         try:
-            self.path.replace(taken)
+            path.replace(taken)
         except FileNotFoundError:
             return True
         newer = given_ns is not None and given_ns < _time_in(taken) <= now_ns
@@ -76,12 +100,55 @@ class Latch:
                 self.close(_time_in(taken))
             taken.unlink()
         except OSError:
-            taken.replace(self.path)
+            taken.replace(path)
             raise
         return not newer
 
-    def _beside(self, what: str) -> Path:
-        return self.path.with_name(f"{self.path.name}.{what}-{os.getpid()}")
+
+def name_of(port: str) -> str:
+    """What files of a port are called; a device is one for the whole machine, another port belongs to a user."""
+    words = re.sub(r"[^A-Za-z0-9]+", "-", port).strip("-")
+    if len(words) > _LONG:
+        words = f"{words[:_LONG]}-{hashlib.blake2s(port.encode(), digest_size=8).hexdigest()}"
+    return words if Path(port).is_absolute() else f"{os.getuid()}-{words}"
+
+
+def _close(path: Path, at_ns: int) -> bool:
+    """Set one file; whether its folder is there."""
+    if not path.parent.is_dir():
+        return False
+    if _is_there(path) and _time_in(path) >= at_ns:
+        return True
+    written = _beside(path, "new")
+    try:
+        written.write_text(str(at_ns))
+        written.replace(path)
+    except OSError:
+        with suppress(OSError):
+            written.unlink(missing_ok=True)
+        if not _is_there(path):
+            path.touch()  # a disk that is full has room for a name
+    return True
+
+
+def _beside(path: Path, what: str) -> Path:
+    return path.with_name(f"{path.name}.{what}-{token_hex(4)}")
+
+
+def _is_there(path: Path) -> bool:
+    """Whether a file is there, or an OSError where nobody can say; `Path.exists` says no to some of these."""
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
+
+
+def _may_be_there(path: Path) -> bool:
+    try:
+        return _is_there(path)
+    except OSError:
+        return False
 
 
 def _time_in(path: Path) -> int:

@@ -22,6 +22,7 @@ from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward, sag_feed_forward
 from services.actuator.odometry import LegOdometry
 from services.actuator.off_order import OffOrder
+from services.actuator.permit import Permit
 from services.actuator.plan_check import reaches
 from services.actuator.plumb import Plumb
 from services.actuator.stand_up import LieDown, StandUp
@@ -53,6 +54,7 @@ class Actuator:
         opener: Callable[[], Port] | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
         latch: Latch | None = None,
+        permit: Permit | None = None,
     ):
         """Open the bus and take the servos over as they stand: torque that is on stays on, torque that is off stays off.
 
@@ -62,6 +64,7 @@ class Actuator:
             opener: Opens the port, in place of the one that the settings name; again, where it has gone.
             clock: [ns] what the port's timing goes by.
             latch: That torque is to be off, whoever has ordered it and when; that of the port, where none opens another.
+            permit: The order to walk that is in force; likewise.
 
         Raises:
             BusSetupError: Servos are missing or wrong, all named.
@@ -78,7 +81,9 @@ class Actuator:
             self._joints.let_go()
         torque = bool(self._joints.torque.any())  # one that does not pull then is a fault, and named
         off_ns = self._off.since_ns(clock()) if self._off.holds else -1
-        self._guard = Guard(profile, settings.plan_age_s, clock(), torque, settings.unload_s + settings.load_s, off_ns)
+        self._permit = permit or (Permit() if opener else Permit.of_port(settings.port))
+        handover_s = settings.unload_s + settings.load_s
+        self._guard = Guard(profile, settings.plan_age_s, clock(), torque, handover_s, off_ns, self._permit.order)
         self._health = Health(profile, 1.0 / settings.rate_hz)
         self._verdict = Verdict()
         self._limits = GoalLimits(profile)
@@ -138,6 +143,7 @@ class Actuator:
             self._move(dt, self._odometry.T_odom_body, tick.stamp_ns)
             self._note_findings(now_ns)
         self._see_to_health(tick.stamp_ns, elapsed)
+        self._permit.keep(self._guard.walk_order(tick.stamp_ns))
         yield self._odometry_message(now_ns)
         news = (self._guard.mode, self._guard.reason, self._guard.refused, self._walker.plan_ns)
         if news != self._told or self._silent:  # every other cycle, and at once when there is something to tell
@@ -160,7 +166,9 @@ class Actuator:
 
     def _obey(self, orders: Sequence[ModeCommand], stops: Sequence[StopOrder], now_ns: int) -> None:
         """Obey what was ordered; who has torque turned off is heard first, so that it rises for no order of before."""
-        both: list[ModeCommand | StopOrder] = [*orders, *stops]
+        last_off = max((i for i, order in enumerate(orders) if order.mode == "off"), default=-1)
+        heard = [order for i, order in enumerate(orders) if i > last_off or order.mode in ("off", "stop")]
+        both: list[ModeCommand | StopOrder] = [*heard, *stops]
         for order in sorted(both, key=lambda order: (order.mode != "off", isinstance(order, StopOrder))):
             if isinstance(order, StopOrder):
                 self._perform(self._guard.hear_stop(order, now_ns))
@@ -454,6 +462,8 @@ class Actuator:
             guard.objection,
             self._off.unkept,
             self._off.stuck,
+            self._off.unseen,
+            self._permit.trouble,
             self._verdict.broken if guard.mode in (Mode.OFF, Mode.READY) else "",  # else the reason
             *self._verdict.warnings,
         )

@@ -84,6 +84,7 @@ class Desk:
         self._zero_until_ns = 0
         self._velocity_ns = 0  # when one was last sent
         self._sequence = 0
+        self._off_ns = -1  # when torque was off last
         self._new: list[Message] = []  # to go out at the next beat
         self._words: list[str] = []  # for the log
 
@@ -275,12 +276,15 @@ class Desk:
                 self._say(sitting, order, now_ns)
 
     def _is_over(self, order: ModeCommand, now_ns: int) -> bool:
-        """Whether nobody is to hear of an order any more: torque is off, or it has stopped somebody else."""
+        """Whether nobody is to hear of an order any more: torque is, or was, off for it, or it has stopped somebody else."""
         state, heard = self._state, now_ns - order.sequence > _HEARD_NS
         if state is None or state.stamp_ns < order.sequence:
             return False
         if state.mode is Mode.OFF:
+            self._off_ns = state.stamp_ns
             return heard
+        if order.mode == "off" and self._off_ns >= order.sequence:  # somebody has taken it back
+            return True
         return order.mode == "stop" and heard and state.lease != order.holder
 
     def _velocity(self, now_ns: int) -> list[Message]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from services.actuator.config import Settings
 from services.actuator.latch import Latch
+from services.actuator.permit import Permit
 from services.actuator.service import Actuator
 from services.simulator.bus import MemoryPort, ServoBusEmulator
 from services.simulator.servos import ServoBank
@@ -51,12 +52,13 @@ class Rig:
         self.running: StepPlan | None = None
         self.stuck: dict[int, float] = {}  # [rad] joints (0 to 17) that stay where they are, whatever they are told
         self.state: ActuatorState | None = None
+        self.permit = Permit()
         self.start()
 
     def start(self) -> None:
         """A new actuator on the same servos."""
         self.port = MemoryPort(self.bus, lambda: self.now_ns)
-        self.actuator = Actuator(PROFILE, Settings(), lambda: self.port, self.port.now_ns, self.latch)
+        self.actuator = Actuator(PROFILE, Settings(), lambda: self.port, self.port.now_ns, self.latch, self.permit)
         self.inbox = Inbox(self.actuator.reads, self.actuator.stages)
         self.now_ns = self.port.now_ns()
 

@@ -10,6 +10,7 @@ from shared.robot import RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 _BEAT_HZ = 25.0  # between two looks at what was ordered
+_SAID_NS = 2_000_000_000  # [ns] by which a stop may be heard late and still count from when it was said
 _HOLDERS = 64  # whose newest orders are remembered
 
 
@@ -35,7 +36,11 @@ class Stop:
         """Whether the latch is closed."""
         if self._problem:
             return self._problem
-        return "torque is latched off" if self._latch.closed else "listening for the order to let go"
+        try:
+            closed = self._latch.closed
+        except OSError as error:
+            return f"whether torque is latched off cannot be seen: {error}"
+        return "torque is latched off" if closed else "listening for the order to let go"
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Hear what was ordered."""
@@ -46,7 +51,8 @@ class Stop:
                 self._hear(self._newest, order, max(order.sequence, self._latest_ns))
                 self._latest_ns = max(self._latest_ns, order.sequence + 1)
         for stop in inbox.drain(topics.STOP):
-            self._hear_stop(stop, tick.stamp_ns)
+            said = 0 <= tick.stamp_ns - stop.stamp_ns <= _SAID_NS  # by the robot's clock: this process may have been late
+            self._hear_stop(stop, stop.stamp_ns if said else tick.stamp_ns)
         if self._due_ns is not None:
             self._close(self._due_ns)
         yield from ()

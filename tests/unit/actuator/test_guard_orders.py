@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from services.actuator.guard import LEASE_NS, Act, Guard
+from services.actuator.guard import AWAY_NS, LEASE_NS, Act, Guard
 from services.actuator.health import Verdict
 from shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import BROKEN, CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode, rested
@@ -101,17 +101,17 @@ def test_ready_takes_up_servos_that_have_lost_their_torque(mode: Mode) -> None:
 
 def test_a_lease_lasts_three_seconds_from_the_last_order_be_it_repeated() -> None:
     robot = in_mode(Mode.HOLD)
-    robot.now = 0
+    begin = robot.now
     robot.order("walk")
-    again = ModeCommand(1_500_000_000, "walk", robot.number, "a")
-    assert robot.guard.lease(LEASE_NS) == "a"
-    assert robot.guard.lease(LEASE_NS + 1) == ""
-    robot.now = 2_000_000_000
+    again = ModeCommand(begin + 1_500_000_000, "walk", robot.number, "a")
+    assert robot.guard.lease(begin + LEASE_NS) == "a"
+    assert robot.guard.lease(begin + LEASE_NS + 1) == ""
+    robot.now = begin + 2_000_000_000
     robot.hear(again)
-    assert robot.guard.lease(2_000_000_000 + LEASE_NS) == "a"
-    robot.now = 4_000_000_000
+    assert robot.guard.lease(robot.now + LEASE_NS) == "a"
+    robot.now = begin + 4_000_000_000
     robot.order("stop")
-    assert robot.guard.lease(4_000_000_000 + LEASE_NS) == "a"
+    assert robot.guard.lease(robot.now + LEASE_NS) == "a"
     assert LEASE_NS == 3_000_000_000
 
 
@@ -202,12 +202,26 @@ def test_more_than_sixteen_are_remembered_by_none_but_may_stop() -> None:
         robot.order("stop", f"holder {k}")
     for _ in range(2):
         assert robot.order("stand", "holder 16", take=True) == ()
-        assert robot.guard.objection == "`stand` of holder 16 refused: 16 others have given orders"
+        assert robot.guard.objection == "`stand` of holder 16 refused: 16 others have given orders within 30 s"
     assert robot.order("stand", "holder 15") == (Act.RISE,)
     assert robot.guard.objection == ""
     robot.order("walk", "holder 16")
     assert robot.order("stop", "holder 16", take=True) == (Act.FREEZE,)
     assert robot.guard.objection == ""
+
+
+def test_who_has_ordered_nothing_for_long_makes_room_for_others_and_moves_nothing_by_what_was_forgotten() -> None:
+    robot = in_mode(Mode.HOLD)
+    for k in range(16):
+        robot.order("stop", f"holder {k}")
+    forgotten = robot.number - 15
+    robot.now += AWAY_NS + 1
+    robot.order("walk", "holder 16", take=True)
+    assert robot.guard.objection == ""
+    assert robot.guard.lease(robot.now) == "holder 16"
+    for mode in ("ready", "stand", "walk", "sit"):
+        assert robot.hear(ModeCommand(robot.now, mode, forgotten, "holder 0", take=True)) == ()  # type: ignore[arg-type]
+        assert robot.guard.lease(robot.now) == "holder 16"
     assert robot.order("stop", "holder 0") == ()
     assert robot.order("off", "holder 16") == (Act.LET_GO,)
 

@@ -7,6 +7,7 @@ import pytest
 from services.actuator.guard import AWAY_NS, LEASE_NS, ORDER_AGE_NS, Act, Guard
 from services.actuator.health import Verdict
 from services.actuator.latch import AHEAD_NS
+from services.actuator.permit import WalkOrder
 from shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode
 
@@ -53,15 +54,65 @@ def test_what_was_ordered_a_while_ago_and_is_heard_for_the_first_time_moves_noth
     assert robot.guard.objection == ("`sit` refused: torque is off" if (mode, order) == (Mode.OFF, "sit") else "")
 
 
-def test_who_led_a_walk_goes_on_leading_it_where_the_guard_begins_anew_and_else_orders_it_anew() -> None:
-    for begun_s, given_s, walks in ((1, 3600, True), (30, 3600, True), (31, 3600, False), (31, 31, False), (31, 29, True)):
+@pytest.mark.parametrize(
+    ("begun_s", "given_s", "in_force", "walks"),
+    [
+        (1, 3600, True, True),
+        (30, 3600, True, True),
+        (31, 3600, True, False),
+        (1, 3600, False, False),
+        (10, 15, False, False),
+        (31, 31, False, False),
+        (31, 29, False, True),  # heard late, over a link that was cut
+    ],
+)
+def test_a_guard_that_begins_anew_goes_on_by_the_walk_that_was_in_force_and_else_by_a_new_one(
+    begun_s: int, given_s: int, in_force: bool, walks: bool
+) -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.now = EPOCH + begun_s * 1_000_000_000
+    given_ns = robot.now - given_s * 1_000_000_000
+    robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=True, walk=WalkOrder("b", given_ns) if in_force else None)
+    robot.hear(ModeCommand(robot.now, "walk", given_ns, "b"))
+    assert robot.guard.lease(robot.now) == ("b" if walks else "")
+    assert robot.consider(robot.plan(epoch=EPOCH)) == walks
+    assert (robot.guard.objection == "") == walks
+    assert (robot.guard.walk_order(robot.now) == WalkOrder("b", given_ns)) == walks
+
+
+@pytest.mark.parametrize(
+    "ending", ["stop", "viewer stops", "sit", "stand", "off", "ready", "tips", "spent", "taken over", "away"]
+)
+def test_a_walk_that_has_ended_for_any_reason_is_not_in_force_for_who_begins_anew(ending: str) -> None:
+    for heard in (True, False):  # by a guard that has heard the order, and one that has begun anew and has not yet
         robot = in_mode(Mode.HOLD)
-        robot.guard = Guard(PROFILE, 0.6, EPOCH, torque=True)
-        robot.now = EPOCH + begun_s * 1_000_000_000
-        robot.hear(ModeCommand(robot.now, "walk", robot.now - given_s * 1_000_000_000, "b"))
-        assert robot.guard.lease(robot.now) == ("b" if walks else "")
-        assert robot.consider(robot.plan(epoch=EPOCH)) == walks, (begun_s, given_s)
-        assert (robot.guard.objection == "") == walks
+        robot.order("walk", take=True)
+        order = robot.guard.walk_order(robot.now)
+        assert order == WalkOrder("a", robot.number)
+        if not heard:
+            robot.guard = Guard(PROFILE, 0.6, robot.now + 1, torque=True, walk=order)
+            robot.now += 1
+            assert robot.guard.walk_order(robot.now) == order
+        if ending == "viewer stops":
+            robot.perform(robot.guard.hear_stop(StopOrder(robot.now, "stop", 1, "viewer"), robot.now))
+        elif ending == "tips":
+            robot.perform(robot.guard.tip("it leans"))
+        elif ending == "spent":
+            robot.verdict = SPENT
+            robot.cycle()
+        elif ending == "taken over":
+            robot.order("stop", "b", take=True)
+        elif ending == "away":
+            robot.now += AWAY_NS + 1
+        else:
+            robot.order(ending, "b", take=True)
+        assert robot.guard.walk_order(robot.now) is None
+        robot.now += CYCLE
+        robot.guard = Guard(PROFILE, 0.6, robot.now, robot.torque, walk=robot.guard.walk_order(robot.now))
+        robot.hear(ModeCommand(robot.now, "walk", order.sequence, order.holder))
+        assert robot.guard.objection.startswith("`walk` of a refused: by its sequence")
+        assert robot.guard.lease(robot.now) == ""
+        assert not robot.consider(robot.plan(epoch=robot.now))
 
 
 def test_no_order_of_before_torque_was_ordered_off_turns_it_on() -> None:

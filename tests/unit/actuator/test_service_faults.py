@@ -8,6 +8,7 @@ import pytest
 from services.actuator.goal_limits import GENTLE, LOWERED
 from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward
+from services.actuator.permit import Permit, WalkOrder
 from shared import dynamixel as dxl
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_forward
@@ -328,9 +329,35 @@ def test_torque_goes_off_though_the_order_cannot_be_latched_and_that_is_said_unt
     assert rig.cycle(2).mode is Mode.OFF
 
 
+def test_a_latch_that_cannot_be_looked_at_is_said_and_neither_drops_the_robot_nor_keeps_an_order_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(path: Path) -> None:
+        raise OSError(5, "Input/output error")
+
+    rig = Rig(latch=Latch(tmp_path / "off"))
+    rig.walking()
+    monkeypatch.setattr(Path, "lstat", broken)
+    state = rig.cycle(3)
+    assert (state.mode, rig.torque) == (Mode.HOLD, True)
+    words = "whether torque is ordered off past this process cannot be seen: [Errno 5] Input/output error"
+    assert words in state.warnings
+    rig.command("off")
+    assert rig.cycle(2).mode is Mode.OFF
+    assert not rig.torque
+    rig.command("stand")
+    state = rig.cycle(2)
+    assert not rig.torque, "who cannot see the latch does not open it"
+    monkeypatch.undo()
+    rig.command("stand")
+    state = rig.cycle(2)
+    assert rig.torque
+    assert words not in state.warnings
+
+
 def test_torque_stays_off_where_the_order_to_let_go_cannot_be_taken_back(tmp_path: Path) -> None:
     latch = Latch(tmp_path / "off")
-    latch.path.mkdir()  # nobody unlinks a folder
+    latch.paths[0].mkdir()  # nobody unlinks a folder
     rig = Rig(torque=False, latch=latch)
     rig.cycle(2)
     rig.command("ready")
@@ -377,6 +404,40 @@ def test_who_has_torque_turned_off_is_heard_before_who_rises_though_he_came_late
     written = [bytes(data[5:]) for data in heard if data[4] in (dxl.Instruction.WRITE, dxl.Instruction.SYNC_WRITE)]
     assert {data[0] for data in written} == {dxl.TORQUE_ENABLE.address}
     assert not rig.torque
+
+
+def test_torque_stays_off_where_that_was_ordered_after_standing_though_by_a_late_clock_and_in_one_batch(tmp_path: Path) -> None:
+    rig = Rig(torque=False, latch=Latch(tmp_path / "off"))
+    rig.leads = False
+    rig.cycle(2)
+    rig.now_ns += 100_000_000
+    rig.command("stand")
+    rig.hear(ModeCommand(rig.now_ns, "off", rig.order - 50_000_000, "b"))
+    for _ in range(5):
+        assert rig.cycle().mode is Mode.OFF
+        assert not rig.torque
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_restart_does_not_undo_a_stop(stopped: bool, tmp_path: Path) -> None:
+    """Who has it walk repeats that, for he has not heard of the stop, or does not mind."""
+    rig = Rig(latch=Latch(tmp_path / "off"))
+    rig.permit = Permit(tmp_path / "walk")
+    rig.start()
+    rig.cycle(2)
+    rig.walking()
+    assert rig.permit.order == WalkOrder("operator", rig.order)
+    if stopped:
+        rig.hear(StopOrder(rig.now_ns, "stop", 1, "viewer"))
+        rig.cycle(100)
+    rig.permit = Permit(tmp_path / "walk")  # what the next process finds
+    rig.start()
+    rig.running = None
+    state = rig.cycle(100)
+    assert state.mode is Mode.HOLD
+    assert state.lease == ("" if stopped else "operator")
+    told = any("was not in force then; order it anew" in warning for warning in state.warnings)
+    assert told == stopped
 
 
 def test_a_robot_that_rises_does_not_fall_for_an_order_of_before_that_is_latched_late(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from services.actuator import latch as latch_files
 from services.actuator.latch import Latch
 from services.actuator.stop.config import Settings
 from services.actuator.stop.service import Stop
@@ -21,7 +22,7 @@ PORT = "/dev/ttyUSB0"
 
 @pytest.fixture
 def latch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Latch:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path,))
     return Latch.of_port(PORT)
 
 
@@ -110,14 +111,14 @@ def test_a_disk_that_is_full_has_room_for_a_latch(latch: Latch, monkeypatch: pyt
     monkeypatch.setattr(Path, "write_text", lambda *_: (_ for _ in ()).throw(OSError("no space left")))
     latch.close(5)
     assert (latch.closed, latch.since_ns) == (True, 0)
-    assert [path.name for path in latch.path.parent.iterdir()] == [latch.path.name]
+    assert [path.name for path in latch.paths[0].parent.iterdir()] == [latch.paths[0].name]
 
 
 def test_it_is_not_opened_by_an_order_of_before_it_was_closed(latch: Latch) -> None:
     latch.close(100)
     latch.close(50)
     assert latch.since_ns == 100, "the newest counts"
-    assert latch.path.exists()
+    assert latch.paths[0].exists()
     assert not latch.open(99, 100)
     assert latch.closed
     assert latch.open(100, 1000)
@@ -126,10 +127,10 @@ def test_it_is_not_opened_by_an_order_of_before_it_was_closed(latch: Latch) -> N
     assert latch.open(0, 1000), "nothing is in the way"
     latch.close(2000)
     assert latch.open(1, 1000), "that was before the machine was switched on"
-    latch.path.write_bytes(b"\xff\xfe")
+    latch.paths[0].write_bytes(b"\xff\xfe")
     assert (latch.closed, latch.since_ns) == (True, 0)
     assert latch.open(1, 1000)
-    assert list(latch.path.parent.iterdir()) == []
+    assert list(latch.paths[0].parent.iterdir()) == []
 
 
 def test_who_closes_it_while_it_is_taken_off_is_not_lost(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,9 +167,75 @@ def test_it_outlives_the_process_and_belongs_to_one_port(latch: Latch) -> None:
 
 @given(st.text(min_size=1, max_size=200))
 def test_every_port_has_a_file_name(port: str) -> None:
-    name = Latch.of_port(port).path.name
-    assert "/" not in name
-    assert len(os.fsencode(name)) < 255
+    for path in Latch.of_port(port).paths:
+        assert path.parent in latch_files.FOLDERS
+        assert len(os.fsencode(path.name)) < 200
+
+
+def test_names_that_are_cut_stay_those_of_their_port() -> None:
+    long = "/dev/serial/by-id/" + 200 * "x"
+    assert Latch.of_port(long + "1").paths != Latch.of_port(long + "2").paths
+
+
+def test_a_device_has_one_latch_for_all_users_and_a_port_of_the_network_one_for_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    device, network = Latch.of_port(PORT).paths, Latch.of_port("socket://127.0.0.1:7000").paths
+    monkeypatch.setattr(os, "getuid", lambda: 4242)
+    assert Latch.of_port(PORT).paths == device
+    assert Latch.of_port("socket://127.0.0.1:7000").paths != network
+
+
+def test_several_ports_are_let_go_by_the_latch_of_any(latch: Latch) -> None:
+    both = Latch.of_port(f"{PORT}, /dev/ttyUSB1")
+    Latch.of_port("/dev/ttyUSB1").close(5)
+    assert (both.closed, both.since_ns) == (True, 5)
+    assert both.open(6, 10)
+    assert not Latch.of_port("/dev/ttyUSB1").closed
+
+
+def test_it_is_closed_where_any_of_its_files_says_so_and_open_where_none_does(tmp_path: Path) -> None:
+    shared, private = tmp_path / "shared", tmp_path / "private"
+    latch = Latch(shared / "off", private / "off")
+    with pytest.raises(FileNotFoundError, match=str(shared)):
+        latch.close(1)
+    private.mkdir()
+    latch.close(1)
+    assert (latch.closed, latch.since_ns) == (True, 1)
+    shared.mkdir()  # a service manager has made it since
+    latch.close(3)
+    assert [(path.parent / "off").read_text() for path in latch.paths] == ["3", "3"]
+    Latch(shared / "off").close(5)  # by one who does not see the other folder
+    assert latch.since_ns == 5
+    assert not latch.open(4, 10)
+    assert latch.closed
+    assert latch.open(5, 10)
+    assert [*shared.iterdir(), *private.iterdir()] == []
+
+
+def test_one_that_cannot_be_looked_at_is_neither_open_nor_closed(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
+    stop = Stop(PROFILE, Settings(PORT))
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "lstat", broken)
+        with pytest.raises(OSError, match="Input/output error"):
+            _ = latch.closed
+        with pytest.raises(OSError, match="Input/output error"):
+            latch.open()
+        assert latch.since_ns == 0
+        assert stop.doing() == "whether torque is latched off cannot be seen: [Errno 5] Input/output error"
+    assert not latch.closed
+
+
+def broken(path: Path) -> os.stat_result:
+    raise OSError(5, "Input/output error")
+
+
+@pytest.mark.parametrize(("heard_ns", "since_ns"), [(700_000_000, 100), (2_000_000_101, 2_000_000_101), (50, 50)])
+def test_a_stop_that_is_heard_late_counts_from_when_it_was_said(latch: Latch, heard_ns: int, since_ns: int) -> None:
+    """Else a robot that has risen by a newer order would fall; a stamp of another clock says nothing."""
+    stop = Stop(PROFILE, Settings(PORT))
+    inbox = Inbox(stop.reads, stop.stages)
+    inbox.receive(topics.STOP, codec.encode(StopOrder(100, "off", 1, "viewer")), 0)
+    assert list(stop.step(Tick(heard_ns), inbox)) == []
+    assert latch.since_ns == since_ns
 
 
 def test_many_holders_take_no_more_room(latch: Latch) -> None:
@@ -181,7 +248,7 @@ def test_many_holders_take_no_more_room(latch: Latch) -> None:
 def test_a_latch_that_cannot_be_closed_is_said_and_the_stop_path_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "gone"))
+    monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path / "gone",))
     stop = Stop(PROFILE, Settings(PORT))
     say(stop, "off", 1)
     assert stop.doing().startswith("an order to let go cannot be latched: ")

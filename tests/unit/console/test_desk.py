@@ -250,6 +250,17 @@ def test_an_order_to_let_go_is_repeated_soon_until_it_has_come_about(office: Off
         assert not of(ModeCommand, heard[5:]), "a stop path that begins anew would obey it anew"
 
 
+def test_an_order_to_let_go_that_another_takes_back_at_once_is_not_repeated(office: Office) -> None:
+    """An actuator, or a stop path, that begins anew would obey it anew, and the robot fall."""
+    office.ask(1, Command("off"))
+    office.beat()
+    for mode in (Mode.OFF, Mode.STAND):
+        office.mode = mode
+        office.beat(100 * MS)
+    office.ask(1, Here())
+    assert not of(ModeCommand, [m for _ in range(100) for m in office.beat()])
+
+
 @pytest.mark.parametrize("order", ["stand", "ready", "sit", "stop"])
 def test_no_page_repeats_what_it_ordered_before_somebody_let_go(office: Office, order: str) -> None:
     """An actuator that begins anew knows nobody's orders, and would take it for a new one."""

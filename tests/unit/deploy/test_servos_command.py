@@ -15,6 +15,7 @@ import pytest
 
 from deploy import cli
 from deploy.launch.launcher import free_port
+from services.actuator import latch as latch_files
 from services.actuator.bus import open_port
 from services.actuator.latch import Latch
 from services.simulator.tcp_port import TcpBusServer
@@ -77,7 +78,7 @@ def test_a_port_that_is_none_is_told_what_one_looks_like(port: str, capsys: pyte
 def test_a_port_that_is_not_there_fails_in_words(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["servos", command, "--port", f"socket://127.0.0.1:{free_port()}"]) == 1
     told = capsys.readouterr().err
-    assert told.startswith(f"sextant servos {command}: cannot open servo port socket://")
+    assert f"sextant servos {command}: cannot open servo port socket://" in told
 
 
 @pytest.mark.parametrize("command", ["set-id", "calibrate", "test"])
@@ -139,19 +140,44 @@ def test_an_actuator_that_has_the_port_is_told_to_let_go_by_its_latch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As where the router is dead over which it would hear an order."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path,))
     _, end = pty.openpty()
     port, link = os.ttyname(end), tmp_path / "link"
     link.symlink_to(port)
     with closing(open_port(port)):
         assert cli.main(["servos", "off", "--port", str(link)]) == 1, "nobody says that torque is off"
     told = capsys.readouterr()
-    assert "torque is latched off; an actuator of this user that has it lets go at once" in told.out
+    assert f"{link} is in use" in told.err
+    assert "torque is latched off: an actuator that has this port lets go at once" in told.out
     assert "see whether the legs give way" in told.err
     for name in (str(link), port):
         latch = Latch.of_port(name)
         assert latch.closed
         assert 0 <= now_ns() - latch.since_ns < 10_000_000_000
+
+
+def test_torque_is_latched_off_where_the_port_is_gone_and_where_it_is_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An adapter that comes back finds an actuator that lets go; so does a servo that missed the order, where one begins."""
+    monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path, tmp_path / "not there"))
+    assert cli.main(["servos", "off", "--port", "/dev/ttyUSB97"]) == 1
+    told = capsys.readouterr()
+    assert told.out.startswith("torque is latched off: ")
+    assert "sextant servos off: cannot open servo port /dev/ttyUSB97" in told.err
+    assert Latch.of_port("/dev/ttyUSB97").closed
+    assert cli.main(["servos", "off", "--port", url]) == 0
+    assert Latch.of_port(url).closed
+
+
+def test_a_latch_that_cannot_be_closed_is_told_and_torque_goes_off_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(latch_files, "FOLDERS", (tmp_path / "not there",))
+    bench._servos.tables[:, dxl.TORQUE_ENABLE.address] = 1
+    assert cli.main(["servos", "off", "--port", url]) == 1
+    assert not bench._servos.tables[:, dxl.TORQUE_ENABLE.address].any()
+    assert "torque is not latched off: [Errno 2]" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("deaf", [False, True])

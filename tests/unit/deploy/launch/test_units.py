@@ -11,6 +11,7 @@ from deploy import cli
 from deploy.launch import units
 from deploy.launch.units import TARGET, Manager, UnitError
 from deploy.process_table import ROUTER_ENDPOINT, Choices, Command, commands, router_command, rows
+from services.actuator.latch import SHARED
 from shared.transport import Endpoints
 from tests.support.unit_files import read_unit, words_of
 
@@ -48,7 +49,8 @@ def test_the_order_to_let_go_is_one_file_for_all_and_outlives_them() -> None:
             service = read_unit(text)["Service"]
             assert service["RuntimeDirectory"] == ["sextant"]
             assert service["RuntimeDirectoryPreserve"] == ["yes"]
-            assert "XDG_RUNTIME_DIR=%t/sextant" in service["Environment"]
+            assert service["RuntimeDirectoryMode"] == ["1777"]
+            assert Path("/run/sextant") == SHARED, "where the latch is, for all who may close it"
 
 
 @pytest.mark.parametrize("word", ["a b", "100%", "$HOME", 'say "x"', "back\\slash", "ß", "camera=/a/b c/%t", "'"])
