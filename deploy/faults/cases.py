@@ -34,7 +34,7 @@ class Meddling:
 class OnBus:
     """Something is broken with servos, bus or supply."""
 
-    fault: BusFault  # at time 0, of servo 0 where it needs one
+    fault: BusFault  # at time 0: at once, of servo 0 where it needs one
     any_servo: bool = False  # one that is drawn takes its place
 
     @property
@@ -82,7 +82,7 @@ class Limits:
     jump_deg: float = inf  # of a joint, from the fault's end until it walks again
     lunge_dps: float = inf  # [deg/s] of a joint, from the reset of a shutdown on
     off_s: float = inf  # until servos hear that torque is off; from the order, or from the bus' return
-    torque_stays: bool = True  # no torque is switched
+    torque_stays: bool = True  # nobody sends that torque be switched
     walks_on: bool = False  # there is no stop
     cycle_s: float = inf  # p99 of the time from one sync write of goals to the next; five that are missed in a row are said
     lost_s: float = inf  # of a recording, from the last message that is in its file to the kill
@@ -108,6 +108,11 @@ class Case:
     def for_s(self) -> float:
         """How long it lasts [s]."""
         return max(deed.for_s + (deed.after_s if isinstance(deed, Away) else 0.0) for deed in self.deeds)
+
+    @property
+    def concerns_one(self) -> bool:
+        """Whether one servo, which is drawn, is broken."""
+        return any(isinstance(deed, OnBus) and deed.any_servo for deed in self.deeds)
 
     @property
     def lets_go(self) -> bool:
@@ -261,6 +266,9 @@ _LIVE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (
         (Away("actuator", False, _STOPPED_S),),
         _STOPPED,
     ),
+    ("servo-silent", "one servo silent", (_bus("servo", "silent"),), _ONE_SERVO),
+    ("bus-silent", "nobody hears, nobody answers", (_bus("bus", "silent"),), _NO_BUS),
+    ("bus-gone", "the adapter is unplugged and comes back", (_bus("bus", "gone"),), _NO_BUS),
     ("hogs", "a busy process for each core, 5 s long", (Hogs(5.0),), Limits(cycle_s=0.025)),
     ("off", "torque is ordered off", (Off(),), _LETS_GO),
     (
@@ -287,8 +295,8 @@ _PAGE: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # what an oper
     ),
     ("recorder-stopped", "the recorder is stopped for 3 s while it records", (Away("recorder", False, 3.0),), _CALM),
 )
-_HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # the same of two halves, but `hogs` and `off`
-    *((name, words, deeds, limits) for name, words, deeds, limits in (*_LIVE, *_PAGE) if not name.startswith(("hogs", "off"))),
+_HALVES: tuple[tuple[str, str, tuple[Deed, ...], Limits], ...] = (  # the same of two halves, but what is the robot's own matter
+    *(one for one in (*_LIVE, *_PAGE) if not one[0].startswith(("hogs", "off", "servo", "bus"))),
     ("base-router-killed", "the base's router is killed", (Away("base router", True, 0.0),), _UNHEARD),
     ("base-router-stopped", "the base's router is stopped for 2 s", (Away("base router", False, _OUT_S),), _UNHEARD),
 )

@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from math import inf, nan
 from pathlib import Path
 from typing import Self
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.faults import hog, tap
-from deploy.faults.cases import Away, Case, Deed, Hogs, Off
+from deploy.faults.cases import Away, Case, Deed, Hogs, Off, OnBus
 from deploy.faults.watched import LEAST_WATCH_S, Seen, Watched
 from deploy.launch import tapped_robot
 from deploy.launch.launcher import Launcher, free_port
@@ -89,7 +90,8 @@ class LiveWalk(Watched):
             away = self._places.world
             world = self._link if away is None else stack.enter_context(ZenohLink(away))
             world.subscribe(topics.TRUTH, self.hear)
-            self._link.wanted(topics.MODE)  # announced now, the order to let go is not the first word
+            for ours in (topics.MODE, topics.FAULT):
+                self._link.wanted(ours)  # announced now, what is ordered and what is broken is not the first word
             if self._places.base is not None:
                 base = stack.enter_context(ZenohLink(self._places.base))
                 base.subscribe(topics.ACTUATOR_STATE, lambda *_: self._sign(tapped_robot.BASE_ROUTER, self.now_s))
@@ -126,6 +128,7 @@ class LiveWalk(Watched):
 
     def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
         """Do what the case says, and watch."""
+        self._servo = int(rng.choice(self.profile.servo_ids.ravel()))
         self._ordered, ends = nan, [self._begin(deed, begin, rng) for deed in self._case.deeds]
         try:
             while True:
@@ -154,6 +157,7 @@ class LiveWalk(Watched):
         return Seen(
             self.now_s if np.isnan(end) else end,
             self.pulls(),
+            servo=self._servo if self._case.concerns_one else -1,
             ordered_s=self._ordered,
             returned_s=returned,
             lost_s=begin - self._recorded_until(begin) if Away("recorder", True, 0.0) in self._case.deeds else nan,
@@ -178,6 +182,9 @@ class LiveWalk(Watched):
                 self._acts.append((begin + for_s, lambda: self._launcher.thaw(service)))
                 # Over before that where the launcher found that it hangs, and another has taken its place.
                 return lambda: float(np.fmin(begin + for_s, self.returned(service, begin)))
+            case OnBus(fault, any_servo):
+                self._say(replace(fault, servo=self._servo if any_servo else fault.servo).command(time.monotonic_ns()))
+                return lambda: begin + deed.for_s
             case Hogs(for_s):
                 hogs = Launcher(hog.commands()).__enter__()
                 self._acts.append((begin + for_s, hogs.stop))

@@ -43,7 +43,7 @@ class Outcome:
     again_s: float  # until it walks again, from the fault's end on
     jump_deg: float  # largest change of a joint, or of its goal, in 20 ms, from the fault's end until it walks again
     lunge_dps: float  # [deg/s] of a joint over 0.2 s, from the reset of its shutdown until the robot walks again; 0 without
-    switched: bool  # whether torque was, by anybody on the bus
+    switched: bool  # whether the host sent that torque be switched
     off_s: float  # until all servos that hear have heard that torque is off; see `off_time`
     goals_before_off: int  # sent after the order, or the bus' return, and before torque was
     on_again: bool  # whether torque was ordered off and yet a servo pulls in the end
@@ -57,6 +57,7 @@ class Outcome:
     missed: int = 0  # most cycles in a row that took more than two periods
     lost_s: float = nan  # of a recording, before its recorder was killed
     stuck: str = ""  # why it did not walk on for long afterwards, in words, or nothing
+    misheard: bool = False  # whether a servo heard so though nobody had sent it: of broken bytes, some pass its checksum
 
 
 def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
@@ -72,6 +73,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
     stopped = [w for w in since if w.mode is not Mode.WALK]
     off_s, before = off_time(line)
     seated = next((w.t_s for w in since if w.mode is Mode.OFF), nan)
+    switches = [s.heard for s in line.switches if s.register == dxl.TORQUE_ENABLE and s.t_s > line.begin_s]
     cycle_s, missed = cycles(line)
     return Outcome(
         decided_s=decided - line.begin_s,
@@ -82,7 +84,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         again_s=again - line.end_s,
         jump_deg=_jump(line, *quiet, profile) if np.isfinite(away) else 0.0,
         lunge_dps=_fastest(line, reset, again if np.isfinite(again) else inf, profile),
-        switched=any(s.heard and s.register == dxl.TORQUE_ENABLE and s.t_s > line.begin_s for s in line.switches),
+        switched=not all(switches),
         off_s=off_s,
         goals_before_off=before,
         on_again=bool(np.isfinite(line.ordered_s) and line.pulls.any()),
@@ -96,6 +98,7 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         stuck=line.stuck,
         cycle_s=cycle_s,
         missed=missed,
+        misheard=bool(switches) and all(switches),
     )
 
 

@@ -46,6 +46,7 @@ class Row:
     plans: int  # fuzzed
     missed: tuple[str, ...]  # limits, each with the number of injections that miss it
     lost_s: Figure = Figure(0, nan, nan, nan)
+    misheard: int = 0  # injections in which a servo's torque was switched by what nobody sent
 
     @property
     def passed(self) -> bool:
@@ -86,6 +87,7 @@ def row(case: Case, outcomes: Sequence[Outcome]) -> Row:
         plans=sum(one.plans for one in outcomes),
         missed=_missed(case, outcomes),
         lost_s=of("lost_s"),
+        misheard=sum(one.misheard for one in outcomes),
     )
 
 
@@ -191,6 +193,8 @@ def _others(one: Row) -> Iterable[str]:
         yield f"the recording lacks {_cell(one.lost_s, 1.0, '.1f')} s"
     if one.plans:
         yield f"{one.plans} plans, {one.outside} goals outside"
+    if one.misheard:
+        yield f"a servo misheard torque in {one.misheard}"
     if one.stopped < one.n:
         yield f"stopped in {one.stopped}"
 

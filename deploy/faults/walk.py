@@ -74,10 +74,6 @@ class FaultWalk(Watched):
         """Leave no latch behind."""
         self._latch.open()
 
-    @property
-    def _concerns_one(self) -> bool:
-        return any(isinstance(deed, OnBus) and deed.any_servo for deed in self._case.deeds)
-
     def what_happens(self, rng: np.random.Generator) -> Timeline:
         """Break something now and watch; where that ends the walk, it is the walk of a copy, and this one goes on."""
         if not self._case.ends_the_walk:
@@ -117,7 +113,7 @@ class FaultWalk(Watched):
             self._meddler.how, time.time = "", wall
         return Seen(
             end_s=end,
-            servo=self._servo if self._concerns_one else -1,
+            servo=self._servo if case.concerns_one else -1,
             pulls=self._simulator.servos.tables[:, dxl.TORQUE_ENABLE.address] > 0,
             ordered_s=ordered,
             returned_s=begin + max(self._away_for(), self._gap_until(ordered - begin, begin)) if case.lets_go else nan,

@@ -4,7 +4,6 @@ No thread and no sleep; time comes from a clock argument. In the loop nothing th
 what is broken, old or out of order is counted by reason, and the servos' readings grow old.
 """
 
-import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
@@ -147,9 +146,7 @@ class Bridge:
 
     def close(self) -> None:
         """Close the port, gone or not; the servos keep their torque and their last goal."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ResourceWarning)  # of pyserial, when the other end has gone first
-            self._port.close()
+        self._port.close()
 
     # ----------------------------------------------------------------------------------------------- outside the loop
 

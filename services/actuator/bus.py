@@ -4,7 +4,6 @@ No thread and no sleep; time comes from a clock argument. In the loop nothing th
 that is lost, broken or refused is counted by reason, as is one that says what cannot be, and its servo's reading grows old.
 """
 
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -194,10 +193,7 @@ class ServoBus:
 
     def close(self) -> None:
         """Close the port, gone or not; the servos keep their torque and their last goal."""
-        with warnings.catch_warnings():
-            # When the other end has gone first, pyserial's socket port drops its socket instead of closing it.
-            warnings.simplefilter("ignore", ResourceWarning)
-            self._port.close()
+        self._port.close()
 
     # ----------------------------------------------------------------------------------------------- outside the loop
 

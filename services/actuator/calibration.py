@@ -3,7 +3,7 @@
 Torque is off while the leg is bent. Only where the operator asks for it the leg is then held, gently, to be checked.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from datetime import date
 
 import numpy as np
@@ -11,11 +11,13 @@ import numpy as np
 from services.actuator.bus import ServoBus
 from services.actuator.commissioning import Operator
 from services.actuator.gentle import gently, hold, ready, resting
+from services.actuator.let_go import limp_if_broken_off
 from shared.geometry import Array
 from shared.robot import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, RobotProfile
 
 STRAIGHT_OUT = (0.0, 0.0, 0.0)  # [deg] coxa, femur, tibia: a ruler along the leg is the jig
-_KEEP, _AGAIN, _CHECK, _SKIP = "", "b", "h", "s"
+_MEASURE = _KEEP = ""
+_AGAIN, _CHECK, _SKIP, _LEAVE = "b", "h", "s", "q"
 
 
 def calibrate(
@@ -28,7 +30,7 @@ def calibrate(
     legs: Sequence[str] = LEGS,
     pose_deg: tuple[float, float, float] = STRAIGHT_OUT,
 ) -> bool:
-    """Measure the trims of legs, one after the other, and keep each at once; whether all were kept.
+    """Measure the trims of legs, one after the other, and keep each at once; whether all were kept. It can be left.
 
     Args:
         bus: The robot's servos.
@@ -49,13 +51,16 @@ def calibrate(
     if not ready(bus, profile, operator):
         return False
     kept = 0
-    for leg in legs:
-        trims = _measure_leg(bus, profile, operator, LEGS.index(leg), pose_deg)
-        if trims is None:
-            operator.say(f"the {leg} leg is left out")
-            continue
-        keep(Calibration(leg, today, trims))
-        kept += 1
+    with limp_if_broken_off(bus, operator):
+        for leg in legs:
+            trims = _measure_leg(bus, profile, operator, LEGS.index(leg), pose_deg)
+            if trims == _LEAVE:
+                break
+            if isinstance(trims, str):
+                operator.say(f"the {leg} leg is left out")
+                continue
+            keep(Calibration(leg, today, trims))
+            kept += 1
     operator.say(f"{kept} of {len(legs)} legs calibrated; torque is off")
     return kept == len(legs)
 
@@ -89,42 +94,54 @@ def see_pose(profile: RobotProfile, leg: str, pose_deg: Sequence[float]) -> None
 
 def _measure_leg(
     bus: ServoBus, profile: RobotProfile, operator: Operator, leg: int, pose_deg: Sequence[float]
-) -> tuple[float, float, float] | None:
-    """Trims [deg] that the operator is content with, None where the leg is left out."""
+) -> tuple[float, float, float] | str:
+    """Trims [deg] that the operator is content with, else whether the leg is left out, or all that follow, too."""
     ids = profile.servo_ids[leg].tolist()
     pose = ", ".join(f"{joint} {angle:g}" for joint, angle in zip(JOINTS, pose_deg, strict=True))
     straight = " (straight out, level, like a ruler)" if tuple(pose_deg) == STRAIGHT_OUT else ""
     while True:
-        answer = operator.ask(f"Bend the {LEGS[leg]} leg by hand to {pose} deg{straight}, and press Enter; s leaves it out: ")
-        if answer.strip() == _SKIP:
-            return None
+        question = (
+            f"Bend the {LEGS[leg]} leg by hand to {pose} deg{straight}, and press Enter; s leaves it out, q leaves all that follow: "
+        )
+        answer = _choice(operator, question, (_MEASURE, _SKIP, _LEAVE))
+        if answer != _MEASURE:
+            return answer
         servo = resting(bus, ids)
         if servo is None:
             operator.say("the leg moves; hold it still")
             if operator.absent:
-                return None
+                return _SKIP
             continue
         trims = trims_deg(profile, leg, servo, pose_deg)
         if words := implausible(trims):
             operator.say(words)
             if operator.absent:
-                return None
+                return _SKIP
             continue
         operator.say("trims: " + ", ".join(f"{joint} {trim:+.1f} deg" for joint, trim in zip(JOINTS, trims, strict=True)))
         answer = _content(bus, operator, ids)
-        if answer == _SKIP:
-            return None
         if answer == _KEEP:
             coxa, femur, tibia = np.round(trims, 2).tolist()
             return coxa, femur, tibia
+        if answer != _AGAIN:
+            return answer
 
 
 def _content(bus: ServoBus, operator: Operator, ids: Sequence[int]) -> str:
-    """Keep, bend again or leave out; the leg is held, gently, for as long as the operator wants to check it."""
-    question = "Enter keeps them, b bends the leg again, h holds it with little torque to be checked, s leaves it out: "
-    while (answer := operator.ask(question).strip()) not in (_KEEP, _AGAIN, _SKIP):
-        if answer == _CHECK:
-            with gently(bus, ids):
-                hold(bus, ids)
-                operator.ask("held with little torque; lay the ruler on it, then Enter takes the torque off: ")
+    """Keep, bend again, leave out or leave; the leg is held, gently, for as long as the operator wants to check it."""
+    question = (
+        "Enter keeps them, b bends the leg again, h holds it with little torque to be checked, s leaves it out, "
+        "q leaves all that follow, too: "
+    )
+    while (answer := _choice(operator, question, (_KEEP, _AGAIN, _CHECK, _SKIP, _LEAVE))) == _CHECK:
+        with gently(bus, ids):
+            hold(bus, ids)
+            operator.ask("held with little torque; lay the ruler on it, then Enter takes the torque off: ")
+    return answer
+
+
+def _choice(operator: Operator, question: str, choices: Collection[str]) -> str:
+    """One of some letters, empty for plain Enter; asked for until it is one."""
+    while (answer := operator.ask(question).strip().lower()) not in choices:
+        operator.say(f"Enter or one of {', '.join(filter(None, choices))} expected, found {answer!r}")
     return answer

@@ -8,6 +8,7 @@ import numpy as np
 from services.actuator.bus import ServoBus
 from services.actuator.commissioning import Operator
 from services.actuator.gentle import TORQUE_LIMIT, gently, get, hold, put, ready, silent
+from services.actuator.let_go import limp_if_broken_off
 from services.actuator.roll_call import Voice, ailing, look, retry
 from shared import dynamixel as dxl
 from shared.robot import JOINTS, LEGS, RobotProfile
@@ -73,11 +74,12 @@ def exercise(
         operator.say("nothing is moved, torque is off")
         return None
     moved = []
-    for leg in legs:
-        for joint in range(len(JOINTS)):
-            moved.append(move(bus, profile, clock, LEGS.index(leg), joint))
-            operator.say(str(moved[-1]))
-    _leave(bus, operator, hold_after)
+    with limp_if_broken_off(bus, operator):
+        for leg in legs:
+            for joint in range(len(JOINTS)):
+                moved.append(move(bus, profile, clock, LEGS.index(leg), joint))
+                operator.say(str(moved[-1]))
+        _leave(bus, operator, hold_after)
     return moved
 
 

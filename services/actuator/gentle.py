@@ -1,6 +1,6 @@
 """Moving servos gently: torque limited, slow, and off at the end, whatever happens; registers are then as they were."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from services.actuator.bus import ServoBus
 from services.actuator.commissioning import Operator
 from services.actuator.roll_call import Seen, ailing, call, named, problems, retry
+from services.actuator.servos import Servos
 from shared import dynamixel as dxl
 from shared.dynamixel import Register
 from shared.geometry import Array
@@ -54,17 +55,26 @@ def _released(holding: Sequence[Seen], bus: ServoBus, operator: Operator) -> boo
 def gently(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
     """Limit torque and speed of limp servos within; at the end their torque is off and their registers are as before."""
     before = {(i, r): get(bus, i, r) for i in servo_ids for r in (dxl.MOVING_SPEED, dxl.TORQUE_LIMIT)}
+    again = {(i, dxl.TORQUE_ENABLE): 0 for i in servo_ids} | before
     try:
         for i in servo_ids:
             put(bus, i, dxl.TORQUE_LIMIT, TORQUE_LIMIT)
             put(bus, i, dxl.MOVING_SPEED, MOVING_SPEED)
         yield
     finally:
-        bus.set_torque(False)  # all at once, whoever answers
-        again = {(i, dxl.TORQUE_ENABLE): 0 for i in servo_ids} | before
-        left = [i for (i, register), value in again.items() if not took(bus, i, register, value)]
-        if left:
-            raise silent(bus, left[0], "its torque and registers were to be as before; switch its power off and on again")
+        try:
+            _restore(bus, again)
+        except KeyboardInterrupt:  # in the midst of it, and a command raises it but once
+            _restore(bus, again)
+            raise
+
+
+def _restore(bus: ServoBus, registers: Mapping[tuple[int, Register], int]) -> None:
+    """Take the torque of all servos off at once, whoever answers, and have registers as they were."""
+    bus.set_torque(False)
+    left = [i for (i, register), value in registers.items() if not took(bus, i, register, value)]
+    if left:
+        raise silent(bus, left[0], "its torque and registers were to be as before; switch its power off and on again")
 
 
 def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:
@@ -96,7 +106,7 @@ def put(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
         raise silent(bus, servo_id, f"its {register.name} was set to {value}")
 
 
-def took(bus: ServoBus, servo_id: int, register: Register, value: int) -> bool:
+def took(bus: Servos, servo_id: int, register: Register, value: int) -> bool:
     """Write a register, three times at most; whether the servo says that it took it."""
     return retry(lambda: bus.write(servo_id, register, value) or None) is not None
 

@@ -13,6 +13,8 @@ AHEAD_NS = 500_000_000  # [ns] by which the time at which an order was given may
 # (systemd's units, containers), and what is there on every machine.
 SHARED = Path("/run/sextant")
 FOLDERS = (SHARED, Path("/tmp"))
+_DEVICES = Path("/dev")
+_LINKS = ("", "serial/by-id", "serial/by-path")  # folders there in which udev gives devices further names
 _LONG = 100  # characters of a port's name from which it is cut
 
 
@@ -22,12 +24,18 @@ class Latch:
     def __init__(self, *paths: Path):
         """Keep it in files, one in each folder that is there: it is closed where any of them is."""
         self.paths = paths
+        self._names: list[str] = []  # of the port, where it is that of one
 
     @classmethod
     def of_port(cls, port: str) -> "Latch":
-        """The latch of the robot behind a servo port, or several with commas between; it lasts until the machine is off."""
-        names = [name_of(one.strip()) for one in port.split(",")]
-        return cls(*(folder / f"sextant-off-{name}" for name in names for folder in FOLDERS))
+        """The latch of the robot behind a servo port, or several with commas between, by whatever name each is given.
+
+        It lasts until the machine is switched off.
+        """
+        latch = cls()
+        latch._names = [one.strip() for one in port.split(",")]
+        latch._look_for_names()
+        return latch
 
     @property
     def closed(self) -> bool:
@@ -62,6 +70,7 @@ class Latch:
         Raises:
             OSError: It cannot be set anywhere, and is not.
         """
+        self._look_for_names()
         trouble: OSError = FileNotFoundError(ENOENT, os.strerror(ENOENT), str(self.paths[0].parent))
         kept = False
         for path in self.paths:
@@ -83,10 +92,17 @@ class Latch:
         Raises:
             OSError: It cannot be taken off, and is not.
         """
+        self._look_for_names()
         there = [path for path in self.paths if _is_there(path)]
         if given_ns is not None and any(given_ns < _time_in(path) <= now_ns for path in there):
             return False
         return all(self._take_off(path, given_ns, now_ns) for path in there)
+
+    def _look_for_names(self) -> None:
+        """An adapter may have been unplugged when this was made, or have come back under another name since."""
+        if self._names:
+            self._names = list(dict.fromkeys(name for known in self._names for name in _names(known)))
+            self.paths = tuple(folder / f"sextant-off-{name_of(name)}" for name in self._names for folder in FOLDERS)
 
     def _take_off(self, path: Path, given_ns: int | None, now_ns: int) -> bool:
         taken = _beside(path, "taken")
@@ -111,6 +127,15 @@ def name_of(port: str) -> str:
     if len(words) > _LONG:
         words = f"{words[:_LONG]}-{hashlib.blake2s(port.encode(), digest_size=8).hexdigest()}"
     return words if Path(port).is_absolute() else f"{os.getuid()}-{words}"
+
+
+def _names(port: str) -> list[str]:
+    """The paths by which somebody may know a port: udev's are links to one device, and stay where the device is renamed."""
+    if "://" in port or "\0" in port:
+        return [port]
+    device = os.path.realpath(port)
+    links = [path for folder in _LINKS for path in (_DEVICES / folder).glob("*") if path.is_symlink()]
+    return list(dict.fromkeys((port, device, *(str(link) for link in links if os.path.realpath(link) == device))))
 
 
 def _close(path: Path, at_ns: int) -> bool:

@@ -11,10 +11,12 @@ import socket
 import termios
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from enum import StrEnum
 from typing import Protocol
 
 import serial
+from serial.urlhandler import protocol_socket
 
 from services.actuator import usb_adapter
 from shared import dynamixel as dxl
@@ -31,6 +33,7 @@ _SETTLES_NS = 100_000_000  # [ns] after which no lost answer comes any more: six
 _ALL = 4096  # [bytes] more than comes within a timeout
 _SEC = 1e9
 LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
+_LAST_PORT = 65535
 _EXPECTED = "a serial device such as /dev/ttyUSB0, or socket://HOST:PORT,"
 
 
@@ -54,6 +57,20 @@ class Port(Protocol):
         """Close the port."""
 
 
+class _Connection(protocol_socket.Serial):
+    """A port over TCP that closes at once: pyserial's own sleeps for 0.3 s then, for which no control cycle can wait."""
+
+    _socket: socket.socket | None
+
+    def close(self) -> None:
+        """Close it, whether the other end is still there or not."""
+        connection, self._socket, self.is_open = self._socket, None, False
+        if connection is not None:
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+            connection.close()
+
+
 class Lost(StrEnum):
     """Why a question got no usable answer; `Dropped` reasons of a parser and a `Doubt` for good are counted beside these."""
 
@@ -75,14 +92,15 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
     Raises:
         BusGone: The port cannot be opened.
     """
-    if url.startswith("socket://") and re.fullmatch(r"socket://[^/]+:\d{1,5}(/.*)?", url) is None:
+    address = re.fullmatch(r"(socket|rfc2217)://[^/]+:(\d{1,5})([/?].*)?", url)
+    if url.startswith(("socket://", "rfc2217://")) and (address is None or int(address[2]) > _LAST_PORT):
         raise BusGone(f"cannot open servo port {url}: {_EXPECTED} expected")
     alone = None if "://" in url else True  # two programs would read each other's answers
+    network = url.startswith("socket://")
+    kind = _Connection if network else serial.serial_for_url
     try:
-        port = serial.serial_for_url(
-            url, baudrate=baud_rate, timeout=timeout_ns / _SEC, write_timeout=_WRITE_TIMEOUT, exclusive=alone
-        )
-        if url.startswith("socket://"):
+        port = kind(url, baudrate=baud_rate, timeout=timeout_ns / _SEC, write_timeout=_WRITE_TIMEOUT, exclusive=alone)
+        if network:
             # pyserial leaves Nagle's algorithm on: a read request behind a sync write would wait 40 ms for the first
             # packet's acknowledgement. The option belongs to the connection, so a duplicate of the handle can set it.
             with socket.socket(fileno=os.dup(port.fileno())) as connection:
@@ -90,7 +108,7 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
     except LOST as error:
         raise BusGone(f"cannot open servo port {url}: {error}; {_advice(error)}") from error
     except (ValueError, TypeError) as error:  # as pyserial has it for an address that is none
-        raise BusGone(f"cannot open servo port {url}: {_EXPECTED} expected ({error})") from error
+        raise BusGone(f"cannot open servo port {url}: {_EXPECTED} expected") from error
     if slow := usb_adapter.quicken(url, port):
         log.warning(slow)
     return port
@@ -98,7 +116,7 @@ def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIME
 
 def _advice(error: Exception) -> str:
     """What to do about a port that cannot be opened."""
-    match getattr(error, "errno", None):
+    match getattr(error, "errno", None) or getattr(error.__context__, "errno", None):  # pyserial keeps that of a socket back
         case errno.EACCES | errno.EPERM:
             return "this user has no right to it: `sudo usermod -aG dialout $USER`, then log in again"
         case errno.EAGAIN | errno.EBUSY:

@@ -43,6 +43,14 @@ class Problem(NamedTuple):
     advice: str
 
 
+class Setting(NamedTuple):
+    """A register of the EEPROM that hampers a servo, or does not protect it."""
+
+    register: Register
+    value: int  # that it had better hold
+    words: str  # what is wrong with the one that it holds
+
+
 class Bus(Protocol):
     """The part of `ServoBus` that is used here."""
 
@@ -79,11 +87,12 @@ class Voice(StrEnum):
     ECHO = "answers with the request itself; this adapter echoes: turn the echo setting on"
 
 
-_SET_ID = "`sextant servos set-id` with it alone on the bus"
+SET_ID = "`sextant servos set-id` with it alone on the bus"
+_PROTECTION = ServoError.OVERLOAD | ServoError.OVERHEATING
 _BY_VOICE = {
-    Voice.DOUBLED: f"unplug one of the two, and give the other its own id: {_SET_ID}",
+    Voice.DOUBLED: f"unplug one of the two, and give the other its own id: {SET_ID}",
     Voice.FADING: "see to its plugs, and end other programs",
-    Voice.MUTE: f"its status return level is 0: {_SET_ID}",
+    Voice.MUTE: f"its status return level is 0: {SET_ID}",
     Voice.ECHO: "--echo here, and --set actuator.echo=true for the actuator",
 }
 LOW_VOLTAGE = {dxl.AX_12A.number: 10.5, dxl.RX_64.number: 14.0}  # [V] 3.5 V a cell of three, of four
@@ -177,7 +186,7 @@ def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoMod
     missing = [i for i in names if i not in seen]
     found = {i: problem for i in names if (problem := _wrong(seen.get(i), model))}
     for i in sorted(seen.keys() - names.keys()):
-        found[i] = Problem("is none of the robot's", _SET_ID)
+        found[i] = Problem("is none of the robot's", SET_ID)
     first = seen.get(FACTORY_ID)
     if first and missing and (FACTORY_ID not in names or first.voice is Voice.DOUBLED):
         words, advice = found[FACTORY_ID]
@@ -207,8 +216,34 @@ def _wrong(seen: Seen | None, model: ServoModel) -> Problem | None:
         words = f"is model {seen[dxl.MODEL_NUMBER]} ({found}), expected {model.number} ({model.name})"
         return Problem(words, "put the right one in its place, or name the robot that has it")
     if not seen[dxl.CW_ANGLE_LIMIT] and not seen[dxl.CCW_ANGLE_LIMIT]:
-        return Problem("is in wheel mode (both angle limits are 0)", f"{_SET_ID}: it makes it a joint again")
+        return Problem("is in wheel mode (both angle limits are 0)", f"{SET_ID}: it makes it a joint again")
     return None
+
+
+def amiss(seen: Seen, model: ServoModel, reach: tuple[int, int]) -> list[Setting]:
+    """Which limits and protections of a servo are not what its data sheet and its joint want. A robot can do with them.
+
+    Args:
+        seen: A clear voice.
+        model: Its type.
+        reach: Lowest and highest position register that its joint needs.
+    """
+    low, high = seen[dxl.CW_ANGLE_LIMIT], seen[dxl.CCW_ANGLE_LIMIT]
+    narrow = f"turns from tick {low} to {high} only, {reach[0]} to {reach[1]} needed"
+    hot, usual = seen[dxl.TEMPERATURE_LIMIT], model.default(dxl.TEMPERATURE_LIMIT)
+    torque, most = seen[dxl.MAX_TORQUE], model.default(dxl.MAX_TORQUE)
+    unguarded = _PROTECTION & ~seen[dxl.SHUTDOWN]
+    settings = (
+        (low > reach[0], Setting(dxl.CW_ANGLE_LIMIT, model.default(dxl.CW_ANGLE_LIMIT), narrow)),
+        (high < reach[1], Setting(dxl.CCW_ANGLE_LIMIT, model.default(dxl.CCW_ANGLE_LIMIT), narrow)),
+        (hot != usual, Setting(dxl.TEMPERATURE_LIMIT, usual, f"shuts down at {hot} deg C, {usual} expected")),
+        (torque < most, Setting(dxl.MAX_TORQUE, most, f"gives {torque / 10:.0f} % of its torque at most")),
+        (
+            bool(unguarded),
+            Setting(dxl.SHUTDOWN, seen[dxl.SHUTDOWN] | _PROTECTION, f"does not shut down for {dxl.error_words(unguarded)}"),
+        ),
+    )
+    return [setting for wrong, setting in settings if wrong]
 
 
 def ailing(seen: Seen) -> str:

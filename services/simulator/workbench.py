@@ -62,7 +62,8 @@ class Workbench(ServoBusEmulator):
         self._rate = rate
         self._now_ns = -1  # of the joints
         self._q, self._qd, self._torque = q.copy(), np.zeros(len(ids)), np.zeros(len(ids))
-        self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiled before the first packet comes
+        self._servos.step(self._q, self._qd, self._torque, _STEP_NS * 1e-9)  # compiled before the first packet comes ...
+        self._servos.read(0, dxl.PRESENT_POSITION.address, dxl.PRESENT_POSITION.size)  # ... and is answered in time
         super().__init__(self._servos, BusTiming(), echo=echo)
 
     def receive(self, data: bytes, now_ns: int) -> list[Reply]:

@@ -3,6 +3,7 @@
 import errno
 import math
 import os
+import re
 import time
 from collections.abc import Callable
 
@@ -410,10 +411,30 @@ def test_over_tcp_as_on_a_serial_device() -> None:
 def test_a_port_that_is_not_there_is_named() -> None:
     with TcpBusServer(ServoBusEmulator(ServoBank((1,)), BusTiming())) as server:
         url = server.url
-    with pytest.raises(BusGone, match=r"cannot open servo port socket://.*is the adapter plugged in"):
+    with pytest.raises(BusGone, match=r"cannot open servo port socket://.*is the simulator, or `sextant servos emulate`, up?"):
         open_port(url)
     with pytest.raises(BusGone, match="cannot open servo port /dev/nonexistent"):
         open_port("/dev/nonexistent")
+
+
+@pytest.mark.parametrize("url", ["socket://127.0.0.1", "socket://127.0.0.1:99999", "rfc2217://127.0.0.1"])
+def test_what_is_no_address_is_answered_by_what_is(url: str) -> None:
+    with pytest.raises(BusGone, match=re.escape(f"{url}: a serial device such as /dev/ttyUSB0, or socket://HOST:PORT,")):
+        open_port(url)
+
+
+@pytest.mark.parametrize("vanished", [False, True])
+def test_a_port_over_tcp_closes_at_once(vanished: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The control cycle in which a bus vanishes has no time to wait."""
+    with TcpBusServer(ServoBusEmulator(ServoBank((1,)), BusTiming())) as server:
+        port = open_port(server.url)
+        if vanished:
+            server.close()
+        monkeypatch.setattr(time, "sleep", lambda _: pytest.fail("it sleeps"))
+        port.close()
+        port.close()
+        with pytest.raises(serial.SerialException):
+            port.read(1)
 
 
 @pytest.mark.parametrize(

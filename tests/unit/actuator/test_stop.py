@@ -138,12 +138,13 @@ def test_who_closes_it_while_it_is_taken_off_is_not_lost(latch: Latch, monkeypat
     replace = Path.replace
 
     def close_first(path: Path, target: Path) -> Path:
-        monkeypatch.undo()
+        patched.undo()
         latch.close(200)
         return replace(path, target)
 
-    monkeypatch.setattr(Path, "replace", close_first)
-    assert not latch.open(150, 1000)
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", close_first)
+        assert not latch.open(150, 1000)
     assert latch.since_ns == 200
 
 
@@ -182,6 +183,31 @@ def test_a_device_has_one_latch_for_all_users_and_a_port_of_the_network_one_for_
     monkeypatch.setattr(os, "getuid", lambda: 4242)
     assert Latch.of_port(PORT).paths == device
     assert Latch.of_port("socket://127.0.0.1:7000").paths != network
+
+
+def test_who_knows_a_port_by_another_of_its_names_has_the_same_latch(latch: Latch, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also once the adapter has come back under another name, and where it was unplugged as one began."""
+    devices = latch.paths[0].parent / "dev"
+    (devices / "serial" / "by-id").mkdir(parents=True)
+    monkeypatch.setattr(latch_files, "_DEVICES", devices)
+    actuator, stop = Latch.of_port(str(devices / "ttyUSB0")), Latch.of_port(str(devices / "serial/by-id/adapter"))
+    (devices / "ttyUSB0").touch()
+    (devices / "servos").symlink_to(devices / "ttyUSB0")
+    (devices / "serial/by-id/adapter").symlink_to(devices / "ttyUSB0")
+    Latch.of_port(str(devices / "servos")).close(1)
+    for one in (actuator, stop):
+        assert one.closed
+    assert actuator.open(1, 1)
+    assert not stop.closed
+    known = Latch.of_port(str(devices / "ttyUSB0"))
+    (devices / "ttyUSB0").rename(devices / "ttyUSB1")
+    for link in (devices / "servos", devices / "serial/by-id/adapter"):
+        link.unlink()
+        link.symlink_to(devices / "ttyUSB1")
+    Latch.of_port(str(devices / "ttyUSB1")).close(2)
+    assert known.closed
+    known.open()
+    assert not Latch.of_port(str(devices / "ttyUSB1")).closed
 
 
 def test_several_ports_are_let_go_by_the_latch_of_any(latch: Latch) -> None:

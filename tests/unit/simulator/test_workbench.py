@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from services.simulator import servos
 from services.simulator.workbench import HORNS_DEG, Workbench
 from shared import dynamixel as dxl
 from shared.dynamixel import PacketParser
@@ -106,3 +107,15 @@ def test_what_is_not_there_or_cannot_be_is_told(line: str) -> None:
     with pytest.raises(ValueError, match=rf"expected, found '{line}'"):
         made.obey(line)
     assert made.obey("list") == before
+
+
+@pytest.mark.parametrize("fresh", [False, True])
+def test_all_that_is_compiled_is_compiled_before_the_first_question(fresh: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compiling takes seconds on a machine that never ran it, and who answers so late is taken for a cable that is loose."""
+    loops = ("_age", "_measure", "_pull")
+    called = []
+    for name in loops:
+        loop = getattr(servos, name)
+        monkeypatch.setattr(servos, name, lambda *words, name=name, loop=loop: (called.append(name), loop(*words))[1])
+    bench(fresh=fresh)
+    assert set(called) == set(loops)

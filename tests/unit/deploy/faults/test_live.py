@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from deploy import process_table
 from deploy.faults import hog, live
-from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES, Away, Case, Hogs, Off
+from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES, Away, Case, Hogs, Off, OnBus
 from deploy.faults.live import LiveWalk
 from deploy.launch.tapped_robot import Places
 from deploy.process_table import Command
@@ -203,7 +203,7 @@ def test_what_a_recording_lacks_counts_from_the_last_message_before_the_kill(
 
 
 def test_live_cases_break_processes_and_lockstep_has_no_hogs() -> None:
-    assert {type(deed) for case in LIVE_CASES for deed in case.deeds} == {Away, Hogs, Off}
+    assert {type(deed) for case in LIVE_CASES for deed in case.deeds} == {Away, Hogs, Off, OnBus}
     assert not any(isinstance(deed, Hogs) for case in CASES for deed in case.deeds)
     assert BY_NAME["live-hogs"].for_s == 5.0
     assert len(hog.commands()) >= 1

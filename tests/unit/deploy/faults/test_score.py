@@ -169,9 +169,18 @@ def test_torque_that_is_on_in_the_end_was_not_off_for_good() -> None:
     assert not score(ordered(torque(0.34, on=False), end_s=BEGIN_S), OFF, PROFILE).on_again
     pulls = np.zeros(18, dtype=np.bool_)
     pulls[7] = True
-    found = score(timeline(said, ordered_s=BEGIN_S + 0.3, switches=(torque(0.34, on=False),), pulls=pulls), OFF, PROFILE)
+    switches = (torque(0.34, on=False, heard=False), torque(0.34, on=False))
+    found = score(timeline(said, ordered_s=BEGIN_S + 0.3, switches=switches, pulls=pulls), OFF, PROFILE)
     assert found.on_again
-    assert found.switched
+    assert (found.switched, found.misheard) == (True, False)
+
+
+def test_torque_that_is_switched_by_what_nobody_sent_is_told_apart() -> None:
+    """A broken byte in 256 passes a servo's checksum: no process can be held to what it never sent."""
+    found = score(timeline(switches=(torque(0.34, on=False),)), OFF, PROFILE)
+    assert (found.switched, found.misheard) == (False, True)
+    found = score(timeline(), OFF, PROFILE)
+    assert (found.switched, found.misheard) == (False, False)
 
 
 def test_who_lies_before_a_servo_shuts_down_is_seated_in_time() -> None:
