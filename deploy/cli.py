@@ -465,7 +465,9 @@ def _add_servos(add: Any, parser: argparse.ArgumentParser) -> None:
         "--ids", type=values.servo_ids, default=range(254), metavar="A:B", help="ids to ask, B not included (default 0:254)"
     )
     one.add_argument("--json", action="store_true", help="as JSON")
-    on_port("off", servos.off, "turn the torque of all servos off at the port, where no actuator runs to be ordered so")
+    one = on_port("off", servos.off, "turn the torque of all servos off at the port, where no actuator runs to be ordered so")
+    words = "a microcontroller on the port drives the servos, as with the actuator's setting of that name: docs/bridge.md"
+    one.add_argument("--bridge", action="store_true", help=words)
     on_port("set-id", servos.set_id, "give each servo the id of its joint, one at a time; can be left and resumed")
     one = of_legs("calibrate", servos.calibrate, "measure how the horns sit, leg by leg, into a TOML of this robot")
     one.add_argument("--out", metavar="FILE", help="that TOML (default: the one of --robot, or my_NAME.toml for a profile)")

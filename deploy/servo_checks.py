@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from deploy.checks import Check, Level
 from services.actuator import usb_adapter
+from services.actuator.commissioning import hampered
 from shared.config import ConfigError
 
 if TYPE_CHECKING:
@@ -102,7 +103,11 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     pulling = sum(bool(one[dxl.TORQUE_ENABLE]) for i, one in seen.items() if i not in wrong)
     fine = f"all {len(names)} servos answer" + (f"; the torque of {pulling} is on" if pulling else "")
     yield Check(name, Level.FAIL if wrong else Level.OK, words or fine, advice)
-    yield from well([one for i, one in seen.items() if i not in wrong], profile)
+    right = [one for i, one in seen.items() if i not in wrong]
+    yield from well(right, profile)
+    if amiss := hampered(right, profile):
+        words = "; ".join(problem.words for problem in amiss)
+        yield Check("servo settings", Level.WARN, words, amiss[0].advice)
 
 
 def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, Seen], bool]":

@@ -81,6 +81,12 @@ def now_ns() -> int:
     return _clock[0]()
 
 
+def asleep_ns() -> int:
+    """[ns] that this machine has been asleep since it was started, in which its monotonic clock stands still; 0 if unknown."""
+    counted = getattr(time, "CLOCK_BOOTTIME", None)
+    return 0 if counted is None else time.clock_gettime_ns(counted) - time.monotonic_ns()
+
+
 def go_by(clock: Callable[[], int]) -> None:
     """Let this process go by a clock; done once, before anything asks for the time."""
     _clock[0] = clock

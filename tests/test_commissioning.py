@@ -115,6 +115,7 @@ def test_the_tutorial_runs_as_it_is_written(
     status, told = run([*scan, "--ids", "5:12"])
     assert status == 1
     assert "servo 9 (left rear femur) does not answer" in told
+    assert told.count("does not answer") == 1, "who was not asked is not missing"
 
 
 def test_every_command_of_the_page_is_one() -> None:

@@ -8,21 +8,25 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from datetime import date
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
+from deploy.interrupts import Interrupts
 
 if TYPE_CHECKING:
+    from services.actuator.bridge import Bridge
+    from services.actuator.bus import ServoBus
     from services.actuator.commissioning import Found, Line
     from shared.robot import RobotProfile
 
 PATIENCE_NS = 25_000_000  # [ns] for an answer: outlasts the latency timer of an adapter that nobody has set
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] a machine that emulates servos may be busy
+_NOBODY_SAYS = "nobody says that torque is off: see whether the legs give way, else switch the servos' power off"
 _LAST_PORT = 65535
-_LINKS = ("", "serial/by-id", "serial/by-path")  # folders of /dev in which udev gives devices further names
 
 
 class Terminal:
@@ -67,19 +71,25 @@ def scan(arguments: argparse.Namespace) -> int:
 
     profile = _profile(arguments.robot)
     with _line(arguments, profile) as line:
+        rates = " and ".join(map(str, line.rates))
+        tell = complain if arguments.json else say
+        tell(f"asking {len(arguments.ids)} ids at {rates} baud; those that nobody has take a while")
         found = commissioning.scan(line, arguments.ids)
-    wrong = commissioning.verdict(found, profile)
+    wrong = commissioning.verdict(found, profile, arguments.ids, each=arguments.json)
     if arguments.json:
         problems = [problem._asdict() for problem in wrong]
         say(json.dumps({"servos": [_row(one, profile) for one in found], "problems": problems}, indent=1))
         return FAILED if wrong else SUCCESS
-    say(commissioning.in_words(found, profile))
+    if found:
+        say(commissioning.in_words(found, profile))
     if holding := commissioning.holding(found, profile):
         say(f"{holding}; `sextant servos off` lets go")
     for words, advice in wrong:
         say(f"{words}\n  -> {advice}")
     if not wrong:
-        say(f"all {len(profile.servo_names)} servos of {profile.name} are in order")
+        count, asked = len(profile.servo_names), sum(i in arguments.ids for i in profile.servo_names)
+        which = f"all {count} servos of {profile.name}"
+        say(f"{which} are in order" if asked == count else f"{asked} of {which} were asked, and are in order")
     return FAILED if wrong else SUCCESS
 
 
@@ -88,31 +98,48 @@ def off(arguments: argparse.Namespace) -> int:
 
     It is latched first: an actuator that has the port, or looks for it, lets go, and one that begins later does, too.
     """
-    from services.actuator.bus import BusGone
+    from services.actuator.bus import BusGone, BusSetupError
     from services.actuator.let_go import let_go
-    from services.actuator.roll_call import named
 
     profile = _profile(arguments.robot)
     unlatched = _latch_off(arguments.port)
-    with _line(arguments, profile) as line:
+    with _ended_once():
         try:
-            bus = line.at(line.rates[0])
+            bus = _bridge(arguments, profile) if arguments.bridge else _bus(arguments, profile)
         except BusGone as error:
             used = getattr(error.__cause__, "errno", None) in (errno.EAGAIN, errno.EBUSY)
             lets_go = "torque is latched off: an actuator that has this port lets go at once, or as soon as its servos are back"
             say(unlatched or lets_go)
-            complain("nobody says that torque is off: see whether the legs give way, else switch the servos' power off")
+            complain(_NOBODY_SAYS)
             if not used:
                 raise
             complain(f"sextant servos off: {arguments.port} is in use")
             return FAILED
-        left = let_go(bus)
-    for servo_id, words in left.items():
-        say(f"{named(servo_id, profile.servo_names)} {words}\n  -> see to its cable, or switch the servos' power off")
-    say(f"torque is off: {len(profile.servo_names) - len(left)} of {len(profile.servo_names)} servos say so")
+        with closing(bus):
+            try:
+                left = let_go(bus)
+            except BusSetupError as error:
+                complain(f"{_NOBODY_SAYS}\nsextant servos off: {error}")
+                return FAILED
+    _say_who_holds(left, profile, arguments.bridge)
     if unlatched:
         complain(f"{unlatched}; an actuator that begins now leaves torque on where a servo has not heard this")
     return FAILED if left or unlatched else SUCCESS
+
+
+def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool) -> None:
+    """Tell who does not say that its torque is off, and how many do."""
+    from services.actuator.roll_call import named
+
+    count, off = len(profile.servo_names), len(profile.servo_names) - len(left)
+    alike = set(left.values())
+    if off == 0 and len(alike) == 1:
+        bridge = "" if bridged else "where a microcontroller drives them --bridge reaches them, else "
+        say(f"each of {count} servos {alike.pop()}\n  -> {bridge}switch their power off")
+    else:
+        for servo_id, words in left.items():
+            say(f"{named(servo_id, profile.servo_names)} {words}\n  -> see to its cable, or switch the servos' power off")
+    say(f"{off} of {count} servos say that torque is off" if left else f"torque is off: {off} of {count} servos say so")
 
 
 def _latch_off(port: str) -> str:
@@ -120,22 +147,11 @@ def _latch_off(port: str) -> str:
     from services.actuator.latch import Latch
     from shared.clock import now_ns
 
-    problem = ""
-    for name in sorted(_names(port)):
-        try:
-            Latch.of_port(name).close(now_ns())
-        except OSError as error:
-            problem = f"torque is not latched off: {error}"
-    return problem
-
-
-def _names(port: str) -> set[str]:
-    """The paths under which an actuator may have a port: udev's are links to one device."""
-    if "://" in port:
-        return {port}
-    links = [str(path) for folder in _LINKS for path in Path("/dev", folder).glob("*") if path.is_symlink()]
-    device = os.path.realpath(port)
-    return {port, device, *(link for link in links if os.path.realpath(link) == device)}
+    try:
+        Latch.of_port(port).close(now_ns())
+    except OSError as error:
+        return f"torque is not latched off: {error}"
+    return ""
 
 
 def set_id(arguments: argparse.Namespace) -> int:
@@ -225,34 +241,63 @@ def emulate(arguments: argparse.Namespace) -> int:
     return INTERRUPTED
 
 
+class _Once(Interrupts):
+    """While entered, the first Ctrl-C, SIGTERM or SIGHUP is raised; those behind it are held back: one is cleaning up."""
+
+    def _count(self, number: int, frame: FrameType | None) -> None:
+        super()._count(number, frame)
+        if not self.insisted():
+            raise KeyboardInterrupt
+
+
+def _ended_once() -> AbstractContextManager[object]:
+    """Within, a command is ended by signals as by Ctrl-C, and but once; only the main thread hears of them."""
+    return _Once() if threading.current_thread() is threading.main_thread() else nullcontext()
+
+
 @contextmanager
 def _line(arguments: argparse.Namespace, profile: "RobotProfile") -> "Iterator[Line]":
-    """The servo port, closed in the end."""
-    from services.actuator.bus import BAUD_RATE, ServoBus, open_port
+    """The servo port, closed in the end, also where a signal ends the command."""
+    from services.actuator.bus import BAUD_RATE
     from services.actuator.commissioning import USUAL_RATES, Line
+
+    rates = (BAUD_RATE,) if "://" in arguments.port else USUAL_RATES
+    with _ended_once(), closing(Line(lambda rate: _bus(arguments, profile, rate), rates)) as line:
+        yield line
+
+
+def _bus(arguments: argparse.Namespace, profile: "RobotProfile", rate: int | None = None) -> "ServoBus":
+    """The servos at the port, at a baud rate [1/s]; None is the robot's own.
+
+    Raises:
+        BusGone: The port cannot be opened.
+    """
+    from services.actuator.bus import BAUD_RATE, ServoBus, open_port
     from shared import dynamixel as dxl
 
-    port, network = arguments.port, "://" in arguments.port
-    patience, names = _NETWORK_PATIENCE_NS if network else PATIENCE_NS, profile.servo_names
-    model = dxl.MODEL_NAMED[profile.servo.model]
+    patience, names = _NETWORK_PATIENCE_NS if "://" in arguments.port else PATIENCE_NS, profile.servo_names
+    return ServoBus(
+        open_port(arguments.port, rate or BAUD_RATE, patience),
+        list(names),
+        time.monotonic_ns,
+        model=dxl.MODEL_NAMED[profile.servo.model],
+        names=names,
+        echo=arguments.echo,
+        reply_timeout_ns=patience,
+    )
 
-    def at(rate: int) -> ServoBus:
-        opened = open_port(port, rate, patience)
-        return ServoBus(
-            opened,
-            list(names),
-            time.monotonic_ns,
-            model=model,
-            names=names,
-            echo=arguments.echo,
-            reply_timeout_ns=patience,
-        )
 
-    line = Line(at, (BAUD_RATE,) if network else USUAL_RATES)
-    try:
-        yield line
-    finally:
-        line.close()
+def _bridge(arguments: argparse.Namespace, profile: "RobotProfile") -> "Bridge":
+    """The servos behind a microcontroller at the port.
+
+    Raises:
+        BusGone: The port cannot be opened.
+    """
+    from services.actuator.bridge import READ_NS, Bridge
+    from services.actuator.bus import open_port
+
+    port = open_port(arguments.port, timeout_ns=READ_NS)
+    return Bridge(port, list(profile.servo_names), time.monotonic_ns, names=profile.servo_names)
 
 
 def _profile(robot: str) -> "RobotProfile":

@@ -95,14 +95,12 @@ def see_pose(profile: RobotProfile, leg: str, pose_deg: Sequence[float]) -> None
 def _measure_leg(
     bus: ServoBus, profile: RobotProfile, operator: Operator, leg: int, pose_deg: Sequence[float]
 ) -> tuple[float, float, float] | str:
-    """Trims [deg] that the operator is content with, else whether the leg is left out, or all that follow, too."""
+    """Trims [deg] that the operator is content with, else whether the leg is left out, or that is all."""
     ids = profile.servo_ids[leg].tolist()
     pose = ", ".join(f"{joint} {angle:g}" for joint, angle in zip(JOINTS, pose_deg, strict=True))
     straight = " (straight out, level, like a ruler)" if tuple(pose_deg) == STRAIGHT_OUT else ""
     while True:
-        question = (
-            f"Bend the {LEGS[leg]} leg by hand to {pose} deg{straight}, and press Enter; s leaves it out, q leaves all that follow: "
-        )
+        question = f"Bend the {LEGS[leg]} leg by hand to {pose} deg{straight}, and press Enter; s leaves it out, q ends here: "
         answer = _choice(operator, question, (_MEASURE, _SKIP, _LEAVE))
         if answer != _MEASURE:
             return answer
@@ -128,10 +126,9 @@ def _measure_leg(
 
 
 def _content(bus: ServoBus, operator: Operator, ids: Sequence[int]) -> str:
-    """Keep, bend again, leave out or leave; the leg is held, gently, for as long as the operator wants to check it."""
+    """Keep, bend again, leave out or end; the leg is held, gently, for as long as the operator wants to check it."""
     question = (
-        "Enter keeps them, b bends the leg again, h holds it with little torque to be checked, s leaves it out, "
-        "q leaves all that follow, too: "
+        "Enter keeps them, b bends the leg again, h holds it with little torque to be checked, s leaves it out, q ends here: "
     )
     while (answer := _choice(operator, question, (_KEEP, _AGAIN, _CHECK, _SKIP, _LEAVE))) == _CHECK:
         with gently(bus, ids):

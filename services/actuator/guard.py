@@ -94,6 +94,7 @@ class Guard:
         self._holder, self._heard_ns, self._begun_ns = "", 0, epoch
         self.off_ns = off_ns  # when torque went off last by an order, or by itself: no order of before turns it on
         self.given_ns = -1  # when the order was given that was obeyed last
+        self._woke_ns = -1  # when the computer did last
         self._may_walk = False
         self._permit = walk  # the order to walk that is in force, be it that nobody has heard it yet since this began
         self._accepted_ns = 0  # when the newest plan was
@@ -210,6 +211,8 @@ class Guard:
         if order.mode == "walk" and order.sequence < self._begun_ns:
             resumes = self.walk_order(now_ns) == WalkOrder(order.holder, order.sequence)
             return "" if resumes else f"{gone} before this actuator began, and was not in force then; order it anew"
+        if order.sequence <= self._woke_ns:
+            return f"{gone} before the computer slept; order it anew"
         lasting = AWAY_NS if order.mode == "walk" else ORDER_AGE_NS
         return f"{gone} {age_ns * 1e-9:.1f} s ago; order it anew" if age_ns > lasting else ""
 
@@ -358,6 +361,13 @@ class Guard:
         self.tipped = words
         self._end_walk_order()
         return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
+
+    def woke(self, slept_s: float, now_ns: int) -> tuple[Act, ...]:
+        """The computer has slept [s]: whatever was ordered is over, for clocks stood still and nobody knows what came about."""
+        acts = self._stop()
+        self._holder, self._woke_ns = "", now_ns
+        self.objection = f"what was ordered is over: the computer was asleep for {slept_s:.0f} s; order it anew"
+        return acts
 
     def risen(self) -> None:
         """The robot stands."""

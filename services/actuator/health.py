@@ -19,7 +19,7 @@ _LOW_S, _SETTLED_S = 1.0, 0.3  # [s] for which the voltage must be low, and its 
 _TIRED, _SPENT = 0.36, 0.50  # rms share of the stall torque of late: from here on slower; slowest
 _TIRES_S = 30.0  # [s] time constant of it
 _SLOWEST = 0.4  # share of the usual speed
-_LATCHES, _WITHIN_S = 3, 300.0  # overloads of one servo that are reset, and [s] in which they count
+_RESETS, _WITHIN_S = 3, 300.0  # overloads of one servo that are reset, and [s] in which they count
 _REST_S = 1.0  # [s] between an overload and its reset
 SHUT_DOWN = ServoError.OVERLOAD | ServoError.OVERHEATING
 _MINOR = ServoError.INPUT_VOLTAGE  # told by the voltage itself
@@ -54,7 +54,7 @@ class Verdict:
 
 
 @dataclass(slots=True)
-class _Latch:
+class _Shutdown:
     """Shutdowns of one servo."""
 
     since: float | None = None  # [s] of the one that lasts
@@ -76,7 +76,7 @@ class Health:
         self._low_since: float | None = None
         self._effort: Array = np.zeros(18)  # mean square share of the stall torque
         self._late = 0  # cycles in a row
-        self._latches = [_Latch() for _ in range(18)]
+        self._shutdowns = [_Shutdown() for _ in range(18)]
 
     def update(self, now: float, dt: float, vitals: Vitals, torque: bool) -> Verdict:
         """Take in one cycle.
@@ -153,32 +153,32 @@ class Health:
     def _overloads(self, now: float, errors: NDArray[np.uint8], silent: NDArray[np.bool_], torque: bool) -> Verdict:
         """Servos that have shut down: to be reset a few times, if it is for their load."""
         broken, sit, revive = "", "", list[int]()
-        for index, latch in enumerate(self._latches):
+        for index, shutdown in enumerate(self._shutdowns):
             if silent[index]:
                 continue
             error = ServoError(int(errors[index])) & SHUT_DOWN
             if not error:
-                latch.since = None
+                shutdown.since = None
                 continue
             name = _named(self._profile, [index])
             if ServoError.OVERHEATING in error:
                 broken = sit = f"{name} has shut down for its heat"
                 continue
             if not torque:
-                latch.since = None  # it is judged anew once somebody wants it to pull
+                shutdown.since = None  # it is judged anew once somebody wants it to pull
                 continue
-            latch.since = now if latch.since is None else latch.since
+            shutdown.since = now if shutdown.since is None else shutdown.since
             # By when it will have rested: what is decided of a shutdown stays so for as long as it lasts.
-            rested = latch.since + _REST_S
-            latch.counted = [then for then in latch.counted if rested - then < _WITHIN_S]
+            rested = shutdown.since + _REST_S
+            shutdown.counted = [then for then in shutdown.counted if rested - then < _WITHIN_S]
             broken = broken or f"{name} has shut down for its load"
-            if now - latch.since < _REST_S:
+            if now - shutdown.since < _REST_S:
                 continue
-            if len(latch.counted) >= _LATCHES:
-                sit = sit or f"{name} has shut down for its load {_LATCHES + 1} times in {_WITHIN_S / 60:.0f} minutes"
+            if len(shutdown.counted) >= _RESETS:
+                sit = sit or f"{name} has shut down for its load {_RESETS + 1} times in {_WITHIN_S / 60:.0f} minutes"
             else:
-                latch.since = None
-                latch.counted.append(now)
+                shutdown.since = None
+                shutdown.counted.append(now)
                 revive.append(index)
         return Verdict(broken=broken, sit=sit, revive=tuple(revive))
 

@@ -88,7 +88,7 @@ class Voice(StrEnum):
 
 
 SET_ID = "`sextant servos set-id` with it alone on the bus"
-_PROTECTION = ServoError.OVERLOAD | ServoError.OVERHEATING
+_PROTECTION = int(ServoError.OVERLOAD | ServoError.OVERHEATING)
 _BY_VOICE = {
     Voice.DOUBLED: f"unplug one of the two, and give the other its own id: {SET_ID}",
     Voice.FADING: "see to its plugs, and end other programs",
@@ -129,9 +129,9 @@ class Seen:
         return float(self[dxl.PRESENT_TEMPERATURE])
 
     @property
-    def fresh(self) -> bool:
-        """Whether nobody has set it up: it has the return delay of the factory."""
-        return self.voice is Voice.CLEAR and self[dxl.RETURN_DELAY] == dxl.RETURN_DELAY.default
+    def is_wheel(self) -> bool:
+        """Whether one that has a clear voice is in wheel mode."""
+        return not self[dxl.CW_ANGLE_LIMIT] and not self[dxl.CCW_ANGLE_LIMIT]
 
 
 def look(bus: Bus, servo_id: int, *, listen: bool = True) -> Seen | None:
@@ -215,7 +215,7 @@ def _wrong(seen: Seen | None, model: ServoModel) -> Problem | None:
         found = _MODEL_NAMES.get(seen[dxl.MODEL_NUMBER], "unknown")
         words = f"is model {seen[dxl.MODEL_NUMBER]} ({found}), expected {model.number} ({model.name})"
         return Problem(words, "put the right one in its place, or name the robot that has it")
-    if not seen[dxl.CW_ANGLE_LIMIT] and not seen[dxl.CCW_ANGLE_LIMIT]:
+    if seen.is_wheel:
         return Problem("is in wheel mode (both angle limits are 0)", f"{SET_ID}: it makes it a joint again")
     return None
 
@@ -229,19 +229,17 @@ def amiss(seen: Seen, model: ServoModel, reach: tuple[int, int]) -> list[Setting
         reach: Lowest and highest position register that its joint needs.
     """
     low, high = seen[dxl.CW_ANGLE_LIMIT], seen[dxl.CCW_ANGLE_LIMIT]
-    narrow = f"turns from tick {low} to {high} only, {reach[0]} to {reach[1]} needed"
     hot, usual = seen[dxl.TEMPERATURE_LIMIT], model.default(dxl.TEMPERATURE_LIMIT)
     torque, most = seen[dxl.MAX_TORQUE], model.default(dxl.MAX_TORQUE)
     unguarded = _PROTECTION & ~seen[dxl.SHUTDOWN]
+    narrow = f"turns from tick {low} to {high} only, {reach[0]} to {reach[1]} needed"
+    bare = f"does not shut down for {dxl.error_words(unguarded)}"
     settings = (
         (low > reach[0], Setting(dxl.CW_ANGLE_LIMIT, model.default(dxl.CW_ANGLE_LIMIT), narrow)),
         (high < reach[1], Setting(dxl.CCW_ANGLE_LIMIT, model.default(dxl.CCW_ANGLE_LIMIT), narrow)),
         (hot != usual, Setting(dxl.TEMPERATURE_LIMIT, usual, f"shuts down at {hot} deg C, {usual} expected")),
         (torque < most, Setting(dxl.MAX_TORQUE, most, f"gives {torque / 10:.0f} % of its torque at most")),
-        (
-            bool(unguarded),
-            Setting(dxl.SHUTDOWN, seen[dxl.SHUTDOWN] | _PROTECTION, f"does not shut down for {dxl.error_words(unguarded)}"),
-        ),
+        (unguarded, Setting(dxl.SHUTDOWN, seen[dxl.SHUTDOWN] | _PROTECTION, bare)),
     )
     return [setting for wrong, setting in settings if wrong]
 

@@ -28,6 +28,7 @@ from services.actuator.plumb import Plumb
 from services.actuator.stand_up import LieDown, StandUp
 from services.actuator.walker import Targets, Walker
 from shared import topics
+from shared.clock import asleep_ns
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_forward, body_inverse, nearest_reachable
 from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StopOrder, Tick
@@ -98,6 +99,7 @@ class Actuator:
         self._touch = np.zeros((6, 3))
         self._touch_carries = np.zeros(6, dtype=np.bool_)
         self._last_ns = -1
+        self._asleep_ns = asleep_ns()
         self._warning = ""
         self._told: tuple[Mode, str, str, int] | None = None  # what the last state message said
         self._silent = False  # whether the last cycle sent none
@@ -126,19 +128,22 @@ class Actuator:
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """One control cycle."""
         elapsed, dt = self._cycle_time(tick.stamp_ns)
+        slept_s = self._slept_s()
         with self.stages("bus read"):
             self._read()
         now_ns = self._clock()
         self._contact.update(self._measured(), self._joints.load, dt)
         self._odometry.update(self._measured(), self._standing(), self._walker.ground)
         self._obey_the_latch(tick.stamp_ns)
+        if slept_s:
+            self._perform(self._guard.woke(slept_s, tick.stamp_ns))
         self._obey(inbox.drain(topics.MODE), inbox.drain(topics.STOP), tick.stamp_ns)
         self._level(dt, tick.stamp_ns, inbox)
         for plan in inbox.drain(topics.STEP_PLAN):
             if self._guard.consider(plan, tick.stamp_ns, self._legs()):
                 self._walker.accept(plan)
                 self._T_world_odom = plan.T_world_odom
-        self._see_to_gaps(elapsed)
+        self._see_to_gaps(elapsed + slept_s)
         if self._guard.mode is not Mode.OFF:
             self._move(dt, self._odometry.T_odom_body, tick.stamp_ns)
             self._note_findings(now_ns)
@@ -174,6 +179,12 @@ class Actuator:
                 self._perform(self._guard.hear_stop(order, now_ns))
             else:
                 self._perform(self._guard.hear(order, now_ns))
+
+    def _slept_s(self) -> float:
+        """How long [s] the computer has been asleep since the last cycle; 0 for no time that matters."""
+        before, self._asleep_ns = self._asleep_ns, asleep_ns()
+        slept_s = (self._asleep_ns - before) * 1e-9
+        return slept_s if slept_s > GAP_S else 0.0
 
     def _cycle_time(self, stamp_ns: int) -> tuple[float, float]:
         """Time [s] since the last cycle, and as much of it as the legs may move in."""

@@ -140,7 +140,7 @@ class Desk:
             case Drive():
                 return self._drive(page, sender, request, now_ns)
             case Release():
-                self._let_go(page, now_ns, "")
+                self._release_pad(page, now_ns, "")
             case Command():
                 return self._command(sender, request, now_ns)
             case TakeOver():
@@ -160,7 +160,7 @@ class Desk:
     def _drive(self, page: int, sender: _Page, drive: Drive, now_ns: int) -> str:
         press = self._press
         if press is not None and press.page == page and now_ns - press.heard_ns > DEAD_MAN_NS:
-            self._let_go(page, now_ns, f"nothing was heard of {sender.name} while the pad was held")
+            self._release_pad(page, now_ns, f"nothing was heard of {sender.name} while the pad was held")
             press = None
         if drive.press <= sender.lapsed:  # it comes too late
             told, sender.told = sender.told, max(sender.told, drive.press)
@@ -245,7 +245,7 @@ class Desk:
             return
         sitting = self._pages[press.page]
         if now_ns - press.heard_ns > DEAD_MAN_NS:
-            self._let_go(press.page, now_ns, f"nothing was heard of {sitting.name} while the pad was held")
+            self._release_pad(press.page, now_ns, f"nothing was heard of {sitting.name} while the pad was held")
         elif self._state is not None and self._state.lease not in ("", sitting.holder):
             self._words.append(f"{self._named(self._state.lease)} has taken over")
             self._lapse()
@@ -318,11 +318,11 @@ class Desk:
     # ------------------------------------------------------------------------------------------------------------- endings
 
     def _end_leading(self, page: int, sitting: _Page, now_ns: int, why: str) -> None:
-        self._let_go(page, now_ns, why)
+        self._release_pad(page, now_ns, why)
         if self._errand is not None and self._errand.page == page:
             self._end_errand(now_ns, f"{why}, and its goal with it")
 
-    def _let_go(self, page: int, now_ns: int, why: str) -> None:
+    def _release_pad(self, page: int, now_ns: int, why: str) -> None:
         """The pad is let go, or taken for it: the robot stops."""
         if self._press is None or self._press.page != page:
             return

@@ -86,9 +86,11 @@ def test_however_it_ends_the_torque_is_off(end: type[BaseException]) -> None:
     def go() -> str:
         raise end
 
+    builder = Builder([bend(desk, LEGS[0]), "h", go])
     with pytest.raises(end):
-        measured(desk, [bend(desk, LEGS[0]), "h", go])
+        calibrate(desk.bus(), desk.profile, builder, lambda _: None, TODAY)
     assert_limp_and_as_before(desk)
+    assert builder.told[-1] == "torque is off"
 
 
 def test_legs_that_were_kept_before_it_was_left_are_kept() -> None:
@@ -97,6 +99,30 @@ def test_legs_that_were_kept_before_it_was_left_are_kept() -> None:
     assert not done
     assert [entry.leg for entry in kept] == [LEGS[0]]
     assert "1 of 6 legs calibrated; torque is off" in builder.told
+
+
+def test_it_can_be_left_and_what_is_kept_is_kept() -> None:
+    desk = Desk()
+    done, kept, builder = measured(desk, [bend(desk, LEGS[0]), "", bend(desk, LEGS[1], answer="Q")])
+    assert not done
+    assert [entry.leg for entry in kept] == [LEGS[0]]
+    assert builder.told[-1] == "1 of 6 legs calibrated; torque is off"
+    done, kept, _ = measured(desk, [bend(desk, LEGS[0]), "q"])
+    assert not done
+    assert not kept
+
+
+@pytest.mark.parametrize("word", ["quit", "h", "b", "y"])
+def test_what_is_no_answer_is_asked_again_and_nothing_is_measured(word: str) -> None:
+    desk = Desk()
+    done, kept, builder = measured(desk, [word, "S"], legs=LEGS[:1])
+    assert not done
+    assert not kept
+    assert builder.told[0] == f"Enter or one of s, q expected, found '{word}'"
+    assert "trims" not in builder.all_told
+    _, kept, builder = measured(desk, [bend(desk, LEGS[0]), "x", ""], legs=LEGS[:1])
+    assert "Enter or one of b, h, s, q expected, found 'x'" in builder.told
+    assert len(kept) == 1
 
 
 def test_a_leg_that_is_not_in_the_pose_is_refused_and_bent_again() -> None:

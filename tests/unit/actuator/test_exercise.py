@@ -1,5 +1,7 @@
 """Each joint is moved gently, one at a time, after a yes; what does not move, strains or is unwell is named."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -122,3 +124,47 @@ def test_interrupted_in_the_middle_of_a_move_the_torque_is_off() -> None:
     assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
     assert (words[:, 17] == 1023).all()
     assert (words[:, 16] == 0).all()
+
+
+def broken_off(desk: Desk, when: Callable[[bytes], bool], answers: list[Answer], hold_after: bool) -> Builder:
+    """Ctrl-C falls on the first packet of some kind; what was told."""
+    receive = desk.bench.receive
+
+    def interrupted(data: bytes, now_ns: int) -> list[object]:
+        if when(data):
+            desk.bench.receive = receive  # type: ignore[method-assign]
+            raise KeyboardInterrupt
+        return receive(data, now_ns)  # type: ignore[return-value]
+
+    desk.bench.receive = interrupted  # type: ignore[method-assign,assignment]
+    builder = Builder(answers)
+    with pytest.raises(KeyboardInterrupt):
+        exercise(desk.bus(), desk.profile, builder, desk.clock, legs=LEGS[:1], hold_after=hold_after)
+    desk.settle()
+    return builder
+
+
+@pytest.mark.parametrize(
+    "register", [dxl.TORQUE_ENABLE, dxl.MOVING_SPEED, dxl.TORQUE_LIMIT], ids=lambda register: register.name
+)
+def test_interrupted_while_a_joint_is_let_go_it_is_let_go_all_the_same(register: dxl.Register) -> None:
+    desk = Desk()
+    row, released = desk.row(1), False
+
+    def in_the_midst(data: bytes) -> bool:
+        nonlocal released
+        released |= data == dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\0")
+        return released and data[4:6] == bytes((dxl.Instruction.WRITE, register.address))
+
+    builder = broken_off(desk, in_the_midst, [True], hold_after=False)
+    words = desk.tables.view("<u2")
+    assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
+    assert (words[row, dxl.TORQUE_LIMIT.address // 2], words[row, dxl.MOVING_SPEED.address // 2]) == (1023, 0)
+    assert builder.told[-1] == "torque is off"
+
+
+def test_interrupted_while_the_legs_take_hold_all_are_let_go() -> None:
+    desk = Desk()
+    builder = broken_off(desk, lambda data: desk.tables[:, dxl.TORQUE_ENABLE.address].sum() > 5, [True], hold_after=True)
+    assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
+    assert builder.told[-1] == "torque is off"

@@ -27,6 +27,8 @@ class Everything(RuleBasedStateMachine):
         self.holder, self.heard = "", -1
         self.begun, self.off_at = self.robot.now, -1  # [ns]; when torque was ordered off last
         self.ordered_to_walk = False  # by who leads, and nothing has come between
+        self.last: ModeCommand | None = None  # that was obeyed, by whichever guard; none where something else ended it
+        self.woke = -1  # [ns] when the computer did last
         self.stamps = [-1]  # of accepted plans
         self.considered: list[StepPlan] = []
         self.accepted = -1  # [ns]
@@ -56,7 +58,10 @@ class Everything(RuleBasedStateMachine):
         if mode not in ("off", "stop"):
             assert (acts, self.robot.mode) == ((), was)
             assert "at most 2 s allowed" in self.robot.guard.objection
-        elif mode == "off" and (acts or number > self.newest.get(holder, -1)):
+            return
+        if number > self.newest.get(holder, -1):
+            self.last = None
+        if mode == "off" and (acts or number > self.newest.get(holder, -1)):
             self.off_at = self.robot.now
             self.ordered_to_walk = self.seats = False
         elif self.robot.mode is not was or acts:
@@ -90,7 +95,7 @@ class Everything(RuleBasedStateMachine):
         """An order that the guard does not know."""
         mode, holder, take, given_ns = order.mode, order.holder, order.take, order.sequence
         self.newest[holder] = given_ns
-        was, leads = self.robot.mode, self.leader
+        was, leads, last = self.robot.mode, self.leader, self.last
         may = mode in ("off", "stop") or not leads or leads == holder or take
         acts = self.robot.hear(order)
         if not may:
@@ -101,14 +106,17 @@ class Everything(RuleBasedStateMachine):
         age_ns = self.robot.now - given_ns
         if "by its sequence" in self.robot.guard.objection and mode not in ("off", "stop"):
             assert (acts, self.robot.mode) == ((), was)
-            assert age_ns > ORDER_AGE_NS or given_ns < self.off_at
+            assert age_ns > ORDER_AGE_NS or given_ns < self.off_at or given_ns < self.begun or given_ns <= self.woke
             return
         self.obeyed(order, was, acts)
         if mode in ("ready", "stand", "sit") and age_ns > ORDER_AGE_NS:
             assert (acts, self.robot.mode) == ((), was)
             assert self.robot.guard.objection
-        if mode == "walk" and age_ns > AWAY_NS and self.robot.now - self.begun > AWAY_NS:
-            assert self.robot.guard.objection
+        if mode == "walk" and (age_ns > AWAY_NS or given_ns < self.begun) and not self.robot.guard.objection:
+            assert self.robot.now - self.begun <= AWAY_NS
+            assert last is not None, "of before this guard no order but the last is obeyed"
+            assert (last.holder, last.sequence) == (holder, given_ns)
+        assert mode in ("off", "stop") or given_ns > self.woke
         if was is Mode.OFF and Act.GRIP in acts:
             assert given_ns >= self.off_at
         if mode == "off":
@@ -135,6 +143,7 @@ class Everything(RuleBasedStateMachine):
         if was is Mode.OFF and mode not in ("ready", "stand"):
             assert guard.mode is Mode.OFF
         if not guard.objection:
+            self.last = order
             self.ordered_to_walk = mode == "walk"
             self.seats = mode == "sit" and was is not Mode.OFF
         if was is Mode.WALK and mode != "walk" and mode != "off":
@@ -158,18 +167,30 @@ class Everything(RuleBasedStateMachine):
         else:
             assert "older" in guard.objection
 
-    @rule()
-    def it_begins_anew(self) -> None:
-        """Whoever orders goes on repeating it; the robot stands, or lies, as it did."""
+    @rule(kept=st.booleans())
+    def it_begins_anew(self, kept: bool) -> None:
+        """Whoever orders goes on repeating it; the robot stands, or lies, as it did, and what was in force may be known."""
         robot = self.robot
+        walk, self.last = (robot.guard.walk_order(robot.now), self.last) if kept else (None, None)
         robot.now += CYCLE
-        robot.guard = Guard(PROFILE, AGE_NS * 1e-9, robot.now, robot.torque, off_ns=-1 if robot.torque else self.off_at)
+        off_ns = -1 if robot.torque else self.off_at
+        robot.guard = Guard(PROFILE, AGE_NS * 1e-9, robot.now, robot.torque, off_ns=off_ns, walk=walk)
         rested(robot)
         robot.still, robot.posing, robot.next = False, "", None
         robot.step, robot.swing = 0, np.zeros(6, dtype=bool)
         robot.guard.watch(robot.now, robot.legs, robot.verdict)
-        self.newest, self.holder, self.heard, self.begun = {}, "", -1, robot.now
+        self.newest, self.holder, self.heard, self.begun, self.woke = {}, "", -1, robot.now, -1
         self.ordered_to_walk = self.late = self.halted = self.seats = False
+
+    @rule()
+    def the_computer_wakes(self) -> None:
+        robot, was = self.robot, self.robot.mode
+        acts = robot.perform(robot.guard.woke(60.0, robot.now))
+        assert acts == {Mode.WALK: (Act.SET_DOWN,), Mode.STAND: (Act.FREEZE,), Mode.SIT: (Act.FREEZE,)}.get(was, ())
+        assert robot.guard.walk_order(robot.now) is None
+        self.holder, self.heard, self.last, self.woke = "", -1, None, robot.now
+        self.ordered_to_walk, self.halted = False, self.halted or was is Mode.WALK
+        self.seats &= bool(robot.verdict.sit)
 
     @rule()
     def nobody_says_anything_for_long(self) -> None:
@@ -264,7 +285,7 @@ class Everything(RuleBasedStateMachine):
     def it_tips(self) -> None:
         was = self.robot.mode
         assert self.robot.perform(self.robot.guard.tip("it leans")) == ((Act.SET_DOWN,) if was is Mode.WALK else ())
-        self.ordered_to_walk = False
+        self.ordered_to_walk, self.last = False, None
 
     @precondition(lambda self: self.robot.running)
     @rule(what=st.sampled_from(["own", "searching"]))

@@ -198,6 +198,7 @@ def test_a_repetition_says_nothing_and_a_new_order_that_is_obeyed_clears_the_obj
 
 def test_more_than_sixteen_are_remembered_by_none_but_may_stop() -> None:
     robot = in_mode(Mode.HOLD)
+    robot.now += AWAY_NS
     for k in range(16):
         robot.order("stop", f"holder {k}")
     for _ in range(2):
@@ -215,7 +216,10 @@ def test_who_has_ordered_nothing_for_long_makes_room_for_others_and_moves_nothin
     for k in range(16):
         robot.order("stop", f"holder {k}")
     forgotten = robot.number - 15
-    robot.now += AWAY_NS + 1
+    robot.now = forgotten + AWAY_NS
+    robot.order("walk", "holder 16", take=True)
+    assert "16 others have given orders within 30 s" in robot.guard.objection
+    robot.now += 1
     robot.order("walk", "holder 16", take=True)
     assert robot.guard.objection == ""
     assert robot.guard.lease(robot.now) == "holder 16"

@@ -105,14 +105,25 @@ def test_a_walk_that_has_ended_for_any_reason_is_not_in_force_for_who_begins_ane
         elif ending == "away":
             robot.now += AWAY_NS + 1
         else:
-            robot.order(ending, "b", take=True)
+            robot.order(ending, "a" if heard else "b", take=ending != "off")
         assert robot.guard.walk_order(robot.now) is None
         robot.now += CYCLE
         robot.guard = Guard(PROFILE, 0.6, robot.now, robot.torque, walk=robot.guard.walk_order(robot.now))
         robot.hear(ModeCommand(robot.now, "walk", order.sequence, order.holder))
-        assert robot.guard.objection.startswith("`walk` of a refused: by its sequence")
+        words = "it was given before this actuator began, and was not in force then; order it anew"
+        assert robot.guard.objection == f"`walk` of a refused: by its sequence, the time [ns] of the robot's clock, {words}"
         assert robot.guard.lease(robot.now) == ""
         assert not robot.consider(robot.plan(epoch=robot.now))
+
+
+def test_a_walk_that_broke_off_is_over_with_ready() -> None:
+    robot = in_mode(Mode.WALK)
+    robot.verdict = Verdict(broken="the bus is silent")
+    robot.cycle()
+    assert robot.mode is Mode.FAULT
+    assert robot.guard.walk_order(robot.now) is not None, "it goes on once that is whole"
+    robot.order("ready")
+    assert robot.guard.walk_order(robot.now) is None
 
 
 def test_no_order_of_before_torque_was_ordered_off_turns_it_on() -> None:
@@ -305,3 +316,30 @@ def test_plans_that_were_recorded_and_are_put_again_are_refused() -> None:
         assert not robot.consider(plan)
         refused += "old" in robot.guard.refused
     assert refused == 200
+
+
+@pytest.mark.parametrize("mode", [Mode.OFF, Mode.READY, Mode.STAND, Mode.HOLD, Mode.WALK, Mode.SIT])
+def test_whatever_was_ordered_before_the_computer_slept_is_over(mode: Mode) -> None:
+    robot = in_mode(mode)
+    before = robot.number
+    acts = robot.guard.woke(3600.0, robot.now)
+    assert acts == {Mode.WALK: (Act.SET_DOWN,), Mode.STAND: (Act.FREEZE,), Mode.SIT: (Act.FREEZE,)}.get(mode, ())
+    robot.perform(acts)
+    assert robot.guard.objection == "what was ordered is over: the computer was asleep for 3600 s; order it anew"
+    assert robot.guard.lease(robot.now) == ""
+    assert robot.guard.walk_order(robot.now) is None
+    assert robot.mode is {Mode.STAND: Mode.READY, Mode.SIT: Mode.READY}.get(mode, mode)
+    assert not robot.consider(robot.plan())
+    for order in MOVES:
+        for sequence in (before, robot.now):
+            assert robot.hear(ModeCommand(robot.now, order, sequence, "b")) == ()  # type: ignore[arg-type]
+    if mode is Mode.HOLD:
+        words = "it was given before the computer slept; order it anew"
+        put = ModeCommand(robot.now, "sit", robot.now, "c")
+        robot.hear(put)
+        assert robot.guard.objection == f"`sit` of c refused: by its sequence, the time [ns] of the robot's clock, {words}"
+    assert robot.guard.lease(robot.now) == ""
+    robot.cycle(ends=True)
+    assert robot.mode is {Mode.STAND: Mode.READY, Mode.SIT: Mode.READY, Mode.WALK: Mode.HOLD}.get(mode, mode)
+    robot.hear(ModeCommand(robot.now, "ready", robot.now + 1, "b"))
+    assert robot.guard.lease(robot.now) == "b"

@@ -84,7 +84,7 @@ def test_whoever_is_looked_at_says_all_of_itself() -> None:
     seen = roll_call.look(desk.bus(), FEMUR)
     assert seen is not None
     assert seen.voice is Voice.CLEAR
-    assert (seen.model, seen[dxl.FIRMWARE], seen[dxl.ID], seen.fresh) == ("AX-12A", 24, FEMUR, False)
+    assert (seen.model, seen[dxl.FIRMWARE], seen[dxl.ID], seen.is_wheel) == ("AX-12A", 24, FEMUR, False)
     assert seen.voltage == pytest.approx(12.6, abs=0.2)
     assert seen.temperature == 25.0
     table = desk.tables[desk.row(FEMUR)]

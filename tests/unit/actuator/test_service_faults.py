@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from services.actuator import service
 from services.actuator.goal_limits import GENTLE, LOWERED
 from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward
@@ -14,7 +15,7 @@ from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_forward
 from shared.messages import Mode, ModeCommand, StopOrder
 from shared.robot import RobotProfile
-from tests.support.actuator_rig import CRAWL, IDS, PROFILE, REST, TICK, TRIPOD, UP, Rig
+from tests.support.actuator_rig import CRAWL, IDS, PROFILE, REST, STILL, TICK, TRIPOD, UP, Rig
 
 
 def shut_down(rig: Rig, row: int) -> None:
@@ -416,6 +417,39 @@ def test_torque_stays_off_where_that_was_ordered_after_standing_though_by_a_late
     for _ in range(5):
         assert rig.cycle().mode is Mode.OFF
         assert not rig.torque
+
+
+@pytest.mark.parametrize("order", ["walk", "stand"])
+def test_who_wakes_from_sleep_goes_on_with_nothing(order: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The monotonic clock stands still in it: what was ordered an hour ago looks as if it was ordered just now."""
+    asleep_ns = [5_000_000_000]
+    monkeypatch.setattr(service, "asleep_ns", lambda: asleep_ns[0])
+    rig = Rig(torque=order == "walk")
+    rig.cycle(2)
+    rig.command("stand" if order == "stand" else "walk")
+    assert rig.cycle(5).mode is (Mode.STAND if order == "stand" else Mode.HOLD)
+    asleep_ns[0] += 3_600_000_000_000
+    rig.command(order)  # it came just before
+    state = rig.cycle(2)
+    assert state.mode is (Mode.READY if order == "stand" else Mode.HOLD)
+    assert state.lease == ""
+    assert any(words.endswith("before the computer slept; order it anew") for words in state.warnings)
+    goals = rig.goals
+    assert rig.cycle(20).lease == "", "repeated"
+    np.testing.assert_allclose(rig.goals, goals, atol=STILL)
+    rig.command(order)
+    assert rig.cycle(2).lease == "operator"
+
+
+def test_torque_goes_off_for_who_wakes_from_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
+    asleep_ns = [0]
+    monkeypatch.setattr(service, "asleep_ns", lambda: asleep_ns[0])
+    rig = Rig()
+    rig.cycle(2)
+    asleep_ns[0] = 10**12
+    rig.command("off")
+    assert rig.cycle(2).mode is Mode.OFF
+    assert not rig.torque
 
 
 @pytest.mark.parametrize("stopped", [False, True])

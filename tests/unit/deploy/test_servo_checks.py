@@ -140,3 +140,11 @@ def test_torque_that_is_on_is_told_and_is_no_fault(bench: Workbench) -> None:
     bench._servos.tables[:, dxl.TORQUE_ENABLE.address] = 1
     check = examined(bench)["servo port"]
     assert (check.level, check.found) == (Level.OK, "all 18 servos answer; the torque of 18 is on")
+
+
+def test_limits_and_protections_that_somebody_changed_are_a_warning(bench: Workbench) -> None:
+    bench._servos.write(bench._with_id(6)[0], dxl.SHUTDOWN.address, b"\0")
+    checks = examined(bench)
+    assert checks["servo port"].level is Level.OK
+    assert checks["servo settings"].level is Level.WARN
+    assert checks["servo settings"].found == "servo 6 (right front tibia) does not shut down for overheating, overload"
