@@ -93,7 +93,7 @@ class Guard:
         self._stops: dict[str, int] = {}  # newest of those who stop without leading
         self._holder, self._heard_ns, self._begun_ns = "", 0, epoch
         self.off_ns = off_ns  # when torque went off last by an order, or by itself: no order of before turns it on
-        self.given_ns = -1  # when the order was given that was obeyed last
+        self.given_ns = -1  # when the newest order was given that was of its time and of who may give it
         self._woke_ns = -1  # when the computer did last
         self._may_walk = False
         self._permit = walk  # the order to walk that is in force, be it that nobody has heard it yet since this began
