@@ -4,7 +4,7 @@ No thread and no sleep; time comes from a clock argument. In the loop nothing th
 that is lost, broken or refused is counted by reason, as is one that says what cannot be, and its servo's reading grows old.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -37,6 +37,7 @@ __all__ = [
 
 _PATIENCE = 3  # questions in a row that a servo may leave open before it is asked more rarely: a busy host loses answers
 _AT_ONCE = 3  # ... and after which it still comes first in the next call
+_OVERDUE_NS = 100_000_000  # [ns] without a question from which a servo comes before those that are urgent
 _MAX_BACKOFF = 8  # a silent servo is still asked every this many turns
 _TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
 _LOOKS = 3  # questions to one servo in its turn, where its answers are broken or doubted
@@ -152,6 +153,7 @@ class ServoBus:
         self._again: list[int] = []  # to be asked first in the next call
         self._typical_ns = _TYPICAL_NS
         self._read_ns = [-1] * n  # stamp of the newest reading
+        self._asked_ns = [0] * n  # when it was asked last
         self._told_ns = 0  # when goals were sent last
         self._missed = [0] * n  # questions that it left open in a row
         self._backoff = [1] * n  # ask every so many turns
@@ -335,7 +337,8 @@ class ServoBus:
 
         Args:
             budget_ns: [ns] time for this call; 0 reads nothing. One timeout may overrun it.
-            first: Servos by their place in the list that are read in every call, before the rotation goes on with the others.
+            first: Servos by their place in the list that are read in every call, before the rotation goes on with the others;
+                but a servo that has not been asked for 100 ms comes before them: if it is silent, that is to be found out.
 
         Raises:
             BusGone: The port is gone.
@@ -343,16 +346,20 @@ class ServoBus:
         readings: list[ServoReading] = []
         start = self._clock()
         end = start + budget_ns
-        urgent = [*first, *(i for i in self._again if i not in first)]
-        self._again, ahead = [], iter(urgent)
+        urgent = dict.fromkeys((*first, *self._again))
+        ahead = deque(sorted(urgent, key=lambda i: (i not in first, i not in self._again)))  # who was left over comes first
+        self._again = []
         for _ in range(len(self) + len(urgent)):
             if start + min(self._typical_ns, max(budget_ns, 1)) > end:  # one at least
                 break
-            i = next(ahead, -1)
-            if i < 0:
+            if ahead and start - self._asked_ns[self._next] <= _OVERDUE_NS:
+                i = ahead.popleft()
+            else:
                 i = self._next
                 self._next = (i + 1) % len(self)
-                if i in urgent:  # has been
+                if i in ahead:
+                    ahead.remove(i)
+                elif i in urgent:  # has been
                     continue
             if self._skips[i]:
                 self._skips[i] -= 1
@@ -380,6 +387,7 @@ class ServoBus:
             start = self._clock()
             if start > end_ns:
                 break
+            self._asked_ns[index] = start
             answer = self._line.exchange(self._requests[index], self.servo_ids[index], PRESENT_STATE.size, end_ns)
             done = self._clock()
             heard = answer is not None and not self._refuses(answer)

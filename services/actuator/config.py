@@ -14,7 +14,7 @@ class Settings:
     bridge: bool = False  # a microcontroller on the port speaks the servo bus in our place, see docs/bridge.md
     echo: bool = False  # the adapter returns every byte sent, as some that have one wire do
     rate_hz: float = 50.0  # of the control cycle
-    read_budget_ms: float = 6.5  # [ms] of each cycle spent on reading servos
+    read_budget_ms: float = 9.0  # [ms] of each cycle spent on reading servos: over USB six, three of which may be urgent
     unload_s: float = 0.05  # [s] before a swing in which its legs hand over their load
     load_s: float = 0.10  # [s] at the end of a step in which landed legs take up theirs
     level_gain: float = 6.0  # [1/s] of the integrator that holds height, roll and pitch
