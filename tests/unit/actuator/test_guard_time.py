@@ -116,6 +116,13 @@ def test_a_walk_that_has_ended_for_any_reason_is_not_in_force_for_who_begins_ane
         assert not robot.consider(robot.plan(epoch=robot.now))
 
 
+def test_who_ordered_to_stand_just_before_the_guard_began_is_obeyed() -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.guard = Guard(PROFILE, 0.6, robot.now, torque=True)
+    robot.now += CYCLE
+    assert robot.hear(ModeCommand(robot.now, "stand", robot.now - ORDER_AGE_NS, "b")) == (Act.RISE,)
+
+
 def test_a_walk_that_broke_off_is_over_with_ready() -> None:
     robot = in_mode(Mode.WALK)
     robot.verdict = Verdict(broken="the bus is silent")
