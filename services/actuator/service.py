@@ -170,7 +170,10 @@ class Actuator:
             self._off.keep(self._guard.off_ns)
 
     def _obey(self, orders: Sequence[ModeCommand], stops: Sequence[StopOrder], now_ns: int) -> None:
-        """Obey what was ordered; who has torque turned off is heard first, so that it rises for no order of before."""
+        """Obey what was ordered; who has torque turned off is heard first, so that it rises for no order of before.
+
+        What else was ordered before that arrived is over, whatever clock it was given by.
+        """
         last_off = max((i for i, order in enumerate(orders) if order.mode == "off"), default=-1)
         heard = [order for i, order in enumerate(orders) if i > last_off or order.mode in ("off", "stop")]
         both: list[ModeCommand | StopOrder] = [*heard, *stops]

@@ -1,21 +1,16 @@
 """The actuator whole where servos fail, legs hang, or nobody has led them for a while."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from services.actuator import service
 from services.actuator.goal_limits import GENTLE, LOWERED
-from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward
-from services.actuator.permit import Permit, WalkOrder
 from shared import dynamixel as dxl
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_forward
-from shared.messages import Mode, ModeCommand, StopOrder
+from shared.messages import Mode
 from shared.robot import RobotProfile
-from tests.support.actuator_rig import CRAWL, IDS, PROFILE, REST, STILL, TICK, TRIPOD, UP, Rig
+from tests.support.actuator_rig import CRAWL, IDS, PROFILE, REST, TICK, TRIPOD, UP, Rig
 
 
 def shut_down(rig: Rig, row: int) -> None:
@@ -312,215 +307,6 @@ def test_legs_that_begin_anew_are_on_no_way_from_where_they_were_wanted_before(
     while rig.cycle().epoch == epoch:
         rates.clear()
     assert rates[0] == 0.0
-
-
-def test_torque_goes_off_though_the_order_cannot_be_latched_and_that_is_said_until_it_can(tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    rig = Rig(latch=Latch(folder / "off"))
-    rig.cycle(2)
-    rig.command("off")
-    state = rig.cycle(2)
-    assert (state.mode, rig.torque) == (Mode.OFF, False)
-    words = "torque is off, but a restarted actuator would not know of that order: "
-    assert any(warning.startswith(words) for warning in state.warnings)
-    folder.mkdir()
-    state = rig.cycle(3)
-    assert not any(warning.startswith(words) for warning in state.warnings)
-    rig.start()
-    assert rig.cycle(2).mode is Mode.OFF
-
-
-def test_a_latch_that_cannot_be_looked_at_is_said_and_neither_drops_the_robot_nor_keeps_an_order_from_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def broken(path: Path) -> None:
-        raise OSError(5, "Input/output error")
-
-    rig = Rig(latch=Latch(tmp_path / "off"))
-    rig.walking()
-    monkeypatch.setattr(Path, "lstat", broken)
-    state = rig.cycle(3)
-    assert (state.mode, rig.torque) == (Mode.HOLD, True)
-    words = "whether torque is ordered off past this process cannot be seen: [Errno 5] Input/output error"
-    assert words in state.warnings
-    rig.command("off")
-    assert rig.cycle(2).mode is Mode.OFF
-    assert not rig.torque
-    rig.command("stand")
-    state = rig.cycle(2)
-    assert not rig.torque, "who cannot see the latch does not open it"
-    monkeypatch.undo()
-    rig.command("stand")
-    state = rig.cycle(2)
-    assert rig.torque
-    assert words not in state.warnings
-
-
-def test_torque_stays_off_where_the_order_to_let_go_cannot_be_taken_back(tmp_path: Path) -> None:
-    latch = Latch(tmp_path / "off")
-    latch.paths[0].mkdir()  # nobody unlinks a folder
-    rig = Rig(torque=False, latch=latch)
-    rig.cycle(2)
-    rig.command("ready")
-    for _ in range(10):
-        state = rig.cycle()
-        assert not rig.torque
-    assert state.mode is Mode.OFF
-    assert any(warning.startswith("torque stays off, for that order cannot be taken back: ") for warning in state.warnings)
-
-
-def test_torque_stays_off_where_who_had_it_rise_repeats_that_and_the_actuator_begins_anew(tmp_path: Path) -> None:
-    latch = Latch(tmp_path / "off")
-    rig = Rig(torque=False, latch=latch)
-    rig.cycle(2)
-    rig.command("stand")  # and the rig repeats it all the while
-    rig.cycle(250)
-    assert rig.torque
-    rig.hear(StopOrder(rig.now_ns, "off", 1, "a terminal"))
-    rig.cycle(100)
-    rig.start()
-    for _ in range(200):
-        state = rig.cycle()
-        assert not rig.torque
-        assert latch.closed
-    assert state.mode is Mode.OFF
-    assert any("it was given before torque was ordered off; order it anew" in words for words in state.warnings)
-    rig.command("stand")
-    rig.cycle(2)
-    assert rig.torque
-    assert not latch.closed
-
-
-@pytest.mark.parametrize("stops_only", [False, True])
-def test_who_has_torque_turned_off_is_heard_before_who_rises_though_he_came_later(tmp_path: Path, stops_only: bool) -> None:
-    rig = Rig(torque=False, latch=Latch(tmp_path / "off"))
-    rig.leads = False
-    rig.cycle(2)
-    heard: list[bytes] = []
-    rig.bus.overhear = lambda data, _: heard.append(data)
-    rig.command("stand")
-    later = rig.now_ns + 5_000_000
-    rig.hear(StopOrder(later, "off", 1, "b") if stops_only else ModeCommand(later, "off", later, "b"))
-    assert rig.cycle(5).mode is Mode.OFF
-    written = [bytes(data[5:]) for data in heard if data[4] in (dxl.Instruction.WRITE, dxl.Instruction.SYNC_WRITE)]
-    assert {data[0] for data in written} == {dxl.TORQUE_ENABLE.address}
-    assert not rig.torque
-
-
-def test_torque_stays_off_where_that_was_ordered_after_standing_though_by_a_late_clock_and_in_one_batch(tmp_path: Path) -> None:
-    rig = Rig(torque=False, latch=Latch(tmp_path / "off"))
-    rig.leads = False
-    rig.cycle(2)
-    rig.now_ns += 100_000_000
-    rig.command("stand")
-    rig.hear(ModeCommand(rig.now_ns, "off", rig.order - 50_000_000, "b"))
-    for _ in range(5):
-        assert rig.cycle().mode is Mode.OFF
-        assert not rig.torque
-
-
-@pytest.mark.parametrize("order", ["walk", "stand"])
-def test_who_wakes_from_sleep_goes_on_with_nothing(order: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The monotonic clock stands still in it: what was ordered an hour ago looks as if it was ordered just now."""
-    asleep_ns = [5_000_000_000]
-    monkeypatch.setattr(service, "asleep_ns", lambda: asleep_ns[0])
-    rig = Rig(torque=order == "walk")
-    rig.cycle(2)
-    rig.command("stand" if order == "stand" else "walk")
-    assert rig.cycle(5).mode is (Mode.STAND if order == "stand" else Mode.HOLD)
-    asleep_ns[0] += 3_600_000_000_000
-    rig.command(order)  # it came just before
-    state = rig.cycle(2)
-    assert state.mode is (Mode.READY if order == "stand" else Mode.HOLD)
-    assert state.lease == ""
-    assert any(words.endswith("before the computer slept; order it anew") for words in state.warnings)
-    goals = rig.goals
-    assert rig.cycle(20).lease == "", "repeated"
-    np.testing.assert_allclose(rig.goals, goals, atol=STILL)
-    rig.command(order)
-    assert rig.cycle(2).lease == "operator"
-
-
-def test_torque_goes_off_for_who_wakes_from_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
-    asleep_ns = [0]
-    monkeypatch.setattr(service, "asleep_ns", lambda: asleep_ns[0])
-    rig = Rig()
-    rig.cycle(2)
-    asleep_ns[0] = 10**12
-    rig.command("off")
-    assert rig.cycle(2).mode is Mode.OFF
-    assert not rig.torque
-
-
-@pytest.mark.parametrize("stopped", [False, True])
-def test_a_restart_does_not_undo_a_stop(stopped: bool, tmp_path: Path) -> None:
-    """Who has it walk repeats that, for he has not heard of the stop, or does not mind."""
-    rig = Rig(latch=Latch(tmp_path / "off"))
-    rig.permit = Permit(tmp_path / "walk")
-    rig.start()
-    rig.cycle(2)
-    rig.walking()
-    assert rig.permit.order == WalkOrder("operator", rig.order)
-    if stopped:
-        rig.hear(StopOrder(rig.now_ns, "stop", 1, "viewer"))
-        rig.cycle(100)
-    rig.permit = Permit(tmp_path / "walk")  # what the next process finds
-    rig.start()
-    rig.running = None
-    state = rig.cycle(100)
-    assert state.mode is Mode.HOLD
-    assert state.lease == ("" if stopped else "operator")
-    told = any("was not in force then; order it anew" in warning for warning in state.warnings)
-    assert told == stopped
-
-
-def test_a_robot_that_rises_does_not_fall_for_an_order_of_before_that_is_latched_late(tmp_path: Path) -> None:
-    latch = Latch(tmp_path / "off")
-    rig = Rig(torque=False, latch=latch)
-    rig.cycle(2)
-    rig.command("off")
-    off_ns = rig.order
-    rig.cycle(5)
-    rig.command("stand")
-    rig.cycle(20)
-    assert rig.torque
-    latch.close(off_ns)  # by a stop path that was stopped meanwhile
-    rig.cycle(20)
-    assert rig.torque
-    assert not latch.closed, "nor after a restart"
-    latch.close(rig.order + 1)
-    assert rig.cycle(5).mode is Mode.OFF
-    assert not rig.torque
-
-
-@pytest.mark.parametrize("since_ns", [0, 10**18])
-def test_a_latch_that_does_not_know_when_it_was_closed_was_closed_just_now(tmp_path: Path, since_ns: int) -> None:
-    latch = Latch(tmp_path / "off")
-    latch.close(since_ns)
-    rig = Rig(torque=True, latch=latch)
-    before = rig.actuator._guard.off_ns - 1
-    rig.hear(ModeCommand(rig.now_ns, "stand", before, "a"))
-    assert rig.cycle(2).mode is Mode.OFF
-    assert not rig.torque
-    rig.command("stand")
-    rig.cycle(2)
-    assert rig.torque
-    assert not latch.closed
-
-
-def test_torque_that_is_ordered_off_while_it_is_turned_on_stays_off(tmp_path: Path) -> None:
-    class Closing(Latch):
-        def open(self, given_ns: int | None = None, now_ns: int = 0) -> bool:
-            self.close((given_ns or 0) + 1)  # by the stop path, just now
-            return super().open(given_ns, now_ns)
-
-    rig = Rig(torque=False, latch=Closing(tmp_path / "off"))
-    rig.cycle(2)
-    rig.command("ready")
-    state = rig.cycle()
-    assert "torque stays off, for that was ordered meanwhile; order it anew" in state.warnings
-    assert rig.cycle(5).mode is Mode.OFF
-    assert not rig.torque
 
 
 @pytest.mark.parametrize("mode", ["off", "ready"])
