@@ -11,6 +11,7 @@ from shared import dynamixel as dxl
 from tests.support.desk import PHANTOMX
 
 
+@pytest.mark.live  # its servos answer in real time, from this process
 def test_the_start_command_leaves_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bench", "start", "--rounds", "2", "--out", str(tmp_path), "--json"]) == 0
     table = json.loads((tmp_path / "start.json").read_text())
