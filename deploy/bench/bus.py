@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.actuator.bus import Lost, ServoBus, ServoReading
+from services.actuator.config import Settings
 from services.actuator.plausible import Doubt
 from services.simulator.bus import MemoryPort, ServoBusEmulator
 from services.simulator.bus_faults import BusFaults
@@ -24,7 +25,8 @@ from shared.dynamixel import PRESENT_STATE, Instruction
 from shared.messages import BrokenPart
 
 _N = 18
-_CYCLE_NS, _BUDGET_NS = 20_000_000, 6_500_000
+_ACTUATOR = Settings()  # which asks as many servos in a cycle as this has time for
+_CYCLE_NS, _BUDGET_NS = round(1e9 / _ACTUATOR.rate_hz), round(1e6 * _ACTUATOR.read_budget_ms)
 _FOREVER_S = 1e7
 _STEP_S = 0.8  # [s] of a leg's swing to and fro
 _SWING = 0.35  # [rad] of a joint to either side

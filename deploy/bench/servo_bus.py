@@ -21,7 +21,7 @@ from shared import dynamixel as dxl
 from shared.profiles import load_profile
 
 ABSENT = 200  # an id that nobody has
-READS = 4  # of a cycle, as many as fit beside a sync write into 6.5 ms
+READS = 6  # of a cycle, as many as the actuator has time for
 _QUESTIONS = {"read 8 bytes": 1, "cycle": READS, "no answer": 0}  # that are to be answered, by job
 JOBS = tuple(_QUESTIONS)
 _ROUNDS_SILENT = 20  # a servo that does not answer is waited for, so fewer of these

@@ -5,7 +5,7 @@ Every injection is a line of JSON in `faults.jsonl`.
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ class Injection:
     phase: float  # [1] of the step
     servo: int  # -1 for none
     outcome: Outcome
+    commit: str = ""  # of the program that made it, see `provenance.commit`
 
 
 Runner = Callable[[str, tuple[int, ...]], list[Injection]]
@@ -71,12 +72,12 @@ def run_faults(
     wanted = phases * len(cases)
     if left < wanted:
         say(f"{wanted - left} of {wanted} injections are done already; see {path}")
-    marks = {"fingerprint": mark, "commit": provenance.commit()}
+    commit = provenance.commit()
     with path.open("a", encoding="utf-8") as lines:
         for found in share_out(run or inject, tasks, min(jobs, len(tasks)), in_order=False):
-            for one in found:
+            for one in (replace(one, commit=commit) for one in found):
                 done[one.fault, one.number] = one
-                entry = {**marks, "time": provenance.now(), "scenario": SCENARIO.name, **_plain(asdict(one))}
+                entry = {"fingerprint": mark, "time": provenance.now(), "scenario": SCENARIO.name, **_plain(asdict(one))}
                 lines.write(json.dumps(entry, ensure_ascii=False, separators=(",", ":")) + "\n")
             lines.flush()
             left -= len(found)

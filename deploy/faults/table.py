@@ -47,6 +47,7 @@ class Row:
     missed: tuple[str, ...]  # limits, each with the number of injections that miss it
     lost_s: Figure = Figure(0, nan, nan, nan)
     misheard: int = 0  # injections in which a servo's torque was switched by what nobody sent
+    commits: tuple[str, ...] = ()  # that made them, in alphabetical order
 
     @property
     def passed(self) -> bool:
@@ -56,13 +57,16 @@ class Row:
 
 def rows(found: Iterable[Injection]) -> list[Row]:
     """A row for each fault, in their order."""
-    by_fault: dict[str, list[Outcome]] = {}
+    by_fault: dict[str, list[Injection]] = {}
     for one in found:
-        by_fault.setdefault(one.fault, []).append(one.outcome)
-    return [row(BY_NAME[fault], outcomes) for fault, outcomes in by_fault.items()]
+        by_fault.setdefault(one.fault, []).append(one)
+    return [
+        row(BY_NAME[fault], [one.outcome for one in each], tuple(sorted({one.commit for one in each} - {""})))
+        for fault, each in by_fault.items()
+    ]
 
 
-def row(case: Case, outcomes: Sequence[Outcome]) -> Row:
+def row(case: Case, outcomes: Sequence[Outcome], commits: tuple[str, ...] = ()) -> Row:
     """What one fault came to."""
 
     def of(name: str, worst_is_least: bool = False) -> Figure:
@@ -88,6 +92,7 @@ def row(case: Case, outcomes: Sequence[Outcome]) -> Row:
         missed=_missed(case, outcomes),
         lost_s=of("lost_s"),
         misheard=sum(one.misheard for one in outcomes),
+        commits=commits,
     )
 
 
@@ -156,7 +161,7 @@ def markdown(table: Sequence[Row]) -> str:
     columns = (
         "fault | n | hold decided [ms] | at rest [ms] | margin [mm] | falls | walks again [s] | jump [deg] | torque switched"
     )
-    lines = [f"| {columns} | other | limits |", f"|{' --- |' * 11}"]
+    lines = [f"| {columns} | other | limits | commit |", f"|{' --- |' * 12}"]
     for one in table:
         cells = (
             one.fault,
@@ -170,6 +175,7 @@ def markdown(table: Sequence[Row]) -> str:
             f"{one.switched}",
             "; ".join(_others(one)),
             "pass" if one.passed else f"FAIL: {'; '.join(one.missed)}",
+            ", ".join(one.commits),
         )
         lines.append(f"| {' | '.join(cells)} |")
     passed = sum(one.passed for one in table)
@@ -219,7 +225,7 @@ def _row(entry: dict[str, Any]) -> Row:
     known = [f.name for f in fields(Row) if f.name in entry]  # what is measured since a row was made, it has not
     figures = {name: Figure(**_numbers(entry[name])) for name in known if isinstance(entry[name], dict)}
     values = {name: entry[name] for name in known if name not in figures}
-    return Row(**values | figures | {"missed": tuple(entry["missed"])})
+    return Row(**values | figures | {name: tuple(values.get(name, ())) for name in ("missed", "commits")})
 
 
 def _numbers(figure: dict[str, Any]) -> dict[str, Any]:

@@ -39,7 +39,8 @@ def test_a_job_is_the_same_packets_whoever_does_it(library: type[servo_bus.Ours]
     port.timeout = 0.006  # its time is virtual, and goes by while a read waits
     assert servo_bus._do(job, method, IDS, 1) == 0
     asked = [(packet.servo_id, packet.code, packet.parameters) for packet in PacketParser().feed(port.sent)]
-    reads = IDS[4:8] if job == "cycle" else [IDS[4]] if job == "read 8 bytes" else []
+    turn = IDS[servo_bus.READS : 2 * servo_bus.READS]
+    reads = turn if job == "cycle" else turn[:1] if job == "read 8 bytes" else []
     expected = [(i, dxl.Instruction.READ, bytes((36, 8))) for i in (reads or [servo_bus.ABSENT])]
     if job == "read 8 bytes":
         expected = expected[:1]
@@ -56,7 +57,7 @@ def test_the_servos_command_leaves_its_figures(tmp_path: Path, capsys: pytest.Ca
     ours = {row["job"]: row for row in table["rows"] if row["method"] == "sextant"}
     assert set(ours) == set(servo_bus.JOBS)
     assert ours["read 8 bytes"]["asked"] == 4
-    assert ours["cycle"]["asked"] == 16
+    assert ours["cycle"]["asked"] == 4 * servo_bus.READS
     assert ours["read 8 bytes"]["wall_ms"]["median"] > 1.2  # the wire and the adapter cost that much
     assert ours["no answer"]["wall_ms"]["p10"] >= 6.0
     assert {row["method"] for row in table["rows"]} | {words.split(":")[0] for words in table["missing"]} == {

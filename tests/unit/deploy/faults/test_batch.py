@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from deploy import provenance
 from deploy.faults import table as tables
 from deploy.faults.batch import FILE, Injection, read, run_faults
 from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES
@@ -40,6 +41,7 @@ def test_a_batch_goes_on_where_it_was(tmp_path: Path) -> None:
     assert second.asked == [("sag", (6, 7))]
     assert [one.outcome.decided_s for one in again[:8]] == [0.22] * 8
     assert again[8].outcome.decided_s != again[8].outcome.decided_s, "NaN comes back as it went"
+    assert {one.commit for one in again} == {provenance.commit()}
 
 
 def test_lines_of_another_program_do_not_count_and_other_lines_are_told(tmp_path: Path) -> None:
@@ -105,10 +107,13 @@ def test_ranks_are_nearest_and_a_least_margin_is_the_worst() -> None:
 
 
 def test_the_table_says_pass_and_fail_and_is_json_too() -> None:
-    found = [Injection(case.name, 0, 1000, 5.0, 0.5, -1, outcome) for case, outcome in ((KILLED, GOOD), (SAG, GOOD))]
+    made_by = ((KILLED, "bbbbbbb"), (SAG, "aaaaaaa"), (KILLED, "aaaaaaa"), (KILLED, "bbbbbbb"))
+    found = [Injection(case.name, 0, 1000, 5.0, 0.5, -1, GOOD, commit) for case, commit in made_by]
     made = tables.rows(found)
+    assert [row.commits for row in made] == [("aaaaaaa", "bbbbbbb"), ("aaaaaaa",)]
     text = tables.markdown(made)
-    assert "| planner-killed | 1 | 220 / 220 / 220 | 600 / 600 / 600 |" in text
+    assert "| planner-killed | 3 | 220 / 220 / 220 | 600 / 600 / 600 |" in text
+    assert "| pass | aaaaaaa, bbbbbbb |" in text
     assert "FAIL: walks on: missed by 1 of 1" in text
     assert "1 of 2 faults keep all limits" in text
     written = tables.to_json(made)
