@@ -61,13 +61,21 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True)
+class Late:
+    """The actuator's cycles take longer than they should, as on a computer that is too slow; in lockstep alone."""
+
+    cycle_s: float
+    for_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Hogs:
     """Others compute, as many as there are cores, with as much right to them as the services; live alone."""
 
     for_s: float
 
 
-Deed = Away | Meddling | OnBus | Off | Clock | Hogs
+Deed = Away | Meddling | OnBus | Off | Clock | Late | Hogs
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +93,7 @@ class Limits:
     torque_stays: bool = True  # nobody sends that torque be switched
     walks_on: bool = False  # there is no stop
     cycle_s: float = inf  # p99 of the time from one sync write of goals to the next; five that are missed in a row are said
+    goal_dps: float = inf  # [deg/s] of a goal from one cycle to the next
     lost_s: float = inf  # of a recording, from the last message that is in its file to the kill
     seated: bool = False  # it lies and has let go before a servo shuts down or the battery is empty
 
@@ -135,6 +144,7 @@ _NO_BUS = Limits(decided_s=0.25, named="no servo answers|port", again_s=3.0)
 # More than 30 % for 200 ms stops the robot. Of 40 % that are drawn, 40 questions in a row are as bad as that only after 0.44 s
 # in 4 of 1000, after 0.8 s in 2 of 100 000.
 _MOSTLY_LOST = Limits(decided_s=0.8, named="lost or broken|does not answer|no servo answers", again_s=3.0)
+_TOO_SLOW = Limits(decided_s=0.25, named="too slow: 5 cycles in a row", margin_m=0.010, again_s=2.0)
 _CALM = Limits(walks_on=True)
 _LETS_GO = Limits(off_s=0.060, torque_stays=False)
 
@@ -144,9 +154,17 @@ def _bus(target: str, kind: str, for_s: float = _OUT_S, **values: object) -> OnB
     return OnBus(fault, any_servo=target == "servo" or kind == "heat")
 
 
+def _lost(share: float, for_s: float = 4.0) -> OnBus:
+    return _bus("packets", "silent", for_s, share=share)
+
+
+def _corrupted(share: float, for_s: float = 4.0) -> OnBus:
+    return _bus("packets", "wrong", for_s, share=share, part="two bytes")
+
+
 _BROKEN_BUSES: tuple[tuple[str, str, OnBus], ...] = (
-    ("lost-10", "10 % of the answers lost", _bus("packets", "silent", share=0.10)),
-    ("lost-40", "40 % of the answers lost", _bus("packets", "silent", share=0.40)),
+    ("lost-10", "10 % of the answers lost", _lost(0.10, _OUT_S)),
+    ("lost-40", "40 % of the answers lost", _lost(0.40, _OUT_S)),
     ("bytes-lost", "1 % of the bytes lost, both ways", _bus("bytes", "silent", share=0.01)),
     ("bytes-garbage", "1 % of the bytes garbage, both ways", _bus("bytes", "garbage", share=0.01)),
     ("noise-bursts", "bursts of noise, 50 of every 250 ms", _bus("bytes", "intermittent")),
@@ -171,26 +189,44 @@ _REST_OF_THE_GRID: tuple[tuple[str, str, OnBus], ...] = (
     ("packets-slow", "10 % of the answers 16 ms late", _bus("packets", "slow", share=0.10)),
     ("packets-intermittent", "every answer lost, 50 of every 250 ms", _bus("packets", "intermittent")),
 )
+_ODD_SERVOS: tuple[tuple[str, str, OnBus], ...] = (
+    ("servo-stuck", "one servo's position register does not change", _bus("servo", "stuck")),
+    ("servo-wrong", "one servo's position register is 29 deg off", _bus("servo", "wrong")),
+    ("servo-jammed", "one joint does not move", _bus("servo", "jammed", 1.0)),
+)
 _LIMITS_OF_BUSES = {
     "lost-40": _MOSTLY_LOST,
     "servo-silent": _ONE_SERVO,
     "servo-garbage": _ONE_SERVO,
     **dict.fromkeys(("bus-silent", "bus-stuck", "bus-garbage", "bus-gone"), _NO_BUS),
 }
+_HUNG, _REPEATING, _FUZZED = Meddling("mute", _OUT_S), Meddling("repeating", _OUT_S), Meddling("fuzzed", 1.0)
+_SAG, _STEPPED, _LATE = _bus("supply", "sag", 0.4, volts=3.0), Clock(3600.0, 3.0), Late(0.04, 1.0)
 
 _OFF: tuple[tuple[str, str, tuple[Deed, ...]], ...] = (
     ("off", "the actuator is killed a second later", (Off(), Away("actuator", True, 0.5, 1.5))),
-    *((f"off-{name}", words, (deed, Off())) for name, words, deed in _BROKEN_BUSES),
+    *((f"off-{name}", words, (deed, Off())) for name, words, deed in (*_BROKEN_BUSES, *_REST_OF_THE_GRID, *_ODD_SERVOS)),
+    ("off-lost-1", "1 % of the answers lost", (_lost(0.01, _OUT_S), Off())),
+    ("off-corrupted-1", "1 % of the answers broken", (_corrupted(0.01, _OUT_S), Off())),
+    ("off-corrupted-10", "10 % of the answers broken", (_corrupted(0.10, _OUT_S), Off())),
     ("off-overload", "one servo has shut down", (_bus("servo", "overload"), Off())),
+    ("off-heat", "one servo is heated by 10 K/s", (_bus("servo", "heat", kelvin_per_s=10.0), Off())),
+    ("off-drain", "the battery runs empty within 4 s", (_bus("supply", "drain", 4.0), Off())),
+    ("off-sag", "the voltage is 3 V lower for 0.4 s", (_SAG, Off(until_s=0.4))),
     ("off-planner-killed", "the planner is killed", (Away("planner", True, _OUT_S), Off())),
+    ("off-planner-hung", "the planner hangs", (_HUNG, Off())),
+    ("off-planner-repeating", "the planner says its last plans again and again", (_REPEATING, Off())),
+    ("off-fuzzed-plans", "plans are fuzzed by the thousand", (_FUZZED, Off())),
+    ("off-clock-stepped", "the wall clock is stepped by an hour", (_STEPPED, Off())),
+    ("off-actuator-late", "the actuator's cycles take 40 ms each", (_LATE, Off())),
     ("off-actuator-killed", "the actuator is killed", (Away("actuator", True, _RESTART_S), Off())),
     ("off-actuator-stopped", "the actuator is stopped", (Away("actuator", False, _OUT_S), Off())),
 )
 
 CASES: tuple[Case, ...] = (
     Case("planner-killed", "the planner is killed, another comes after 2 s", (Away("planner", True, _OUT_S),), _STOPS),
-    Case("planner-hung", "the planner hangs for 2 s, its heartbeat goes on", (Meddling("mute", _OUT_S),), _STOPS),
-    Case("planner-repeating", "the planner says its last plans again and again", (Meddling("repeating", _OUT_S),), _STOPS),
+    Case("planner-hung", "the planner hangs for 2 s, its heartbeat goes on", (_HUNG,), _STOPS),
+    Case("planner-repeating", "the planner says its last plans again and again", (_REPEATING,), _STOPS),
     Case(
         "actuator-killed",
         "the actuator is killed, another is there after 1 s",
@@ -203,16 +239,14 @@ CASES: tuple[Case, ...] = (
         (Away("actuator", False, _STOPPED_S),),
         _STOPPED,
     ),
-    Case("lost-1", "1 % of the answers lost", (_bus("packets", "silent", 4.0, share=0.01),), _CALM),
-    Case("corrupted-1", "1 % of the answers broken", (_bus("packets", "wrong", 4.0, share=0.01, part="two bytes"),), _CALM),
-    Case("corrupted-10", "10 % of the answers broken", (_bus("packets", "wrong", 4.0, share=0.10, part="two bytes"),)),
+    Case("actuator-late", "the actuator's cycles take 40 ms each, for 1 s", (_LATE,), _TOO_SLOW),
+    Case("lost-1", "1 % of the answers lost", (_lost(0.01),), _CALM),
+    Case("corrupted-1", "1 % of the answers broken", (_corrupted(0.01),), _CALM),
+    Case("corrupted-10", "10 % of the answers broken", (_corrupted(0.10),)),
     *(
         Case(name, words, (deed,), _LIMITS_OF_BUSES.get(name, Limits()))
-        for name, words, deed in (*_BROKEN_BUSES, *_REST_OF_THE_GRID)
+        for name, words, deed in (*_BROKEN_BUSES, *_REST_OF_THE_GRID, *_ODD_SERVOS)
     ),
-    Case("servo-stuck", "one servo's position register does not change", (_bus("servo", "stuck"),)),
-    Case("servo-wrong", "one servo's position register is 29 deg off", (_bus("servo", "wrong"),)),
-    Case("servo-jammed", "one joint does not move", (_bus("servo", "jammed", 1.0),)),
     Case(
         "overload",
         "one servo has shut down for its load",
@@ -236,10 +270,12 @@ CASES: tuple[Case, ...] = (
         charge=0.12,
         watch_s=0.0,
     ),
-    Case("sag", "the voltage is 3 V lower for 0.4 s", (_bus("supply", "sag", 0.4, volts=3.0),), _CALM),
-    Case("fuzzed-plans", "plans are fuzzed by the thousand for 1 s", (Meddling("fuzzed", 1.0),)),
-    Case("clock-stepped", "the wall clock is stepped by an hour", (Clock(3600.0, 3.0),), _CALM),
-    *(Case(name, f"torque is ordered off; {words}", deeds, _LETS_GO, per_walk=12, watch_s=2.0) for name, words, deeds in _OFF),
+    Case("sag", "the voltage is 3 V lower for 0.4 s", (_SAG,), _CALM),
+    Case(
+        "fuzzed-plans", "plans are fuzzed by the thousand for 1 s", (_FUZZED,), Limits(goal_dps=354.0)
+    ),  # the servos' own speed
+    Case("clock-stepped", "the wall clock is stepped by an hour", (_STEPPED,), _CALM),
+    *(Case(name, f"torque is ordered off; {words}", deeds, _LETS_GO, per_walk=12, watch_s=1.0) for name, words, deeds in _OFF),
 )
 
 _BACK_AT_ONCE = replace(_STOPS, rest_s=inf)  # before it has come to rest

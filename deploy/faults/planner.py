@@ -23,6 +23,7 @@ class Meddler:
         """Begin with a planner that is let speak."""
         self.how = ""  # mute, repeating, fuzzed, or nothing
         self.fuzzed = 0  # plans so far
+        self.stamps: set[int] = set()  # [ns] of those that have one of their own
         self._rng = rng
         self._plans: deque[StepPlan] = deque(maxlen=_REPEATED)
         self._status: PlannerStatus | None = None
@@ -55,7 +56,11 @@ class Meddler:
         if self.how == "fuzzed" and self._plans:
             for _ in range(PLANS_PER_STEP):
                 self.fuzzed += 1
-                yield fuzzed(self._plans[self._rng.integers(len(self._plans))], now_ns, self._rng)
+                plan = self._plans[self._rng.integers(len(self._plans))]
+                wrong = fuzzed(plan, now_ns, self._rng)
+                if wrong.stamp_ns != plan.stamp_ns:
+                    self.stamps.add(wrong.stamp_ns)
+                yield wrong
 
 
 class _Meddled:

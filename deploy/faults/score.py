@@ -9,8 +9,10 @@ import numpy as np
 
 from deploy.faults.cases import Case
 from deploy.faults.timeline import STALE_S, Timeline, Truth, Word
+from deploy.faults.wire import Goals
 from deploy.judging.scorer import FALL_TILT_DEG
 from deploy.judging.walk_metrics import Flags, debounced, stability_margin
+from services.actuator.health import LATE
 from shared import dynamixel as dxl
 from shared.geometry import Array
 from shared.messages import Mode
@@ -25,7 +27,7 @@ _CYCLE_S = 0.02  # [s] of the actuator
 _SPRINGS_S = 0.2  # [s]
 _DEBOUNCE = 1  # samples of truth, 20 ms
 _TWICE_S = 0.002  # [s] within which goals are those of one cycle: they are sent twice while answers get lost
-_MISSED_S = 0.030  # [s] a period and a half: what takes a cycle longer has missed a beat
+_MISSED_S = LATE * _CYCLE_S  # [s] what takes a cycle longer has missed a beat
 _CLEARANCE = 0.005  # [m] the body's underside this near the ground is a fall, unless it was to come down
 _NOT_AS_PLANNED = re.compile("^(?!walking$)")  # reasons of one that walks, but stops or is about to
 _DOWN = (Mode.OFF, Mode.SIT, Mode.READY)
@@ -54,9 +56,11 @@ class Outcome:
     plans: int  # fuzzed
     reason: str  # of the last stop, in the actuator's words
     cycle_s: float = nan  # p99 of the time from one sync write of goals to the next, while the fault lasted
-    missed: int = 0  # most cycles in a row that took more than two periods
+    missed: int = 0  # most cycles in a row that took more than a period and a half
     lost_s: float = nan  # of a recording, before its recorder was killed
     stuck: str = ""  # why it did not walk on for long afterwards, in words, or nothing
+    goal_dps: float = nan  # [deg/s] of the fastest goal from one cycle to the next, while the fault lasted
+    walked: int = 0  # of the fuzzed plans, at least
     misheard: bool = False  # whether a servo heard so though nobody had sent it: of broken bytes, some pass its checksum
 
 
@@ -93,6 +97,8 @@ def score(line: Timeline, case: Case, profile: RobotProfile) -> Outcome:
         cut_off=_cut_off(line, seated),
         outside=len(line.outside),
         plans=line.plans,
+        walked=line.walked,
+        goal_dps=_goal_speed(line),
         reason=stopped[-1].reason if stopped else "",
         lost_s=line.lost_s,
         stuck=line.stuck,
@@ -140,12 +146,28 @@ def off_time(line: Timeline) -> tuple[float, int]:
 
 def cycles(line: Timeline) -> tuple[float, int]:
     """How long [s] 99 % of the cycles took at most while the fault lasted, by the goals sent, and most missed in a row."""
-    times = np.array([goals.t_s for goals in line.goals if line.begin_s <= goals.t_s <= line.end_s])
-    spans = np.diff(times[np.diff(times, prepend=-inf) > _TWICE_S])
+    spans = np.diff([goals.t_s for goals in _cycle_goals(line)])
     if not len(spans):
         return nan, 0
     longest = max(len(run) for run in "".join("x" if span > _MISSED_S else " " for span in spans).split(" "))
     return float(np.sort(spans)[ceil(0.99 * len(spans)) - 1]), longest
+
+
+def _cycle_goals(line: Timeline) -> list[Goals]:
+    """What was sent while the fault lasted, once of each cycle."""
+    sent = [goals for goals in line.goals if line.begin_s <= goals.t_s <= line.end_s]
+    apart = np.diff([goals.t_s for goals in sent], prepend=-inf) > _TWICE_S
+    return [goals for goals, first in zip(sent, apart, strict=True) if first]
+
+
+def _goal_speed(line: Timeline) -> float:
+    """Speed [deg/s] of the fastest goal, a tick of rounding left out; cycles are even, whenever in them a packet is sent."""
+    sent = _cycle_goals(line)
+    if len(sent) < 2:
+        return nan
+    beyond = np.abs(np.diff([goals.ticks for goals in sent], axis=0)) - 1
+    took = _CYCLE_S * np.maximum(np.rint(np.diff([goals.t_s for goals in sent]) / _CYCLE_S), 1.0)
+    return float(np.degrees(dxl.TICK_RAD * beyond / took[:, None]).max(initial=0.0))
 
 
 def carrying(truth: Truth, profile: RobotProfile) -> Flags:

@@ -10,8 +10,7 @@ from deploy.faults.batch import Injection
 from deploy.faults.cases import BY_NAME, Case
 from deploy.faults.score import Outcome
 from deploy.trials.statistics import wilson
-
-_TOO_MANY = 5  # missed cycles in a row
+from services.actuator.health import LATE_CYCLES
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +46,8 @@ class Row:
     missed: tuple[str, ...]  # limits, each with the number of injections that miss it
     lost_s: Figure = Figure(0, nan, nan, nan)
     misheard: int = 0  # injections in which a servo's torque was switched by what nobody sent
+    goal_dps: Figure = Figure(0, nan, nan, nan)
+    walked: int = 0  # of the plans, at least
     commits: tuple[str, ...] = ()  # that made them, in alphabetical order
 
     @property
@@ -92,6 +93,8 @@ def row(case: Case, outcomes: Sequence[Outcome], commits: tuple[str, ...] = ()) 
         missed=_missed(case, outcomes),
         lost_s=of("lost_s"),
         misheard=sum(one.misheard for one in outcomes),
+        goal_dps=of("goal_dps"),
+        walked=sum(one.walked for one in outcomes),
         commits=commits,
     )
 
@@ -132,7 +135,7 @@ def _laws(case: Case) -> Iterable[tuple[str, Callable[[Outcome], bool]]]:
     if limits.seated:
         yield "seated before the cut-off", lambda one: isfinite(one.seated_s) and not one.cut_off
     if not isinf(limits.cycle_s):
-        yield "five missed cycles in a row are said", lambda one: one.missed < _TOO_MANY or isfinite(one.decided_s)
+        yield "five missed cycles in a row are said", lambda one: one.missed < LATE_CYCLES or isfinite(one.decided_s)
     if case.lets_go:
         yield "off stays off", lambda one: not one.on_again
         yield "off before any goal", lambda one: one.goals_before_off == 0
@@ -152,6 +155,7 @@ _AT_MOST = (  # name, rounding allowed, words, unit, factor
     ("lunge_dps", 1e-6, "the joint after its reset at most", "deg/s", 1.0),
     ("off_s", 1e-6, "torque off within", "ms", 1e3),
     ("cycle_s", 1e-6, "cycle p99 at most", "ms", 1e3),
+    ("goal_dps", 1e-6, "goals go at most", "deg/s", 1.0),
     ("lost_s", 1e-6, "lost of the recording at most", "s", 1.0),
 )
 
@@ -198,7 +202,8 @@ def _others(one: Row) -> Iterable[str]:
     if one.lost_s.n:
         yield f"the recording lacks {_cell(one.lost_s, 1.0, '.1f')} s"
     if one.plans:
-        yield f"{one.plans} plans, {one.outside} goals outside"
+        fast = f", as fast as {one.goal_dps.worst:.0f} deg/s" if one.goal_dps.n else ""
+        yield f"{one.plans} plans, {f'{one.walked} walked, ' if one.walked else ''}{one.outside} goals outside{fast}"
     if one.misheard:
         yield f"a servo misheard torque in {one.misheard}"
     if one.stopped < one.n:

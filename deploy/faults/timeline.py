@@ -51,6 +51,7 @@ class Timeline:
     returned_s: float = np.nan  # when bus and actuator were there again to do so, if they were not
     empty_s: float = np.nan  # when the battery was
     plans: int = 0  # that were fuzzed
+    walked: int = 0  # of them, at least: of those of one cycle the last is heard of
     voltage: float = np.nan  # [V] in the end
     lost_s: float = np.nan  # of a recording, before its recorder was killed
     stuck: str = ""  # why it did not walk on for long afterwards, in words, or nothing

@@ -11,7 +11,7 @@ from zlib import crc32
 
 import numpy as np
 
-from deploy.faults.cases import Away, Case, Clock, Deed, Meddling, Off, OnBus
+from deploy.faults.cases import Away, Case, Clock, Deed, Late, Meddling, Off, OnBus
 from deploy.faults.planner import Meddler
 from deploy.faults.timeline import Timeline
 from deploy.faults.watched import LEAST_WATCH_S, REPEAT_S, SCENARIO, Seen, Watched
@@ -26,6 +26,7 @@ from shared.messages import Mode, ModeCommand
 from shared.service import AnyTopic
 
 _LOOK_NS = 20_000_000
+_BESIDE_S = 0.001  # [s] by which a beat falls outside of what is to leave it out
 SOON_S = 0.06  # [s] in which an order to let go is to be on the bus: a gap that begins in it may swallow it
 
 
@@ -44,6 +45,7 @@ class FaultWalk(Watched):
         super().__init__(case)
         self._rng = np.random.default_rng([crc32(case.name.encode()), seed])
         self._meddler = Meddler(np.random.default_rng([seed, 1]))
+        self._walked: set[int] = set()  # [ns] stamps of fuzzed plans
         self._sequence = 0
         stop_port = f"faults {os.getpid()}"
         self._latch = Latch.of_port(stop_port)
@@ -86,6 +88,8 @@ class FaultWalk(Watched):
     def break_and_watch(self, begin: float, rng: np.random.Generator) -> Seen:
         """Do what the case says, and watch."""
         case, ordered, empty, wall, fuzzed = self._case, nan, nan, time.time, self._meddler.fuzzed
+        self._meddler.stamps.clear()
+        self._walked.clear()
         if not case.warm_c:
             self._servo = int(rng.choice(self.profile.servo_ids.ravel()))
         due = [self._do(deed, begin) for deed in case.deeds if not isinstance(deed, Off)]
@@ -119,6 +123,7 @@ class FaultWalk(Watched):
             returned_s=begin + max(self._away_for(), self._gap_until(ordered - begin, begin)) if case.lets_go else nan,
             empty_s=empty,
             plans=self._meddler.fuzzed - fuzzed,
+            walked=len(self._walked),
             voltage=float(self._simulator.servos.voltage),
         )
 
@@ -136,6 +141,12 @@ class FaultWalk(Watched):
                 servo = self._servo if any_servo else fault.servo
                 self._simulator.inject(replace(fault, at_s=begin, servo=servo))
                 return begin + fault.for_s
+            case Late(cycle_s, for_s):
+                for k in range(round(for_s / cycle_s)):
+                    from_s = begin + k * cycle_s + _BESIDE_S
+                    until_s = from_s + cycle_s - 2 * _BESIDE_S
+                    self._run.lose(Outage("actuator", round(from_s * 1e9), round(until_s * 1e9), kill=False))
+                return begin + for_s
             case Clock(step_s, for_s):
                 time.time = _stepped(time.time, step_s)
                 return begin + for_s
@@ -170,6 +181,8 @@ class FaultWalk(Watched):
     def _hear(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
         if topic is topics.ACTUATOR_STATE:
             self.hear_state(frame, at_ns)
+            if self.state is not None and self.state.plan_ns in self._meddler.stamps:
+                self._walked.add(self.state.plan_ns)
         elif topic is topics.TRUTH:
             self.hear_truth(frame)
 

@@ -63,6 +63,7 @@ class Seen:
     returned_s: float = np.nan
     empty_s: float = np.nan
     plans: int = 0
+    walked: int = 0
     voltage: float = np.nan
     lost_s: float = np.nan
 
@@ -105,7 +106,8 @@ class Watched(ABC):
             NoWalkError: It does not walk by itself.
         """
         rng = np.random.default_rng([crc32(self._case.name.encode()), number])
-        self.walk_for(STEADY_S + PHASES_S * rng.random())
+        steady_s = 0.0 if self._case.ends_the_walk else STEADY_S  # what was broken in a copy has not touched this walk
+        self.walk_for(steady_s + PHASES_S * rng.random())
         return self.what_happens(rng)
 
     def what_happens(self, rng: np.random.Generator) -> Timeline:
@@ -130,6 +132,7 @@ class Watched(ABC):
             returned_s=seen.returned_s,
             empty_s=seen.empty_s,
             plans=seen.plans,
+            walked=seen.walked,
             voltage=seen.voltage,
             lost_s=seen.lost_s,
         )

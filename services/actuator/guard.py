@@ -132,8 +132,9 @@ class Guard:
         A stop is obeyed whoever orders it; one that takes over gives the lease to who has ordered it, and nothing moves. An
         order must be of now, by its stamp: one that was recorded and is put again neither moves the legs nor keeps a lease,
         also where this process has begun anew and remembers nobody's orders. A stop that is not of now is obeyed where nobody
-        knows a newer order of its holder, and counts for nothing else. An order that was given a while ago, by its sequence,
-        and is heard for the first time, as after the link was cut, counts for nothing but that a robot that stands walks on.
+        knows a newer order of its holder; one of now where nobody knows a newer stop of its holder. A stop whose numbers are no
+        times, or older than what is known, counts for nothing else. An order that was given a while ago, by its sequence, and
+        is heard for the first time, as after the link was cut, counts for nothing but that a robot that stands walks on.
         Of before this process began no order to walk does that but the one that was in force when its predecessor ended.
         """
         newest, stops = self._sequences.get(order.holder), order.mode in _STOPS
@@ -141,14 +142,17 @@ class Guard:
         if untimely and not stops:
             self.objection = untimely
             return ()
-        if newest is not None and order.sequence <= newest:
-            if order.sequence < newest:
-                self.objection = f"`{order.mode}` of {order.holder} refused: it is older than their newest order"
-            elif order.holder == self._holder and not untimely:
+        if order.sequence == newest:
+            if order.holder == self._holder and not untimely:
                 self._hear_again(now_ns)
             return ()
+        older = newest is not None and order.sequence < newest
+        known_stop = stops and order.sequence <= self._stops.get(order.holder, -1)
+        if older and (untimely or known_stop or not stops):
+            self.objection = f"`{order.mode}` of {order.holder} refused: it is older than their newest order"
+            return ()
         ahead = order.sequence > now_ns + AHEAD_NS
-        if untimely or (ahead and stops):
+        if stops and (untimely or older or ahead):
             stop = StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder)  # type: ignore[arg-type]
             return self.hear_stop(stop, now_ns)
         if ahead:
@@ -167,20 +171,26 @@ class Guard:
             self._heard_ns = now_ns
         if order.mode == "off":
             self.off_ns = max(self.off_ns, min(max(order.sequence, self.given_ns + 1), now_ns))  # whatever clock it came by
+        if stops:
+            self._is_new(order)
         self.given_ns = order.sequence
         return self._obey(order.mode)
 
     def hear_stop(self, order: StopOrder, now_ns: int) -> tuple[Act, ...]:
         """Obey whoever orders to stop or to let go; it takes no lease, and nobody who does is remembered for longer for it."""
-        known = self._stops.pop(order.holder, None)
-        self._stops[order.holder] = order.sequence
-        if len(self._stops) > _HOLDERS:
-            del self._stops[next(iter(self._stops))]
-        if order.sequence == known:
+        if not self._is_new(order):
             return ()
         if order.mode == "off":
             self.off_ns = max(self.off_ns, now_ns)
         return self._obey(order.mode)
+
+    def _is_new(self, stop: ModeCommand | StopOrder) -> bool:
+        """Whether a stop is another than its holder's last; it is remembered, and who was silent for longest forgotten."""
+        known = self._stops.pop(stop.holder, None)
+        self._stops[stop.holder] = stop.sequence
+        if len(self._stops) > _HOLDERS:
+            del self._stops[next(iter(self._stops))]
+        return stop.sequence != known
 
     def _has_room(self, now_ns: int) -> bool:
         """Whether one more holder can be remembered, be it in place of one whose order is too old to move anything."""

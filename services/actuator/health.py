@@ -12,7 +12,7 @@ from shared.robot import JOINTS, LEGS, RobotProfile
 SILENT = 4  # questions in a row that a servo has left open, from which it counts as silent
 _QUIET_S = 0.1  # [s] without any reading from which it is the bus, and no servo, that is silent
 _LOSS = 0.30  # share of the questions of late without a usable answer, from which nobody knows how the robot stands
-_LATE, _LATE_CYCLES = 1.5, 5  # periods that a cycle may take, and how many in a row may take longer
+LATE, LATE_CYCLES = 1.5, 5  # periods that a cycle may take, and how many in a row may take longer
 GAP_S = 0.2  # [s] between two cycles in which nobody has led the robot
 _WARM, _HOT = 12.0, 5.0  # [K] below the servos' own limit: from here on slower; from here on to the ground
 _LOW_S, _SETTLED_S = 1.0, 0.3  # [s] for which the voltage must be low, and its time constant
@@ -87,7 +87,7 @@ class Health:
             vitals: Of the servos.
             torque: Whether torque is meant to be on.
         """
-        self._late = self._late + 1 if dt > _LATE * self._period else 0
+        self._late = self._late + 1 if dt > LATE * self._period else 0
         share = vitals.load / self._profile.servo.stall_torque
         self._effort += (1.0 - np.exp(-dt / _TIRES_S)) * (share * share - self._effort)
         # What was read before a servo, or all of them, fell silent says nothing of now.
@@ -124,8 +124,8 @@ class Health:
         """Why the computer cannot lead the servos, in words."""
         if dt > GAP_S:
             return f"the computer has kept the actuator waiting for {dt:.1f} s"
-        if self._late >= _LATE_CYCLES:
-            return f"the computer is too slow: {self._late} cycles in a row took more than {_LATE * self._period * 1e3:.0f} ms"
+        if self._late >= LATE_CYCLES:
+            return f"the computer is too slow: {self._late} cycles in a row took more than {LATE * self._period * 1e3:.0f} ms"
         return ""
 
     def _limp(self, limp: NDArray[np.bool_]) -> str:

@@ -50,6 +50,8 @@ class Stop:
             elif order.sequence > self._newest.get(order.holder, -1):
                 self._hear(self._newest, order, max(order.sequence, self._latest_ns))
                 self._latest_ns = max(self._latest_ns, order.sequence + 1)
+            elif self._is_late(order, tick.stamp_ns):
+                self._hear_stop(order, tick.stamp_ns)
         for stop in inbox.drain(topics.STOP):
             said = 0 <= tick.stamp_ns - stop.stamp_ns <= _SAID_NS  # by the robot's clock: this process may have been late
             self._hear_stop(stop, stop.stamp_ns if said else tick.stamp_ns)
@@ -57,16 +59,19 @@ class Stop:
             self._close(self._due_ns)
         yield from ()
 
+    def _is_late(self, order: ModeCommand, now_ns: int) -> bool:
+        """Whether an order to let go has come after a newer one of its holder, is of now, and they have given none since."""
+        of_now = abs(now_ns - order.stamp_ns) <= _SAID_NS
+        return order.mode == "off" and of_now and order.sequence > self._stops.get(order.holder, -1)
+
     def _hear_stop(self, order: ModeCommand | StopOrder, now_ns: int) -> None:
         if order.sequence != self._stops.get(order.holder):
             self._hear(self._stops, order, now_ns)
 
     def _hear(self, newest: dict[str, int], order: ModeCommand | StopOrder, given_ns: int) -> None:
-        newest.pop(order.holder, None)
-        newest[order.holder] = order.sequence
-        if len(newest) > _HOLDERS:
-            del newest[next(iter(newest))]
+        _remember(newest, order)
         if order.mode == "off":
+            _remember(self._stops, order)
             self._due_ns = given_ns if self._due_ns is None else max(self._due_ns, given_ns)
 
     def _close(self, given_ns: int) -> None:
@@ -77,3 +82,11 @@ class Stop:
             self._due_ns = None
         except OSError as error:  # the actuator hears the order, too
             self._problem = f"an order to let go cannot be latched: {error}"
+
+
+def _remember(newest: dict[str, int], order: ModeCommand | StopOrder) -> None:
+    """Note an order as its holder's newest, and forget who was silent for longest."""
+    newest.pop(order.holder, None)
+    newest[order.holder] = order.sequence
+    if len(newest) > _HOLDERS:
+        del newest[next(iter(newest))]

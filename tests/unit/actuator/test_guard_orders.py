@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from services.actuator.guard import AWAY_NS, LEASE_NS, Act, Guard
+from services.actuator.guard import AWAY_NS, LEASE_NS, ORDER_AGE_NS, Act, Guard
 from services.actuator.health import Verdict
 from shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import BROKEN, CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode, rested
@@ -171,18 +171,43 @@ def test_who_leads_goes_on_leading_by_new_orders() -> None:
 
 
 @pytest.mark.parametrize("mode", ORDERS)
-def test_an_order_counts_once_and_an_older_one_not_at_all(mode: str) -> None:
+def test_an_order_counts_once_and_an_older_one_that_moves_the_legs_not_at_all(mode: str) -> None:
     robot = in_mode(Mode.HOLD)
-    older = ModeCommand(robot.now, "off", 0, "a")
+    older = ModeCommand(robot.now, "sit", 0, "a")
     robot.order(mode)
     again = ModeCommand(robot.now, mode, robot.number, "a")  # type: ignore[arg-type]
     robot.order("stand", "a", take=True)
     if mode == "off":
         assert robot.torque
     assert robot.hear(again) == robot.hear(older) == ()
-    assert robot.guard.objection == "`off` of a refused: it is older than their newest order"
+    assert robot.guard.objection == "`sit` of a refused: it is older than their newest order"
     assert robot.mode is Mode.STAND
     assert robot.hear(ModeCommand(robot.now, "off", robot.number, "a")) == ()
+
+
+def test_an_order_to_stop_that_comes_after_a_newer_one_to_walk_is_obeyed_once() -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.order("walk")
+    late = [ModeCommand(robot.now, "off", robot.number - k, "a") for k in (1, 2, 3)]
+    assert robot.hear(late[1]) == (Act.LET_GO,)
+    assert robot.hear(replace(late[1], stamp_ns=robot.now - ORDER_AGE_NS - 1)) == ()
+    robot.order("stand")
+    for again in (late[1], late[2]):
+        assert robot.hear(again) == ()
+        assert robot.guard.objection == "`off` of a refused: it is older than their newest order"
+    assert robot.guard.hear_stop(StopOrder(robot.now, "off", late[1].sequence, "a"), robot.now) == (), "heard already"
+    assert robot.torque
+    assert robot.hear(late[0]) == (Act.LET_GO,), "nobody knows a newer stop"
+
+
+def test_a_stop_of_now_that_is_older_gives_nobody_the_lease() -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.order("walk", "b")
+    robot.order("walk", "a", take=True)
+    assert robot.hear(ModeCommand(robot.now, "stop", 1, "b", take=True)) == ()
+    assert robot.guard.lease(robot.now) == "a"
+    assert not robot.consider(robot.plan())
+    assert "not ordered to walk" in robot.guard.refused
 
 
 def test_a_repetition_says_nothing_and_a_new_order_that_is_obeyed_clears_the_objection() -> None:

@@ -72,10 +72,31 @@ def test_an_order_to_let_go_is_latched_with_its_time_whatever_comes_after_it(lat
     """The actuator knows whether it was taken back since."""
     stop = Stop(PROFILE, Settings(PORT))
     inbox = Inbox(stop.reads, stop.stages)
-    for sequence, order in ((5, "off"), (9, mode), (7, "off")):
+    for sequence, order in ((5, "off"), (9, mode), (5, "off"), (3, "off")):
         inbox.receive(topics.MODE, codec.encode(ModeCommand(0, order, sequence, "a")), 0)  # type: ignore[arg-type]
     assert list(stop.step(Tick(20), inbox)) == []
     assert latch.since_ns == 5
+
+
+def test_an_order_to_let_go_that_comes_after_a_newer_one_is_latched_when_it_is_heard_where_it_is_of_now(latch: Latch) -> None:
+    """The guard obeys it, too."""
+    second = 1_000_000_000
+    stop = Stop(PROFILE, Settings(PORT))
+    inbox = Inbox(stop.reads, stop.stages)
+
+    def put(mode: str, sequence: int, stamp_ns: int) -> None:
+        inbox.receive(topics.MODE, codec.encode(ModeCommand(stamp_ns, mode, sequence, "a")), 0)  # type: ignore[arg-type]
+        assert list(stop.step(Tick(9 * second), inbox)) == []
+
+    put("walk", 8 * second, 9 * second)
+    put("off", 7 * second, 6 * second)
+    assert not latch.closed, "recorded, and put again"
+    put("off", 7 * second, 8 * second)
+    assert latch.since_ns == 9 * second
+    latch.open()
+    put("off", 7 * second, 9 * second)
+    put("off", 6 * second, 9 * second)
+    assert not latch.closed, "an order counts once, and none that is older than the last"
 
 
 def test_an_order_to_let_go_that_comes_by_a_late_clock_is_latched_as_one_after_what_it_takes_back(latch: Latch) -> None:
