@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from datetime import date
+from itertools import groupby
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -84,8 +85,10 @@ def scan(arguments: argparse.Namespace) -> int:
         say(commissioning.in_words(found, profile))
     if holding := commissioning.holding(found, profile):
         say(f"{holding}; `sextant servos off` lets go")
-    for words, advice in wrong:
-        say(f"{words}\n  -> {advice}")
+    for advice, alike in groupby(wrong, key=lambda problem: problem.advice):
+        for problem in alike:
+            say(problem.words)
+        say(f"  -> {advice}")
     if not wrong:
         count, asked = len(profile.servo_names), sum(i in arguments.ids for i in profile.servo_names)
         which = f"all {count} servos of {profile.name}"

@@ -16,6 +16,7 @@ from shared.dynamixel import Register, ServoError, ServoModel
 FACTORY_ID = dxl.ID.default
 ANSWER_ALL = 2  # status return level
 _ATTEMPTS = 3  # per question: a host that is busy, or a spike on the wire, loses one now and then
+_FEW = 3  # servos that are named one by one
 _MODEL_NAMES = {model.number: model.name for model in dxl.MODELS}
 _ECHOED_MODEL = int.from_bytes((dxl.MODEL_NUMBER.address, dxl.MODEL_NUMBER.size), "little")  # a request read as answer
 _EEPROM = range(dxl.MODEL_NUMBER.address, dxl.SHUTDOWN.address + 1)
@@ -196,7 +197,9 @@ def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoMod
 
 def left_by_reset(missing: Iterable[int], names: Mapping[int, str]) -> str:
     """Who may have become the factory's id by a reset, in words."""
-    return f"{FACTORY_ID} is what a reset leaves: it may be {' or '.join(named(i, names) for i in missing)}"
+    who = [named(i, names) for i in missing]
+    words = " or ".join(who) if len(who) <= _FEW else f"any of the {len(who)} that are missing"
+    return f"{FACTORY_ID} is what a reset leaves: it may be {words}"
 
 
 def named(servo_id: int, names: Mapping[int, str]) -> str:

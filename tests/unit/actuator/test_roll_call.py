@@ -49,6 +49,13 @@ def test_a_servo_that_was_reset_to_the_id_of_another_is_found_behind_it() -> Non
     assert sorted(desk.tables[:, dxl.RETURN_DELAY.address])[-1] == 250  # and was not set up in another's place
 
 
+def test_where_many_are_missing_who_was_reset_is_not_listed() -> None:
+    desk = Desk()
+    desk.reset(FEMUR)
+    desk.bench.unplug([desk.row(i) for i in (3, 4, 5)])
+    assert "1 is what a reset leaves: it may be any of the 4 that are missing" in trouble(desk)
+
+
 def test_a_servo_that_was_reset_where_nobody_has_that_id_is_found_there() -> None:
     desk = Desk()
     desk.change(COXA, dxl.ID, 19)

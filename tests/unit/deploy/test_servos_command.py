@@ -116,6 +116,18 @@ def test_a_scan_for_scripts_and_for_people_say_the_same(bench: Workbench, url: s
     assert all(row["joint"] in told for row in table["servos"])
 
 
+def test_what_is_to_be_done_for_several_servos_is_said_once(
+    bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for servo_id in (9, 10, 11):
+        bench.unplug(bench._with_id(servo_id))
+    assert cli.main(["servos", "scan", "--port", url, "--ids", "1:19"]) == 1
+    told = capsys.readouterr().out.splitlines()
+    assert {line.split(" (")[0] for line in told[-4:-1]} == {"servo 9", "servo 10", "servo 11"}
+    assert told[-1].startswith("  -> see to its cable")
+    assert sum("->" in line for line in told) == 1
+
+
 def test_where_nobody_answers_that_is_said_once(bench: Workbench, url: str, capsys: pytest.CaptureFixture[str]) -> None:
     bench.unplug(range(18))
     words = ["servos", "scan", "--port", url, "--ids", "1:4"]

@@ -123,15 +123,10 @@ def test_the_table_says_pass_and_fail_and_is_json_too() -> None:
     assert tables.to_json(again) == written
 
 
-def test_names_are_given_once_and_every_limit_of_the_issue_is_somewhere() -> None:
+def test_names_are_given_once() -> None:
     assert len(BY_NAME) == len(CASES) + len(LIVE_CASES)
     assert all(case.live for case in LIVE_CASES)
     assert not any(case.live for case in CASES)
-    limits = [case.limits for case in CASES]
-    assert {one.decided_s for one in limits} >= {0.25, 1.5}
-    assert {one.rest_s for one in limits} >= {0.7, 1.0}
-    assert {one.again_s for one in limits} >= {2.0, 3.0, 10.0}
-    assert all(case.limits.off_s == 0.060 for case in CASES if case.lets_go)
 
 
 def test_a_computer_that_is_too_slow_is_held_to_its_cycle_and_must_be_said() -> None:

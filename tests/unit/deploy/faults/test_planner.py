@@ -86,3 +86,6 @@ def test_in_a_fuzzed_step_the_planner_is_heard_and_a_crowd_beside_it() -> None:
     assert made[0].stamp_ns == 1
     assert len(made) == PLANS_PER_STEP + 2
     assert meddler.fuzzed == PLANS_PER_STEP
+    fuzzed_stamps = {one.stamp_ns for one in made[2:] if isinstance(one, StepPlan)} - {made[0].stamp_ns}
+    assert meddler.stamps == fuzzed_stamps, "the planner's own is not among them"
+    assert len(fuzzed_stamps) > PLANS_PER_STEP // 4

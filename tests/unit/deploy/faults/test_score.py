@@ -194,14 +194,29 @@ def test_who_lies_before_a_servo_shuts_down_is_seated_in_time() -> None:
     assert score(timeline(word(3.0, Mode.OFF), empty_s=BEGIN_S + 2.0), HEAT, PROFILE).cut_off
 
 
-@given(st.lists(st.sampled_from([0.02, 0.05]), min_size=1, max_size=30))
+@given(st.lists(st.sampled_from([0.02, 0.0295, 0.0305, 0.05]), min_size=1, max_size=30))
 def test_cycles_are_the_spans_between_goals_while_the_fault_lasted(spans: list[float]) -> None:
     times = np.cumsum([0.1, *spans])
     line = timeline(goals=tuple(goal(t) for t in (-0.5, *times, 9.0)), end_s=BEGIN_S + 5.0)
     p99, missed = cycles(line)
     assert p99 == pytest.approx(max(spans))
-    assert missed == max(len(run) for run in "".join("x" if span > 0.04 else " " for span in spans).split(" "))
+    assert missed == max(len(run) for run in "".join("x" if span > 0.03 else " " for span in spans).split(" "))
 
 
 def test_without_two_goals_there_is_no_cycle() -> None:
     assert isnan(cycles(timeline(goals=(goal(0.1),)))[0])
+
+
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=20), st.floats(-0.004, 0.004))
+def test_goals_are_as_fast_as_their_ways_by_the_cycle_without_a_tick_of_rounding(ways: list[int], early_s: float) -> None:
+    """Whenever in its cycle a packet is sent; what is sent twice in one counts once, what is sent after the end not at all."""
+    ticks = np.cumsum([100, *ways])
+    sent = [goal(0.1 + PERIOD_S * k + (early_s if k % 2 else 0.0), int(at)) for k, at in enumerate(ticks)]
+    twice = [Goals(one.t_s + 0.001, one.ticks, one.speeds) for one in sent]
+    line = timeline(goals=(*(one for pair in zip(sent, twice, strict=True) for one in pair), goal(2.5, 1000)))
+    tick_dps = np.degrees(dxl.TICK_RAD) / PERIOD_S
+    assert score(line, KILLED, PROFILE).goal_dps == pytest.approx(max(max(ways) - 1, 0) * tick_dps)
+
+
+def test_without_two_goals_there_is_no_speed() -> None:
+    assert isnan(score(timeline(goals=(goal(0.1),)), KILLED, PROFILE).goal_dps)

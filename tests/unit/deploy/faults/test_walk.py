@@ -38,3 +38,15 @@ def test_torque_is_ordered_off_in_a_copy_of_the_walk_and_the_walk_goes_on_as_if_
             one.walk_for(0.5)
         assert walk.words == undisturbed.words
         assert [goals.ticks.tolist() for goals in walk.recorder.goals] == [g.ticks.tolist() for g in undisturbed.recorder.goals]
+
+
+def test_an_actuator_whose_cycles_are_late_says_so_after_five_and_walks_on_once_they_are_not() -> None:
+    case = BY_NAME["actuator-late"]
+    with FaultWalk(case, 1000) as walk:
+        walk.walk_for(0.5)
+        line = walk.what_happens(np.random.default_rng(0))
+    found = score(line, case, walk.profile)
+    assert (found.decided_s, found.cycle_s) == pytest.approx((0.2, 0.04), abs=0.005)
+    assert found.missed >= 20
+    assert found.named
+    assert found.again_s < 2.0
