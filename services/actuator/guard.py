@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.actuator.health import Verdict
-from services.actuator.latch import AHEAD_NS
-from services.actuator.permit import WalkOrder
+from services.actuator.orders import ORDER_AGE_NS, WalkOrder, is_no_time, is_of_now
 from services.actuator.plan_check import PlanCheck
 from shared.geometry import Array
 from shared.messages import Mode, ModeCommand, StepPlan, StopOrder
@@ -25,7 +24,6 @@ from shared.robot import RobotProfile
 DEADLINE_NS = 180_000_000  # [ns] that a walk goes on without a new plan
 LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order, be it one that is repeated
 AWAY_NS = 30_000_000_000  # [ns] after which a leader who was not heard is followed only by a new order to walk
-ORDER_AGE_NS = 2_000_000_000  # [ns] by which an order to move may be older than now, or stamped ahead: else it was put anew
 _HOLDERS = 16  # whose orders are remembered; more of them are not obeyed but to stop
 _STOPS = ("off", "stop")  # orders that anybody may give
 
@@ -151,7 +149,7 @@ class Guard:
         if older and (untimely or known_stop or not stops):
             self.objection = f"`{order.mode}` of {order.holder} refused: it is older than their newest order"
             return ()
-        ahead = order.sequence > now_ns + AHEAD_NS
+        ahead = is_no_time(order, now_ns)
         if stops and (untimely or older or ahead):
             stop = StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder)  # type: ignore[arg-type]
             return self.hear_stop(stop, now_ns)
@@ -457,9 +455,9 @@ class Guard:
 
 def _untimely(order: ModeCommand, now_ns: int) -> str:
     """Why an order is not one of now, in words, or nothing."""
-    age_ns = now_ns - order.stamp_ns
-    if -ORDER_AGE_NS <= age_ns <= ORDER_AGE_NS:
+    if is_of_now(order, now_ns):
         return ""
+    age_ns = now_ns - order.stamp_ns
     when = f"{age_ns * 1e-9:.1f} s old" if age_ns > 0 else f"stamped {-age_ns * 1e-9:.1f} s ahead of now"
     allowed = f"at most {ORDER_AGE_NS * 1e-9:.0f} s allowed; orders are stamped by the robot's clock"
     return f"`{order.mode}` of {order.holder} refused: it is {when}, {allowed}"

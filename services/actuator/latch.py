@@ -8,7 +8,6 @@ from errno import ENOENT
 from pathlib import Path
 from secrets import token_hex
 
-AHEAD_NS = 500_000_000  # [ns] by which the time at which an order was given may be ahead of now, as clocks are read
 # Where all who have to do with one robot look, whoever they are and however they were started: what an installation shares
 # (systemd's units, containers), and what is there on every machine.
 SHARED = Path("/run/sextant")

@@ -4,18 +4,11 @@ import os
 from contextlib import suppress
 from pathlib import Path
 from secrets import token_hex
-from typing import NamedTuple
 
 from services.actuator.latch import FOLDERS, name_of
+from services.actuator.orders import WalkOrder
 
 _LONGEST = 4096  # [B] of a file that is looked at
-
-
-class WalkOrder(NamedTuple):
-    """Who has the robot walk, by which order."""
-
-    holder: str
-    sequence: int  # when it was given [ns], by the robot's clock
 
 
 class Permit:

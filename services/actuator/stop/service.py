@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 
-from services.actuator.latch import AHEAD_NS, Latch
+from services.actuator.latch import Latch
+from services.actuator.orders import is_no_time, is_of_now
 from services.actuator.stop.config import Settings
 from shared import topics
 from shared.messages import Message, ModeCommand, StopOrder, Tick
@@ -10,7 +11,6 @@ from shared.robot import RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 _BEAT_HZ = 25.0  # between two looks at what was ordered
-_SAID_NS = 2_000_000_000  # [ns] by which a stop may be heard late and still count from when it was said
 _HOLDERS = 64  # whose newest orders are remembered
 
 
@@ -45,7 +45,7 @@ class Stop:
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Hear what was ordered."""
         for order in inbox.drain(topics.MODE):
-            if order.sequence > tick.stamp_ns + AHEAD_NS:  # its numbers are no times, and bar no later one's way
+            if is_no_time(order, tick.stamp_ns):
                 self._hear_stop(order, tick.stamp_ns)
             elif order.sequence > self._newest.get(order.holder, -1):
                 self._hear(self._newest, order, max(order.sequence, self._latest_ns))
@@ -53,16 +53,16 @@ class Stop:
             elif self._is_late(order, tick.stamp_ns):
                 self._hear_stop(order, tick.stamp_ns)
         for stop in inbox.drain(topics.STOP):
-            said = 0 <= tick.stamp_ns - stop.stamp_ns <= _SAID_NS  # by the robot's clock: this process may have been late
-            self._hear_stop(stop, stop.stamp_ns if said else tick.stamp_ns)
+            said_ns = min(stop.stamp_ns, tick.stamp_ns) if is_of_now(stop, tick.stamp_ns) else tick.stamp_ns
+            self._hear_stop(stop, said_ns)  # when it was said, for this process may have been late
         if self._due_ns is not None:
             self._close(self._due_ns)
         yield from ()
 
     def _is_late(self, order: ModeCommand, now_ns: int) -> bool:
         """Whether an order to let go has come after a newer one of its holder, is of now, and they have given none since."""
-        of_now = abs(now_ns - order.stamp_ns) <= _SAID_NS
-        return order.mode == "off" and of_now and order.sequence > self._stops.get(order.holder, -1)
+        known = order.sequence <= self._stops.get(order.holder, -1)
+        return order.mode == "off" and not known and is_of_now(order, now_ns)
 
     def _hear_stop(self, order: ModeCommand | StopOrder, now_ns: int) -> None:
         if order.sequence != self._stops.get(order.holder):

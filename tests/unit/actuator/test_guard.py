@@ -7,8 +7,9 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from services.actuator.guard import AWAY_NS, DEADLINE_NS, LEASE_NS, ORDER_AGE_NS, Act, Guard
+from services.actuator.guard import AWAY_NS, DEADLINE_NS, LEASE_NS, Act, Guard
 from services.actuator.health import Verdict
+from services.actuator.orders import ORDER_AGE_NS
 from shared.messages import Mode, ModeCommand, StepPlan
 from tests.support.guarded import AGE_NS, BAD, BROKEN, CYCLE, ORDERS, PROFILE, SPENT, Robot, rested
 

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from services.actuator.guard import AWAY_NS, LEASE_NS, ORDER_AGE_NS, Act, Guard
+from services.actuator.guard import AWAY_NS, LEASE_NS, Act, Guard
 from services.actuator.health import Verdict
+from services.actuator.orders import ORDER_AGE_NS
 from shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import BROKEN, CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode, rested
 

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from services.actuator.guard import AWAY_NS, LEASE_NS, ORDER_AGE_NS, Act, Guard
+from services.actuator.guard import AWAY_NS, LEASE_NS, Act, Guard
 from services.actuator.health import Verdict
-from services.actuator.latch import AHEAD_NS
-from services.actuator.permit import WalkOrder
+from services.actuator.orders import AHEAD_NS, ORDER_AGE_NS, WalkOrder
 from shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode
 

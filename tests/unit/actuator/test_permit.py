@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.actuator import permit as permit_files
-from services.actuator.permit import Permit, WalkOrder
+from services.actuator.orders import WalkOrder
+from services.actuator.permit import Permit
 
 ORDER = WalkOrder("page 1 at a console", 123_456_789)
 

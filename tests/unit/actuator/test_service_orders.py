@@ -7,7 +7,8 @@ import pytest
 
 from services.actuator import service
 from services.actuator.latch import Latch
-from services.actuator.permit import Permit, WalkOrder
+from services.actuator.orders import WalkOrder
+from services.actuator.permit import Permit
 from shared import dynamixel as dxl
 from shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.actuator_rig import STILL, Rig
