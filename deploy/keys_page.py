@@ -58,7 +58,8 @@ address), with scouting off. A key of this page stands behind the namespace of t
   An order to move, a velocity and a goal count only where their stamp is at most two seconds off the robot's clock, for else
   they may have been recorded. The `sequence` of an order is the time at which it was given, and stays as it is repeated: one
   that the actuator hears for the first time over two seconds later raises nobody and no torque. A client on any machine may
-  take both from the newest `actuator/state`; the one below does.
+  take both from the newest `actuator/state`; the one below does. `off` and `stop` that are said now are obeyed also where
+  their `sequence` is older than one that was heard, unless it is no newer than that holder's last stop.
 - Transforms `T_a_b` are 4 × 4 and take coordinates of frame b to frame a: {{world}} is fixed where the robot started, z up,
   {{odom}} is what the legs alone believe, {{body}} moves along, x forward, y left, z up.
 - `sextant topics echo KEY` shows what is said, `sextant topics hz` how often and how much.

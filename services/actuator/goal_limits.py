@@ -5,7 +5,9 @@ import numpy as np
 from shared.geometry import Array
 from shared.robot import LEGS, RobotProfile
 
-_FULL_SPEED_S = 0.04  # [s] in which a goal may come from rest to the servos' greatest speed; to stop takes no time
+# [s] in which a goal may come from rest to the servos' greatest speed. To stop takes no time: a goal that braked slowly would
+# run past where the joint is wanted. The servo brakes by itself.
+_FULL_SPEED_S = 0.04
 GENTLE = np.radians(25.0)  # [rad/s] of a joint that takes up its work again
 LOWERED = np.radians(35.0)  # [rad/s] of one whose foot was left in the air, and comes down
 FETCHED = np.radians(95.0)  # [rad/s] of one whose leg waited in the air for a servo that was silent, and is where it was sent
