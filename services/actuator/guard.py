@@ -135,28 +135,16 @@ class Guard:
         is heard for the first time, as after the link was cut, counts for nothing but that a robot that stands walks on.
         Of before this process began no order to walk does that but the one that was in force when its predecessor ended.
         """
-        newest, stops = self._sequences.get(order.holder), order.mode in _STOPS
-        untimely = _untimely(order, now_ns)
-        if untimely and not stops:
-            self.objection = untimely
+        if order.sequence == self._sequences.get(order.holder):
+            self._hear_again(order, now_ns)
             return ()
-        if order.sequence == newest:
-            if order.holder == self._holder and not untimely:
-                self._hear_again(now_ns)
+        odd, stops = self._odd(order, now_ns), order.mode in _STOPS
+        if odd and stops:
+            return self._hear_odd_stop(order, now_ns)
+        if odd:
+            self.objection = odd
             return ()
-        older = newest is not None and order.sequence < newest
-        known_stop = stops and order.sequence <= self._stops.get(order.holder, -1)
-        if older and (untimely or known_stop or not stops):
-            self.objection = f"`{order.mode}` of {order.holder} refused: it is older than their newest order"
-            return ()
-        ahead = is_no_time(order, now_ns)
-        if stops and (untimely or older or ahead):
-            stop = StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder)  # type: ignore[arg-type]
-            return self.hear_stop(stop, now_ns)
-        if ahead:
-            self.objection = f"`{order.mode}` of {order.holder} refused: its sequence, when it was given [ns], is ahead of now"
-            return ()
-        stranger = newest is None and not self._has_room(now_ns)
+        stranger = order.holder not in self._sequences and not self._has_room(now_ns)
         if not stranger:
             self._sequences[order.holder] = order.sequence
         refused = "" if stops else self._late_order(order, now_ns)
@@ -190,6 +178,24 @@ class Guard:
             del self._stops[next(iter(self._stops))]
         return stop.sequence != known
 
+    def _odd(self, order: ModeCommand, now_ns: int) -> str:
+        """Why an order is no new one of now, by its times, in words, or nothing."""
+        if not is_of_now(order, now_ns):
+            return _untimely(order, now_ns)
+        if order.sequence < self._sequences.get(order.holder, order.sequence):
+            return _older(order)
+        if is_no_time(order, now_ns):
+            return f"`{order.mode}` of {order.holder} refused: its sequence, when it was given [ns], is ahead of now"
+        return ""
+
+    def _hear_odd_stop(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
+        """Obey a stop by whose times nothing else can go, unless it is known, or somebody may have put it again."""
+        older = order.sequence < self._sequences.get(order.holder, order.sequence)
+        if older and (not is_of_now(order, now_ns) or order.sequence <= self._stops.get(order.holder, -1)):
+            self.objection = _older(order)
+            return ()
+        return self.hear_stop(StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder), now_ns)  # type: ignore[arg-type]
+
     def _has_room(self, now_ns: int) -> bool:
         """Whether one more holder can be remembered, be it in place of one whose order is too old to move anything."""
         if len(self._sequences) < _HOLDERS:
@@ -200,8 +206,14 @@ class Guard:
         del self._sequences[oldest]
         return True
 
-    def _hear_again(self, now_ns: int) -> None:
-        """The leader's order is repeated: that keeps the lease, and after long silence gives it back, but not the walk."""
+    def _hear_again(self, order: ModeCommand, now_ns: int) -> None:
+        """An order is repeated: the leader's keeps the lease, and after long silence gives it back, but not the walk."""
+        if not is_of_now(order, now_ns):
+            if order.mode not in _STOPS:
+                self.objection = _untimely(order, now_ns)
+            return
+        if order.holder != self._holder:
+            return
         silent_ns = now_ns - self._heard_ns
         if self._may_walk and silent_ns > AWAY_NS:
             self._end_walk_order()
@@ -453,10 +465,12 @@ class Guard:
         return ()
 
 
+def _older(order: ModeCommand) -> str:
+    return f"`{order.mode}` of {order.holder} refused: it is older than their newest order"
+
+
 def _untimely(order: ModeCommand, now_ns: int) -> str:
-    """Why an order is not one of now, in words, or nothing."""
-    if is_of_now(order, now_ns):
-        return ""
+    """How an order is not one of now, in words."""
     age_ns = now_ns - order.stamp_ns
     when = f"{age_ns * 1e-9:.1f} s old" if age_ns > 0 else f"stamped {-age_ns * 1e-9:.1f} s ahead of now"
     allowed = f"at most {ORDER_AGE_NS * 1e-9:.0f} s allowed; orders are stamped by the robot's clock"
