@@ -201,6 +201,24 @@ def test_an_order_to_stop_that_comes_after_a_newer_one_to_walk_is_obeyed_once() 
     assert robot.hear(late[0]) == (Act.LET_GO,), "nobody knows a newer stop"
 
 
+@pytest.mark.parametrize("mode", ["off", "stop"])
+def test_an_older_stop_that_was_recorded_and_is_put_again_is_refused(mode: str) -> None:
+    robot = in_mode(Mode.HOLD)
+    robot.order("walk")
+    assert robot.consider(robot.plan())
+    assert robot.hear(ModeCommand(robot.now - ORDER_AGE_NS - 1, mode, robot.number - 1, "a")) == ()  # type: ignore[arg-type]
+    assert robot.guard.objection == f"`{mode}` of a refused: it is older than their newest order"
+    assert robot.mode is Mode.WALK
+
+
+def test_of_a_repetition_that_is_not_of_now_it_says_so_where_it_would_move_the_legs() -> None:
+    for mode, objection in (("stop", ""), ("walk", "`walk` of a refused: it is 3.0 s old, at most 2 s allowed")):
+        robot = in_mode(Mode.HOLD)
+        robot.order(mode)
+        assert robot.hear(ModeCommand(robot.now - 3_000_000_000, mode, robot.number, "a")) == ()  # type: ignore[arg-type]
+        assert robot.guard.objection.split(";")[0] == objection
+
+
 def test_a_stop_of_now_that_is_older_gives_nobody_the_lease() -> None:
     robot = in_mode(Mode.HOLD)
     robot.order("walk", "b")
