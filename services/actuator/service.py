@@ -22,6 +22,7 @@ from services.actuator.latch import Latch
 from services.actuator.load import lag_feed_forward, sag_feed_forward
 from services.actuator.odometry import LegOdometry
 from services.actuator.off_order import OffOrder
+from services.actuator.orders import in_turn
 from services.actuator.permit import Permit
 from services.actuator.plan_check import reaches
 from services.actuator.plumb import Plumb
@@ -170,14 +171,8 @@ class Actuator:
             self._off.keep(self._guard.off_ns)
 
     def _obey(self, orders: Sequence[ModeCommand], stops: Sequence[StopOrder], now_ns: int) -> None:
-        """Obey what was ordered; who has torque turned off is heard first, so that it rises for no order of before.
-
-        What else was ordered before that arrived is over, whatever clock it was given by.
-        """
-        last_off = max((i for i, order in enumerate(orders) if order.mode == "off"), default=-1)
-        heard = [order for i, order in enumerate(orders) if i > last_off or order.mode in ("off", "stop")]
-        both: list[ModeCommand | StopOrder] = [*heard, *stops]
-        for order in sorted(both, key=lambda order: (order.mode != "off", isinstance(order, StopOrder))):
+        """Obey what was ordered since the last cycle."""
+        for order in in_turn(orders, stops):
             if isinstance(order, StopOrder):
                 self._perform(self._guard.hear_stop(order, now_ns))
             else:

@@ -61,7 +61,8 @@ class Stop:
 
     def _is_late(self, order: ModeCommand, now_ns: int) -> bool:
         """Whether an order to let go has come after a newer one of its holder, is of now, and they have given none since."""
-        known = order.sequence <= self._stops.get(order.holder, -1)
+        repeated = order.sequence == self._newest.get(order.holder)
+        known = repeated or order.sequence <= self._stops.get(order.holder, -1)
         return order.mode == "off" and not known and is_of_now(order, now_ns)
 
     def _hear_stop(self, order: ModeCommand | StopOrder, now_ns: int) -> None:

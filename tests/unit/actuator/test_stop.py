@@ -99,6 +99,15 @@ def test_an_order_to_let_go_that_comes_after_a_newer_one_is_latched_when_it_is_h
     assert not latch.closed, "an order counts once, and none that is older than the last"
 
 
+def test_a_repetition_is_latched_no_second_time_whatever_numbers_its_holder_has_stopped_by_since(latch: Latch) -> None:
+    stop = Stop(PROFILE, Settings(PORT))
+    say(stop, "off", 9)
+    hear(stop, StopOrder(0, "off", 3, "operator"))
+    latch.open()
+    say(stop, "off", 9)
+    assert not latch.closed
+
+
 def test_an_order_to_let_go_that_comes_by_a_late_clock_is_latched_as_one_after_what_it_takes_back(latch: Latch) -> None:
     stop = Stop(PROFILE, Settings(PORT))
     say(stop, "stand", 9, "a")
