@@ -21,7 +21,7 @@ from deploy.network.silence import SilenceLimit
 from deploy.process_table import ROUTER_ENDPOINT
 from deploy.provenance import version
 from shared.access import AccessError
-from shared.host import end_with
+from shared.ending import end_with, leave
 from shared.transport import GIVEN_UP_S, LEASE_MS, Router, TransportError, ZenohLink, log_to_stdout
 from shared.watchdog import Watchdog
 
@@ -156,4 +156,4 @@ class _Awake:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

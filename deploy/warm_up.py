@@ -14,7 +14,7 @@ from services.planner import rehearsal as planner
 from services.planner.config import Settings as PlannerSettings
 from services.simulator import rehearsal as simulator
 from services.simulator.config import Settings as SimulatorSettings
-from shared.host import end_with
+from shared.ending import end_with
 from shared.profiles import load_profile
 from shared.robot import RobotProfile
 from shared.scenario import load_scenario

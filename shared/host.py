@@ -1,23 +1,14 @@
-"""What a process asks of its host: to end with its parent, to go before others, and to keep the memory it has."""
+"""What a process asks of its host: to go before others, and to keep the memory it has."""
 
 import ctypes
 import gc
 import os
-import signal
 import sys
 
-_PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when the thread that started it ends
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # glibc's mallopt
 _KEPT = 1 << 28  # [bytes]
 _SWITCH_S = 0.0005
 _REAL_TIME = 10  # priority, of 1 to 99: before all that has none, behind what the machine itself needs
-
-
-def end_with(parent: int) -> None:
-    """End this process when the one with an id, which must have started it, has ended; nothing is orphaned."""
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != parent:  # it died before the call above
-        raise SystemExit(1)
 
 
 def go_first() -> str:

@@ -10,18 +10,19 @@ import faulthandler
 import json
 import logging
 import os
-import signal
 import sys
 import threading
 import time
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import Any, NoReturn, TypeVar
 
 from shared import clock, codec, config, topics
 from shared.access import Keys
-from shared.host import end_with, go_first, keep_memory, switch_often
+from shared.ending import ToldToEnd, end_with, leave
+from shared.host import go_first, keep_memory, switch_often
 from shared.live import run_live
 from shared.profiles import load_profile
 from shared.robot import RobotProfile
@@ -41,12 +42,9 @@ def main(
     make: Callable[[RobotProfile, S], Service],
     rehearse: Callable[[RobotProfile, S], None] | None = None,
 ) -> NoReturn:
-    """Run one service and end the process; everything is closed by then, so the interpreter's own teardown is left out."""
-    status = run(name, schema, make, rehearse=rehearse)
-    logging.shutdown()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)
+    """Run one service and end the process."""
+    sys.excepthook = _end_with_traceback
+    leave(run(name, schema, make, rehearse=rehearse))
 
 
 def run(
@@ -79,21 +77,19 @@ def run(
         logging.warning(refused)
     keep_memory()
     switch_often()
-    stop = threading.Event()
-    _when_told_to_stop(lambda: os._exit(0))  # nothing is open yet
     with contextlib.ExitStack() as stack:
+        told = stack.enter_context(ToldToEnd())
         try:
             profile = load_profile(arguments.robot)
             settings = load_settings(schema, arguments.config, arguments.set)
             keys = Keys.load(Path(arguments.keys)) if arguments.keys else None
             if rehearse is not None:
                 _patiently(lambda: rehearse(profile, settings))
-            # Not stop.set() itself: the signal may come while this thread holds the lock in stop.wait(), and set() takes it.
-            _when_told_to_stop(lambda: threading.Thread(target=stop.set, name="stop").start())
+            told.open()
             endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace, keys)
             watchdog = stack.enter_context(Watchdog(os.environ))
             link = stack.enter_context(ZenohLink(endpoints))
-            ahead_s = _follow_robot(link, stop, watchdog.beat) if arguments.elsewhere else lambda: 0.0
+            ahead_s = _follow_robot(link, told.event, watchdog.beat) if arguments.elsewhere else lambda: 0.0
             service = make(profile, settings)
             if isinstance(service, contextlib.AbstractContextManager):
                 stack.enter_context(service)  # ports and servers are closed on the way out
@@ -103,17 +99,17 @@ def run(
         except OSError as error:  # a device or port that is not there; unlike the above it may come back
             logging.error("%s", error)
             return 1
-        try:
-            run_live(service, link, stop, watchdog.beat, ahead_s)  # a ValueError in here is a bug, and ends in a traceback
+        try:  # a ValueError in here is a bug, and ends in a traceback
+            run_live(service, link, told.event, watchdog.beat, ahead_s)
         except clock.ClockError as error:
             logging.error("%s", error)
             return 1
     return 0
 
 
-def _when_told_to_stop(end: Callable[[], object]) -> None:
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: end())
+def _end_with_traceback(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    sys.__excepthook__(kind, error, trace)
+    leave(1)
 
 
 def _patiently(rehearse: Callable[[], None]) -> None:

@@ -7,7 +7,7 @@ import os
 import sys
 
 from deploy.bed.namespace import enter
-from shared.host import end_with
+from shared.ending import end_with
 
 
 def main() -> int:
@@ -17,11 +17,11 @@ def main() -> int:
         return 2
     words = sys.argv[2:]
     try:
-        if len(words) > 2 and words[-2] == "--parent":
-            end_with(int(words[-1]))  # it holds for what this process becomes
-            del words[-2:]
         if process := int(sys.argv[1]):
             enter(process)
+        if len(words) > 2 and words[-2] == "--parent":
+            end_with(int(words[-1]))  # it holds for what this process becomes; whom it enters as another user it would not
+            del words[-2:]
         os.execvp(words[0], words)
     except OSError as error:
         sys.stderr.write(f"{error}\n")

@@ -13,7 +13,8 @@ import time
 from deploy.bed import orders
 from deploy.bed.air import Way
 from deploy.bed.namespace import MTU, BedError, leave_network, leave_user, wire
-from shared.host import end_with, go_first
+from shared.ending import end_with
+from shared.host import go_first
 
 ROBOT, BASE = "10.77.0.1", "10.77.0.2"  # addresses; the namespaces are seen by nobody else
 _READ = MTU + 64  # [bytes]

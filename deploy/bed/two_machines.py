@@ -11,7 +11,7 @@ from typing import Self
 
 from deploy.bed.bed import PORT, TLS_PORT, Bed
 from deploy.bed.ear import Heard
-from deploy.launch.launcher import Launcher
+from deploy.launch.launcher import LAUNCHERS_GRACE_S, Launcher
 from deploy.process_table import ENVIRONMENT, Command
 
 _CLI = ("-m", "deploy.cli")
@@ -48,7 +48,9 @@ class TwoMachines:
         robot, base = ((*self.commands[0], *course, *common), (*self.commands[1], *bed.base_words(), *common))
         halves = {"robot": bed.on_robot(*_python(*_CLI, *robot)), "base": bed.on_base(*_python(*_CLI, *base))}
         self._launcher = Launcher(
-            [Command(name, tuple(words[1:]), ENVIRONMENT, restarts=0) for name, words in halves.items()], hear=self._hear
+            [Command(name, tuple(words[1:]), ENVIRONMENT, restarts=0) for name, words in halves.items()],
+            hear=self._hear,
+            grace_s=LAUNCHERS_GRACE_S,
         )
 
     def __enter__(self) -> Self:

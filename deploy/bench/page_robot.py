@@ -27,6 +27,8 @@ _STILL_TICKS = 1  # by which goals may go on changing in a cycle of a robot that
 _STILL_S = 0.25
 _STILL_M_S = 0.015  # of a body that is taken to stand, over the next cycles: a tick more or less is a millimetre of one foot
 _WINDOW = 5  # cycles
+_AGAIN_S = 5.0  # from one order to stand to the next
+_PATIENCE_S = 180.0  # for what a busy machine may take long to do
 
 
 class PageRobot:
@@ -48,6 +50,7 @@ class PageRobot:
         self.state: ActuatorState | None = None
         self.pose: BodyPose | None = None
         self._up: dict[str, str] = {}  # services that were heard, and what they do
+        self._rising = False  # it was heard to, since it was last ordered to
         self._stops_s: list[float] = []  # times [s] of orders to stop
         self.said: deque[str] = deque(maxlen=200)
         self.ended: list[str] = []  # processes that did, in words
@@ -79,7 +82,7 @@ class PageRobot:
     def __exit__(self, *_: object) -> None:
         self._stack.close()
 
-    def until(self, holds: Callable[[], object], within_s: float = 60.0, what: str = "") -> None:
+    def until(self, holds: Callable[[], object], within_s: float = _PATIENCE_S, what: str = "") -> None:
         """Wait until something holds, processes being looked after meanwhile.
 
         Raises:
@@ -101,7 +104,7 @@ class PageRobot:
     def pass_time(self, length_s: float) -> None:
         """Let time pass."""
         end = time.monotonic() + length_s
-        self.until(lambda: time.monotonic() >= end, length_s + 5.0)
+        self.until(lambda: time.monotonic() >= end, length_s + _PATIENCE_S)
 
     def is_in(self, *modes: Mode) -> bool:
         """Whether the actuator says so."""
@@ -149,12 +152,23 @@ class PageRobot:
         return np.nan
 
     def stand(self, order: Callable[[], object]) -> None:
-        """Have the robot rise by an order, once it knows where it is."""
-        self.until(lambda: self.is_in(Mode.HOLD, Mode.OFF, Mode.READY), what="the actuator's first word")
+        """Have the robot rise by an order, once it knows where it is; given again where it does not, or lets go on the way.
+
+        The servos that a busy machine simulates may answer late, and who does not know where its legs are does not rise.
+        """
         self.until(lambda: self.pose is not None, what="a pose")
-        order()
-        self.until(lambda: self.is_in(Mode.STAND), what="rising")
-        self.until(lambda: self.is_in(Mode.HOLD), what="standing")
+        self._rising = False
+        due_s = 0.0
+
+        def stands() -> bool:
+            nonlocal due_s
+            if self.is_in(Mode.HOLD, Mode.OFF, Mode.READY) and not self._rising and time.monotonic() >= due_s:
+                due_s = time.monotonic() + _AGAIN_S
+                order()
+            self._rising = self._rising and not self.is_in(Mode.OFF, Mode.READY)
+            return self._rising and self.is_in(Mode.HOLD)
+
+        self.until(stands, what="standing")
 
     @contextlib.contextmanager
     def stopped(self) -> Iterator[None]:
@@ -184,6 +198,7 @@ class PageRobot:
         message = codec.decode(frame, topic.type)[0]
         if isinstance(message, ActuatorState):
             self.state = message
+            self._rising = self._rising or message.mode is Mode.STAND
         elif isinstance(message, BodyPose):
             self.pose = message
         elif isinstance(message, Health):

@@ -105,7 +105,7 @@ def _run_live(arguments: argparse.Namespace) -> int:
     progress = open_progress(arguments.json)
     out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
     from deploy.interrupts import Interrupts
-    from shared.host import end_with
+    from shared.ending import end_with
 
     with Interrupts() as interrupts:
         if getattr(arguments, "parent", None):

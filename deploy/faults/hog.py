@@ -4,7 +4,7 @@ import argparse
 import os
 
 from deploy.process_table import ENVIRONMENT, Command
-from shared.host import end_with
+from shared.ending import end_with
 
 
 def commands() -> tuple[Command, ...]:

@@ -15,7 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from deploy.process_table import ENVIRONMENT, Command
-from shared.host import end_with, go_first
+from shared.ending import end_with
+from shared.host import go_first
 
 _CHUNK = 4096  # [bytes]
 _HOST = "127.0.0.1"

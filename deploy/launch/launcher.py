@@ -20,6 +20,7 @@ from deploy.process_table import Command
 from shared.transport import Endpoints, Router, TransportError
 
 GRACE_S = 1.0  # between SIGTERM and SIGKILL
+LAUNCHERS_GRACE_S = 6.0  # likewise for launchers as children: they have children of their own to end, and a router to close
 _REAP_S = 0.5  # a killed process is gone after this
 _READY_LOOK_S = 0.05  # between two looks at whether a process is ready
 _TAIL = 60  # lines kept of what a process said
@@ -90,13 +91,20 @@ class Launcher:
     Start, poll and stop belong to one thread that outlives the children: Linux ends a child with the thread that made it.
     """
 
-    def __init__(self, commands: Sequence[Command], hear: Callable[[str, str], None] = lambda _name, _line: None):
+    def __init__(
+        self,
+        commands: Sequence[Command],
+        hear: Callable[[str, str], None] = lambda _name, _line: None,
+        grace_s: float = GRACE_S,
+    ):
         """Prepare.
 
         Args:
             commands: What to start, in this order, each once what it names in `after` is ready.
             hear: Is told each line that a process says, with its name, from threads of the launcher.
+            grace_s: [s] between asking them to end and killing them.
         """
+        self._grace_s = grace_s
         self._commands = tuple(commands)
         self._hear = hear
         self._children: dict[str, _Child] = {}
@@ -160,7 +168,7 @@ class Launcher:
         _signal(self._children[name], signal.SIGCONT)
 
     def stop(self, insisted: Callable[[], bool] = lambda: False) -> list[str]:
-        """End all children: ask, wait at most a second, then kill.
+        """End all children: ask, wait for as long as they are given, then kill.
 
         Args:
             insisted: Asked while waiting; True kills at once.
@@ -171,11 +179,11 @@ class Launcher:
         self._waiting.clear()
         for child in self._children.values():
             child.reported = True
-        until = time.monotonic() + GRACE_S
+        until = time.monotonic() + self._grace_s
         # Who needs another goes first, so that nobody's last words are that the other has gone.
         needed = {name for child in self._children.values() for name in child.command.after}
         first = [child for name, child in self._children.items() if name not in needed]
-        self._ask(first, [child for child in first if child.command.after], until - GRACE_S / 2, insisted)
+        self._ask(first, [child for child in first if child.command.after], until - self._grace_s / 2, insisted)
         self._ask(list(self._children.values()), list(self._children.values()), until, insisted)
         killed = [name for name, child in self._children.items() if not _over(child)]
         for child in self._children.values():

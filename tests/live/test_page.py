@@ -16,13 +16,13 @@ from deploy.bench.browser import DESKTOP, PHONE, SMALL, Hand
 from deploy.bench.page_robot import PageRobot
 from services.console.recording.reader import Recording
 from shared.messages import Mode
+from tests.support.commands import PATIENCE_S
 
 pytestmark = [
     pytest.mark.live,
     pytest.mark.skipif(not browsers.find(), reason=f"no browser found of {', '.join(browsers.BROWSERS)}: install Chromium"),
 ]
 SCAN_RATE_HZ = 5.0  # registered: the two cores of a small machine have the browsers to carry as well
-WALK_S = 60.0  # within which the pad walks
 SOON_S = 2.0  # for what takes some tenths of a second where nobody else is busy
 
 
@@ -60,6 +60,7 @@ class open_page:  # noqa: N801 - it reads as what it does
 
     def __enter__(self) -> Hand:
         self._context = self._chromium.new_context(viewport={"width": self._size[0], "height": self._size[1]})
+        self._context.set_default_timeout(1e3 * PATIENCE_S)
         page = self._context.new_page()
         self.errors: list[str] = []
         self.asked: list[str] = []
@@ -82,7 +83,7 @@ class open_page:  # noqa: N801 - it reads as what it does
 
 def walk(robot: PageRobot, hand: Hand) -> None:
     """Hold the pad until it has walked for a second; a page that stood still, on a machine that is busy, is pressed anew."""
-    presses, limit = 0, time.monotonic() + WALK_S
+    presses, limit = 0, time.monotonic() + PATIENCE_S
     walking: float | None = None  # since when
     while walking is None or time.monotonic() < walking + 1.0:
         if time.monotonic() > limit:
@@ -100,12 +101,12 @@ def walk(robot: PageRobot, hand: Hand) -> None:
 
 
 def stands(robot: PageRobot) -> None:
-    robot.until(lambda: robot.is_in(Mode.HOLD), 10.0, "standing")
+    robot.until(lambda: robot.is_in(Mode.HOLD), what="standing")
 
 
 def is_stopped(robot: PageRobot, since_s: float) -> None:
     """The console itself has ordered it since a time; a robot that only waits for its next step stands, too."""
-    robot.until(lambda: np.isfinite(robot.stop_ordered_after(since_s)), 10.0, "the console's order to stop")
+    robot.until(lambda: np.isfinite(robot.stop_ordered_after(since_s)), what="the console's order to stop")
     stands(robot)
 
 
@@ -135,7 +136,7 @@ def test_whatever_ends_a_press_stops_the_robot_and_it_takes_a_new_press_to_walk(
 ) -> None:
     page = hand.page
     if how == "keys":
-        limit = time.monotonic() + WALK_S
+        limit = time.monotonic() + PATIENCE_S
         while not robot.is_in(Mode.WALK):  # a page that stood still, on a machine that is busy, is pressed anew
             assert time.monotonic() < limit, f"a walk by keys; the page says {hand.says('#notice')!r}"
             page.keyboard.up("KeyW")
@@ -228,9 +229,9 @@ def test_a_click_on_the_map_is_a_goal_and_the_robot_goes_there(robot: PageRobot,
         (x, z) for x in ahead if (z := page.evaluate(f"window.sextant.view.terrain.heightAt({x}, 0)")) is not None
     )
     page.mouse.click(*page.evaluate(f"window.sextant.view.pixel({goal}, 0, {height})"))
-    robot.until(lambda: robot.is_in(Mode.WALK), 20.0, "a walk to the goal")
+    robot.until(lambda: robot.is_in(Mode.WALK), what="a walk to the goal")
     assert page.evaluate("window.sextant.view.robot.goal.visible")
-    robot.until(lambda: abs(x_of(robot) - goal) < 0.1, 40.0, "the goal")
+    robot.until(lambda: abs(x_of(robot) - goal) < 0.1, what="the goal")
     stands(robot)
     page.wait_for_function("() => document.getElementById('give-up').disabled")
     assert any("arrived" in line for line in page.locator("#entries li").all_inner_texts())
@@ -259,11 +260,11 @@ def test_a_console_that_dies_stops_the_robot_and_the_page_comes_back(robot: Page
     page.goto(robot.url)
     page.wait_for_function("() => document.getElementById('leader-words').textContent !== ''")
     hand = Hand(page)
-    robot.until(lambda: robot.state is not None and robot.state.lease == "", 10.0, "that nobody leads")
+    robot.until(lambda: robot.state is not None and robot.state.lease == "", what="that nobody leads")
     walk(robot, hand)
     robot.kill("console")
     stands(robot)
-    page.wait_for_function("() => window.sextant.link.open", timeout=60_000)
+    page.wait_for_function("() => window.sextant.link.open")
     robot.pass_time(1.0)
     assert robot.is_in(Mode.HOLD), "the pad that is still held moves nothing"
     context.close()
@@ -311,9 +312,9 @@ def test_a_recording_is_begun_and_ended_on_the_page_and_a_recorder_that_dies_is_
     assert str(first) in hand.says("#recorder-words")
     robot.pass_time(2.0)
     robot.kill("recorder")
-    robot.until(lambda: "not recorded" in hand.says("#entries"), 20.0, "that it died")
+    robot.until(lambda: "not recorded" in hand.says("#entries"), what="that it died")
     robot.until(
-        lambda: hand.says("#record") == "end" and str(first) not in hand.says("#recorder-words"), 20.0, "that it goes on"
+        lambda: hand.says("#record") == "end" and str(first) not in hand.says("#recorder-words"), what="that it goes on"
     )
     robot.pass_time(1.0)
     hand.click("#record")
@@ -323,5 +324,5 @@ def test_a_recording_is_begun_and_ended_on_the_page_and_a_recorder_that_dies_is_
     killed, whole = Recording(first), Recording(second)
     assert killed.counts()["actuator/state"] > 20
     assert not killed.complete
-    robot.until(lambda: whole.files and whole.files[0].stat().st_size > 0, 5.0, "the file")
+    robot.until(lambda: whole.files and whole.files[0].stat().st_size > 0, what="the file")
     assert sum(1 for _ in whole.frames()) > 50

@@ -125,7 +125,11 @@ class Command:
 
     def gone(self, within_s: float = PATIENCE_S) -> None:
         """Wait until nothing of it is left."""
-        eventually(lambda: not self.family(), "no orphan", within_s)
+        try:
+            eventually(lambda: not self.family(), "no orphan", within_s)
+        except AssertionError as error:
+            error.add_note("\n".join(["left behind:", *map(str, self.family())]))
+            raise
 
     def _read(self) -> None:
         assert self.process.stdout is not None

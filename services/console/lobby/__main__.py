@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from services.console.lobby.config import Settings
 from services.console.lobby.front import HEAD_BYTES, Front
-from shared.host import end_with
+from shared.ending import end_with
 from shared.process import load_settings
 from shared.watchdog import Watchdog
 

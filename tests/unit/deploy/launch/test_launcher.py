@@ -63,9 +63,8 @@ def watched() -> Iterator[list[int]]:
         os.close(fd)
 
 
-def test_all_start_and_all_are_gone_after_the_stop(ear: Ear, watched: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(launcher_module, "GRACE_S", PATIENCE_S)
-    with Launcher([command("a", "obedient"), command("b", "obedient")], ear) as launcher:
+def test_all_start_and_all_are_gone_after_the_stop(ear: Ear, watched: list[int]) -> None:
+    with Launcher([command("a", "obedient"), command("b", "obedient")], ear, grace_s=PATIENCE_S) as launcher:
         for name in ("a", "b"):
             assert int(ear.wait_for(name, "ready")) == launcher.pid(name)
             watched.append(os.pidfd_open(launcher.pid(name)))
@@ -104,9 +103,8 @@ def test_a_kill_is_told_by_its_signal_and_the_process_comes_back(ear: Ear) -> No
         assert int(ear.wait_for("a", "ready")) == launcher.pid("a") != first
 
 
-def test_who_does_not_listen_is_killed_in_bounded_time(ear: Ear, watched: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(launcher_module, "GRACE_S", 0.1)
-    with Launcher([command("a", "stubborn"), command("b", "obedient")], ear) as launcher:
+def test_who_does_not_listen_is_killed_in_bounded_time(ear: Ear, watched: list[int]) -> None:
+    with Launcher([command("a", "stubborn"), command("b", "obedient")], ear, grace_s=0.1) as launcher:
         ear.wait_for("a", "ready")
         watched += [os.pidfd_open(launcher.pid(name)) for name in ("a", "b")]
         assert "a" in launcher.stop()
@@ -116,7 +114,9 @@ def test_who_does_not_listen_is_killed_in_bounded_time(ear: Ear, watched: list[i
 def test_who_needs_another_ends_before_it(ear: Ear, watched: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     port = free_port()
     with Launcher(
-        [command("bus", "listen", str(port), ready_port=port), command("user", "obedient", after=("bus",))], ear
+        [command("bus", "listen", str(port), ready_port=port), command("user", "obedient", after=("bus",))],
+        ear,
+        grace_s=2 * PATIENCE_S,
     ) as launcher:
         os.kill(int(ear.wait_for("bus", "ready")), signal.SIGUSR1)
         until = time.monotonic() + PATIENCE_S
@@ -134,23 +134,20 @@ def test_who_needs_another_ends_before_it(ear: Ear, watched: list[int], monkeypa
 
         send = launcher_module._signal
         monkeypatch.setattr(launcher_module, "_signal", ask)
-        monkeypatch.setattr(launcher_module, "GRACE_S", 2 * PATIENCE_S)
         launcher.stop()
         assert before == [True]
 
 
-def test_asking_twice_kills_at_once(ear: Ear, watched: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(launcher_module, "GRACE_S", 1e6)
-    with Launcher([command("a", "stubborn")], ear) as launcher:
+def test_asking_twice_kills_at_once(ear: Ear, watched: list[int]) -> None:
+    with Launcher([command("a", "stubborn")], ear, grace_s=1e6) as launcher:
         ear.wait_for("a", "ready")
         watched.append(os.pidfd_open(launcher.pid("a")))
         assert launcher.stop(insisted=lambda: True) == ["a"]
         assert gone(watched[0], 0)
 
 
-def test_a_frozen_child_ends_with_the_others(ear: Ear, watched: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(launcher_module, "GRACE_S", PATIENCE_S)
-    with Launcher([command("a", "obedient")], ear) as launcher:
+def test_a_frozen_child_ends_with_the_others(ear: Ear, watched: list[int]) -> None:
+    with Launcher([command("a", "obedient")], ear, grace_s=PATIENCE_S) as launcher:
         ear.wait_for("a", "ready")
         watched.append(os.pidfd_open(launcher.pid("a")))
         launcher.freeze("a")

@@ -1,0 +1,74 @@
+"""How a process ends: with the one that started it, when it is told to, in bounded time, and without what may hang."""
+
+import ctypes
+import faulthandler
+import logging
+import os
+import signal
+import sys
+import threading
+from types import TracebackType
+from typing import Any, NoReturn, Self
+
+_PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when the thread that started it ends
+_END_S = 10.0  # [s] after it was told to end, by which a process has closed what it had open, or never will
+
+
+def end_with(parent: int) -> None:
+    """End this process when the one with an id, which must have started it, has ended; nothing is orphaned."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # it died before the call above
+        raise SystemExit(1)
+
+
+class ToldToEnd:
+    """SIGTERM and SIGINT as an event, for as long as a block of the main thread runs; a context manager.
+
+    A thread waits for them, because a signal's handler has to wait for the main thread, which may be caught in a call into a
+    library. Who is told and has not left the block within ten seconds is ended, and says where each thread was.
+    """
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self._at_once = True
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        self._reads, self._writes = os.pipe()
+        os.set_blocking(self._writes, False)
+        self._wakes_before = signal.set_wakeup_fd(self._writes, warn_on_full_buffer=False)
+        for number in (signal.SIGTERM, signal.SIGINT):  # a handler has it written to the pipe, and need not do anything
+            self._before[number] = signal.signal(number, lambda *_: None)
+        self._thread = threading.Thread(target=self._listen, name="told to end", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        signal.set_wakeup_fd(self._wakes_before)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        os.close(self._writes)  # at which the thread ends
+        self._thread.join()
+        os.close(self._reads)
+        faulthandler.cancel_dump_traceback_later()
+
+    def open(self) -> None:
+        """Have the process close what it opens from now on; before, it ends at once when it is told, with status 0."""
+        self._at_once = False
+
+    def _listen(self) -> None:
+        while number := os.read(self._reads, 1):
+            if number[0] not in self._before or self.event.is_set():
+                continue
+            if self._at_once:
+                os._exit(0)
+            faulthandler.dump_traceback_later(_END_S, exit=True)  # by a thread that needs nothing of Python's
+            self.event.set()
+
+
+def leave(status: int) -> NoReturn:
+    """End this process, which has closed what it had open, without the interpreter's teardown, in which libraries may hang."""
+    logging.shutdown()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
