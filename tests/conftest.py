@@ -5,6 +5,8 @@ import os
 import pytest
 from hypothesis import settings
 
+from tests.support.idle import weigh_little
+
 settings.register_profile("seeded", derandomize=True, deadline=None)
 settings.load_profile("seeded")
 
@@ -16,9 +18,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Before workers start, which do as this process does."""
+    """Before workers start, which do as this process does, and each in a session of its own."""
     if config.getoption("--idle"):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+        if hasattr(config, "workerinput"):
+            os.setsid()
+            weigh_little(os.getpid())
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -22,6 +22,7 @@ from shared import codec, topics
 from shared.messages import ActuatorState, Mode, PlannerStatus
 from shared.service import AnyTopic
 from shared.transport import Endpoints, ZenohLink
+from tests.support.idle import is_idle, weigh_little
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 180.0  # for whatever a busy machine may take long to do
@@ -72,6 +73,8 @@ class Command:
             text=True,
             start_new_session=True,
         )
+        if is_idle():
+            weigh_little(self.process.pid)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         return self

@@ -86,7 +86,8 @@ def walk(
     Guests are further services that take part.
     """
     heard = Heard(tuple(wanted))
-    run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap, guests)
+    looked_at = topics.DEPTH in heard.wanted
+    run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap, guests, every_frame=looked_at)
     while not run.attendance.over():
         assert run.now_ns() < 2 * scenario.time_limit_s * S, "no verdict"
         run.run(run.now_ns() + LOOK_NS)
@@ -97,7 +98,7 @@ def walk(
 def blocked(scenario: Scenario, seed: int, within_s: float = 30.0) -> tuple[str, TerrainMap]:
     """Walk until the planner does not go on: its reason, and the map that it has then."""
     heard = Heard((topics.PLANNER_STATUS, topics.TERRAIN))
-    run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap)
+    run = assemble(scenario, seed, load_profile(scenario.robot), heard.tap, every_frame=False)
     while run.now_ns() < within_s * S:
         run.run(run.now_ns() + LOOK_NS)
         now_s = run.now_ns() * 1e-9

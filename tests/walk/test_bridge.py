@@ -22,7 +22,7 @@ PATIENCE_S, ANEW_S = 30.0, 3.0  # [s] until an order must have been followed, an
 COURSE = """
 name = "level"
 time_limit_s = 60.0
-goal = { distance = 1.5 }
+goal = { distance = 0.8 }
 terrain = [{ kind = "plane" }]
 """
 

@@ -16,6 +16,7 @@ from shared.scenario import Fault, Scenario
 from tests.support.walks import Walk, flat, walk
 
 AT_S = 4.5  # the third step is in its middle, three feet are in the air
+TIMES_S = (AT_S, 10.0)  # and another after it has walked on
 FOR_S = 2.5  # longer than the oldest map that is stepped on, the step that was planned on it, and the one before
 SETTLE_S = 0.5  # in which servos without a master reach the last goal
 REASONS = {
@@ -26,8 +27,10 @@ REASONS = {
 SERVOS = load_profile("phantomx_mk2").servo_ids.ravel().tolist()
 
 
-def course(service: str, kind: str, for_s: float = FOR_S) -> Scenario:
-    return flat(0.4, faults=(Fault(AT_S, service, kind, for_s=for_s),))  # type: ignore[arg-type]
+def course(service: str, *kinds: str, for_s: float = FOR_S) -> Scenario:
+    """A walk on which a service goes away, in one way after the other, each in the middle of a step."""
+    faults = tuple(Fault(at_s, service, kind, for_s=for_s) for at_s, kind in zip(TIMES_S, kinds, strict=False))  # type: ignore[arg-type]
+    return flat(0.4 + 0.25 * (len(kinds) - 1), faults=faults)
 
 
 def assert_carried_on(found: Walk) -> None:
@@ -48,19 +51,20 @@ def assert_carried_on(found: Walk) -> None:
     assert stability_margin(feet, contact, body).min() >= 0
 
 
-@pytest.mark.parametrize("kind", ["kill", "hang"])
 @pytest.mark.parametrize("service", ["perception", "mapper", "planner"])
-def test_without_a_service_the_robot_holds_says_why_and_goes_on(service: str, kind: str) -> None:
-    found = walk(course(service, kind), 1000)
-    states = found.states(AT_S, AT_S + FOR_S)
-    assert states[0].mode is Mode.WALK
-    assert states[0].swing.sum() == 3
-    first = next(i for i, state in enumerate(states) if state.mode is Mode.HOLD)
-    assert all(state.mode is Mode.HOLD and not state.swing.any() for state in states[first:]), (
-        "it holds till the service is back"
-    )
-    said = {state.reason for state in states[first:]} | {status.reason for status in found.statuses(AT_S, AT_S + FOR_S)}
-    assert any(REASONS[service] in reason for reason in said), said
+def test_without_a_service_the_robot_holds_says_why_and_goes_on(service: str) -> None:
+    """Be it killed or hung."""
+    found = walk(course(service, "kill", "hang"), 1000)
+    for at_s in TIMES_S:
+        states = found.states(at_s, at_s + FOR_S)
+        assert states[0].mode is Mode.WALK
+        assert states[0].swing.sum() == 3
+        first = next(i for i, state in enumerate(states) if state.mode is Mode.HOLD)
+        assert all(state.mode is Mode.HOLD and not state.swing.any() for state in states[first:]), (
+            "it holds till the service is back"
+        )
+        said = {state.reason for state in states[first:]} | {status.reason for status in found.statuses(at_s, at_s + FOR_S)}
+        assert any(REASONS[service] in reason for reason in said), said
     assert_carried_on(found)
 
 
@@ -88,7 +92,7 @@ class Servos:
 @pytest.mark.parametrize(("kind", "for_s"), [("kill", FOR_S), ("hang", 4.5)])
 def test_without_the_actuator_the_servos_keep_goals_and_torque_and_the_walk_goes_on(kind: str, for_s: float) -> None:
     servos = Servos(for_s)
-    found = walk(course("actuator", kind, for_s), 1000, look=servos.look)
+    found = walk(course("actuator", kind, for_s=for_s), 1000, look=servos.look)
     assert not found.states(AT_S, AT_S + for_s), "nobody commands"
     assert len(servos.seen) > 10
     goals, torques = servos.seen[0]

@@ -9,6 +9,7 @@ import pytest
 from deploy import cli
 from shared.kinematics import body_inverse, within_limits
 from shared.profiles import load_profile
+from tests.support.commands import write_course
 
 DOC = (Path(__file__).parents[2] / "docs" / "your_robot.md").read_text(encoding="utf-8")
 
@@ -23,7 +24,8 @@ def profile(tmp_path: Path) -> Path:
 
 def test_the_robot_of_the_docs_walks(profile: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "run")
-    assert cli.main(["run", "flat", "--lockstep", "--seed", "1000", "--robot", str(profile), "--json", "--out", out]) == 0
+    course = str(write_course(tmp_path, "level", 1.0))
+    assert cli.main(["run", course, "--lockstep", "--seed", "1000", "--robot", str(profile), "--json", "--out", out]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["robot"] == "small_hexapod"
     assert report["missteps"] == 0
