@@ -29,7 +29,7 @@ from tests.support.composed import commands_of
 
 pytestmark = pytest.mark.live
 
-CLIENT_RUNS = 3
+CLIENT_RUNS = ORDERS = 3  # at most
 ENDS_WITHIN_S = 6.0  # after Ctrl-C; on a quiet machine it takes less than two
 ROUTER_PORT = 7447
 PAGE_PORT = 8080
@@ -190,6 +190,18 @@ def walk_by_the_client_of_the_docs(endpoint: str) -> None:
     assert ear.places[-1][0] - ear.places[0][0] > 0.1, "it has gone forward"
 
 
+def ordered(order: str, status: int, folder: Path, *meet: str) -> str:
+    """What `sextant order` says that ends as it must; given again where a servo of a busy machine has answered late."""
+    told: list[str] = []
+    for _ in range(ORDERS):
+        with Command("order", order, "--take", "--holder", order, *meet, cwd=folder) as given:
+            ended = given.status()
+        told.append(given.text())
+        if ended == status:
+            return told[-1]
+    raise AssertionError("\n".join(told))
+
+
 def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> None:
     skip_where_taken(BUS_PORT)
     course, out = str(write_course(tmp_path, "shared", 0.3)), tmp_path / "out"
@@ -210,9 +222,7 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
             ("stand", 0, "hold: standing"),
             ("off", 0, "off: ordered off"),
         ):
-            with Command("order", order, "--take", "--holder", order, "--connect", endpoint, *meet, cwd=tmp_path) as given:
-                assert given.status() == status
-                assert words in given.text()
+            assert words in ordered(order, status, tmp_path, "--connect", endpoint, *meet)
         walk_by_the_client_of_the_docs(endpoint)
         up.interrupt()
         assert up.status() == 130
