@@ -4,42 +4,82 @@ python -m deploy.warm_up
 """
 
 import argparse
+import os
 import sys
+from collections.abc import Callable
+from pathlib import Path
 
-from services.mapper import rehearsal as mapper
-from services.mapper.config import Settings as MapperSettings
-from services.perception import rehearsal as perception
-from services.perception.config import Settings as PerceptionSettings
-from services.planner import rehearsal as planner
-from services.planner.config import Settings as PlannerSettings
-from services.simulator import rehearsal as simulator
-from services.simulator.config import Settings as SimulatorSettings
+import services.planner.passage
+from deploy.workers import share_out
 from shared.ending import end_with
 from shared.profiles import load_profile
 from shared.robot import RobotProfile
 from shared.scenario import load_scenario
 
 _SCENARIOS = ("steps", "cobbles", "puddle")  # of blocks, of a height field, and in colour
+_Rehearsal = Callable[[RobotProfile, str], None]
+
+
+def _perception(profile: RobotProfile, _: str) -> None:
+    from services.perception.config import Settings
+    from services.perception.rehearsal import rehearse
+
+    rehearse(profile, Settings())
+
+
+def _mapper(profile: RobotProfile, _: str) -> None:
+    from services.mapper.config import Settings
+    from services.mapper.rehearsal import rehearse
+
+    rehearse(profile, Settings())
+
+
+def _planner(profile: RobotProfile, _: str) -> None:
+    from services.planner.config import Settings
+    from services.planner.rehearsal import rehearse
+
+    rehearse(profile, Settings())
+
+
+def _simulator(profile: RobotProfile, scenario: str) -> None:
+    from services.simulator.config import Settings
+    from services.simulator.rehearsal import rehearse
+
+    rehearse(profile, Settings(scenario))
+
+
+_SHARES = ((_planner,), (_perception, _mapper, _simulator))  # either takes about as long as the other, where all is new
 
 
 def main() -> int:
-    """Rehearse for all of them."""
+    """Rehearse for all of them; on two cores, where there are two and much is to be done."""
     parser = argparse.ArgumentParser(prog="python -m deploy.warm_up", description=__doc__)
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     arguments = parser.parse_args()
     if arguments.parent:
         end_with(arguments.parent)
-    for name in _SCENARIOS:
-        rehearse(load_profile(load_scenario(name).robot), name)
+    jobs = 1 if _compiled_before() else min(len(_SHARES), len(os.sched_getaffinity(0)))
+    for _ in share_out(_rehearse_everywhere, [(share,) for share in _SHARES], jobs, in_order=False):
+        pass
     return 0
+
+
+def _compiled_before() -> bool:
+    """Whether Numba has left anything beside the planner's search, which takes longest."""
+    return any((Path(services.planner.passage.__path__[0]) / "__pycache__").glob("*.nbi"))
 
 
 def rehearse(profile: RobotProfile, scenario: str) -> None:
     """Let all services that have something to compile rehearse, for a robot on a course."""
-    perception.rehearse(profile, PerceptionSettings())
-    mapper.rehearse(profile, MapperSettings())
-    planner.rehearse(profile, PlannerSettings())
-    simulator.rehearse(profile, SimulatorSettings(scenario))
+    for share in _SHARES:
+        for rehearsal in share:
+            rehearsal(profile, scenario)
+
+
+def _rehearse_everywhere(share: tuple[_Rehearsal, ...]) -> None:
+    for scenario in _SCENARIOS:
+        for rehearsal in share:
+            rehearsal(load_profile(load_scenario(scenario).robot), scenario)
 
 
 if __name__ == "__main__":

@@ -93,7 +93,7 @@ def compose_commands(scenario: str, seed: int) -> tuple[Command, ...]:
         memory_mb=1024,
     )
     # Each would compile its own beside all others; after this one there is nothing left to compile.
-    warm_up = Command(WARM_UP, ("-m", "deploy.warm_up"), ENVIRONMENT, memory_mb=1024)
+    warm_up = Command(WARM_UP, ("-m", "deploy.warm_up"), ENVIRONMENT, memory_mb=1536)
     waiting = [replace(command, after=(WARM_UP, *command.after)) for command in (*services, operator)]
     return _together(router_command(ROUTER_ENDPOINT), (warm_up, *waiting))
 

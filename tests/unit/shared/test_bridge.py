@@ -16,7 +16,7 @@ from shared.codec import DecodeError, pack_values
 from shared.fields import Choice, Kind, Octets, Text, Whole, Words
 from shared.framing import frame
 
-WILD = settings(deadline=None, derandomize=True, max_examples=300)
+WILD = settings(deadline=None, derandomize=True, max_examples=150)
 DOCUMENT = (Path(__file__).parents[3] / "docs" / "bridge.md").read_text(encoding="utf-8")
 N = 18
 

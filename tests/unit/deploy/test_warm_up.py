@@ -1,0 +1,31 @@
+"""What is compiled before a first run is compiled once, on as many cores as that is worth."""
+
+import os
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from deploy import warm_up
+
+
+@pytest.mark.parametrize(("compiled", "cores", "jobs"), [(False, 1, 1), (False, 2, 2), (False, 16, 2), (True, 16, 1)])
+def test_two_cores_share_what_has_never_been_compiled(
+    compiled: bool, cores: int, jobs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[list[tuple[Any, ...]], int]] = []
+
+    def share_out(_work: Any, tasks: list[tuple[Any, ...]], jobs: int, **_: Any) -> Iterator[None]:
+        asked.append((tasks, jobs))
+        yield from ()
+
+    monkeypatch.setattr(warm_up, "share_out", share_out)
+    monkeypatch.setattr(warm_up, "_compiled_before", lambda: compiled)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)))
+    monkeypatch.setattr(sys, "argv", ["warm_up"])
+    assert warm_up.main() == 0
+    ((tasks, found),) = asked
+    assert found == jobs
+    rehearsed = [rehearsal for (share,) in tasks for rehearsal in share]
+    assert sorted(rehearsal.__name__ for rehearsal in rehearsed) == ["_mapper", "_perception", "_planner", "_simulator"]
