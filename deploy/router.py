@@ -21,7 +21,7 @@ from deploy.network.silence import SilenceLimit
 from deploy.process_table import ROUTER_ENDPOINT
 from deploy.provenance import version
 from shared.access import AccessError
-from shared.ending import end_with, leave
+from shared.ending import bound_the_end, end_with, leave, leave_at_errors
 from shared.transport import GIVEN_UP_S, LEASE_MS, Router, TransportError, ZenohLink, log_to_stdout
 from shared.watchdog import Watchdog
 
@@ -101,6 +101,7 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
             watchdog.beat(awake.look())
             time.sleep(_LOOK_S)  # not sigtimedwait: to a process that was stopped in it, it tells of a signal that never came
             if told_to_stop():
+                bound_the_end()
                 break
             if turn % _SILENCE_TURNS == 0:
                 silence.look()
@@ -156,4 +157,5 @@ class _Awake:
 
 
 if __name__ == "__main__":
+    leave_at_errors()
     leave(main())

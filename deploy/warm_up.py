@@ -8,8 +8,8 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-import services.planner.passage
 from deploy.workers import share_out
 from shared.ending import end_with
 from shared.profiles import load_profile
@@ -17,7 +17,7 @@ from shared.robot import RobotProfile
 from shared.scenario import load_scenario
 
 _SCENARIOS = ("steps", "cobbles", "puddle")  # of blocks, of a height field, and in colour
-_Rehearsal = Callable[[RobotProfile, str], None]
+_Rehearsal = Callable[[RobotProfile, str], None]  # each loads its service itself, for a process that rehearses others need not
 
 
 def _perception(profile: RobotProfile, _: str) -> None:
@@ -65,8 +65,11 @@ def main() -> int:
 
 
 def _compiled_before() -> bool:
-    """Whether Numba has left anything beside the planner's search, which takes longest."""
-    return any((Path(services.planner.passage.__path__[0]) / "__pycache__").glob("*.nbi"))
+    """Whether Numba keeps anything of the planner's search, which takes longest: what is left to do is little, mostly."""
+    from services.planner.passage import search
+
+    compiled: Any = search.grow
+    return any(Path(compiled.stats.cache_path).glob("search.*.nbi"))
 
 
 def rehearse(profile: RobotProfile, scenario: str) -> None:

@@ -11,7 +11,8 @@ from types import TracebackType
 from typing import Any, NoReturn, Self
 
 _PR_SET_PDEATHSIG = 1  # Linux: a signal for this process when the thread that started it ends
-_END_S = 10.0  # [s] after it was told to end, by which a process has closed what it had open, or never will
+_STDERR = 2
+_END_S = 10.0  # [s] by which a process has closed what it had open, or never will; launchers and systemd kill sooner
 
 
 def end_with(parent: int) -> None:
@@ -21,11 +22,16 @@ def end_with(parent: int) -> None:
         raise SystemExit(1)
 
 
+def bound_the_end() -> None:
+    """Have this process end in ten seconds, with status 1 and word of where each thread was, if it has not ended by then."""
+    faulthandler.dump_traceback_later(_END_S, exit=True, file=_STDERR)  # by a thread that needs nothing of Python's
+
+
 class ToldToEnd:
     """SIGTERM and SIGINT as an event, for as long as a block of the main thread runs; a context manager.
 
     A thread waits for them, because a signal's handler has to wait for the main thread, which may be caught in a call into a
-    library. Who is told and has not left the block within ten seconds is ended, and says where each thread was.
+    library that lets other threads run meanwhile. Who is told has ten seconds to leave the block, see `bound_the_end`.
     """
 
     def __init__(self) -> None:
@@ -50,7 +56,7 @@ class ToldToEnd:
         os.close(self._writes)  # at which the thread ends
         self._thread.join()
         os.close(self._reads)
-        faulthandler.cancel_dump_traceback_later()
+        faulthandler.cancel_dump_traceback_later()  # of `bound_the_end`
 
     def open(self) -> None:
         """Have the process close what it opens from now on; before, it ends at once when it is told, with status 0."""
@@ -62,8 +68,18 @@ class ToldToEnd:
                 continue
             if self._at_once:
                 os._exit(0)
-            faulthandler.dump_traceback_later(_END_S, exit=True)  # by a thread that needs nothing of Python's
             self.event.set()
+            bound_the_end()
+
+
+def leave_at_errors() -> None:
+    """Have whatever this process raises in the end be told as usual, and the process left as by `leave`."""
+
+    def told(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        sys.__excepthook__(kind, error, trace)
+        leave(1)
+
+    sys.excepthook = told
 
 
 def leave(status: int) -> NoReturn:

@@ -16,12 +16,11 @@ import time
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NoReturn, TypeVar
 
 from shared import clock, codec, config, topics
 from shared.access import Keys
-from shared.ending import ToldToEnd, end_with, leave
+from shared.ending import ToldToEnd, end_with, leave, leave_at_errors
 from shared.host import go_first, keep_memory, switch_often
 from shared.live import run_live
 from shared.profiles import load_profile
@@ -43,14 +42,16 @@ def main(
     rehearse: Callable[[RobotProfile, S], None] | None = None,
 ) -> NoReturn:
     """Run one service and end the process."""
-    sys.excepthook = _end_with_traceback
-    leave(run(name, schema, make, rehearse=rehearse))
+    leave_at_errors()
+    with ToldToEnd() as told:
+        leave(run(name, schema, make, told, rehearse=rehearse))
 
 
 def run(
     name: str,
     schema: type[S],
     make: Callable[[RobotProfile, S], Service],
+    told: ToldToEnd,
     argv: Sequence[str] | None = None,
     rehearse: Callable[[RobotProfile, S], None] | None = None,
 ) -> int:
@@ -60,6 +61,7 @@ def run(
         name: Of the service.
         schema: Its settings' class.
         make: Makes it for a robot, with its settings.
+        told: That it shall stop.
         argv: The command line, without the program; this process's own when left out.
         rehearse: Compiles what it calls, before it says that it is there.
 
@@ -78,7 +80,6 @@ def run(
     keep_memory()
     switch_often()
     with contextlib.ExitStack() as stack:
-        told = stack.enter_context(ToldToEnd())
         try:
             profile = load_profile(arguments.robot)
             settings = load_settings(schema, arguments.config, arguments.set)
@@ -105,11 +106,6 @@ def run(
             logging.error("%s", error)
             return 1
     return 0
-
-
-def _end_with_traceback(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    sys.__excepthook__(kind, error, trace)
-    leave(1)
 
 
 def _patiently(rehearse: Callable[[], None]) -> None:

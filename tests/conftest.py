@@ -18,7 +18,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Before workers start, which do as this process does, and each in a session of its own."""
+    """Workers inherit how this process is scheduled; each makes a session of its own."""
     if config.getoption("--idle"):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
         if hasattr(config, "workerinput"):

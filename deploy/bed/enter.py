@@ -20,7 +20,7 @@ def main() -> int:
         if process := int(sys.argv[1]):
             enter(process)
         if len(words) > 2 and words[-2] == "--parent":
-            end_with(int(words[-1]))  # it holds for what this process becomes; whom it enters as another user it would not
+            end_with(int(words[-1]))  # for what this process becomes, too; a change of user namespace would undo it
             del words[-2:]
         os.execvp(words[0], words)
     except OSError as error:

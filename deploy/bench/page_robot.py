@@ -50,7 +50,7 @@ class PageRobot:
         self.state: ActuatorState | None = None
         self.pose: BodyPose | None = None
         self._up: dict[str, str] = {}  # services that were heard, and what they do
-        self._rising = False  # it was heard to, since it was last ordered to
+        self._rising = False  # it was heard to since `stand` began and not to let go again
         self._stops_s: list[float] = []  # times [s] of orders to stop
         self.said: deque[str] = deque(maxlen=200)
         self.ended: list[str] = []  # processes that did, in words

@@ -184,7 +184,8 @@ class Launcher:
         needed = {name for child in self._children.values() for name in child.command.after}
         first = [child for name, child in self._children.items() if name not in needed]
         self._ask(first, [child for child in first if child.command.after], until - self._grace_s / 2, insisted)
-        self._ask(list(self._children.values()), list(self._children.values()), until, insisted)
+        rest = [child for name, child in self._children.items() if name in needed]  # nobody is asked twice, which is to insist
+        self._ask(rest, list(self._children.values()), until, insisted)
         killed = [name for name, child in self._children.items() if not _over(child)]
         for child in self._children.values():
             with contextlib.suppress(ProcessLookupError):  # also what the child itself has started

@@ -150,7 +150,7 @@ def test_two_runs_do_not_meet_and_neither_leaves_an_orphan(tmp_path: Path) -> No
             other.forget()
             right.wait_for(lambda: other.walked(1), "the right robot walking on")
         right.process.kill()
-        right.gone(10.0)
+        right.gone()
     report = report_in(outs["left"])
     assert report["success"] is False
     assert "stopped by the operator" in str(report["reason"])
@@ -197,9 +197,10 @@ def ordered(order: str, status: int, folder: Path, *meet: str) -> str:
         with Command("order", order, "--take", "--holder", order, *meet, cwd=folder) as given:
             ended = given.status()
         told.append(given.text())
-        if ended == status:
-            return told[-1]
-    raise AssertionError("\n".join(told))
+        if ended == status or status != 0:  # what must be refused is ordered once
+            break
+    assert ended == status, "\n".join(told)
+    return told[-1]
 
 
 def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> None:

@@ -1,8 +1,10 @@
 """Computing only while nobody else wants to, where Linux shares the processor among sessions first (autogroup in sched(7))."""
 
-import contextlib
 import os
+import threading
 from pathlib import Path
+
+_TRIES, _AGAIN_S = 20, 0.11
 
 
 def is_idle() -> bool:
@@ -12,5 +14,12 @@ def is_idle() -> bool:
 
 def weigh_little(pid: int) -> None:
     """Have the session of a process, the first one in it, go behind all other sessions."""
-    with contextlib.suppress(OSError):  # there are no such groups here, or this user may not just now
-        Path(f"/proc/{pid}/autogroup").write_text("19", encoding="ascii")
+    for _ in range(_TRIES):
+        try:
+            Path(f"/proc/{pid}/autogroup").write_text("19", encoding="ascii")
+        except BlockingIOError:  # only root may do so more than ten times a second, all users together
+            threading.Event().wait(_AGAIN_S)
+        except OSError:
+            return  # there are no such groups here
+        else:
+            return

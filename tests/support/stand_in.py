@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from types import FrameType
 
 
@@ -29,6 +30,18 @@ def obedient() -> int:
     """Ends when asked."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     return ready_and_wait()
+
+
+def counting() -> int:
+    """Says how often it has been asked to end, and ends half a second after the first time."""
+    asked: list[int] = []
+    signal.signal(signal.SIGTERM, lambda *_: asked.append(1))
+    say(f"ready {os.getpid()}")
+    while not asked:
+        signal.pause()
+    time.sleep(0.5)
+    say(f"asked {len(asked)}")
+    return 0
 
 
 def stubborn() -> int:
@@ -92,6 +105,7 @@ def say(text: str) -> None:
 
 BEHAVIOURS = {
     "obedient": obedient,
+    "counting": counting,
     "stubborn": stubborn,
     "crash": crash,
     "refuse": refuse,

@@ -1,69 +1,77 @@
 """How a process ends, whatever its main thread is caught in."""
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
+from shared import ending
 from shared.ending import ToldToEnd
 
-PATIENCE_S = 60.0  # for a process of its own on a busy machine
+PATIENCE_S = 180.0  # for a process of its own on a busy machine
 
 _BEGINS = """
 import ctypes, os, signal, sys, threading
 from shared import ending
-ending._END_S = 0.5
+ending._END_S = float(sys.argv[1])
 with ending.ToldToEnd() as told:
     told.open()
-    print("ready", flush=True)
+    print("ready", os.getpid(), flush=True)
 """
-_ENDS = (
-    _BEGINS
-    + """
+_ENDS = f"""{_BEGINS}
     told.event.wait()
     print("told", flush=True)
-ending.leave(3)
+    ending.leave(3)
 """
-)
-_CAUGHT_IN_A_LIBRARY = (
-    _BEGINS
-    + """
-    libc = ctypes.CDLL(None)
+_CAUGHT_IN_A_LIBRARY = f"""{_BEGINS}
     while True:
-        libc.sleep(1000)  # a handler of Python's runs between two calls, each of them as long as it likes
+        ctypes.CDLL(None).sleep(1000)  # a handler of Python's runs between two calls, each of them as long as it likes
 """
-)
-_HANGS_WHILE_IT_CLOSES = (
-    _BEGINS
-    + """
+_HANGS_WHILE_IT_CLOSES = f"""{_BEGINS}
     told.event.wait()
-    print("told", flush=True)
     threading.Event().wait()
 """
-)
-_LEFT_BEHIND = """
+_FAILS = """
+from shared import ending
+ending.leave_at_errors()
+raise RuntimeError("no more ground")
+"""
+_STARTS_ONE = """
 import subprocess, sys
-child = subprocess.Popen([sys.executable, "-c", sys.argv[1]])
-print(child.pid, flush=True)
+subprocess.Popen([sys.executable, "-c", *sys.argv[1:]])
 sys.stdin.read()
 """
 
 
-def begun(source: str, *arguments: str) -> "subprocess.Popen[str]":
-    words = [sys.executable, "-c", source, *arguments]
-    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+@contextlib.contextmanager
+def begun(source: str, *words: str) -> Iterator["subprocess.Popen[str]"]:
+    """A process, and whoever it starts; none of them is left behind."""
+    pipe = subprocess.PIPE
+    command = [sys.executable, "-c", source, *words]
+    process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, process_group=0)
+    try:
+        yield process
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+def is_ready(process: "subprocess.Popen[str]") -> bool:
     assert process.stdout is not None
-    assert process.stdout.readline(), "it is ready"
-    return process
+    return process.stdout.readline().startswith("ready")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_who_is_told_closes_and_leaves_with_its_status(number: signal.Signals) -> None:
-    with begun(_ENDS) as process:
+    with begun(_ENDS, str(PATIENCE_S)) as process:
+        assert is_ready(process)
         process.send_signal(number)
         said, complained = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, said, complained) == (3, "told\n", "")
@@ -71,7 +79,8 @@ def test_who_is_told_closes_and_leaves_with_its_status(number: signal.Signals) -
 
 @pytest.mark.parametrize("source", [_CAUGHT_IN_A_LIBRARY, _HANGS_WHILE_IT_CLOSES])
 def test_who_is_told_and_hangs_is_ended_and_says_where_it_was(source: str) -> None:
-    with begun(source) as process:
+    with begun(source, "0.5") as process:
+        assert is_ready(process)
         process.send_signal(signal.SIGTERM)
         _, complained = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
@@ -81,16 +90,23 @@ def test_who_is_told_and_hangs_is_ended_and_says_where_it_was(source: str) -> No
 
 def test_nobody_who_hangs_outlives_the_one_that_started_it() -> None:
     child = _CAUGHT_IN_A_LIBRARY.replace("with ending", "ending.end_with(os.getppid())\nwith ending")
-    with begun(_LEFT_BEHIND, child) as parent:
-        assert parent.stdout is not None
-        assert parent.stdout.readline() == "ready\n"
+    with begun(_STARTS_ONE, child, "0.5") as parent:
+        assert is_ready(parent)
         parent.kill()
         said, complained = parent.communicate(timeout=PATIENCE_S)  # until the child has closed them, too
     assert said == ""
     assert "Timeout" in complained
 
 
-def test_the_block_leaves_signals_as_they_were() -> None:
+def test_what_is_raised_in_the_end_is_told_and_is_status_1() -> None:
+    with begun(_FAILS) as process:
+        _, complained = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 1
+    assert complained.endswith("RuntimeError: no more ground\n")
+
+
+def test_the_block_leaves_signals_as_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ending, "_END_S", PATIENCE_S)  # it is the process of all tests that would end
     heard: list[int] = []
     before: Any = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
     try:

@@ -22,6 +22,8 @@ from shared.robot import RobotProfile
 from shared.service import Every, Inbox, Stages
 from shared.transport import Endpoints, TransportError
 
+PATIENCE_S = 180.0  # for what a busy machine may take long to do
+
 
 @dataclass(frozen=True, slots=True)
 class Registration:
@@ -199,6 +201,7 @@ class Beating:
 def fake_network(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     NoLink.opened, NoLink.closed = [], 0
     monkeypatch.setattr(process, "ZenohLink", NoLink)
+    monkeypatch.setattr(ending, "_END_S", PATIENCE_S)  # it is the process of all tests that would end
     switching_s = sys.getswitchinterval()
     yield
     sys.setswitchinterval(switching_s)
@@ -211,6 +214,11 @@ def end_self() -> None:
 CONNECT = ["--connect", "tcp/127.0.0.1:1"]
 
 
+def run(make: Any, argv: list[str], rehearse: Any = None) -> int:
+    with ending.ToldToEnd() as told:
+        return process.run("planner", Settings, make, told, argv, rehearse)
+
+
 def test_a_signal_ends_it_with_status_0_and_everything_closed() -> None:
     made: list[Any] = []
 
@@ -220,7 +228,7 @@ def test_a_signal_ends_it_with_status_0_and_everything_closed() -> None:
         made.append(service)
         return service
 
-    assert process.run("planner", Settings, make, [*CONNECT, "--set", "port=3", "--namespace", "here"]) == 0
+    assert run(make, [*CONNECT, "--set", "port=3", "--namespace", "here"]) == 0
     assert made[0] == ("phantomx_mk2", Settings(port=3))
     assert not made[1].open
     assert NoLink.opened == [Endpoints(("tcp/127.0.0.1:1",), namespace="here")]
@@ -233,14 +241,13 @@ def test_it_rehearses_for_its_robot_and_settings_before_anybody_hears_of_it() ->
     def rehearse(profile: RobotProfile, settings: Settings) -> None:
         heard.append((profile.name, settings, list(NoLink.opened)))
 
-    assert process.run("planner", Settings, lambda *_: Beating(end_self), [*CONNECT, "--set", "port=3"], rehearse) == 0
+    assert run(lambda *_: Beating(end_self), [*CONNECT, "--set", "port=3"], rehearse) == 0
     assert heard == [("phantomx_mk2", Settings(port=3), [])]
     assert len(NoLink.opened) == 1
 
 
 def test_who_is_told_to_stop_while_it_rehearses_stops_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is being compiled cannot be told to end, and a minute is more patience than whoever started it has."""
-
     left: list[int] = []
     ended = threading.Event()
 
@@ -250,11 +257,11 @@ def test_who_is_told_to_stop_while_it_rehearses_stops_at_once(monkeypatch: pytes
 
     def compile_(*_: object) -> None:
         end_self()
-        assert ended.wait(10.0), "another thread ends the process"
+        assert ended.wait(PATIENCE_S), "another thread ends the process"
         raise ValueError("the rest is what a process that has ended does not do")
 
     monkeypatch.setattr(ending.os, "_exit", leave)
-    process.run("planner", Settings, lambda *_: Beating(end_self), CONNECT, compile_)
+    run(lambda *_: Beating(end_self), CONNECT, compile_)
     assert left == [0]
     assert not NoLink.opened
 
@@ -264,7 +271,7 @@ def test_a_rehearsal_that_takes_long_says_why(monkeypatch: pytest.MonkeyPatch, c
     monkeypatch.setattr(process, "_PATIENCE_S", 0.0)
     told = threading.Event()
     monkeypatch.setattr(process.logging, "info", lambda words: (logging.getLogger().info(words), told.set()))
-    assert process.run("planner", Settings, lambda *_: Beating(end_self), CONNECT, lambda *_: told.wait(10.0)) == 0
+    assert run(lambda *_: Beating(end_self), CONNECT, lambda *_: told.wait(PATIENCE_S)) == 0
     assert "compiling the inner loops takes about a minute, the first time only" in caplog.text
 
 
@@ -281,7 +288,7 @@ def test_what_the_caller_got_wrong_is_said_with_status_2(
     arguments: list[str], words: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.ERROR):
-        assert process.run("planner", Settings, lambda *_: Beating(end_self), arguments) == 2
+        assert run(lambda *_: Beating(end_self), arguments) == 2
     assert words in caplog.text
 
 
@@ -290,7 +297,7 @@ def test_no_network_is_status_2(monkeypatch: pytest.MonkeyPatch, caplog: pytest.
         raise TransportError("could not open Zenoh")
 
     monkeypatch.setattr(process, "ZenohLink", fail)
-    assert process.run("planner", Settings, lambda *_: Beating(end_self), CONNECT) == 2
+    assert run(lambda *_: Beating(end_self), CONNECT) == 2
     assert "could not open Zenoh" in caplog.text
 
 
@@ -298,7 +305,7 @@ def test_a_device_that_is_not_there_is_status_1_in_words(caplog: pytest.LogCaptu
     def fail(*_: object) -> Beating:
         raise ConnectionError("cannot open servo port /dev/ttyUSB0")
 
-    assert process.run("actuator", Settings, fail, CONNECT) == 1
+    assert run(fail, CONNECT) == 1
     assert "cannot open servo port" in caplog.text
     assert "Traceback" not in caplog.text
 
@@ -308,13 +315,13 @@ def test_a_bug_in_a_step_ends_in_a_traceback() -> None:
         raise ValueError("shapes do not match")
 
     with pytest.raises(ValueError, match="shapes do not match"):
-        process.run("planner", Settings, lambda *_: Beating(bug), CONNECT)
+        run(lambda *_: Beating(bug), CONNECT)
     assert NoLink.closed == 1
 
 
 def test_an_unknown_argument_ends_with_status_2(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        process.run("planner", Settings, lambda *_: Beating(end_self), ["--conect", "x"])
+        run(lambda *_: Beating(end_self), ["--conect", "x"])
     assert caught.value.code == 2
     assert "--conect" in capsys.readouterr().err
 
@@ -322,5 +329,5 @@ def test_an_unknown_argument_ends_with_status_2(capsys: pytest.CaptureFixture[st
 def test_a_process_whose_parent_is_gone_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ctypes, "CDLL", lambda _: type("libc", (), {"prctl": staticmethod(lambda *_: 0)}))
     with pytest.raises(SystemExit) as caught:
-        process.run("planner", Settings, lambda *_: Beating(end_self), [*CONNECT, "--parent", str(os.getppid() + 1)])
+        run(lambda *_: Beating(end_self), [*CONNECT, "--parent", str(os.getppid() + 1)])
     assert caught.value.code == 1

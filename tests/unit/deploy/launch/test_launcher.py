@@ -138,6 +138,15 @@ def test_who_needs_another_ends_before_it(ear: Ear, watched: list[int], monkeypa
         assert before == [True]
 
 
+def test_nobody_is_asked_twice(ear: Ear) -> None:
+    """A launcher takes the second time for an operator who insists, and kills its children."""
+    with Launcher([command("a", "counting"), command("b", "counting", after=("a",))], ear, grace_s=PATIENCE_S) as launcher:
+        for name in ("a", "b"):
+            ear.wait_for(name, "ready")
+        assert launcher.stop() == []
+    assert [ear.wait_for(name, "asked") for name in ("a", "b")] == ["1", "1"]
+
+
 def test_asking_twice_kills_at_once(ear: Ear, watched: list[int]) -> None:
     with Launcher([command("a", "stubborn")], ear, grace_s=1e6) as launcher:
         ear.wait_for("a", "ready")
