@@ -16,6 +16,7 @@ from shared.handshake import place, verdict
 from shared.transport import TransportError, overhear, scout
 
 _LISTEN_S = 2.0
+_VERDICT_S = 3.0  # for a refusal: a robot that is slow to refuse is not to be taken for one that is open
 _ADVICE = "start the robot with --keys DIR and without --open (docs/access.md)"
 
 
@@ -57,7 +58,7 @@ def _shown(endpoint: str, name: str, folder: Path | None) -> Check:
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     if folder is not None:
         context.load_cert_chain(folder / CERTIFICATE, folder / KEY)
-    refused = verdict(endpoint, context)
+    refused = verdict(endpoint, context, _VERDICT_S)
     if "cannot be reached" in refused:
         return Check(name, Level.FAIL, refused, "give the endpoint on which the robot listens for other machines")
     if refused:

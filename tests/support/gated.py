@@ -105,10 +105,15 @@ class Inside:
 
 def put_until(inside: Inside, link: ZenohLink, topic: Topic[Any], frame: bytes) -> None:
     """Put a frame again and again until it has come: what was put before it by the same client has then been judged."""
+    again(inside, topic, frame, lambda: link.send(topic, frame))
+
+
+def again(inside: Inside, topic: Topic[Any], frame: bytes, put: Callable[[], object]) -> None:
+    """Likewise, by whatever puts it."""
     until, pause = time.monotonic() + PATIENCE_S, threading.Event()
     while inside.newest.get(topic.key) != frame:
         assert time.monotonic() < until, f"{topic.key} does not come through; so far {dict(inside.count)}"
-        link.send(topic, frame)
+        put()
         pause.wait(0.02)
 
 

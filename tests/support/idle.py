@@ -5,6 +5,7 @@ import threading
 from pathlib import Path
 
 _TRIES, _AGAIN_S = 20, 0.11
+_NICE = "10"  # a tenth of the usual weight, so that nobody starves for long
 
 
 def is_idle() -> bool:
@@ -16,7 +17,7 @@ def weigh_little(pid: int) -> None:
     """Have the session of a process, the first one in it, go behind all other sessions."""
     for _ in range(_TRIES):
         try:
-            Path(f"/proc/{pid}/autogroup").write_text("19", encoding="ascii")
+            Path(f"/proc/{pid}/autogroup").write_text(_NICE, encoding="ascii")
         except BlockingIOError:  # only root may do so more than ten times a second, all users together
             threading.Event().wait(_AGAIN_S)
         except OSError:

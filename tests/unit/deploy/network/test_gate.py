@@ -17,7 +17,7 @@ from shared import topics
 from shared.access import AccessError, Keys
 from shared.transport import Endpoints, Router, TransportError, ZenohLink
 from tests.support import gated
-from tests.support.gated import NAMESPACE, Inside, put_until, session, stranger, tls_of
+from tests.support.gated import NAMESPACE, Inside, again, put_until, session, stranger, tls_of
 
 N = 200  # messages of each kind that are put in vain
 READ = (topics.STEP_PLAN, topics.MODE, topics.VELOCITY, topics.HEALTH, topics.ACTUATOR_STATE)
@@ -86,8 +86,7 @@ def test_keys_that_are_not_listed_and_wildcards_lead_nowhere(robot: Robot, keys:
             for key in ("**", f"{NAMESPACE}/**", f"{NAMESPACE}/planner/*", f"{NAMESPACE}/actuator/state", "servo/1/goal"):
                 wild.put(key, b"wild %d" % number)
             wild.delete(f"{NAMESPACE}/planner/step")
-        wild.put(f"{NAMESPACE}/operator/velocity", b"done")
-        inside.until(lambda: inside.newest.get(topics.VELOCITY.key) == b"done", "the last word")
+        again(inside, topics.VELOCITY, b"done", lambda: wild.put(f"{NAMESPACE}/operator/velocity", b"done"))
     assert inside.count[topics.ACTUATOR_STATE.key] == before
     assert inside.count[topics.STEP_PLAN.key] == inside.count[topics.MODE.key] == 0
 
