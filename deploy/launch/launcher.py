@@ -27,14 +27,16 @@ _TAIL = 60  # lines kept of what a process said
 _ROUTER_ATTEMPTS = 5
 # Below the ports that the kernel gives to outgoing connections (32768 on), so that none of them is taken meanwhile.
 _PORTS = range(20_000, 32_000)
+_given: deque[int] = deque(maxlen=1000)  # the ports that this process has taken for free lately
 
 
 def free_port() -> int:
-    """A TCP port of 127.0.0.1 that nobody listens on now."""
+    """A TCP port of 127.0.0.1 that nobody listens on now, another each time: many are asked for before one is opened."""
     chooser = random.SystemRandom()
     for _ in range(100):
         port = chooser.choice(_PORTS)
-        if not port_taken(port):
+        if port not in _given and not port_taken(port):
+            _given.append(port)
             return port
     raise TransportError(f"no free TCP port found in {_PORTS.start} to {_PORTS.stop} on 127.0.0.1; close what listens there")
 

@@ -138,6 +138,14 @@ def test_who_needs_another_ends_before_it(ear: Ear, watched: list[int], monkeypa
         assert before == [True]
 
 
+def test_no_port_is_given_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody listens on it yet when the next one is asked for."""
+    monkeypatch.setattr(launcher_module, "_PORTS", range(20_000, 20_040))
+    monkeypatch.setattr(launcher_module, "port_taken", lambda _: False)
+    given = [free_port() for _ in range(20)]
+    assert len(set(given)) == len(given)
+
+
 def test_nobody_is_asked_twice(ear: Ear) -> None:
     """A launcher takes the second time for an operator who insists, and kills its children."""
     with Launcher([command("a", "counting"), command("b", "counting", after=("a",))], ear, grace_s=PATIENCE_S) as launcher:
