@@ -17,11 +17,11 @@ def main() -> int:
         return 2
     words = sys.argv[2:]
     try:
+        if len(words) > 2 and words[-2] == "--parent":
+            end_with(int(words[-1]))  # it holds for what this process becomes
+            del words[-2:]
         if process := int(sys.argv[1]):
             enter(process)
-        if len(words) > 2 and words[-2] == "--parent":
-            end_with(int(words[-1]))  # for what this process becomes, too; a change of user namespace would undo it
-            del words[-2:]
         os.execvp(words[0], words)
     except OSError as error:
         sys.stderr.write(f"{error}\n")

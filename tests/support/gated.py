@@ -1,7 +1,6 @@
 """A guarded router on loopback, keys of every role and of strangers, and a reader that counts what comes through."""
 
 import json
-import socket
 import threading
 import time
 from collections import Counter
@@ -30,12 +29,6 @@ def make_keys(folder: Path) -> Path:
     authority.issue(folder / "expired", "console", ends=datetime.now(UTC) - timedelta(days=1))
     other.issue(folder / "foreign", "console")
     return folder
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def stranger(endpoint: str, tls: dict[str, Any] | None, mode: str = "client") -> zenoh.Session:

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 
+from deploy.launch.launcher import free_port
 from deploy.network import meeting
 from deploy.provenance import version
 from shared import codec, topics
 from shared.messages import Presence
 from shared.transport import Endpoints, ZenohLink
-from tests.support import gated
 
 ROOT = Path(__file__).parents[3]
 PATIENCE_S = 60.0
@@ -28,7 +28,7 @@ PATIENCE_S = 60.0
 @contextmanager
 def router(*words: str, port: int | None = None) -> Iterator[tuple[subprocess.Popen[str], ZenohLink]]:
     """A router, at a free port or a given one, and a link of its machine."""
-    endpoint = f"tcp/127.0.0.1:{port or gated.free_port()}"
+    endpoint = f"tcp/127.0.0.1:{port or free_port()}"
     arguments = ("--listen", endpoint, *words, "--parent", str(os.getpid()))
     process = subprocess.Popen([sys.executable, "-m", "deploy.router", *arguments], cwd=ROOT, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
@@ -96,7 +96,7 @@ def stopped(process: subprocess.Popen[str], port: int, for_s: float) -> None:
 
 
 def test_one_that_was_stopped_for_a_moment_goes_on_and_ends_when_it_is_told_to() -> None:
-    port = gated.free_port()
+    port = free_port()
     with router(port=port) as (process, _):
         stopped(process, port, 0.25)
         with ZenohLink(Endpoints((f"tcp/127.0.0.1:{port}",))):
@@ -106,7 +106,7 @@ def test_one_that_was_stopped_for_a_moment_goes_on_and_ends_when_it_is_told_to()
 
 
 def test_one_that_was_stopped_for_longer_than_its_links_last_ends_for_another_to_take_its_place() -> None:
-    port = gated.free_port()
+    port = free_port()
     with router(port=port) as (process, _):
         stopped(process, port, 1.5)
         assert process.wait(PATIENCE_S) == 75

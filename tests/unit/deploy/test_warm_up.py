@@ -3,11 +3,14 @@
 import os
 import sys
 from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from deploy import warm_up
+from services.planner.passage import search
 
 
 @pytest.mark.parametrize(("compiled", "cores", "jobs"), [(False, 1, 1), (False, 2, 2), (False, 16, 2), (True, 16, 1)])
@@ -29,3 +32,13 @@ def test_two_cores_share_what_has_never_been_compiled(
     assert found == jobs
     rehearsed = [rehearsal for (share,) in tasks for rehearsal in share]
     assert sorted(rehearsal.__name__ for rehearsal in rehearsed) == ["_mapper", "_perception", "_planner", "_simulator"]
+
+
+def test_what_numba_keeps_is_found_where_numba_keeps_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled: Any = search.grow
+    assert Path(compiled.stats.cache_path).is_dir()
+    monkeypatch.setattr(search, "grow", SimpleNamespace(stats=SimpleNamespace(cache_path=str(tmp_path))))
+    (tmp_path / "roadmap.other-1.py311.nbi").touch()
+    assert not warm_up._compiled_before()
+    (tmp_path / "search.grow-1132.py311.nbi").touch()
+    assert warm_up._compiled_before()

@@ -11,6 +11,7 @@ import pytest
 import zenoh
 
 from deploy import cli
+from deploy.launch.launcher import free_port
 from deploy.network import gate
 from deploy.network.gate import Gate
 from shared import topics
@@ -38,7 +39,7 @@ class Robot:
 
 @pytest.fixture(scope="module")
 def robot(keys: Path) -> Iterator[Robot]:
-    at = Robot(f"tcp/127.0.0.1:{gated.free_port()}", f"tls/127.0.0.1:{gated.free_port()}")
+    at = Robot(f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}")
     here = Gate((at.plain, at.secure), NAMESPACE, keys / "robot")
     with Router(here.listen, access=here.configuration()):
         yield at
@@ -149,7 +150,7 @@ def test_a_peer_without_a_certificate_sees_nobody(robot: Robot, keys: Path, insi
 
 def test_two_clients_do_not_meet_past_the_router(robot: Robot, keys: Path, inside: Inside) -> None:
     """A peer that listens for others is not made known to them, and what it puts goes by its own certificate."""
-    around = f"tcp/127.0.0.1:{gated.free_port()}"
+    around = f"tcp/127.0.0.1:{free_port()}"
     with (
         session(robot.secure, tls_of(keys / "viewer"), mode="peer", listen=around) as peer,
         session(robot.secure, tls_of(keys / "base")) as base,
@@ -168,7 +169,7 @@ def test_two_clients_do_not_meet_past_the_router(robot: Robot, keys: Path, insid
 @pytest.mark.parametrize("role", ["base", "viewer"])
 def test_a_machine_that_is_chained_is_held_to_its_certificate(role: str, robot: Robot, keys: Path, inside: Inside) -> None:
     """Its processes speak without certificates on its own loopback, its router shows the machine's."""
-    plain = f"tcp/127.0.0.1:{gated.free_port()}"
+    plain = f"tcp/127.0.0.1:{free_port()}"
     there = gate.of_arguments((plain,), str(keys / role), False, NAMESPACE, plain, (robot.secure,))
     assert there.listen == (plain,)
     with (
@@ -196,8 +197,8 @@ def test_a_machine_that_is_chained_is_held_to_its_certificate(role: str, robot: 
 @pytest.mark.parametrize("role", ["base", "console"])
 def test_a_site_between_holds_each_to_its_role(role: str, keys: Path) -> None:
     """Robot and base are chained to a router that neither is on; what a console may not say does not get past it."""
-    plain = {name: f"tcp/127.0.0.1:{gated.free_port()}" for name in ("robot", "site", "base")}
-    secure = f"tls/127.0.0.1:{gated.free_port()}"
+    plain = {name: f"tcp/127.0.0.1:{free_port()}" for name in ("robot", "site", "base")}
+    secure = f"tls/127.0.0.1:{free_port()}"
     site = Gate((plain["site"], secure), NAMESPACE, keys / "site")
     robot = Gate((plain["robot"],), NAMESPACE, keys / "robot", upstream=(secure,))
     base = Gate((plain["base"],), NAMESPACE, keys / role, upstream=(secure,))

@@ -13,7 +13,7 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.launch.launcher import port_taken
+from deploy.launch.launcher import free_port, port_taken
 from deploy.network.gatekeeper import Gatekeeper
 from deploy.network.refusals import Refusals
 from shared import codec, topics
@@ -178,7 +178,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def router(keys: Path) -> Iterator[tuple[str, str]]:
     """A router in a process of its own; where it listens."""
-    plain, secure = (f"{kind}/127.0.0.1:{gated.free_port()}" for kind in ("tcp", "tls"))
+    plain, secure = (f"{kind}/127.0.0.1:{free_port()}" for kind in ("tcp", "tls"))
     words = ["--listen", plain, "--listen", secure, "--keys", str(keys / "robot"), "--namespace", NAMESPACE]
     process = subprocess.Popen(
         [sys.executable, "-m", "deploy.router", *words, "--parent", str(os.getpid())],

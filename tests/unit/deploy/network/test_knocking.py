@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from deploy.launch.launcher import free_port
 from deploy.network.gate import Gate
 from deploy.network.knocking import Knocking
 from shared.transport import Router
@@ -40,7 +41,7 @@ def test_it_begins_at_once_and_ends() -> None:
 )
 def test_why_a_machine_is_not_let_in(who: str, words: str, tmp_path: Path) -> None:
     keys = gated.make_keys(tmp_path)
-    plain, secure, nowhere = (f"{kind}/127.0.0.1:{gated.free_port()}" for kind in ("tcp", "tls", "tls"))
+    plain, secure, nowhere = (f"{kind}/127.0.0.1:{free_port()}" for kind in ("tcp", "tls", "tls"))
     here = Gate((plain, secure), gated.NAMESPACE, keys / "robot")
     with Router(here.listen, access=here.configuration()) as router:
         at = nowhere if who == "console" else secure

@@ -1,6 +1,10 @@
 """The doctor from outside: where certificates are asked for every stranger is refused; where anybody is let in it says so."""
 
+import contextlib
 import json
+import socket
+import ssl
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,11 +12,13 @@ import pytest
 
 from deploy import cli
 from deploy.checks import Check, Level
+from deploy.launch.launcher import free_port
 from deploy.network import authority, stranger
 from deploy.network.gate import Gate
 from shared import topics
+from shared.access import AUTHORITY, CERTIFICATE, KEY
 from shared.transport import Router
-from tests.support.gated import NAMESPACE, Inside, free_port
+from tests.support.gated import NAMESPACE, Inside
 
 
 def nobody(_seconds: float) -> list[str]:
@@ -50,6 +56,37 @@ def test_every_stranger_is_refused_where_certificates_are_asked_for(guarded: str
     assert "asks for a certificate" in found["without a certificate"].found
     assert "does not know the authority" in found["with a certificate of its own authority"].found
     assert "has expired" in found["with a certificate that has expired"].found
+
+
+def refuse_late(listener: socket.socket, keys: Path, late_s: float) -> None:
+    """A robot that asks for a certificate, and takes its time to refuse who has none."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(keys / "robot" / CERTIFICATE, keys / "robot" / KEY)
+    context.load_verify_locations(keys / "robot" / AUTHORITY)
+    context.verify_mode = ssl.CERT_REQUIRED
+    heard, says = ssl.MemoryBIO(), ssl.MemoryBIO()
+    end = context.wrap_bio(heard, says, server_side=True)
+    client, _ = listener.accept()
+    with client:
+        heard.write(client.recv(1 << 14))
+        with contextlib.suppress(ssl.SSLWantReadError):
+            end.do_handshake()
+        client.sendall(says.read())
+        heard.write(client.recv(1 << 14))  # with which the stranger is done
+        threading.Event().wait(late_s)
+        with contextlib.suppress(ssl.SSLError):
+            end.do_handshake()
+        client.sendall(says.read())
+
+
+def test_who_refuses_late_is_not_taken_for_one_that_lets_anybody_in(keys: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        robot = threading.Thread(target=refuse_late, args=(listener, keys, 0.5))
+        robot.start()
+        found = stranger._shown(f"tls/127.0.0.1:{listener.getsockname()[1]}", "late", None)
+        robot.join()
+    assert found.level is Level.OK
+    assert "asks for a certificate" in found.found
 
 
 def test_what_is_not_tried_is_said(guarded: str) -> None:
