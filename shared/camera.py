@@ -24,8 +24,9 @@ class Intrinsics:
     cy: float  # [px]
 
     checks = (
-        *config.each("width height", lambda pixels: pixels >= 1, "at least 1 pixel"),
-        *config.each("fx fy", lambda length: length > 0, "a focal length of more than 0 pixels"),
+        *config.each("width height", lambda pixels: 1 <= pixels <= 4096, "1 to 4096 pixels"),
+        *config.each("fx fy", lambda length: 1 <= length <= 1e5, "a focal length of 1 to 100000 pixels"),
+        *config.each("cx cy", lambda centre: abs(centre) <= 1e5, "at most 100000 pixels either way"),
     )
 
     def __post_init__(self) -> None:
@@ -68,7 +69,10 @@ class DepthSensor:
     depth_scale: float = 1000.0  # raw units per metre: 1000 counts millimetres
 
     checks = (
-        *config.each("rate_hz min_range max_range baseline depth_scale", lambda value: value > 0, "more than 0"),
+        *config.each("rate_hz", lambda rate: 0.1 <= rate <= 1000, "0.1 to 1000 Hz"),
+        *config.each("min_range max_range", lambda range_m: 0 < range_m <= 100, "more than 0 and at most 100 m"),
+        *config.each("baseline", lambda length: 0 < length <= 10, "more than 0 and at most 10 m"),
+        *config.each("depth_scale", lambda scale: 1 <= scale <= 1e6, "1 to 1000000 raw units per metre"),
         *config.each("disparity_sigma disparity_step", lambda noise: noise >= 0, "at least 0 pixels"),
         config.together("min_range max_range", lambda low, high: low < high, "min_range below max_range"),
     )

@@ -8,13 +8,14 @@ the key `kind`, a Literal of each member.
 import dataclasses
 import difflib
 import math
-import tomllib
 import types
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from shared import input_file
 
 T = TypeVar("T")
 
@@ -88,15 +89,11 @@ def verify(made: Any) -> None:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The table of plain values that a TOML file is; raises ConfigError when there is none."""
+    """The table of plain values that a TOML file holds; raises ConfigError when there is none."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(str(path), ["no such file"]) from None
-    except OSError as error:
-        raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(str(path), [f"not a TOML file: {error}"]) from None
+        return input_file.read_toml(path)
+    except input_file.FileError as error:
+        raise ConfigError(error.place, [error.cause]) from None
 
 
 def load(path: Path, schema: type[T]) -> T:

@@ -24,7 +24,6 @@ from services.perception.motion import constant_velocity
 from services.perception.service import Perception
 from services.perception.trajectory import TrajectoryError, trajectory_error
 from shared import topics
-from shared.camera import DepthSensor
 from shared.geometry import Array, inverse, log_so3, transform
 from shared.lockstep import Lockstep
 from shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
@@ -209,7 +208,7 @@ def profile_for(sequence: tum.Recording) -> RobotProfile:
         down = T_first[:3, :3].T @ gravity
     hand_held = HandHeld(
         intrinsics=camera.intrinsics,
-        sensor=DepthSensor(rate_hz=camera.rate_hz, depth_scale=camera.depth_scale),
+        sensor=camera.sensor,
         mount_xyz=(0.0, 0.0, 0.0),
         pitch_down_deg=0.0,
         color=sequence.colors is not None,

@@ -38,11 +38,12 @@ class DepthRecorder:
         Raises:
             FileExistsError: The folder holds a recording.
         """
-        camera = profile.camera
+        camera, sensor = profile.camera, profile.camera.sensor
         self._T_body_camera = camera.T_body_camera
-        self._writer = tum.RecordingWriter(
-            folder, tum.Camera(camera.intrinsics, camera.sensor.depth_scale, camera.sensor.rate_hz, _DOWN)
+        described = tum.Camera(
+            camera.intrinsics, sensor.depth_scale, sensor.rate_hz, _DOWN, min_range=sensor.min_range, max_range=sensor.max_range
         )
+        self._writer = tum.RecordingWriter(folder, described)
         self._waiting: deque[tuple[int, NDArray[np.uint16]]] = deque()  # pictures newer than the truth
         self._truth: tuple[int, Array] | None = None  # stamp, T_world_body
 

@@ -3,24 +3,26 @@
 depth.txt: `timestamp filename`; groundtruth.txt: `timestamp tx ty tz qx qy qz qw` of the depth camera in the world; `#`
 starts a comment. Where there is an rgb.txt, laid out as depth.txt, its colour images lie pixel for pixel over the depth image
 that is nearest in time. camera.toml: width, height, fx, fy, cx, cy [px], depth_scale (raw units per metre), and optionally
-rate_hz and gravity_world, the unit vector that points down in the world of groundtruth.txt.
+rate_hz, min_range and max_range [m], and gravity_world, the unit vector that points down in the world of groundtruth.txt.
+Pictures are without lens distortion: coefficients other than 0 are refused.
 (Sturm et al. 2012, A benchmark for the evaluation of RGB-D SLAM systems.)
 """
 
 import math
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.camera import Intrinsics
+from shared import config, input_file
+from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import interpolate, quaternion_from_rotation, rotation_from_quaternion, transform
 
+_USUAL = DepthSensor()
 _PAIRED_NS = 20_000_000  # [ns] between depth and colour that are taken for one, as in the benchmark's tools
 _DEPTH_HEADER = "# timestamp filename\n"
 _TRUTH_HEADER = "# timestamp tx ty tz qx qy qz qw  (depth camera in world)\n"
@@ -34,14 +36,53 @@ class Camera:
     depth_scale: float  # raw units per metre
     rate_hz: float  # [Hz]
     gravity_world: NDArray[np.float64] | None  # (3,) unit vector pointing down, None where unknown
+    min_range: float = _USUAL.min_range  # [m] nearer depths are not used
+    max_range: float = _USUAL.max_range  # [m]
 
-    def __post_init__(self) -> None:
-        if not (self.depth_scale > 0 and self.rate_hz > 0):
-            raise ValueError(f"positive depth_scale and rate_hz expected, found {self.depth_scale}, {self.rate_hz}")
-        if self.gravity_world is not None and not (
-            self.gravity_world.shape == (3,) and abs(np.linalg.norm(self.gravity_world) - 1.0) < 1e-3
-        ):
-            raise ValueError(f"gravity_world as a unit vector of 3 expected, found {self.gravity_world.tolist()}")
+    @property
+    def sensor(self) -> DepthSensor:
+        """The depth sensor that it describes."""
+        ranges = {"min_range": self.min_range, "max_range": self.max_range}
+        return DepthSensor(rate_hz=self.rate_hz, depth_scale=self.depth_scale, **ranges)
+
+
+@dataclass(frozen=True, slots=True)
+class _CameraFile:
+    """The keys of camera.toml."""
+
+    width: int  # [px]
+    height: int  # [px]
+    fx: float  # [px]
+    fy: float  # [px]
+    cx: float  # [px]
+    cy: float  # [px]
+    depth_scale: float  # raw units per metre
+    rate_hz: float = _USUAL.rate_hz  # [Hz]
+    min_range: float = _USUAL.min_range  # [m]
+    max_range: float = _USUAL.max_range  # [m]
+    gravity_world: tuple[float, float, float] | None = None  # unit vector pointing down
+    # Of OpenCV's model, so that a file that states them is understood.
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+    checks = (
+        *Intrinsics.checks,
+        *DepthSensor.checks,
+        config.together(
+            "gravity_world", lambda down: down is None or abs(math.hypot(*down) - 1.0) < 1e-3, "a unit vector that points down"
+        ),
+        *config.each(
+            "k1 k2 k3 k4 k5 k6 p1 p2",
+            lambda coefficient: coefficient == 0,
+            "0 (distortion is not corrected here; undistort the pictures and give their intrinsics)",
+        ),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,27 +200,19 @@ def read_camera(path: Path) -> Camera:
 
     Raises:
         FileNotFoundError: It is not there.
-        ValueError: It is no TOML, or lacks a number or holds a wrong one.
+        ConfigError: It is no TOML, lacks a key, or has one that is unknown or wrong.
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path} is missing; it gives width, height, fx, fy, cx, cy and depth_scale")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: TOML expected, found {error}") from error
-    try:
-        width, height = _number(table, "width"), _number(table, "height")
-        if width != int(width) or height != int(height):
-            raise ValueError(f"whole width and height expected, found {width} and {height}")
-        gravity = table.get("gravity_world")
-        return Camera(
-            Intrinsics(int(width), int(height), *(_number(table, key) for key in ("fx", "fy", "cx", "cy"))),
-            depth_scale=_number(table, "depth_scale"),
-            rate_hz=_number({"rate_hz": 30.0} | table, "rate_hz"),
-            gravity_world=None if gravity is None else np.array(_vector(gravity)),
-        )
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    found = config.load(path, _CameraFile)
+    return Camera(
+        Intrinsics(found.width, found.height, found.fx, found.fy, found.cx, found.cy),
+        depth_scale=found.depth_scale,
+        rate_hz=found.rate_hz,
+        gravity_world=None if found.gravity_world is None else np.array(found.gravity_world),
+        min_range=found.min_range,
+        max_range=found.max_range,
+    )
 
 
 def read_trajectory(path: Path) -> Trajectory:
@@ -291,6 +324,8 @@ def _camera_toml(camera: Camera) -> str:
         *(f"{key} = {float(value)!r}" for key, value in (("fx", i.fx), ("fy", i.fy), ("cx", i.cx), ("cy", i.cy))),
         f"depth_scale = {float(camera.depth_scale)!r}",
         f"rate_hz = {float(camera.rate_hz)!r}",
+        f"min_range = {float(camera.min_range)!r}",
+        f"max_range = {float(camera.max_range)!r}",
     ]
     if camera.gravity_world is not None:
         lines.append("# unit vector pointing DOWN, in the world frame of groundtruth.txt")
@@ -300,14 +335,10 @@ def _camera_toml(camera: Camera) -> str:
 
 def _rows(path: Path, columns: int) -> list[tuple[int, list[str]]]:
     """Line numbers and fields of all lines that are not comments."""
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"{path} is missing; the TUM RGB-D layout has one line of {columns} fields a frame")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: text expected, found {error}") from error
     rows = []
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(input_file.read_text(path).splitlines(), start=1):
         fields = line.split("#", 1)[0].split()
         if fields and len(fields) != columns:
             raise ValueError(f"{path}:{number}: {columns} fields expected, found {len(fields)}: {line.strip()!r}")
@@ -339,16 +370,3 @@ def _float(path: Path, line: int, text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{path}:{line}: a finite number expected, found {text!r}")
     return value
-
-
-def _number(table: dict[str, Any], key: str) -> float:
-    value = table.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"a number for {key} expected, found {value!r}")
-    return float(value)
-
-
-def _vector(value: object) -> list[float]:
-    if not isinstance(value, list) or len(value) != 3:
-        raise ValueError(f"three numbers for gravity_world expected, found {value!r}")
-    return [_number({"gravity_world": element}, "gravity_world") for element in value]

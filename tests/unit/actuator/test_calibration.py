@@ -261,7 +261,7 @@ def test_a_file_is_made_and_then_changed(tmp_path: Path) -> None:
             'extends = "phantomx_mk2"\ncalibration = []\n',
             "expected, found another way of writing them; nothing was",
         ),
-        ("extends = \n", "not a TOML file"),
+        ("extends = \n", "TOML expected, found"),
         ('extends = "phantomx_mk2"\n[links]\nshin = 1.0\n', "links.shin: unknown key"),
     ],
 )

@@ -1,5 +1,7 @@
 """Recordings survive the round trip, and a broken one says where it is broken."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -113,8 +115,8 @@ def test_a_missing_folder_and_image_are_named(recorded, tmp_path):
         ("groundtruth.txt", "0.0 0 0 0 0 0 0 0\n", "unit quaternion"),
         ("groundtruth.txt", "0.0 nan 0 0 0 0 0 1\n", "finite"),
         ("camera.toml", "width = ", r"camera\.toml: TOML expected"),
-        ("camera.toml", "width = 640\n", "a number for height expected, found None"),
-        ("camera.toml", "width = 6.5\nheight = 4\n", "whole width"),
+        ("camera.toml", "width = 640\n", "height: missing; a value of a whole number is needed"),
+        ("camera.toml", "width = 6.5\nheight = 4\n", "width: a whole number expected, found 6.5"),
     ],
 )
 def test_a_malformed_line_is_named(recorded, name, text, message):
@@ -128,6 +130,34 @@ def test_gravity_is_a_unit_vector(recorded):
     path.write_text(path.read_text().replace("[0.0, 0.0, -1.0]", "[0.0, 0.0, -9.81]"))
     with pytest.raises(ValueError, match="unit vector"):
         read_recording(recorded[0])
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("min_rage = 0.3", "min_rage: unknown key; did you mean 'min_range'?"),
+        ("k1 = -0.28", r"k1: 0 \(distortion is not corrected here.* expected, found -0.28"),
+        ("max_range = 0.2", "min_range: min_range below max_range expected"),
+        ("cells = 4", "cells: unknown key"),
+    ],
+)
+def test_camera_toml_is_strict(recorded, line, message):
+    path = recorded[0] / "camera.toml"
+    text = path.read_text()
+    kept = [old for old in text.splitlines() if old.split(" =")[0] != line.split(" =")[0]]
+    path.write_text("\n".join([line, *kept]))
+    with pytest.raises(ValueError, match=message):
+        read_recording(recorded[0])
+    path.write_text("k1 = 0.0\n" + text)  # a file may say that there is no distortion
+    assert len(read_recording(recorded[0])) == 4
+
+
+def test_the_range_is_settable_and_kept(tmp_path):
+    camera = replace(CAMERA, min_range=0.15, max_range=1.5)
+    with RecordingWriter(tmp_path, camera) as writer:
+        writer.add(0, np.zeros((24, 32), np.uint16))
+    sensor = read_recording(tmp_path).camera.sensor
+    assert (sensor.min_range, sensor.max_range, sensor.depth_scale) == (0.15, 1.5, 1000.0)
 
 
 def test_an_image_of_another_kind_is_refused(recorded):

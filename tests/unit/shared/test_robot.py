@@ -160,10 +160,10 @@ LEG = PROFILE.legs[0]
         (lambda: Body((0.2, 0.1, 0.0), 1.0, (0.1, 0.1, 0.1)), r"size\[2\]: an edge of more than 0 m"),
         (lambda: replace(PROFILE.servo, no_load_speed=0.0), "no_load_speed: more than 0 expected"),
         (lambda: Servo("AX-12A", 1.5, 6.0, 9.0, 0, 0.0, 0.0), "compliance slope"),
-        (lambda: Intrinsics(0, 480, 585.0, 585.0, 1.0, 1.0), "width: at least 1 pixel"),
-        (lambda: Intrinsics(640, 480, 0.0, 585.0, 1.0, 1.0), "fx: a focal length of more than 0"),
+        (lambda: Intrinsics(0, 480, 585.0, 585.0, 1.0, 1.0), "width: 1 to 4096 pixels"),
+        (lambda: Intrinsics(640, 480, 0.0, 585.0, 1.0, 1.0), "fx: a focal length of 1 to"),
         (lambda: DepthSensor(min_range=2.0, max_range=1.0), "min_range below max_range"),
-        (lambda: DepthSensor(baseline=0.0), "baseline: more than 0 expected"),
+        (lambda: DepthSensor(baseline=0.0), "baseline: more than 0 and at most 10 m"),
     ],
 )
 def test_nonsense_is_refused(make: Any, words: str) -> None:
@@ -222,7 +222,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "stance.body_height": (0.5, "stance.body_height: a body height within its range expected, found body_height = 0.5"),
     "stance.max_speed": (0.0, "stance.max_speed: more than 0 m/s expected, found 0.0"),
     "camera.pitch_down_deg": (120.0, "camera.pitch_down_deg: an angle from -45 (up) to 90 (straight down) expected"),
-    "camera.intrinsics.width": (0, "camera.intrinsics.width: at least 1 pixel expected, found 0"),
+    "camera.intrinsics.width": (0, "camera.intrinsics.width: 1 to 4096 pixels expected, found 0"),
     "camera.sensor.min_range": (9.0, "camera.sensor.min_range: min_range below max_range expected"),
     "legs[0].servo_ids[1]": (300, "legs[0].servo_ids[1]: a servo id from 0 to 253 expected, found 300"),
     "legs[1].servo_signs[2]": (0, "legs[1].servo_signs[2]: a servo sign of 1 or -1 expected, found 0"),

@@ -1,0 +1,197 @@
+"""Read files that others have written: text, TOML and JSON of bounded size, and one error that names file and cause.
+
+Only `FileError` leaves these functions, whatever the path is and whatever the bytes are. Reading never blocks: a pipe or a
+device is refused before it is opened.
+"""
+
+import json
+import os
+import re
+import stat
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+_MAX_TEXT_BYTES = 16 << 20
+_MAX_TOML_BYTES = 2 << 20
+_MAX_DEPTH = 32  # tables and lists within each other
+_INT64 = range(-(2**63), 2**63)
+# One name more than may be joined by dots: tomllib takes time and memory by the square of their number.
+_NAME = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DOTTED = re.compile(rf"(?<![\w-])(?:{_NAME}[ \t]*+\.[ \t]*+){{{_MAX_DEPTH}}}")
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+
+
+class FileError(ValueError):
+    """What is wrong with a file: its path, the line where that is known, and the cause in one sentence."""
+
+    def __init__(self, path: Path, cause: str, line: int | None = None):
+        self.path, self.cause, self.line = path, cause, line
+        self.place = f"{path}" if line is None else f"{path}:{line}"
+        super().__init__(f"{self.place}: {cause}")
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """All bytes of a regular file of at most `most` bytes.
+
+    Raises:
+        FileError: There is no such file, it is not a regular file, it cannot be read, or it is larger.
+    """
+    try:
+        _check_regular(path, path.stat())
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
+            _check_regular(path, os.fstat(file.fileno()))
+            data = file.read(most + 1)
+    except OSError as error:
+        raise FileError(path, os_cause(error)) from None
+    except ValueError as error:
+        if isinstance(error, FileError):
+            raise
+        raise FileError(Path(repr(str(path))), "a path without zero characters expected") from None
+    if len(data) > most:
+        raise FileError(path, f"at most {_size(most)} expected, found more")
+    return data
+
+
+def read_text(path: Path, most: int = _MAX_TEXT_BYTES) -> str:
+    """The text of a UTF-8 file, with or without a byte-order mark.
+
+    Raises:
+        FileError: As of `read_bytes`, or it is not UTF-8.
+    """
+    return decode_text(path, read_bytes(path, most))
+
+
+def decode_text(path: Path, data: bytes) -> str:
+    """Text of the UTF-8 bytes that a file holds.
+
+    Raises:
+        FileError: They are not UTF-8.
+    """
+    if data.startswith(_UTF16_MARKS) or b"\0" in data:
+        found = "UTF-16" if data.startswith(_UTF16_MARKS) or _every_second_is_zero(data) else "zero bytes"
+        raise FileError(path, f"UTF-8 text expected, found {found}")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        cause = f"UTF-8 text expected, found byte 0x{data[error.start]:02x}; save the file as UTF-8"
+        raise FileError(path, cause, line) from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The table that a TOML file holds; whole numbers fit 64 bits, tables and lists are at most 32 deep.
+
+    Raises:
+        FileError: As of `read_text`, or it is not such a file.
+    """
+    return parse_toml(path, read_bytes(path, _MAX_TOML_BYTES))
+
+
+def parse_toml(path: Path, data: bytes) -> dict[str, Any]:
+    """The table that the bytes of a TOML file hold; see `read_toml`."""
+    text = decode_text(path, data)
+    dotted = _DOTTED.search(text)
+    if dotted is not None:
+        line = text.count("\n", 0, dotted.start()) + 1
+        raise FileError(path, f"TOML expected, found more than {_MAX_DEPTH} names joined by dots", line)
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise FileError(path, f"TOML expected, found {_uncapitalized(str(error))}") from None
+    except RecursionError:
+        raise FileError(path, f"TOML expected, found lists or tables more than {_MAX_DEPTH} deep") from None
+    except ValueError:  # by the limit on the digits of a number
+        raise FileError(path, "whole numbers of at most 64 bits expected, found one of thousands of digits") from None
+    _check_plain(path, table, None)
+    return table
+
+
+def read_json(path: Path, most: int = _MAX_TEXT_BYTES) -> Any:
+    """The value that a JSON file holds; see `parse_json`."""
+    return parse_json(path, read_bytes(path, most))
+
+
+def parse_json(path: Path, data: bytes, line: int | None = None) -> Any:
+    """The value that the bytes of a JSON file, or of one line of it, hold; NaN and infinity are refused.
+
+    Raises:
+        FileError: They are not such JSON.
+    """
+    text = decode_text(path, data)
+    try:
+        value = json.loads(text, parse_constant=_refuse)
+    except json.JSONDecodeError as error:
+        where = error.lineno if line is None else line
+        raise FileError(path, f"JSON expected, found {_uncapitalized(error.msg)} at column {error.colno}", where) from None
+    except RecursionError:
+        raise FileError(path, f"JSON expected, found lists or tables more than {_MAX_DEPTH} deep", line) from None
+    except ValueError as error:
+        found = str(error) if isinstance(error, _ConstantError) else "a whole number of thousands of digits"
+        raise FileError(path, f"finite numbers of at most 64 bits expected, found {found}", line) from None
+    _check_plain(path, value, line)
+    return value
+
+
+def os_cause(error: OSError) -> str:
+    """Why a file cannot be opened, read or written, in the words of the system."""
+    if isinstance(error, FileNotFoundError):
+        return "no such file"
+    return f"cannot be read: {_uncapitalized(error.strerror or str(error))}"
+
+
+def _check_regular(path: Path, status: os.stat_result) -> None:
+    kinds = {
+        stat.S_IFDIR: "folder", stat.S_IFIFO: "pipe", stat.S_IFSOCK: "socket", stat.S_IFCHR: "device", stat.S_IFBLK: "device",
+    }  # fmt: skip
+    kind = stat.S_IFMT(status.st_mode)
+    if kind != stat.S_IFREG:
+        raise FileError(path, f"a file expected, found a {kinds.get(kind, 'special file')}")
+
+
+def _check_plain(path: Path, value: Any, line: int | None) -> None:
+    """Refuse values nested too deeply, whole numbers beyond 64 bits, and texts that are not Unicode."""
+    level = [("", value)]
+    for _ in range(_MAX_DEPTH + 1):
+        if not level:
+            return
+        for where, entry in level:
+            if isinstance(entry, int) and entry not in _INT64:
+                cause = f"a whole number of at most 64 bits expected, found one of {entry.bit_length()} bits"
+                raise FileError(path, f"{where}: {cause}" if where else cause, line)
+            if isinstance(entry, str) and not entry.isascii() and any("\ud800" <= letter <= "\udfff" for letter in entry):
+                cause = "Unicode text expected, found half of a surrogate pair"
+                raise FileError(path, f"{where}: {cause}" if where else cause, line)
+        level = [child for where, entry in level for child in _children(where, entry)]
+    raise FileError(path, f"lists and tables at most {_MAX_DEPTH} deep expected, found deeper ones", line)
+
+
+def _children(where: str, entry: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(entry, dict):
+        for key, child in entry.items():
+            yield f"{where}.{key[:40]}" if where else key[:40], child
+            yield where, key
+    elif isinstance(entry, list):
+        for index, child in enumerate(entry):
+            yield f"{where}[{index}]", child
+
+
+class _ConstantError(ValueError):
+    """A constant that JSON does not have."""
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise _ConstantError(constant)
+
+
+def _every_second_is_zero(data: bytes) -> bool:
+    return len(data) > 3 and (not any(data[:64:2]) or not any(data[1:64:2]))
+
+
+def _size(count: int) -> str:
+    return f"{count >> 20} MB" if count >= 1 << 20 else f"{count} bytes"
+
+
+def _uncapitalized(text: str) -> str:
+    return text[:1].lower() + text[1:]
