@@ -15,6 +15,10 @@ _LOSS = 0.30  # share of the questions of late without a usable answer, from whi
 LATE, LATE_CYCLES = 1.5, 5  # periods that a cycle may take, and how many in a row may take longer
 GAP_S = 0.2  # [s] between two cycles in which nobody has led the robot
 _WARM, _HOT = 12.0, 5.0  # [K] below the servos' own limit: from here on slower; from here on to the ground
+_MAX_WARMING_K_S = (
+    3.0  # [K/s] at most; a stalled motor warms by 1 K/s, and a reading that rises faster is followed at this rate
+)
+_OVERHEATED_S = 0.5  # [s] for which a servo must report that it has shut down for its heat
 _LOW_S, _SETTLED_S = 1.0, 0.3  # [s] for which the voltage must be low, and its time constant
 _TIRED, _SPENT = 0.36, 0.50  # rms share of the stall torque of late: from here on slower; slowest
 _TIRES_S = 30.0  # [s] time constant of it
@@ -58,6 +62,7 @@ class _Shutdown:
     """Shutdowns of one servo."""
 
     since: float | None = None  # [s] of the one that lasts
+    hot_since: float | None = None  # [s] when its servo began to report heat, None where it does not
     counted: list[float] = field(default_factory=list)  # [s] of those that were ended
 
 
@@ -74,6 +79,8 @@ class Health:
         self._profile, self._period = profile, period_s
         self._voltage = np.nan  # [V] smoothed
         self._low_since: float | None = None
+        # [deg C] No servo starts warmer than where it begins to matter: its first readings may be wrong, too.
+        self._temperature: Array = np.full(18, profile.servo.temperature_limit - _WARM)
         self._effort: Array = np.zeros(18)  # mean square share of the stall torque
         self._late = 0  # cycles in a row
         self._shutdowns = [_Shutdown() for _ in range(18)]
@@ -93,7 +100,7 @@ class Health:
         # What was read before a servo, or all of them, fell silent says nothing of now.
         silent = (vitals.missed >= SILENT) | (vitals.newest > _QUIET_S)
         overloaded = self._overloads(now, vitals.errors, silent, torque)
-        heat, empty = self._heat(vitals), self._empty(now, dt, np.where(silent, np.nan, vitals.voltage))
+        heat, empty = self._heat(dt, vitals.temperature), self._empty(now, dt, np.where(silent, np.nan, vitals.voltage))
         limp, weak = self._limp(vitals.limp) if torque else "", self._weak(vitals.strength)
         unknown = (self._silence(vitals), self._delay(dt), self._error(vitals.errors))
         broken = (*unknown, limp, overloaded.broken, weak if torque else "")
@@ -157,12 +164,16 @@ class Health:
             if silent[index]:
                 continue
             error = ServoError(int(errors[index])) & SHUT_DOWN
+            if ServoError.OVERHEATING not in error:
+                shutdown.hot_since = None
             if not error:
                 shutdown.since = None
                 continue
             name = _named(self._profile, [index])
             if ServoError.OVERHEATING in error:
-                broken = sit = f"{name} has shut down for its heat"
+                shutdown.hot_since = now if shutdown.hot_since is None else shutdown.hot_since
+                broken = f"{name} has shut down for its heat"
+                sit = broken if now - shutdown.hot_since >= _OVERHEATED_S else sit
                 continue
             if not torque:
                 shutdown.since = None  # it is judged anew once somebody wants it to pull
@@ -182,15 +193,20 @@ class Health:
                 revive.append(index)
         return Verdict(broken=broken, sit=sit, revive=tuple(revive))
 
-    def _heat(self, vitals: Vitals) -> Verdict:
-        """How warm the hottest servo is against its own limit."""
-        if np.isnan(vitals.temperature).all():
+    def _heat(self, dt: float, temperature: Array) -> Verdict:
+        """How warm the hottest servo is against its own limit; a reading that rises faster than a motor warms is limited.
+
+        So a wrong reading that lasts a second changes nothing, and real heat is known without delay.
+        """
+        known = ~np.isnan(temperature)
+        if not known.any():
             return Verdict()
-        hottest = int(np.nanargmax(vitals.temperature))
-        below = self._profile.servo.temperature_limit - float(vitals.temperature[hottest])
+        self._temperature[known] = np.minimum(temperature, self._temperature + _MAX_WARMING_K_S * dt)[known]
+        hottest = int(np.argmax(np.where(known, self._temperature, -np.inf)))
+        below = self._profile.servo.temperature_limit - float(self._temperature[hottest])
         if below >= _WARM:
             return Verdict()
-        words = f"{_named(self._profile, [hottest])} is {vitals.temperature[hottest]:.0f} deg C warm"
+        words = f"{_named(self._profile, [hottest])} is {self._temperature[hottest]:.0f} deg C warm"
         pace = max(_SLOWEST, 1.0 - (1.0 - _SLOWEST) * (_WARM - below) / (_WARM - _HOT))
         return Verdict(sit=words if below <= _HOT else "", pace=pace, warnings=(f"{words}: the walk is slower",))
 

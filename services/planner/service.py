@@ -257,6 +257,10 @@ class Planner:
             sent = self._next_step(state, pose, command, terrain, number)
             if sent is not None:
                 return sent
+        if commands and self._state == "blocked" and state.phase >= 1.0:
+            sent = self._gathering(state, pose, commands[0], terrain)
+            if sent is not None:
+                return sent
         if self._refusals.count:
             self._refusals.give_up()
             self._due_ns = state.stamp_ns + _TRY_AGAIN_NS
@@ -322,6 +326,17 @@ class Planner:
             moved = f"{found.moved} of {found.swing.sum()} footholds moved from their nominal place"
             self._reason = f"{moved}{shorter}{slower}{instead}"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (number, way))
+
+    def _gathering(self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, terrain: Terrain) -> "_Sent | None":
+        """A step on the spot of a robot that stands blocked, so that stretched legs do not keep it there; it stays blocked."""
+        if self._strides.objection(command):
+            return None
+        with self.stages("gather feet"):
+            found, way = self._strides.gather(self._situations(state, pose, command), terrain, self._refusals.of(0))
+        if isinstance(found, Blocked):
+            return None
+        self._reason = f"feet back under the body: {self._reason}"
+        return self._send(state, pose.T_world_odom, found, state.step + 1, (0, way))
 
     def _where_to_look(self, found: Blocked, command: VelocityCommand) -> str:
         """What to do first where the ground that is walked to was never in view, in words; a goal's pilot does it by itself."""

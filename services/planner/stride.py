@@ -27,6 +27,7 @@ _DEARER = 2.0  # than way is height: of a foot's way over the ground the body ma
 _DEARER_YET = 2.5  # where a foot goes higher than commanded, over uneven ground: there legs stand less well, too
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
 _LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # share of the ground's slope by which it may lean
+_GATHERED = 0.02  # [m] by which a step on the spot must bring feet nearer to their resting places, all together
 _REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may turn out to be lower than believed
 
 
@@ -162,6 +163,29 @@ class StridePlanner:
                 return replace(found, instead=first.reason if first else ""), ways[SHARES.index(found.share)]
             first = first or found
         return first or Blocked("every step was refused"), 0
+
+    def gather(
+        self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
+    ) -> tuple[Stride | Blocked, int]:
+        """A step on the spot that brings feet back under the body, and the number of its way; or why there is none.
+
+        Short steps towards ground that has not been seen leave all legs stretched: then no step goes on from there, even
+        once the ground is seen. Each such step brings feet nearer to their resting places, so they come to an end.
+
+        Args:
+            situations: What it may begin with, the legs most due first.
+            terrain: The map.
+            refused: Ways that are not to be tried; they are counted on from those of `choose`.
+        """
+        for way, at in enumerate(situations, len(SHARES) * len(situations)):
+            found = self._attempt(at, terrain, 0.0, _WIDTHS[0], self._settings.sink_margin) if way not in refused else None
+            if isinstance(found, Stride):
+                legs = found.swing
+                before = np.linalg.norm((found.start[:, :2] - found.nominal)[legs], axis=1)
+                after = np.linalg.norm((found.touchdown[:, :2] - found.nominal)[legs], axis=1)
+                if before.sum() - after.sum() > _GATHERED:
+                    return found, way
+        return Blocked("no step on the spot brings feet nearer to their resting places"), 0
 
     def retarget(self, stride: Stride, terrain: Terrain) -> Stride:
         """The same step with its touchdowns chosen anew on a newer map; a leg that finds nothing better keeps its own.

@@ -247,17 +247,24 @@ def test_a_servo_that_shut_down_for_its_heat_is_never_reset(torque: bool) -> Non
     patient = Patient()
     hot = one(2, errors=int(ServoError.OVERHEATING | ServoError.OVERLOAD))
     words = f"{name(2)} has shut down for its heat"
+    assert {(v.broken, v.sit, v.revive) for v in patient.live(0.4, hot, torque)} == {(words, "", ())}
+    patient.live(0.2, hot, torque)
     assert {(v.broken, v.sit, v.revive) for v in patient.live(3.0, hot, torque)} == {(words, words, ())}
+    assert {v.sit for v in patient.live(0.4)} == {""}
+    assert {v.sit for v in patient.live(0.4, hot, torque)} == {""}, "it is counted from its beginning"
 
 
 # ------------------------------------------------------------------------------------------------------- heat and load
 
 
+_SETTLES_S = 16.0  # in which a temperature that is far above all limits is believed
+
+
 @given(servos, st.floats(20.0, 90.0), st.floats(0.0, 10.0))
 @WILD
 def test_the_warmer_the_slower_and_five_kelvin_below_its_limit_it_sits(servo: int, temperature: float, more: float) -> None:
-    cool = Patient().cycle(one(servo, temperature=temperature))
-    warm = Patient().cycle(one(servo, temperature=temperature + more))
+    cool = Patient().live(_SETTLES_S, one(servo, temperature=temperature))[-1]
+    warm = Patient().live(_SETTLES_S, one(servo, temperature=temperature + more))[-1]
     assert 0.4 <= warm.pace <= cool.pace <= 1.0
     below = LIMIT - temperature
     assert (cool.pace == 1.0) == (below >= 12.0) or below == pytest.approx(12.0)
@@ -273,7 +280,7 @@ def test_between_twelve_and_five_kelvin_below_its_limit_the_walk_is_slower_in_pr
     below: float, pace: float, sits: bool
 ) -> None:
     words = f"{name(7)} is {LIMIT - below:.0f} deg C warm"
-    verdict = Patient().cycle(one(7, temperature=LIMIT - below))
+    verdict = Patient().live(_SETTLES_S, one(7, temperature=LIMIT - below))[-1]
     assert verdict.pace == pytest.approx(pace)
     assert verdict.sit == (words if sits else "")
     assert verdict.warnings == ((f"{words}: the walk is slower",) if below < 12.0 else ())
@@ -285,6 +292,29 @@ def test_a_robot_that_heats_up_slowly_sits_before_a_servo_shuts_down() -> None:
         temperature += 1.0 * PERIOD
     assert temperature < LIMIT - 4.9
     assert patient.verdict.pace == pytest.approx(0.4, abs=0.01)
+
+
+@given(servos, st.floats(20.0, LIMIT - 13.0), st.floats(0.02, 1.0), st.floats(60.0, 255.0))
+@WILD
+def test_a_wrong_temperature_that_passes_does_not_make_it_sit(servo: int, before: float, lasts: float, wrong: float) -> None:
+    patient = Patient()
+    patient.live(1.0, one(servo, temperature=before))
+    for _ in range(5):
+        assert {v.sit for v in patient.live(lasts, one(servo, temperature=wrong))} == {""}
+        assert set(patient.live(0.02, one(servo, temperature=before))) == {Verdict()}
+
+
+def test_a_wrong_temperature_that_comes_first_does_not_make_it_sit() -> None:
+    assert {v.sit for v in Patient().live(0.25, one(7, temperature=LIMIT + 15.0))} == {""}
+
+
+@given(servos, st.floats(30.0, LIMIT - 13.0), st.floats(0.1, 2.9))
+@WILD
+def test_heat_is_known_without_delay(servo: int, temperature: float, rate: float) -> None:
+    patient = Patient()
+    while not patient.cycle(one(servo, temperature=temperature)).sit:
+        temperature += rate * PERIOD
+    assert temperature <= LIMIT - 5.0 + rate * PERIOD
 
 
 @given(st.floats(0.0, 1.0), st.floats(-1.0, 1.0))
@@ -374,7 +404,7 @@ def test_what_is_broken_and_what_is_spent_are_told_at_once() -> None:
     assert name(4) in verdict.broken
     assert "battery" in verdict.sit
     hot = one(4, errors=int(ServoError.OVERHEATING), temperature=LIMIT)
-    assert "shut down for its heat" in Patient().cycle(hot).sit, "the worst comes first"
+    assert "shut down for its heat" in Patient().live(1.0, hot)[-1].sit, "the worst comes first"
 
 
 def silenced(vitals: Vitals, servos: slice, questions: int = SILENT) -> Vitals:

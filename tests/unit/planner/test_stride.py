@@ -471,6 +471,47 @@ def test_of_what_was_refused_nothing_is_tried_again_and_all_else_is(refused: set
         assert found.share == SHARES[way % len(SHARES)]
 
 
+def situations_of(body: Array, feet: Array, asked: VelocityCommand) -> list[Situation]:
+    along = directions(asked.velocity, asked.yaw_rate, PROFILE.rest_feet(HEIGHT))
+    order = swing_order(GAITS[asked.gait], along, apply(inverse(body), feet), PROFILE.rest_feet(HEIGHT))
+    return [Situation(body, feet, swing, asked) for swing in order]
+
+
+def test_a_robot_whose_legs_are_all_stretched_goes_on_by_steps_on_the_spot() -> None:
+    """As short steps of always the same legs leave it, where the ground that the others were to step on is unseen."""
+    asked, body = command(0.11), from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    behind = 1e-3 * np.array([[-47, 16], [-66, 0], [11, 1], [-38, 2], [12, 1], [-41, -1]])
+    feet = apply(body, PROFILE.rest_feet(HEIGHT)) + np.column_stack([behind, np.zeros(6)])
+    at = situations_of(body, feet, asked)
+    blocked, _ = PLANNER.choose(at, FLAT)
+    assert isinstance(blocked, Blocked)
+    assert "stretched" in blocked.reason
+    found, way = PLANNER.gather(at, FLAT)
+    assert isinstance(found, Stride)
+    assert way >= len(at) * len(SHARES), "no way of `choose` has its number"
+    walkable(found, next(one for one in at if (one.swing == found.swing).all()))
+    np.testing.assert_allclose(found.body_goal[:2, 3], body[:2, 3])
+    other, _ = PLANNER.gather(at, FLAT, {way})
+    assert isinstance(other, Blocked) or (other.swing != found.swing).all(), "what was refused is not tried again"
+    assert isinstance(PLANNER.choose(situations_of(found.body_goal, found.touchdown, asked), FLAT)[0], Stride)
+
+
+@given(st.lists(st.floats(-0.02, 0.02), min_size=12, max_size=12))
+@settings(max_examples=25)
+def test_steps_on_the_spot_come_to_an_end_with_all_feet_near_rest(off: list[float]) -> None:
+    body = from_xyz_rpy((0.0, 0.0, HEIGHT), np.zeros(3))
+    rest = apply(body, PROFILE.rest_feet(HEIGHT))
+    feet = rest + np.column_stack([np.reshape(off, (6, 2)), np.zeros(6)])
+    for _ in range(4):
+        found, _ = PLANNER.gather(situations_of(body, feet, command()), FLAT)
+        if isinstance(found, Blocked):
+            break
+        body, feet = found.body_goal, found.touchdown
+    assert isinstance(found, Blocked)
+    for legs in (TRIPOD, ~TRIPOD):
+        assert np.linalg.norm((feet - rest)[legs], axis=1).sum() <= 0.03
+
+
 @given(st.floats(0.0, 0.12), st.floats(0.02, 0.06), st.floats(-0.01, 0.01))
 @settings(max_examples=25)
 def test_no_step_comes_down_lower_than_over_what_stands_before_its_touchdown(
