@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable
 
 _WINDOW_NS = 10_000_000_000  # over which the shortest way is looked for, and up to twice that: clocks drift by 0.1 ms in it
+_BRACKET_NS = 1_000_000  # widest bracket of a reading of the boot clock
+_READINGS = 3  # attempts of one call
 _REBOOT_NS = 10_000_000_000  # by which what is said of the robot's time goes back only where its clock began anew
 
 
@@ -81,10 +83,32 @@ def now_ns() -> int:
     return _clock[0]()
 
 
-def asleep_ns() -> int:
-    """[ns] that this machine has been asleep since it was started, in which its monotonic clock stands still; 0 if unknown."""
+def _boot_ns() -> int:
+    """Read [ns] the clock that counts time in suspend, too; the monotonic clock where there is none."""
     counted = getattr(time, "CLOCK_BOOTTIME", None)
-    return 0 if counted is None else time.clock_gettime_ns(counted) - time.monotonic_ns()
+    return time.monotonic_ns() if counted is None else time.clock_gettime_ns(counted)
+
+
+class SuspendedTime:
+    """Time that this machine has spent suspended since it booted, while its monotonic clock stood still.
+
+    A process may be preempted between the readings of two clocks. So the boot clock is read between two readings of the
+    monotonic clock, and a reading whose bracket is wider than 1 ms is discarded. The result never falls.
+    """
+
+    def __init__(self, monotonic: Callable[[], int] = time.monotonic_ns, boot: Callable[[], int] = _boot_ns):
+        """Take the two clocks [ns]: `monotonic` stands still in suspend, `boot` does not."""
+        self._monotonic, self._boot = monotonic, boot
+        self._suspended_ns = 0
+
+    def __call__(self) -> int:
+        """[ns] suspended, to 1 ms; the last value where every reading of this call was torn."""
+        for _ in range(_READINGS):
+            before_ns, boot_ns, after_ns = self._monotonic(), self._boot(), self._monotonic()
+            if after_ns - before_ns <= _BRACKET_NS:
+                self._suspended_ns = max(self._suspended_ns, boot_ns - after_ns)
+                break
+        return self._suspended_ns
 
 
 def go_by(clock: Callable[[], int]) -> None:

@@ -5,7 +5,6 @@ them, with the same objects and the same encoded frames: `shared.live` at real t
 """
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import numpy as np
 
 from shared import codec, topics
 from shared.messages import Health, Message, Tick
+from shared.stopwatch import stopwatch_ns
 from shared.topics import Delivery, Topic
 
 M = TypeVar("M", bound=Message)
@@ -81,10 +81,10 @@ class _Stage:
         self._stages, self._name = stages, name
 
     def __enter__(self) -> None:
-        self._began = time.perf_counter_ns()
+        self._began = stopwatch_ns()
 
     def __exit__(self, *_: object) -> None:
-        self._stages.add(self._name, (time.perf_counter_ns() - self._began) * 1e-6)
+        self._stages.add(self._name, (stopwatch_ns() - self._began) * 1e-6)
 
 
 class _Ring:

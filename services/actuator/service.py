@@ -1,7 +1,6 @@
 """The actuator: plans in, servo goals out, fifty times a second, and what the legs measure back to everybody."""
 
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Self
@@ -29,7 +28,6 @@ from services.actuator.plumb import Plumb
 from services.actuator.stand_up import LieDown, StandUp
 from services.actuator.walker import Targets, Walker
 from shared import topics
-from shared.clock import asleep_ns
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_forward, body_inverse, nearest_reachable
 from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StopOrder, Tick
@@ -53,10 +51,11 @@ class Actuator:
         self,
         profile: RobotProfile,
         settings: Settings,
-        opener: Callable[[], Port] | None = None,
-        clock: Callable[[], int] = time.monotonic_ns,
+        opener: Callable[[], Port] | None,
+        clock: Callable[[], int],
         latch: Latch | None = None,
         permit: Permit | None = None,
+        suspended_ns: Callable[[], int] = lambda: 0,
     ):
         """Open the bus and take the servos over as they stand: torque that is on stays on, torque that is off stays off.
 
@@ -67,6 +66,7 @@ class Actuator:
             clock: [ns] what the port's timing goes by.
             latch: That torque is to be off, whoever has ordered it and when; that of the port, where none opens another.
             permit: The order to walk that is in force; likewise.
+            suspended_ns: [ns] that this machine has spent suspended since it booted; 0 on simulated time.
 
         Raises:
             BusSetupError: Servos are missing or wrong, all named.
@@ -76,7 +76,7 @@ class Actuator:
         self.stages = Stages()
         self._profile = profile
         self._settings = settings
-        self._clock = clock
+        self._clock, self._read_suspended_ns = clock, suspended_ns
         self._off = OffOrder(latch or (None if opener else Latch.of_port(settings.port)))
         self._joints = Joints(profile, settings, opener, clock, lambda: self._off.holds)
         if self._off.holds:
@@ -100,7 +100,7 @@ class Actuator:
         self._touch = np.zeros((6, 3))
         self._touch_carries = np.zeros(6, dtype=np.bool_)
         self._last_ns = -1
-        self._asleep_ns = asleep_ns()
+        self._suspended_ns = suspended_ns()
         self._warning = ""
         self._told: tuple[Mode, str, str, int] | None = None  # what the last state message said
         self._silent = False  # whether the last cycle sent none
@@ -179,9 +179,9 @@ class Actuator:
                 self._perform(self._guard.hear(order, now_ns))
 
     def _slept_s(self) -> float:
-        """How long [s] the computer has been asleep since the last cycle; 0 for no time that matters."""
-        before, self._asleep_ns = self._asleep_ns, asleep_ns()
-        slept_s = (self._asleep_ns - before) * 1e-9
+        """Time [s] that the computer was suspended since the last cycle; 0 for a time that does not matter."""
+        before, self._suspended_ns = self._suspended_ns, self._read_suspended_ns()
+        slept_s = (self._suspended_ns - before) * 1e-9
         return slept_s if slept_s > GAP_S else 0.0
 
     def _cycle_time(self, stamp_ns: int) -> tuple[float, float]:

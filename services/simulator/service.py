@@ -1,7 +1,6 @@
 """The simulator: to everybody else a depth camera and a servo bus; the truth goes to the scorer alone."""
 
 import logging
-import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from typing import Self
@@ -181,9 +180,9 @@ class Simulator:
     def _now_ns(self) -> int:
         return self.world.time_ns + (self._origin_ns or 0)
 
-    def _up_to_date(self) -> bool:
-        """Whether the physics is near the machine's clock; asked from the bus server's thread."""
-        return self._origin_ns is None or time.monotonic_ns() - self._origin_ns - self.world.time_ns < _STALE_NS
+    def _up_to_date(self, now_ns: int) -> bool:
+        """Whether the physics is near the bus server's clock; asked from that server's thread."""
+        return self._origin_ns is None or now_ns - self._origin_ns - self.world.time_ns < _STALE_NS
 
     def _locked(self) -> AbstractContextManager[object]:
         return nullcontext() if self._server is None else self._server.lock

@@ -33,7 +33,7 @@ class TcpBusServer:
         port: int = 0,
         other_port: int = 0,
         clock: Callable[[], int] = time.monotonic_ns,
-        answering: Callable[[], bool] = lambda: True,
+        answering: Callable[[int], bool] = lambda _now_ns: True,
         turns_away: bool = False,
     ) -> None:
         """Listen and start serving.
@@ -44,8 +44,8 @@ class TcpBusServer:
             port: Port to listen on, 0 for a free one.
             other_port: Port to listen on when the bus is back under another name, and so to and fro.
             clock: Bus time [ns]; it must run at real time, for answers are held back until it reaches them.
-            answering: Whether the physics is up to date; while it is not the servos stay silent, rather than tell where
-                they were some time ago.
+            answering: Whether the physics is up to date at a bus time [ns]; while it is not, the servos stay silent
+                rather than report where they were some time ago.
             turns_away: Hang up on whoever comes while somebody is connected; else they wait until that one has left.
 
         Raises:
@@ -152,7 +152,7 @@ class TcpBusServer:
                         return "client hung up"
                     with self.lock:
                         answers = self._bus.receive(data, self._clock())
-                    outbox.put(answers if self._answering() else ())
+                    outbox.put(answers if self._answering(self._clock()) else ())
                 for door in doors:
                     if door in ready:  # and the client is still there
                         other, peer = door.accept()
@@ -171,7 +171,7 @@ class TcpBusServer:
             return []
         with self.lock:
             said = self._bus.speak(self._clock())
-        return said if self._answering() else []
+        return said if self._answering(self._clock()) else []
 
     def _wait_s(self, outbox: Outbox) -> float | None:
         """[s] until there is something to do, though no byte comes; None where there is nothing."""

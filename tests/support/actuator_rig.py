@@ -53,12 +53,15 @@ class Rig:
         self.stuck: dict[int, float] = {}  # [rad] joints (0 to 17) that stay where they are, whatever they are told
         self.state: ActuatorState | None = None
         self.permit = Permit()
+        self.suspended_ns = 0  # of the computer
         self.start()
 
     def start(self) -> None:
         """A new actuator on the same servos."""
         self.port = MemoryPort(self.bus, lambda: self.now_ns)
-        self.actuator = Actuator(PROFILE, Settings(), lambda: self.port, self.port.now_ns, self.latch, self.permit)
+        self.actuator = Actuator(
+            PROFILE, Settings(), lambda: self.port, self.port.now_ns, self.latch, self.permit, lambda: self.suspended_ns
+        )
         self.inbox = Inbox(self.actuator.reads, self.actuator.stages)
         self.now_ns = self.port.now_ns()
 

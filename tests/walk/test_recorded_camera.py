@@ -65,7 +65,7 @@ def test_a_folder_is_mapped_missed_and_mapped_again(folder: Path) -> None:
     def clock() -> int:
         return 0 if run is None else run.now_ns
 
-    camera = CameraService(PROFILE, CameraSettings(device=str(folder)), clock=clock)
+    camera = CameraService(PROFILE, CameraSettings(device=str(folder)), None, clock)
     run = Lockstep(
         {
             "legs": Standing,
@@ -112,7 +112,7 @@ def test_a_folder_is_mapped_missed_and_mapped_again(folder: Path) -> None:
 def test_what_another_camera_recorded_is_refused_in_words(folder: Path) -> None:
     wide = replace(PROFILE, camera=replace(PROFILE.camera, intrinsics=replace(PROFILE.camera.intrinsics, fx=500.0)))
     heard = Heard((topics.DEPTH, topics.CAMERA_STATE))
-    run = Lockstep({"camera": lambda: CameraService(wide, CameraSettings(device=str(folder)), clock=lambda: 0)}, heard.tap)
+    run = Lockstep({"camera": lambda: CameraService(wide, CameraSettings(device=str(folder)), None, lambda: 0)}, heard.tap)
     run.run(S)
     assert not heard.of(topics.DEPTH)
     assert "fx 500.0" in heard.of(topics.CAMERA_STATE)[-1].reason

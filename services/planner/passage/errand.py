@@ -3,7 +3,6 @@
 Pure: time, pose and maps come in, what to do next comes out. Section 4.7 (the look) and chapter 5 of the thesis.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -23,6 +22,7 @@ from services.planner.terrain import GOOD
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
 from shared.messages import ActuatorState, Mode, PassageMap, PassagePlan, PassageRequest
 from shared.robot import LEGS, RobotProfile
+from shared.stopwatch import stopwatch_ns
 
 STRIP = (2.7, 1.0)  # [m] length and width of the map that is asked for; Masri 2016, section 4.4
 BEHIND = 0.5  # [m] of it behind the body
@@ -115,7 +115,7 @@ class Errand:
         standing: Standing,
         target: Array,
         yielded: list[Array],
-        clock: Callable[[], float] = time.perf_counter,
+        stopwatch: Callable[[], int] = stopwatch_ns,
     ):
         """Begin where the robot stands.
 
@@ -126,9 +126,9 @@ class Errand:
             standing: How the robot stands, facing the way across.
             target: (2,) [m] {world} where it is to get, straight ahead.
             yielded: (3,) [m] {world} undersides of feet that found nothing, or ground lower than it was; it adds to them.
-            clock: [s] that tells how long planning takes; nothing goes by it.
+            stopwatch: [ns] measures how long planning takes, for the report.
         """
-        self._profile, self._settings, self._roadmap, self._clock = profile, settings, roadmap, clock
+        self._profile, self._settings, self._roadmap, self._stopwatch = profile, settings, roadmap, stopwatch
         self._target = target.copy()
         xy = standing.body[:2, 3]
         self.heading = float(np.arctan2(*(target - xy)[::-1]))
@@ -157,7 +157,7 @@ class Errand:
         self._stopped = ""  # why the newest planning found no way, in words
         self._walks = ""  # what the steps that it walks, or has walked last, are, in words
         self._goal = 0.0  # [m] {strip} of the section
-        self._planning_s = 0.0  # by the machine's clock
+        self._planning_ns = 0  # measured
         self._report: PassagePlan | None = None
 
     @property
@@ -296,11 +296,11 @@ class Errand:
                 self._section, self._seed = self._section + 1, 0
             self._seed += 1
             self._goal = goal
-            self._begun_ns, self._planning_s = state.stamp_ns, 0.0
+            self._begun_ns, self._planning_ns = state.stamp_ns, 0
             self._roadmap.begin(self._field, root, goal, seed=ATTEMPTS * self._section + self._seed)
-        began = self._clock()
+        began_ns = self._stopwatch()
         found = self._roadmap.grow(_PER_TICK)
-        self._planning_s += self._clock() - began
+        self._planning_ns += self._stopwatch() - began_ns
         if found is None:
             return Wait(f"planning section {self._section} of the passage")
         self._begun_ns = -1
@@ -429,7 +429,7 @@ class Errand:
         """What planning came to, for everybody."""
         assert self._field is not None
         T, edges = self._field.T_world_strip, self._roadmap.edges
-        return told(stamp_ns, self._section, found, T, self._goal, edges, self._planning_s)
+        return told(stamp_ns, self._section, found, T, self._goal, edges, self._planning_ns * 1e-9)
 
 
 def _rests(state: ActuatorState) -> bool:

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.actuator import service
 from services.actuator.latch import Latch
 from services.actuator.orders import WalkOrder
 from services.actuator.permit import Permit
@@ -120,15 +119,15 @@ def test_torque_stays_off_where_that_was_ordered_after_standing_though_by_a_late
 
 
 @pytest.mark.parametrize("order", ["walk", "stand"])
-def test_who_wakes_from_sleep_goes_on_with_nothing(order: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_wakes_from_sleep_goes_on_with_nothing(order: str) -> None:
     """The monotonic clock stands still in it: what was ordered an hour ago looks as if it was ordered just now."""
-    asleep_ns = [5_000_000_000]
-    monkeypatch.setattr(service, "asleep_ns", lambda: asleep_ns[0])
     rig = Rig(torque=order == "walk")
+    rig.suspended_ns = 5_000_000_000  # before this actuator was started: it does not count
+    rig.start()
     rig.cycle(2)
     rig.command("stand" if order == "stand" else "walk")
     assert rig.cycle(5).mode is (Mode.STAND if order == "stand" else Mode.HOLD)
-    asleep_ns[0] += 3_600_000_000_000
+    rig.suspended_ns += 3_600_000_000_000
     rig.command(order)  # it came just before
     state = rig.cycle(2)
     assert state.mode is (Mode.READY if order == "stand" else Mode.HOLD)
@@ -141,12 +140,10 @@ def test_who_wakes_from_sleep_goes_on_with_nothing(order: str, monkeypatch: pyte
     assert rig.cycle(2).lease == "operator"
 
 
-def test_torque_goes_off_for_who_wakes_from_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
-    asleep_ns = [0]
-    monkeypatch.setattr(service, "asleep_ns", lambda: asleep_ns[0])
+def test_torque_goes_off_for_who_wakes_from_sleep() -> None:
     rig = Rig()
     rig.cycle(2)
-    asleep_ns[0] = 10**12
+    rig.suspended_ns = 10**12
     rig.command("off")
     assert rig.cycle(2).mode is Mode.OFF
     assert not rig.torque

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared import clock
-from shared.clock import ClockError, RobotClock
+from shared.clock import ClockError, RobotClock, SuspendedTime
 
 MS = 1_000_000
 SEC = 1000 * MS
@@ -78,3 +78,56 @@ def test_a_process_goes_by_its_machines_clock_unless_it_is_told_otherwise(monkey
     assert clock.now_ns() >= before
     clock.go_by(lambda: 42)
     assert clock.now_ns() == 42
+
+
+class TwoClocks:
+    """A monotonic clock and one that counts suspended time; a reading takes 1 us, and `torn` readings much longer."""
+
+    def __init__(self, suspended_ns: int = 0) -> None:
+        self.ns, self.suspended_ns, self.torn = 0, suspended_ns, 0
+
+    def monotonic(self) -> int:
+        self.ns += 1_000
+        return self.ns
+
+    def boot(self) -> int:
+        read_ns = self.monotonic() + self.suspended_ns
+        if self.torn:
+            self.torn -= 1
+            self.ns += SEC // 5  # preempted right after the reading
+        return read_ns
+
+
+def test_suspended_time_is_the_difference_of_the_clocks() -> None:
+    clocks = TwoClocks(7 * SEC)
+    suspended = SuspendedTime(clocks.monotonic, clocks.boot)
+    assert abs(suspended() - 7 * SEC) < 1_000_000
+    clocks.suspended_ns += 3600 * SEC
+    assert abs(suspended() - 3607 * SEC) < 1_000_000
+
+
+def test_a_reading_that_a_preemption_has_torn_is_discarded() -> None:
+    clocks = TwoClocks()
+    suspended = SuspendedTime(clocks.monotonic, clocks.boot)
+    before = suspended()
+    clocks.torn = 1
+    assert abs(suspended() - before) < 1_000_000, "read again"
+    clocks.torn = 100
+    assert suspended() == before, "every reading was torn"
+    clocks.torn, clocks.suspended_ns = 0, 60 * SEC
+    assert abs(suspended() - 60 * SEC) < 1_000_000
+
+
+def test_suspended_time_never_falls() -> None:
+    clocks = TwoClocks(5 * SEC)
+    suspended = SuspendedTime(clocks.monotonic, clocks.boot)
+    first = suspended()
+    clocks.suspended_ns = 0
+    assert suspended() == first
+
+
+def test_the_clocks_of_this_machine_agree_that_it_is_awake() -> None:
+    suspended = SuspendedTime()
+    readings = [suspended() for _ in range(1000)]
+    assert readings == sorted(readings)
+    assert readings[-1] - readings[0] < 1_000_000

@@ -1,0 +1,12 @@
+"""The camera with the clock of the robot's computer."""
+
+import time
+
+from services.perception.cameras.config import Settings
+from services.perception.cameras.service import CameraService
+from shared.robot import RobotProfile
+
+
+def live_camera(profile: RobotProfile, settings: Settings) -> CameraService:
+    """Make the service of a real camera; a camera that is absent is reported, not raised."""
+    return CameraService(profile, settings, None, time.monotonic_ns)
