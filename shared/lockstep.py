@@ -1,8 +1,10 @@
 """Services in one process on simulated time: as fast as the machine allows, and the same every time."""
 
 import heapq
+import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from shared import codec, topics
@@ -20,6 +22,16 @@ class Outage:
     from_ns: int
     until_ns: int
     kill: bool
+
+
+class ServiceFailedError(RuntimeError):
+    """A service raised an exception, which would have ended its process; the exception is the `__cause__`."""
+
+    def __init__(self, service: str, error: Exception):
+        """Name the service, the exception, and the line of code that raised it."""
+        frames = traceback.extract_tb(error.__traceback__)
+        place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+        super().__init__(f"{service} failed: {type(error).__name__}: {error}{place}")
 
 
 class Radio(Protocol):
@@ -81,6 +93,7 @@ class Lockstep:
         self._sequence = 0
         self._workers: dict[str, Worker] = {}
         self._readers: dict[str, list[str]] = {}
+        self._sent: list[tuple[AnyTopic, bytes]] = []  # frames of the running step, for the tap
         for order, name in enumerate(makers):
             self._start(name)
             pace = self._workers[name].service.paced_by
@@ -97,15 +110,21 @@ class Lockstep:
         """Let a service be away between two times; the second is still to come."""
         self._outages[outage.service].append(outage)
         if outage.kill:
-            self._schedule(outage.until_ns, -2, lambda: self._start(outage.service))
+            name = outage.service
+            self._schedule(outage.until_ns, -2, lambda: self._guarded(name, lambda: self._start(name)))
 
     def say(self, message: Message) -> None:
         """Send a message now, as somebody who is none of the services."""
         frame = codec.encode(message, codec.Timing(self.now_ns, self.now_ns))
         self._send("", topics.OF_TYPE[type(message)], frame)
+        self._show()
 
     def run(self, until_ns: int) -> None:
-        """Let simulated time pass up to and including an instant."""
+        """Let simulated time pass up to and including an instant.
+
+        Raises:
+            ServiceFailedError: A service raised an exception.
+        """
         while self._events and self._events[0][0] <= until_ns:
             at_ns, _, _, act = heapq.heappop(self._events)
             self.now_ns = at_ns
@@ -122,6 +141,20 @@ class Lockstep:
             readers = self._readers.setdefault(topic.key, [])
             if name not in readers:
                 readers.append(name)
+
+    def _guarded(self, name: str, act: Callable[[], object]) -> None:
+        """Let a service act, then show the tap what it sent: an exception of the tap is not the service's."""
+        try:
+            act()
+        except Exception as error:
+            raise ServiceFailedError(name, error) from error
+        finally:
+            self._show()
+
+    def _show(self) -> None:
+        sent, self._sent = self._sent, []
+        for topic, frame in sent:
+            self._tap(topic, frame, self.now_ns)
 
     def _wanted(self, topic: AnyTopic) -> bool:
         return bool(self._readers.get(topic.key))
@@ -141,13 +174,13 @@ class Lockstep:
 
         def beat() -> None:
             if self._outage(name) is None and busy_until() <= self.now_ns:
-                self._workers[name].tick()
+                self._guarded(name, self._workers[name].tick)
             self._schedule(self.now_ns + period_ns, order, beat)
 
         self._schedule(0, order, beat)
 
     def _send(self, sender: str, topic: AnyTopic, frame: bytes) -> None:
-        self._tap(topic, frame, self.now_ns)
+        self._sent.append((topic, frame))
         readers = self._readers.get(topic.key)
         if not readers:
             return
@@ -169,7 +202,7 @@ class Lockstep:
             worker = self._workers[name]
             worker.inbox.receive(topic, frame, self.now_ns)  # a hung service finds it waiting
             if outage is None and worker.service.paced_by is topic:
-                worker.arrived()
+                self._guarded(name, worker.arrived)
 
 
 class _DecodedOnce:

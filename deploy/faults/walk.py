@@ -21,7 +21,7 @@ from services.actuator.latch import Latch
 from services.simulator.service import Simulator
 from shared import dynamixel as dxl
 from shared import topics
-from shared.lockstep import Outage
+from shared.lockstep import Outage, ServiceFailedError
 from shared.messages import Mode, ModeCommand
 from shared.service import AnyTopic
 
@@ -47,6 +47,7 @@ class FaultWalk(Watched):
         self._meddler = Meddler(np.random.default_rng([seed, 1]))
         self._walked: set[int] = set()  # [ns] stamps of fuzzed plans
         self._sequence = 0
+        self._failed = ""  # which service raised an exception, and which
         stop_port = f"faults {os.getpid()}"
         self._latch = Latch.of_port(stop_port)
         self._latch.open()
@@ -68,6 +69,11 @@ class FaultWalk(Watched):
     def now_s(self) -> float:
         """Simulated time [s]."""
         return self._run.now_ns() * 1e-9
+
+    @property
+    def walks(self) -> bool:
+        """Whether the robot walks on its plans, every service being alive."""
+        return not self._failed and super().walks
 
     def __enter__(self) -> Self:
         return self
@@ -113,6 +119,8 @@ class FaultWalk(Watched):
                     break
                 if now >= least and self.walks:
                     break
+        except ServiceFailedError as error:
+            self._failed = str(error)
         finally:
             self._meddler.how, time.time = "", wall
         return Seen(
@@ -125,6 +133,7 @@ class FaultWalk(Watched):
             plans=self._meddler.fuzzed - fuzzed,
             walked=len(self._walked),
             voltage=float(self._simulator.servos.voltage),
+            stuck=self._failed,
         )
 
     def _do(self, deed: Deed, begin: float) -> float:

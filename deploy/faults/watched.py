@@ -14,6 +14,7 @@ from deploy.faults.cases import Case
 from deploy.faults.timeline import STALE_S, Timeline, Truth, Word
 from deploy.faults.wire import Goals, Outside, Recorder, Switch
 from shared import codec, topics
+from shared.lockstep import ServiceFailedError
 from shared.messages import ActuatorState, GroundTruth, Mode
 from shared.profiles import load_profile
 from shared.robot import RobotProfile
@@ -66,6 +67,7 @@ class Seen:
     walked: int = 0
     voltage: float = np.nan
     lost_s: float = np.nan
+    stuck: str = ""
 
 
 class Watched(ABC):
@@ -135,6 +137,7 @@ class Watched(ABC):
             walked=seen.walked,
             voltage=seen.voltage,
             lost_s=seen.lost_s,
+            stuck=seen.stuck,
         )
 
     @abstractmethod
@@ -220,7 +223,7 @@ def in_walks(
             while left and (walk.walks or case.lets_go):
                 try:
                     line = walk.inject(left[0])
-                except NoWalkError as error:
+                except (NoWalkError, ServiceFailedError) as error:
                     number, _, last, profile = found.pop()
                     found.append((number, seed, replace(last, stuck=str(error)), profile))
                     break

@@ -75,6 +75,15 @@ def complaints(heard: Heard) -> tuple[Complaint, ...]:
     return tuple(sorted(said, key=lambda c: c.begin))
 
 
+def last_reason(heard: Heard) -> str:
+    """Who stopped the walk last, and the reason: of planner and actuator, whichever complained last; empty if neither did."""
+    found = [c for c in complaints(heard) if c.who != "perception"]
+    if not found:
+        return ""
+    last = max(found, key=lambda complaint: complaint.end)
+    return f"{last.who}, {last.begin:.0f} to {last.end:.0f} s: {last.words}"
+
+
 def _seconds(heard: Heard, stamp_ns: int) -> float:
     return (stamp_ns - heard.begin_ns) * 1e-9
 

@@ -15,6 +15,7 @@ from deploy.judging.heard import Heard
 from deploy.judging.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
 from deploy.judging.passage_figures import passage_figures
 from deploy.judging.report import ARRIVED, CourseMap, MapError, Report, StageTime
+from deploy.judging.said import last_reason
 from deploy.judging.trace import Trace, trace_of
 from deploy.judging.walk import Walk
 from deploy.judging.walk_figures import pose_error, walk_figures
@@ -194,7 +195,8 @@ class Scorer:
         if goal.expect != "arrival" and self._heard.refusal and at_rest:
             return f"stood and said why: {self._heard.refusal}"
         if (now - self._heard.begin_ns) * 1e-9 >= self._scenario.time_limit_s:
-            return f"time limit of {self._scenario.time_limit_s:g} s, {x:.2f} of {goal.distance:.2f} m done"
+            late = f"time limit of {self._scenario.time_limit_s:g} s, {x:.2f} of {goal.distance:.2f} m done"
+            return f"{reason}; {late}" if (reason := last_reason(self._heard)) else late
         return ""
 
     def _rests(self, now: int, x: float, y: float) -> bool:

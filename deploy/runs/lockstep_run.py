@@ -4,7 +4,8 @@ The same frames, too, but for depth frames that nobody would look at: where it c
 """
 
 import contextlib
-import time
+import logging
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -35,14 +36,18 @@ from services.simulator.bus import MemoryPort
 from services.simulator.config import Settings as SimulatorSettings
 from services.simulator.service import Simulator
 from shared.host import keep_memory, spare_collector
-from shared.lockstep import Lockstep, Outage
+from shared.lockstep import Lockstep, Outage, ServiceFailedError
 from shared.messages import Message
 from shared.profiles import load_profile
 from shared.robot import RobotProfile
 from shared.scenario import Fault, Scenario
 from shared.service import AnyTopic, Service
+from shared.stopwatch import stopwatch_ns
 
+CRASH = "crash.txt"  # in a run's folder: the traceback of a service that failed
 _LOOK_NS = 250_000_000  # simulated time between two looks at whether it is over
+
+_log = logging.getLogger(__name__)
 
 Tap = Callable[[AnyTopic, bytes, int], object]
 
@@ -199,9 +204,9 @@ def run_lockstep(
 
         run = assemble(scenario, seed, profile, tell, every_frame=bool(taps))
         # 2. Let simulated time pass until the run is over.
-        began = time.perf_counter()
-        ended_by = _run_to_the_end(run, progress)
-        elapsed = time.perf_counter() - began
+        began_ns = stopwatch_ns()
+        ended_by = _run_to_the_end(run, progress, out)
+        elapsed = (stopwatch_ns() - began_ns) * 1e-9
     # 3. Judge it and write what it leaves behind.
     report = run.attendance.judge(run.now_ns() * 1e-9 / elapsed, ended_by)
     if out is not None:
@@ -210,14 +215,25 @@ def run_lockstep(
     return report
 
 
-def _run_to_the_end(run: LockstepRun, progress: Progress) -> str:
-    """Run; returns what ended it from outside, in words, or nothing."""
+def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> str:
+    """Run; return what ended it other than the scorer, as a sentence, or nothing.
+
+    A service that raises an exception ends this run, as the death of its process would. The traceback goes into the log and
+    into the run's folder.
+    """
     # The scorer ends it at the time limit; twice that is for a run whose robot never came up.
     limit_ns = round(2e9 * run.scenario.time_limit_s)
     while not run.attendance.over():
         if run.now_ns() >= limit_ns:
             return f"no verdict within {limit_ns * 1e-9:.0f} s of simulated time"
-        run.run(run.now_ns() + _LOOK_NS)
+        try:
+            run.run(run.now_ns() + _LOOK_NS)
+        except ServiceFailedError as error:
+            text = "".join(traceback.format_exception(error.__cause__))
+            _log.error("%s\n%s", error, text)
+            if out is not None:
+                (out / CRASH).write_text(text, encoding="utf-8")
+            return str(error)
         progress.update(run.attendance.monitor.view)
     return ""
 

@@ -1,6 +1,10 @@
 """One seed makes one walk, to the byte; what only says how long things took is left aside."""
 
 import json
+import random
+import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +32,7 @@ WALKING = (
     topics.MODE,
     topics.TRUTH,
 )
+ROOT = Path(__file__).parents[2]
 TIMING = ("real_time_factor", "stages_ms")
 
 
@@ -35,6 +40,11 @@ def left_behind(folder: Path, seed: int) -> tuple[str, list[tuple[str, bytes, in
     """A run's report without timing as text, its recorded frames but health, and the report."""
     scenario = flat(0.25, terrain=(*COURSE.terrain, BLOCKS))
     assert run_lockstep(scenario, seed, folder).success
+    return without_timing(folder)
+
+
+def without_timing(folder: Path) -> tuple[str, list[tuple[str, bytes, int]], dict[str, Any]]:
+    """What a run has left in a folder: report as text, recorded frames, and report."""
     table = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     for name in TIMING:
         del table[name]
@@ -58,3 +68,40 @@ def test_another_seed_gives_another_walk(first: Any, tmp_path: Path) -> None:
     _, frames, table = left_behind(tmp_path, 1001)
     assert frames != first[1]
     assert {**table, "seed": 1000} != first[2]
+
+
+TEXT = """
+name = "short"
+time_limit_s = 20.0
+[goal]
+distance = 0.25
+[[terrain]]
+kind = "plane"
+"""
+
+
+def test_a_run_that_is_stopped_and_continued_at_random_is_the_same_run(tmp_path: Path) -> None:
+    """A preempted process reads its clocks at any distance from each other; nothing in lockstep may depend on that."""
+    course = tmp_path / "course.toml"
+    course.write_text(TEXT, encoding="utf-8")
+    calm, stopped = tmp_path / "calm", tmp_path / "stopped"
+    command = [sys.executable, "-m", "deploy.cli", "run", str(course), "--lockstep", "--seed", "1000", "--out"]
+    subprocess.run([*command, str(calm)], cwd=ROOT, check=True, capture_output=True)
+    chance, stops = random.Random(1000), 0
+    with subprocess.Popen([*command, str(stopped)], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as run:
+        while not ended(run, chance.uniform(0.05, 0.5)):
+            run.send_signal(signal.SIGSTOP)
+            stops += not ended(run, chance.choice((0.05, 0.2, 0.5, 2.0)))
+            run.send_signal(signal.SIGCONT)
+    assert run.returncode == 0
+    assert stops >= 5
+    assert without_timing(stopped)[:2] == without_timing(calm)[:2]
+
+
+def ended(process: subprocess.Popen[bytes], within_s: float) -> bool:
+    """Whether a process ends within some time."""
+    try:
+        process.wait(within_s)
+    except subprocess.TimeoutExpired:
+        return False
+    return True

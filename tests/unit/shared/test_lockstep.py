@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from shared import codec, topics
-from shared.lockstep import Lockstep, Outage
+from shared.lockstep import Lockstep, Outage, ServiceFailedError
 from shared.messages import Message, ModeCommand, PlannerStatus, Tick
 from shared.service import AnyTopic, Every, Inbox
 from tests.support.scripted_service import Scripted, order, status, velocity
@@ -200,3 +200,38 @@ def test_in_lockstep_the_measured_latency_is_the_configured_one() -> None:
     run.run(200 * MS)
     expected_ms = VELOCITY.latency_s * 1e3
     assert run.service("planner").stages.percentiles()[f"latency {VELOCITY.key}"] == pytest.approx((expected_ms,) * 2)
+
+
+def failing(name: str, trigger: Any) -> Scripted:
+    def act(_message: Any, _box: Inbox) -> Iterable[Message]:
+        yield velocity(1)
+        raise IndexError("index 5 is out of bounds")
+
+    return Scripted(name, trigger, writes=(VELOCITY,), act=act)
+
+
+@pytest.mark.parametrize("trigger", [Every(10 * MS), MODE], ids=["clock", "topic"])
+def test_an_exception_of_a_service_names_it_and_the_line(trigger: Any) -> None:
+    tap = Recorder()
+    run = Lockstep({"console": operator, "planner": lambda: failing("planner", trigger)}, tap)
+    with pytest.raises(ServiceFailedError, match=r"planner failed: IndexError: index 5 .* \(test_lockstep\.py:\d+\)") as caught:
+        run.run(50 * MS)
+    assert isinstance(caught.value.__cause__, IndexError)
+    assert tap.frames[-1][0] == VELOCITY.key, "what it had sent before was seen"
+
+
+def test_an_exception_of_the_tap_is_not_a_services() -> None:
+    def full(_topic: AnyTopic, _frame: bytes, _at_ns: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    run = Lockstep({"console": operator}, full)
+    with pytest.raises(OSError, match="No space left"):
+        run.run(50 * MS)
+
+
+def test_a_service_that_cannot_be_started_again_has_failed() -> None:
+    starts = iter([operator()])
+    makers = {"console": lambda: next(starts)}
+    run = Lockstep(makers, outages=[Outage("console", 20 * MS, 40 * MS, kill=True)])
+    with pytest.raises(ServiceFailedError, match="console failed: StopIteration"):
+        run.run(100 * MS)

@@ -50,3 +50,18 @@ def test_an_actuator_whose_cycles_are_late_says_so_after_five_and_walks_on_once_
     assert found.missed >= 20
     assert found.named
     assert found.again_s < 2.0
+
+
+def test_a_service_that_fails_under_a_fault_is_named_by_that_injection(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = BY_NAME["lost-1"]
+    with FaultWalk(case, 1000) as walk:
+        walk.walk_for(0.2)
+
+        def crash(*_: object) -> None:
+            raise IndexError("index 5 is out of bounds")
+
+        monkeypatch.setattr("services.planner.service.Planner.step", crash)
+        line = walk.what_happens(np.random.default_rng(0))
+        assert not walk.walks
+    stuck = score(line, case, walk.profile).stuck
+    assert stuck.startswith("planner failed: IndexError: index 5 is out of bounds")

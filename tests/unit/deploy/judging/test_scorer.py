@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -144,6 +145,13 @@ def test_the_time_limit_counts_by_the_stamps(story):
     assert not scorer.result().success
     assert "time limit of 5 s" in scorer.result().reason
     assert scorer.result().duration_s == pytest.approx(4.0, abs=0.02)
+
+
+def test_at_the_time_limit_the_reason_is_what_stopped_the_robot_last(story):
+    limited = Scenario("slow", (Plane(),), Goal(0.5), time_limit_s=6.0)
+    words = "no foothold for the left front leg"
+    reason = story(scenario=limited, beyond=-0.2, refusal=words, tail_s=5.0).judged().result().reason
+    assert re.fullmatch(rf"planner, 4 to 6 s: {words}; time limit of 6 s, 0\.\d\d of 0\.50 m done", reason)
 
 
 def test_a_stop_before_the_goal_is_no_success_and_the_reason_given_is_kept(story):

@@ -1,3 +1,8 @@
+import hashlib
+import json
+import re
+import subprocess
+import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -5,13 +10,15 @@ from pathlib import Path
 import pytest
 
 from deploy.judging.report import without_timing
-from deploy.runs.lockstep_run import assemble, run_lockstep
+from deploy.runs.lockstep_run import CRASH, assemble, run_lockstep
+from deploy.trials.batch import run_trials
 from services.console.recording.reader import Recording
 from shared import topics
 from shared.profiles import load_profile
 from shared.scenario import Fault, Goal, Plane, Scenario
 from shared.service import AnyTopic
 
+ROOT = Path(__file__).parents[4]
 S = 1_000_000_000
 FLAT = Scenario("short", (Plane(),), Goal(1.0), time_limit_s=1.5)
 PROFILE = load_profile("phantomx_mk2")
@@ -91,3 +98,57 @@ def test_reports_and_recordings_of_one_seed_are_the_same(two_runs: list[tuple[Pa
     said = [[frame for frame in Recording(out / "recording.mcap").frames() if frame[0] != topics.HEALTH.key] for out in (a, b)]
     assert said[0] == said[1]
     assert len(said[0]) > 200
+
+
+def crash(*_: object) -> None:
+    raise IndexError("index 5 is out of bounds")
+
+
+def test_a_service_that_fails_ends_its_run_with_that_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.planner.service.Planner.step", crash)
+    report = run_lockstep(FLAT, 3, tmp_path)
+    assert not report.success
+    assert re.fullmatch(r"planner failed: IndexError: index 5 is out of bounds \(test_lockstep_run\.py:\d+\)", report.reason)
+    assert "Traceback" in (tmp_path / CRASH).read_text(encoding="utf-8")
+    assert json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["reason"] == report.reason
+
+
+def test_a_batch_goes_on_past_a_run_in_which_a_service_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.mapper.service.Mapper.step", crash)
+    trials = run_trials(FLAT, (1000, 1001), 1, tmp_path)
+    assert (trials.success.n, trials.success.successes) == (2, 0)
+    assert list(trials.failures) == ["mapper failed: IndexError: index # is out of bounds (test_lockstep_run.py:#)"]
+
+
+NO_MACHINE_CLOCK = """
+import random, sys, time
+
+def refused(name):
+    real = getattr(time, name)
+    def read(*args):
+        caller = sys._getframe(1).f_globals.get("__name__", "")
+        if caller.partition(".")[0] in ("shared", "services", "deploy"):
+            raise AssertionError(f"{caller} reads time.{name} in lockstep")
+        return real(*args)
+    return read
+
+clocks = "time time_ns monotonic monotonic_ns clock_gettime clock_gettime_ns process_time perf_counter"
+for name in clocks.split():
+    setattr(time, name, refused(name))
+chance, stopwatch = random.Random(7), [0]
+
+def torn():
+    stopwatch[0] += chance.choice((0, 1_000, 2_000_000_000))
+    return stopwatch[0]
+
+time.perf_counter_ns = torn
+import hashlib
+from tests.unit.deploy.runs.test_lockstep_run import FLAT, S, frames
+print(hashlib.blake2s(repr(frames(3, 3 * S)).encode()).hexdigest())
+"""
+
+
+def test_no_service_reads_a_clock_of_the_machine_and_none_decides_by_the_stopwatch() -> None:
+    done = subprocess.run([sys.executable, "-c", NO_MACHINE_CLOCK], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split()[-1] == hashlib.blake2s(repr(frames(3, 3 * S)).encode()).hexdigest()
