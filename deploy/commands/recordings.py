@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, SUCCESS, InputError, complain, met, open_progress, out_folder, say
+from deploy.commands.common import FAILED, SUCCESS, WRONG_INPUT, InputError, complain, met, open_progress, out_folder, say
 
 if TYPE_CHECKING:
     from services.console.recording.live import LiveRecorder, Sink
@@ -117,29 +117,35 @@ def info(arguments: argparse.Namespace) -> int:
 
 def recover(arguments: argparse.Namespace) -> int:
     """`sextant recover`: make files whole that a crash cut off."""
-    from services.console.recording.reader import files_of, recovered
+    from services.console.recording.layout import RecordingError
+    from services.console.recording.reader import files_of, is_recovered, is_whole, recovered
     from services.console.recording.recovery import recover as rescue
 
     files = files_of(Path(arguments.recording))
     if not files:
         raise InputError(f"{arguments.recording}: no recordings in this folder")
+    status = SUCCESS
     for path in files:
+        if is_recovered(path, files):
+            continue
         target = recovered(path)
-        if path in {recovered(other) for other in files}:
+        if target.exists() and is_whole(target):
+            say(f"{target}: recovered already; to do it again, move it away first")
             continue
         try:
             found = rescue(path, target)
-        except FileExistsError:
-            raise InputError(f"{target} is there already; move it away first") from None
-        if found.was_whole:
-            target.unlink()
-            say(f"{path}: whole already, {found.messages} messages over {found.span_s:.1f} s")
+        except RecordingError as error:  # the other files of a folder are recovered nevertheless
+            complain(f"sextant recover: {error}")
+            status = WRONG_INPUT
             continue
-        lost = [f"{found.lost_chunks} damaged parts"] if found.lost_chunks else []
-        lost += [f"{found.tail_bytes} bytes at the end"] if found.tail_bytes else []
-        words = f"; lost: {' and '.join(lost)}" if lost else ""
-        say(f"{target}: {found.messages} messages over {found.span_s:.1f} s{words}")
-    return SUCCESS
+        if found.was_empty:
+            say(f"{path}: an empty recording, nothing to recover")
+        elif found.was_whole:
+            say(f"{path}: whole already, {found.messages} messages over {found.span_s:.1f} s")
+        else:
+            words = f"; lost: {', '.join(found.lost)}" if found.lost else ""
+            say(f"{target}: {found.messages} messages over {found.span_s:.1f} s{words}")
+    return status
 
 
 def replay(arguments: argparse.Namespace) -> int:

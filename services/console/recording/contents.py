@@ -5,12 +5,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.records import Message as Entry
-from mcap.stream_reader import StreamReader
 
 from services.console.recording.layout import METADATA
-from services.console.recording.reader import CUT_OFF, Recording
+from services.console.recording.reader import Recording, read_records
+from services.console.recording.records import Condition, printable
 
 
 @dataclass(slots=True)
@@ -37,8 +37,16 @@ class Contents:
 
     about: dict[str, str] = field(default_factory=dict)
     files: dict[str, int] = field(default_factory=dict)  # name -> bytes
-    cut_off: list[str] = field(default_factory=list)  # names of files without an end
+    conditions: dict[str, Condition] = field(default_factory=dict)  # name -> what was found of the file
+    profiles: list[str] = field(default_factory=list)  # of MCAP, that files claim to follow
+    metadata: list[str] = field(default_factory=list)  # names of further metadata
+    attachments: dict[str, int] = field(default_factory=dict)  # name -> bytes
     tracks: dict[str, Track] = field(default_factory=dict)  # by topic
+
+    @property
+    def cut_off(self) -> list[str]:
+        """Names of files that are damaged or without an end, and not empty."""
+        return [name for name, condition in self.conditions.items() if not (condition.whole or condition.empty)]
 
     @property
     def began_ns(self) -> int:
@@ -68,22 +76,25 @@ def contents(path: Path) -> Contents:
 def _read(path: Path, found: Contents) -> None:
     schemas: dict[int, str] = {0: ""}
     topics: dict[int, str] = {}
-    with path.open("rb") as file:
-        try:
-            for record in StreamReader(file, validate_crcs=True).records:
-                match record:
-                    case Schema():
-                        schemas[record.id] = record.name
-                    case Channel():
-                        topics[record.id] = record.topic
-                        known = Track(schemas.get(record.schema_id, "?"), record.message_encoding)
-                        found.tracks.setdefault(record.topic, known)
-                    case Metadata(name=name) if name == METADATA:
-                        found.about = found.about or {k: v for k, v in record.metadata.items() if k != "frame_layout"}
-                    case Entry() if record.channel_id in topics:
-                        _count(found.tracks[topics[record.channel_id]], record)
-        except CUT_OFF:
-            found.cut_off.append(path.name)
+    condition = found.conditions[path.name] = Condition()
+    for record in read_records(path, condition):
+        match record:
+            case Header() if record.profile and record.profile not in found.profiles:
+                found.profiles.append(record.profile)
+            case Schema():
+                schemas[record.id] = record.name
+            case Channel():
+                topics[record.id] = record.topic
+                known = Track(schemas.get(record.schema_id, "?"), record.message_encoding)
+                found.tracks.setdefault(record.topic, known)
+            case Metadata(name=name) if name == METADATA and not found.about:
+                found.about = {k: v for k, v in record.metadata.items() if k != "frame_layout"}
+            case Metadata(name=name) if name != METADATA:
+                found.metadata.append(name)
+            case Attachment():
+                found.attachments[record.name] = len(record.data)
+            case Entry() if record.channel_id in topics:
+                _count(found.tracks[topics[record.channel_id]], record)
 
 
 def _count(track: Track, entry: Entry) -> None:
@@ -99,6 +110,10 @@ def as_table(found: Contents) -> Mapping[str, Any]:
         "about": found.about,
         "files": found.files,
         "cut_off": found.cut_off,
+        "lost": {name: condition.lost for name, condition in found.conditions.items() if condition.lost},
+        "profiles": found.profiles,
+        "metadata": found.metadata,
+        "attachments": found.attachments,
         "began_s": found.began_ns * 1e-9,
         "duration_s": round((found.ended_ns - found.began_ns) * 1e-9, 3),
         "topics": {
@@ -119,11 +134,24 @@ def in_words(found: Contents) -> str:
     size = sum(found.files.values())
     duration = max(found.ended_ns - found.began_ns, 0) * 1e-9
     lines = [f"{len(found.files)} file{'s' if len(found.files) > 1 else ''}, {size / 1e6:.1f} MB, {duration:.1f} s"]
-    lines += [f"  {name}: {value}" for name, value in found.about.items()]
-    lines += [f"  {name} has no end: `sextant recover` makes it whole" for name in found.cut_off]
+    lines += [f"  {printable(name)}: {printable(value)}" for name, value in found.about.items()]
+    lines += [f"  profile of MCAP: {printable(profile)}" for profile in found.profiles]
+    lines += [f"  further metadata: {', '.join(map(printable, found.metadata))}"] if found.metadata else []
+    lines += [f"  attachment {printable(name)}: {size} bytes" for name, size in found.attachments.items()]
+    lines += [_condition_words(name, condition) for name, condition in found.conditions.items() if not condition.whole]
     lines.append(f"{'topic':<20} {'schema':<26} {'messages':>8} {'rate':>9} {'size':>10}")
     lines += [
-        f"{topic:<20} {track.schema:<26} {track.messages:>8} {track.rate_hz:>6.1f} Hz {track.bytes / 1e6:>7.2f} MB"
+        f"{printable(topic):<20} {printable(track.schema):<26} {track.messages:>8} "
+        f"{track.rate_hz:>6.1f} Hz {track.bytes / 1e6:>7.2f} MB"
         for topic, track in found.tracks.items()
     ]
     return "\n".join(lines)
+
+
+def _condition_words(name: str, condition: Condition) -> str:
+    if condition.empty:
+        return f"  {name} is an empty recording: nothing to recover"
+    if condition.ended:
+        return f"  {name} is damaged ({', '.join(condition.lost) or 'its index'}): `sextant recover` keeps what is whole"
+    lost = f" ({', '.join(condition.lost)} lost)" if condition.lost else ""
+    return f"  {name} has no end{lost}: `sextant recover` makes it whole"

@@ -1,0 +1,165 @@
+"""Files that are written whole or not at all.
+
+A file is written under a temporary name in its own folder and renamed when it is whole, so that nobody ever reads half of it
+and a crash leaves the old one. What keeps a file from being written is said in one sentence, as a WriteError.
+"""
+
+import contextlib
+import errno
+import fcntl
+import os
+from collections.abc import Callable, Iterator
+from io import BufferedWriter
+from pathlib import Path
+from typing import BinaryIO
+
+_CAUSES = {
+    errno.ENOSPC: "the disk is full; make room",
+    errno.EDQUOT: "this user's share of the disk is full; make room",
+    errno.EFBIG: "a file of this size is not allowed here; raise the limit (`ulimit -f`)",
+    errno.EROFS: "the disk is read-only; write to another folder",
+    errno.EACCES: "this user may not write there; write to another folder",
+    errno.EPERM: "this user may not write there; write to another folder",
+    errno.ENOENT: "its folder is gone; make it, or write to another one",
+    errno.ENOTDIR: "its folder is a file; write to another one",
+    errno.EISDIR: "a folder has its name; write to another one",
+    errno.EIO: "the disk fails; write to another one",
+}
+
+
+class WriteError(OSError):
+    """A file that cannot be written: which, why, and what to do."""
+
+    def __init__(self, path: Path, error: OSError):
+        super().__init__(f"{path} cannot be written: {_CAUSES.get(error.errno or 0) or error.strerror or error}")
+        self.errno = error.errno
+
+
+@contextlib.contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """Have what keeps a file from being written raised as a WriteError."""
+    try:
+        yield
+    except WriteError:
+        raise
+    except OSError as error:
+        raise WriteError(path, error) from error
+
+
+@contextlib.contextmanager
+def replacing(path: Path, durable: bool = False, mode: int = 0o666) -> Iterator[BinaryIO]:
+    """Open a file to be written; it takes its place when the block ends, and is removed if the block fails.
+
+    Args:
+        path: Of the file; its folder exists.
+        durable: Wait until it is on the disk, so that a power cut does not lose it: for evidence and settings.
+        mode: Permissions that a new file gets, less the user's mask.
+
+    Raises:
+        WriteError: It cannot be written, or another process is writing it.
+    """
+    part = partial(path)
+    with explained(path), _locked(part, mode) as file:
+        try:
+            yield file
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
+            part.replace(path)
+            if durable:
+                sync_folder(path.parent)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
+
+
+def write_bytes(path: Path, data: bytes, durable: bool = False, mode: int = 0o666) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        WriteError: It cannot be written.
+    """
+    with replacing(path, durable, mode) as file:
+        file.write(data)
+
+
+def write_text(path: Path, text: str, durable: bool = False, mode: int = 0o666) -> None:
+    """Write a text in UTF-8 whole or not at all.
+
+    Raises:
+        WriteError: It cannot be written.
+    """
+    write_bytes(path, text.encode(), durable, mode)
+
+
+def write_by_name(path: Path, write: Callable[[Path], object]) -> None:
+    """Have a library write a file by its name, under another one that has the same suffix, and rename it when it is whole.
+
+    Raises:
+        WriteError: It cannot be written.
+    """
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    with explained(path):
+        try:
+            write(part)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+
+
+def append_line(path: Path, line: str, durable: bool = False) -> None:
+    """Append a line, with its line break, to a file; one that cannot be written leaves the file as it was.
+
+    Raises:
+        WriteError: It cannot be written.
+    """
+    with explained(path), path.open("ab", buffering=0) as file:
+        before = file.seek(0, os.SEEK_END)
+        try:
+            rest = memoryview(line.encode())
+            while rest:
+                rest = rest[file.write(rest) :]
+            if durable:
+                os.fsync(file.fileno())
+        except OSError:
+            file.truncate(before)
+            raise
+
+
+def partial(path: Path) -> Path:
+    """The name of a file while it is written."""
+    return path.with_name(f".{path.name}.part")
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the names of a folder's files are on the disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def _locked(part: Path, mode: int) -> Iterator[BufferedWriter]:
+    """A partial file, empty and this process's own; one that a killed process left is taken over."""
+    while True:
+        descriptor = os.open(part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, mode)
+        with open(descriptor, "wb") as file:  # noqa: PTH123 - of a descriptor
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise OSError(errno.EBUSY, "another process is writing it; wait for it to end") from None
+            if not _is(part, descriptor):
+                continue  # another process has just renamed or removed it
+            os.ftruncate(descriptor, 0)
+            yield file
+            return
+
+
+def _is(path: Path, descriptor: int) -> bool:
+    """Whether an open file still has a name."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
