@@ -22,7 +22,12 @@ def keys() -> Iterator[str]:
     yield f"|---|{'---|' * len(ROLES)}---|---|"
     for topic in TOPICS:
         may = (
-            ", ".join(word for word, allowed in (("puts", role.puts), ("reads", role.reads)) if topic in allowed) or "–"
+            ", ".join(
+                word
+                for word, allowed in (("puts", role.puts), ("relays", role.relays), ("reads", role.reads))
+                if topic in allowed
+            )
+            or "–"
             for role in ROLES
         )
         yield f"| `{topic.key}` | {' | '.join(may)} | {most_hz(topic):g} | {topic.max_bytes / 1024:g} |"

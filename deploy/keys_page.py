@@ -94,7 +94,7 @@ def page() -> str:
             *_modes(said),
             "## The messages",
             "",
-            *(line for topic in topics.TOPICS for line in _message(topic, said)),
+            *(line for topic in topics.TOPICS if topic is topics.OF_TYPE[topic.type] for line in _message(topic, said)),
         )
     )
 
@@ -108,7 +108,7 @@ def _table(written: Mapping[str, list[str]], read: Mapping[str, list[str]]) -> I
         name = topic.type.__name__
         cells = (
             f"`{topic.key}`",
-            f"[{name}](#{topic.key.replace('/', '')}-{name.lower()})",
+            f"[{name}](#{topics.OF_TYPE[topic.type].key.replace('/', '')}-{name.lower()})",
             f"{topic.rate_hz:g}",
             topic.delivery.value,
             topic.lane.value,
@@ -125,9 +125,10 @@ def _over_the_radio(writers: Iterable[str], readers: Iterable[str]) -> str:
     """Which way a topic crosses the link between a robot and its base, each process being where it usually is."""
     sides = {p.name: "robot" if p.side in ("robot", "device", "simulation") else "base" for p in TABLE}
     ways = {(sides[a], sides[b]) for a in writers for b in readers if a in sides and b in sides and sides[a] != sides[b]}
-    if any("every process" in word for word in writers):
+    of = next((word.rpartition(" ")[2] for word in writers if word.startswith(("every process", "`sextant up`"))), "")
+    if of in ("robot", "site"):
         ways |= {("robot", "base")}
-    if any("sextant up" in word for word in writers):
+    elif of in ("base", "console"):
         ways |= {("robot", "base"), ("base", "robot")}
     return "both ways" if len(ways) > 1 else "".join(f"to the {there}" for _, there in ways)
 
@@ -146,8 +147,10 @@ def _writers_and_readers() -> tuple[dict[str, list[str]], dict[str, list[str]]]:
                 names = table.setdefault(topic.key, [])
                 if name not in names:
                     names.append(name)
-    written[topics.HEALTH.key] = ["every process"]
-    written[topics.PRESENCE.key] = read[topics.PRESENCE.key] = ["`sextant up`"]
+    for role in topics.ROLE_NAMES:
+        written[topics.HEALTH_OF[role].key] = [f"every process of a {role}"]
+        written[topics.PRESENCE_OF[role].key] = [f"`sextant up` of a {role}"]
+        read[topics.PRESENCE_OF[role].key] = ["`sextant up`"]
     return written, read
 
 

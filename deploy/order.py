@@ -5,7 +5,7 @@ from typing import Literal, TypeAlias
 
 from deploy.robot_time import RobotTime
 from shared import topics
-from shared.access import barred
+from shared.access import ROUTER_OF, refusal_here
 from shared.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
 from shared.service import AnyTopic, Every, Inbox, Stages
 
@@ -33,7 +33,7 @@ class Order:
     """
 
     name = "order"
-    reads: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE, topics.HEALTH)
+    reads: tuple[AnyTopic, ...] = (topics.ACTUATOR_STATE, *topics.HEALTH_OF.values())
     writes: tuple[AnyTopic, ...] = (topics.MODE, topics.STOP)
 
     def __init__(self, what: What, holder: str, take: bool = False, leads: bool = True):
@@ -56,7 +56,7 @@ class Order:
         self._robot = RobotTime()
         self._due_ns = 0
         self._heard: ActuatorState | None = None  # before the order
-        self._refused: dict[str, int] = {}  # by each service when it was first heard
+        self._refused: dict[str, int] = {}  # messages refused by the router of each role, when its health first came
 
     def doing(self) -> str:
         """How far it is, in words."""
@@ -98,14 +98,17 @@ class Order:
             yield StopOrder(stamp_ns, "off" if self._what == "off" else "stop", self._begun_ns + 1, self._holder)
 
     def _watch_routers(self, inbox: Inbox, state: ActuatorState | None) -> None:
-        """Whether a router on the way has begun to keep such orders back: whoever puts them is told nothing by the network."""
-        for word in inbox.drain(topics.HEALTH):
-            if self._what not in STOPS and (why := barred([word.service], [topics.MODE])):
-                self._end(why)
-            before = self._refused.setdefault(word.service, word.refused)
-            leads = self._what in STOPS or (state is not None and state.lease == self._holder)
-            if word.refused > before and word.last_refusal.endswith(_KEPT_BACK) and not leads:
-                self._end(f"the {word.service} {word.last_refusal}; use the keys of another role (docs/access.md)")
+        """End where a router on the way refuses such orders; each router is believed under the key of its own role alone."""
+        for role, topic in topics.HEALTH_OF.items():
+            for health in inbox.drain(topic):
+                if health.service != f"{ROUTER_OF}{role}":
+                    continue
+                if self._what not in STOPS and (why := refusal_here([role], [topics.MODE])):
+                    self._end(why)
+                before = self._refused.setdefault(role, health.refused)
+                leads = self._what in STOPS or (state is not None and state.lease == self._holder)
+                if health.refused > before and health.last_refusal.endswith(_KEPT_BACK) and not leads:
+                    self._end(f"the {health.service} {health.last_refusal}; use the keys of another role (docs/access.md)")
 
     def _see(self, state: ActuatorState | None, since_ns: int) -> None:
         if self._heard is None or state is None:

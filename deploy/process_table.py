@@ -251,6 +251,7 @@ def commands(
     endpoints: Endpoints,
     extra: Mapping[str, tuple[str, ...]] | None = None,
     elsewhere: bool = False,
+    role: str = "",
 ) -> tuple[Command, ...]:
     """How to start processes so that they meet at `endpoints`.
 
@@ -260,10 +261,12 @@ def commands(
         endpoints: Where they meet.
         extra: Process name -> assignments `key=value` that go before the table's; the last one of a key counts.
         elsewhere: Whether this is another machine than the robot's.
+        role: Of this machine's certificate; empty: the robot's, or elsewhere that of a base.
     """
     processes = tuple(processes)
     started = {p.name for p in processes}
-    away = ("--elsewhere",) if elsewhere else ()
+    role = role or ("base" if elsewhere else "robot")
+    away = (*(("--elsewhere",) if elsewhere else ()), *(("--role", role) if role != "robot" else ()))
     return tuple(
         Command(
             name=p.name,

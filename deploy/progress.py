@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Protocol, TextIO
 
 from shared import topics
+from shared.health_table import HealthTable
 from shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
 from shared.service import AnyTopic, Every, Inbox, Stages
 
@@ -37,7 +38,7 @@ class Monitor:
     name = "monitor"
     paced_by = Every.hz(4.0)
     reads: tuple[AnyTopic, ...] = (
-        topics.HEALTH,
+        *topics.HEALTH_OF.values(),
         topics.ACTUATOR_STATE,
         topics.BODY_POSE,
         topics.PLANNER_STATUS,
@@ -51,14 +52,11 @@ class Monitor:
         self._goal_distance = goal_distance
         self._began_ns: int | None = None
         self._track: deque[tuple[int, float, float]] = deque()  # stamp, x, y
-        self._health: dict[str, tuple[Health, int]] = {}
-        self._refused: dict[str, int] = {}
+        self._health = HealthTable()
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterable[Message]:
         """Look at what has come and make the next view."""
-        for health in inbox.drain(topics.HEALTH):
-            if health.service != self.name:
-                self._health[health.service] = health, tick.stamp_ns
+        self._health.drain(inbox, tick.stamp_ns)
         state, pose = inbox.latest(topics.ACTUATOR_STATE), inbox.latest(topics.BODY_POSE)
         if state is not None and self._began_ns is None:
             self._began_ns = state.stamp_ns
@@ -70,7 +68,7 @@ class Monitor:
             walked=self._track[-1][1] if self._track else 0.0,
             to_goal=max(0.0, self._goal_distance - (self._track[-1][1] if self._track else 0.0)),
             up=self._began_ns is not None,
-            doing={name: health.doing for name, (health, _) in sorted(self._health.items())},
+            doing={name: health.doing for name, (health, _) in self._services()},
             warnings=(
                 *_of_camera(inbox.fresh(topics.CAMERA_STATE)),
                 *self._warnings(state, pose, inbox.latest(topics.PLANNER_STATUS), tick.stamp_ns),
@@ -82,10 +80,15 @@ class Monitor:
         """In words."""
         return "watching"
 
+    def _services(self) -> list[tuple[str, tuple[Health, int]]]:
+        """Name, newest health and when that came [ns] of every other service."""
+        return sorted(item for item in self._health.named().items() if item[0] != self.name)
+
     def stages_ms(self) -> dict[str, tuple[float, float]]:
         """Stage -> 50th and 99th percentile [ms], `service.stage`; of a topic's latency, the slowest of its readers."""
         found: dict[str, tuple[float, float]] = {}
-        for service, (health, _) in sorted(self._health.items()):
+        for _, (health, _) in self._services():
+            service = health.service
             for stage, p50, p99 in zip(health.stages, health.stage_p50_ms, health.stage_p99_ms, strict=True):
                 latency = stage.startswith("latency ")
                 name = stage if latency or stage == service else f"{service}.{stage}"
@@ -119,7 +122,7 @@ class Monitor:
             yield f"perception: {pose.reason}"
         if planner is not None and planner.state == "blocked":
             yield f"planner: blocked, {planner.reason}"
-        for name, (health, heard_ns) in sorted(self._health.items()):
+        for name, (health, heard_ns) in self._services():
             if now_ns - heard_ns > _SILENT_NS:
                 yield f"{name}: silent for {(now_ns - heard_ns) * 1e-9:.0f} s"
             if health.refused:

@@ -35,8 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Host the router until told to stop.
 
     Returns:
-        0 then, 2 when the address cannot be listened on, nobody should be let in, or another machine does not fit; without
-        returning it ends with 75 where it was stopped for longer than its links last, for another to take its place.
+        0 then, 2 when the address cannot be listened on or nobody should be let in; without returning it ends with 75 where it
+        was stopped for longer than its links last, for another to take its place.
     """
     parser = argparse.ArgumentParser(prog="python -m deploy.router", description="The router that the services meet at.")
     words = f"endpoint to listen on, as often as wanted (default {ROUTER_ENDPOINT}, with --keys also {gate.SECURE_ENDPOINT})"
@@ -46,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--keys", metavar="DIR", help="let in by certificates: the folder with this machine's")
     parser.add_argument("--open", action="store_true", help="let anybody in")
     parser.add_argument("--namespace", default="sextant", help="prefix of every key (default %(default)s)")
-    words = "tell other machines which role this one has, and end where they do not fit; `sextant up` does so by itself"
+    words = "publish which role this machine has, and report machines that do not fit; `sextant up` does so by itself"
     parser.add_argument("--role", default="", choices=("onboard", "offboard", "all", "sim"), help=words)
     parser.add_argument(
         "--starts", default="", metavar="NAMES", help="processes that this machine starts, to be told with --role"
@@ -60,26 +60,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         given, upstream = arguments.listen, tuple(arguments.connect)
         gated = gate.of_arguments(given, arguments.keys, arguments.open, arguments.namespace, ROUTER_ENDPOINT, upstream)
         with Interrupts() as interrupts:
-            refused = _host(gated, arguments.role, [name for name in arguments.starts.split(",") if name], interrupts.asked)
+            _host(gated, arguments.role, [name for name in arguments.starts.split(",") if name], interrupts.asked)
     except (TransportError, AccessError) as error:
-        refused = str(error)
-    if refused:
-        logging.error("%s", refused)
-    return 2 if refused else 0
+        logging.error("%s", error)
+        return 2
+    return 0
 
 
 def _tell(words: str) -> None:
     logging.warning("%s", words)
 
 
-def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Callable[[], bool]) -> str:
-    """Host the router until told to stop; why it has to end, in words, or nothing.
+def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Callable[[], bool]) -> None:
+    """Host the router until told to stop.
 
     Where somebody may be refused, say whom, and warn for as long as nobody is; where it speaks for a machine, meet the others.
     """
     awake = _Awake()  # before anybody can meet here
     with contextlib.ExitStack() as stack:
-        beats: list[Callable[[], str]] = []  # each says why all of this has to end
+        beats: list[Callable[[], None]] = []
+        machine_role = gated.role(offboard=role == "offboard" or (not role and bool(gated.upstream)))
         caught = stack.enter_context(CaughtOutput()) if gated.guarded else None
         if caught:
             log_to_stdout(refusals.LEVELS)
@@ -88,11 +88,10 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
             link = stack.enter_context(link_to(gated.own, gated.namespace))
         if caught:
             stack.enter_context(Knocking(gated.knock, lambda: router.chained, _tell))
-            beats.append(_Guard(gated, caught, link).beat)
+            beats.append(_Guard(gated, caught, link, machine_role).beat)
         if role:
             machine = f"{socket.gethostname()}-{os.getpid()}"
-            meeting = Meeting(link, machine, role, version(), starts, time.monotonic_ns, _tell)
-            beats.append(lambda: _met(meeting))
+            beats.append(Meeting(link, machine, role, version(), starts, time.monotonic_ns, _tell, machine_role).beat)
         logging.info("listening on %s", ", ".join(gated.listen))
         silence = SilenceLimit(LEASE_MS * 1e-3)
         silence.look()
@@ -106,32 +105,24 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
             if turn % _SILENCE_TURNS == 0:
                 silence.look()
             for beat in beats:
-                if refused := beat():
-                    return refused
-    return ""
-
-
-def _met(meeting: Meeting) -> str:
-    meeting.beat()
-    return meeting.refused
+                beat()
 
 
 class _Guard:
     """Says whom the router refuses, and warns for as long as it lets anybody in."""
 
-    def __init__(self, gated: gate.Gate, caught: CaughtOutput, link: ZenohLink):
+    def __init__(self, gated: gate.Gate, caught: CaughtOutput, link: ZenohLink, role: str):
         self._warning, self._due_s = gated.warning(), 0.0
         doing = f"listening on {', '.join(gated.listen)}" + (f"; {self._warning}" if self._warning else "")
-        self._keeper = Gatekeeper(caught.take, publish(link), gated.name, gated.namespace, doing, sys.stderr)
+        self._keeper = Gatekeeper(caught.take, publish(link, role), gated.name, gated.namespace, doing, sys.stderr)
 
-    def beat(self) -> str:
+    def beat(self) -> None:
         """Do what is due."""
         if told := self._keeper.look(time.monotonic_ns()):
             _tell(told)
         if self._warning and time.monotonic() >= self._due_s:
             _tell(self._warning)
             self._due_s = time.monotonic() + _WARN_S
-        return ""
 
 
 class _Awake:

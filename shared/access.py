@@ -43,6 +43,7 @@ class Role:
     what: str  # who holds it, in words
     puts: tuple[AnyTopic, ...]
     reads: tuple[AnyTopic, ...]
+    relays: tuple[AnyTopic, ...] = ()  # that its router passes on for others
 
     def refusal(self, written: Sequence[AnyTopic]) -> str:
         """Why what is to be put will not be let through, in words, or nothing."""
@@ -57,28 +58,41 @@ class Role:
         )
 
 
-_SEEN = (  # what a page shows, and what is small
+def _of_roles(of: Mapping[str, AnyTopic], *names: str) -> tuple[AnyTopic, ...]:
+    return tuple(of[name] for name in names)
+
+
+def _own(name: str) -> tuple[AnyTopic, ...]:
+    """How the processes of a role's machines fare, and which they are; a viewer's stay on its machine."""
+    return (t.HEALTH_OF[name], t.PRESENCE_OF[name])
+
+
+_HEARD_OF = ("robot", "base", "console", "site")  # on other machines
+_HEALTHS, _PRESENCES = _of_roles(t.HEALTH_OF, *_HEARD_OF), _of_roles(t.PRESENCE_OF, *_HEARD_OF)
+_SEEN: tuple[AnyTopic, ...] = (  # what a page shows, and what is small
     *(t.ACTUATOR_STATE, t.BODY_POSE, t.ODOMETRY, t.STEP_PLAN, t.PLANNER_STATUS, t.PASSAGE_PLAN, t.PASSAGE_REQUEST),
     *(t.CAMERA_STATE, t.TERRAIN, t.PREVIEW, t.RECORDER_STATE),
-    *(t.VELOCITY, t.GOAL, t.MODE, t.STOP, t.RECORD, t.HEALTH, t.PRESENCE),
+    *(t.VELOCITY, t.GOAL, t.MODE, t.STOP, t.RECORD),
+    *_HEALTHS,
+    *_PRESENCES,
 )
-_EVERYBODY = (t.HEALTH, t.PRESENCE)  # how its processes fare, and which they are
 _PLANNED = (t.SCAN_RECEIPT, t.TERRAIN, t.PASSAGE, t.PASSAGE_REQUEST, t.PASSAGE_PLAN, t.STEP_PLAN, t.PLANNER_STATUS)
 _LED = (t.VELOCITY, t.GOAL, t.MODE, t.STOP, t.RECORD)
 _ENDS = (  # whoever is at an end of what is said
     Role(
         "robot",
         "the robot's computer: actuator, stop, camera, perception",
-        (t.DEPTH, t.COLOR, t.CAMERA_STATE, t.PREVIEW, t.ODOMETRY, t.ACTUATOR_STATE, t.BODY_POSE, t.SCAN, *_EVERYBODY),
-        (t.STEP_PLAN, t.MODE, t.STOP, t.DEPTH, t.COLOR, t.ODOMETRY, t.ACTUATOR_STATE, t.IMU, t.SCAN_RECEIPT, t.PRESENCE),
+        (t.DEPTH, t.COLOR, t.CAMERA_STATE, t.PREVIEW, t.ODOMETRY, t.ACTUATOR_STATE, t.BODY_POSE, t.SCAN, *_own("robot")),
+        (t.STEP_PLAN, t.MODE, t.STOP, t.DEPTH, t.COLOR, t.ODOMETRY, t.ACTUATOR_STATE, t.IMU, t.SCAN_RECEIPT, *_PRESENCES),
+        (*_own("base"), *_own("console")),
     ),
     Role(
         "base",
         "a computer beside the robot: mapper, planner, console, recorder",
-        (*_PLANNED, *_LED, t.RECORDER_STATE, *_EVERYBODY),
+        (*_PLANNED, *_LED, t.RECORDER_STATE, *_own("base")),
         (*_SEEN, t.SCAN, t.SCAN_RECEIPT, t.PASSAGE, t.IMU),
     ),
-    Role("console", "an operator's computer: commands and looks, but plans nothing", (*_LED, *_EVERYBODY), _SEEN),
+    Role("console", "an operator's computer: commands and looks, but plans nothing", (*_LED, *_own("console")), _SEEN),
     Role("viewer", "somebody's computer that looks on, and may stop", (t.STOP,), _SEEN),
 )
 
@@ -92,7 +106,7 @@ ROLES: tuple[Role, ...] = (
     Role(
         SITE,
         "a router between a robot and others, which holds each of them to its role",
-        _together(role.puts for role in _ENDS),
+        _together((*(role.puts for role in _ENDS), _own(SITE))),
         _together(role.reads for role in _ENDS),
     ),
 )
@@ -165,17 +179,15 @@ class Keys:
         return str(self.folder / name)
 
 
-def barred(services: Iterable[str], written: Sequence[AnyTopic]) -> str:
-    """Why what this machine puts ends at its own router, by the services that are heard of here; or nothing.
+LOCAL_ROLES = tuple(role for role in ROLES if t.HEALTH_OF[role.name] not in role.puts)  # no other machine reads their health
 
-    A router that holds the certificate of a role which may lead or plan is heard of on other machines, too, and so is the
-    robot's; the others' word stays on their machine.
+
+def refusal_here(roles: Iterable[str], written: Sequence[AnyTopic]) -> str:
+    """Why this machine's router refuses a publication, by the roles whose health is read here; empty if it does not.
+
+    The health of a role in `LOCAL_ROLES` crosses no router, so the router that publishes it is this machine's own.
     """
-    for name in services:
-        role = ROLE_NAMED.get(name.removeprefix(ROUTER_OF)) if name.startswith(ROUTER_OF) else None
-        if role is not None and t.HEALTH not in role.puts and (refused := role.refusal(written)):
-            return refused
-    return ""
+    return next((why for role in LOCAL_ROLES if role.name in roles and (why := role.refusal(written))), "")
 
 
 def plain_elsewhere(endpoints: Iterable[str]) -> tuple[str, ...]:
@@ -242,8 +254,8 @@ def _everything() -> dict[str, Any]:
 def _rules(role: Role, namespace: str) -> list[dict[str, Any]]:
     """A message goes one way, the declaration that it is wanted the other."""
     rows = (
-        ("puts", "put", "ingress", role.puts),
-        ("puts-wanted", "declare_subscriber", "egress", role.puts),
+        ("puts", "put", "ingress", role.puts + role.relays),
+        ("puts-wanted", "declare_subscriber", "egress", role.puts + role.relays),
         ("reads", "put", "egress", role.reads),
         ("reads-wanted", "declare_subscriber", "ingress", role.reads),
     )

@@ -54,11 +54,12 @@ def run_live(
     stop: threading.Event,
     alive: Callable[[int], object] = lambda _now_ns: None,
     ahead_s: Callable[[], float] = lambda: 0.0,
+    role: str = "robot",
 ) -> None:
     """Run one service in this process at real time until `stop` is set; stamps are the robot's time (`shared.clock`).
 
     `alive` is told this machine's monotonic time [ns] at least every 0.2 s, as long as no step hangs and no beat is rarer.
-    `ahead_s` says by how much [s] the robot's clock is ahead of this machine's.
+    `ahead_s` says by how much [s] the robot's clock is ahead of this machine's, `role` is that of this machine.
     """
     clock = now_ns
     arrived = threading.Event()
@@ -66,7 +67,10 @@ def run_live(
     def send(topic: AnyTopic, frame: bytes, _: int) -> None:
         link.send(topic, frame)
 
-    worker = Worker(service, send, clock, link.wanted, ahead_s=ahead_s, astray=lambda: (link.astray, link.last_astray))
+    def astray() -> tuple[int, str]:
+        return link.astray, link.last_astray
+
+    worker = Worker(service, send, clock, link.wanted, ahead_s=ahead_s, astray=astray, role=role)
     pace = service.paced_by
 
     def receive(topic: AnyTopic, frame: bytes) -> None:

@@ -101,7 +101,8 @@ def run(
             logging.error("%s", error)
             return 1
         try:  # a ValueError in here is a bug, and ends in a traceback
-            run_live(service, link, told.event, watchdog.beat, ahead_s)
+            role = arguments.role if keys is None else keys.role.name
+            run_live(service, link, told.event, watchdog.beat, ahead_s, role)
         except clock.ClockError as error:
             logging.error("%s", error)
             return 1
@@ -203,6 +204,8 @@ def _parser(name: str, package: str, schema: type[Any]) -> argparse.ArgumentPars
     parser.add_argument("--config", help="TOML file with settings")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=f"one setting of: {known}")
     parser.add_argument("--elsewhere", action="store_true", help="this is not the robot's machine: go by the robot's clock")
+    words = "role of this machine, under which the service publishes its health (default %(default)s)"
+    parser.add_argument("--role", default="robot", choices=topics.ROLE_NAMES, help=words)
     parser.add_argument("--nice", type=int, default=0, help="how far to give way to others where cores are short, 0 to 19")
     parser.add_argument("--urgent", action="store_true", help="go before others where cores are short, if this user may")
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")

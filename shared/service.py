@@ -243,8 +243,10 @@ class Worker:
         decode: Decode = codec.decode,
         ahead_s: Callable[[], float] = lambda: 0.0,
         astray: Callable[[], tuple[int, str]] = lambda: (0, ""),
+        role: str = "robot",
     ):
         self.service = service
+        self._health_topic = topics.HEALTH_OF[role]  # of the machine's role: others may not publish there
         self._ahead_s = ahead_s
         self._astray = astray  # frames that the link has dropped, for they were sent to others, and which was the last
         self._last_refusals = ("", "")  # of those, and of what did not decode
@@ -307,7 +309,7 @@ class Worker:
             stage_p99_ms=np.array([p99 for _, p99 in timings.values()], dtype=np.float64),
             robot_ahead_s=self._ahead_s(),
         )
-        self._send(topics.HEALTH, codec.encode(health, codec.Timing(now_ns, self._clock())), now_ns)
+        self._send(self._health_topic, codec.encode(health, codec.Timing(now_ns, self._clock())), now_ns)
 
     def _starved(self, now_ns: int) -> str:
         """That what makes the service step has not come for a while, or nothing."""

@@ -5,13 +5,16 @@ The defaults are the 99th percentiles of live runs on two cores, the median of f
 under stages_ms); of what such a run does not carry (colour, IMU) or does not time (health), that of its like.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Generic, TypeVar
+from types import MappingProxyType
+from typing import Any, Generic, TypeVar
 
 from shared import messages as m
 
 M = TypeVar("M", bound=m.Message)
+ROLE_NAMES = ("robot", "base", "console", "viewer", "site")  # of machines, by their certificates (`shared.access`)
 
 
 class Delivery(Enum):
@@ -76,10 +79,19 @@ RECORD = Topic("operator/record", m.RecordCommand, 1.0, Delivery.EVERY, Lane.CON
 RECORDER_STATE = Topic("recorder/state", m.RecorderState, 2.0, Delivery.LATEST, Lane.CONTROL, 8 * _KIB, 0.003)
 FAULT = Topic("simulator/fault", m.FaultCommand, 2.0, Delivery.EVERY, Lane.CONTROL, 2 * _KIB, 0.003)
 TRUTH = Topic("simulator/truth", m.GroundTruth, 50.0, Delivery.EVERY, Lane.BULK, 8 * _KIB, 0.009)
-HEALTH = Topic("health", m.Health, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003)
-PRESENCE = Topic("machine/presence", m.Presence, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003)
 
-TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
+
+def _per_role(key: str, type_: type[M]) -> Mapping[str, Topic[M]]:
+    """A key per role: the access rules let a certificate put the one of its own role, so a reader knows who says it."""
+    rows = (Topic(f"{key}/{role}", type_, 1.0, Delivery.EVERY, Lane.CONTROL, 64 * _KIB, 0.003) for role in ROLE_NAMES)
+    return MappingProxyType(dict(zip(ROLE_NAMES, rows, strict=True)))
+
+
+HEALTH_OF = _per_role("health", m.Health)
+PRESENCE_OF = _per_role("machine/presence", m.Presence)
+HEALTH, PRESENCE = HEALTH_OF["robot"], PRESENCE_OF["robot"]
+
+TOPICS: tuple[Topic[Any], ...] = (
     DEPTH,
     COLOR,
     CAMERA_STATE,
@@ -104,7 +116,8 @@ TOPICS: tuple[Topic[m.Message], ...] = (  # type: ignore[assignment]
     RECORDER_STATE,
     FAULT,
     TRUTH,
-    HEALTH,
-    PRESENCE,
+    *HEALTH_OF.values(),
+    *PRESENCE_OF.values(),
 )
-OF_TYPE = {topic.type: topic for topic in TOPICS}  # a message type belongs to one topic
+OF_TYPE = {topic.type: topic for topic in reversed(TOPICS)}  # the robot's, where each role has a key
+RENAMED: Mapping[str, str] = MappingProxyType({"health": HEALTH.key, "machine/presence": PRESENCE.key})  # old key -> key

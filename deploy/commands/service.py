@@ -85,5 +85,6 @@ def _made(arguments: argparse.Namespace, manager: "Manager") -> "Mapping[str, st
     gated = gate_of(arguments, rows, process_table.ROUTER_ENDPOINT)
     router = process_table.router_command(gated.own, gated.words(), arguments.role, rows)
     endpoints = Endpoints((gated.own,), namespace=arguments.namespace)
-    processes = process_table.commands(rows, chosen, endpoints, extra, elsewhere=arguments.role == "offboard")
+    off = arguments.role == "offboard"
+    processes = process_table.commands(rows, chosen, endpoints, extra, off, gated.role(off))
     return units.units(router, processes, manager)

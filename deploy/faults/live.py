@@ -85,7 +85,7 @@ class LiveWalk(Watched):
             stack.callback(self._launcher.stop)
             self._launcher.__enter__()
             self._link = stack.enter_context(ZenohLink(self._places.robot))
-            for topic in (topics.ACTUATOR_STATE, topics.HEALTH, topics.RECORDER_STATE):
+            for topic in (topics.ACTUATOR_STATE, topics.HEALTH, topics.HEALTH_OF["base"], topics.RECORDER_STATE):
                 self._link.subscribe(topic, self.hear)
             away = self._places.world
             world = self._link if away is None else stack.enter_context(ZenohLink(away))

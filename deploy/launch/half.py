@@ -16,6 +16,8 @@ from deploy.process_table import Choices, Process, Role
 from deploy.provenance import version
 from shared.transport import Endpoints, Router, TransportError, ZenohLink
 
+_LOOK_S = 0.05  # between two looks for other machines, before anything is started
+
 
 class Half:
     """Runs from entering to leaving; a context manager, whose methods belong to one thread."""
@@ -43,8 +45,11 @@ class Half:
         self._role, self._gated, self._say = role, gated, say
         endpoints = Endpoints((gated.own,), namespace=gated.namespace)
         self._endpoints = endpoints
-        self.commands = process_table.commands(rows, chosen, endpoints, extra, elsewhere=role == "offboard")
+        off = role == "offboard"
+        self._certificate_role = gated.role(off)
+        self.commands = process_table.commands(rows, chosen, endpoints, extra, off, self._certificate_role)
         self._router: Launcher | None = None
+        self._launcher: Launcher | None = None  # of the processes; none before other machines have been met
         self._held = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
@@ -52,8 +57,10 @@ class Half:
             self._router = _host(self._gated, stack, self._pass_on)
             link = stack.enter_context(ZenohLink(self._endpoints))
             machine = f"{socket.gethostname()}-{os.getpid()}"
-            self._meeting = Meeting(link, machine, self._role, version(), self.names, time.monotonic_ns, self._say)
-            self._launcher = stack.enter_context(Launcher(self.commands, hear=self._pass_on))
+            about = machine, self._role, version(), self.names
+            self._meeting = Meeting(link, *about, time.monotonic_ns, self._say, self._certificate_role)
+            if not self._gated.upstream:  # others come to this machine, and not before its router is there
+                self._launcher = stack.enter_context(Launcher(self.commands, hear=self._pass_on))
             self._held = stack.pop_all()
         return self
 
@@ -68,15 +75,31 @@ class Half:
         return f"router on {', '.join(gated.listen)}{chained}; others join with {joined}"
 
     def pid(self, name: str) -> int:
-        """Process id of a child, the newest one after a restart."""
+        """Process id of a child, the newest one after a restart.
+
+        Raises:
+            KeyError: It has not been started yet.
+        """
+        if self._launcher is None:
+            raise KeyError(name)
         return self._launcher.pid(name)
 
     def beat(self, wait_s: float) -> str:
-        """Do what is due, and wait up to a time [s] for a process to end; why this half has to end, in words, or nothing."""
+        """Do what is due, and wait up to a time [s] for a process to end; why this half has to end, in words, or nothing.
+
+        What other machines publish keeps processes from being started where they are chained to; it ends none that runs.
+        """
         self._meeting.beat()
-        if self._meeting.refused:
-            return self._meeting.refused
-        for ended in (*self._launcher.wait(wait_s), *(self._router.poll() if self._router is not None else ())):
+        if self._launcher is None:
+            if refused := self._meeting.start_refusal:
+                return refused
+            if self._meeting.met:
+                self._launcher = self._held.enter_context(Launcher(self.commands, hear=self._pass_on))
+            else:
+                time.sleep(min(wait_s, _LOOK_S))
+        children = [launcher for launcher in (self._launcher, self._router) if launcher is not None]
+        waits = [wait_s if launcher is self._launcher else 0.0 for launcher in children]
+        for ended in [ended for launcher, wait in zip(children, waits, strict=True) for ended in launcher.wait(wait)]:
             self._say(str(ended))
             if not ended.restarted:
                 return _ended_for_good(ended)
@@ -84,7 +107,7 @@ class Half:
 
     def stop(self, insisted: Callable[[], bool]) -> None:
         """End the processes; at once where that is insisted on."""
-        for name in self._launcher.stop(insisted):
+        for name in [] if self._launcher is None else self._launcher.stop(insisted):
             self._say(f"{name} did not end when asked and was killed")
 
     def _pass_on(self, _name: str, line: str) -> None:

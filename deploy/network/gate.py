@@ -17,7 +17,7 @@ WARNING = (
     "your own, or make certificates with `sextant keys new` and give --keys in place of --open"
 )
 
-_SAYS: Mapping[str, topics.Topic[Any]] = {  # what a process is for, of those whose word counts on another machine
+PUBLISHED_BY: Mapping[str, topics.Topic[Any]] = {  # a topic that only the process publishes, of those read on other machines
     "actuator": topics.ACTUATOR_STATE,
     "perception": topics.BODY_POSE,
     "mapper": topics.TERRAIN,
@@ -75,6 +75,10 @@ class Gate:
         """Of the router, among the services of all machines."""
         return f"{access.ROUTER_OF}{Keys.load(self.keys).role.name}" if self.keys is not None else "router"
 
+    def role(self, offboard: bool) -> str:
+        """Role of this machine: that of its certificate, or without one the robot's or, `offboard`, that of a base."""
+        return Keys.load(self.keys).role.name if self.keys is not None else "base" if offboard else "robot"
+
     def configuration(self) -> Mapping[str, Any]:
         """Zenoh configuration of who is let in.
 
@@ -99,8 +103,8 @@ class Gate:
         if self.keys is None or not self.upstream:
             return ""
         keys = Keys.load(self.keys)
-        barred = [name for name in processes if name in _SAYS and keys.refusal([_SAYS[name]])]
-        refused = keys.refusal([_SAYS[name] for name in barred])
+        barred = [name for name in processes if name in PUBLISHED_BY and keys.refusal([PUBLISHED_BY[name]])]
+        refused = keys.refusal([PUBLISHED_BY[name] for name in barred])
         return f"{', '.join(barred)} would not be heard: {refused}; or leave out with --without" if refused else ""
 
     def warning(self) -> str:

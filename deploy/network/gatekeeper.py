@@ -88,7 +88,7 @@ class Gatekeeper:
             self._said_ns = now_ns
             self._send(self._health(now_ns))
         new = [kind for kind in self.refusals.count if kind not in self._told]
-        self._told.update(new)
+        self._told.update(new)  # kinds are bounded in number (`deploy.network.refusals`)
         return f"refused: {', '.join(new)}" if new else ""
 
     def _health(self, now_ns: int) -> Health:
@@ -99,9 +99,11 @@ class Gatekeeper:
         return Health(now_ns, self._name, (self._doing + refused)[:500], 0, count, 0, last, (), nothing, nothing)
 
 
-def publish(link: ZenohLink) -> Callable[[Health], None]:
-    """Sends the router's word by a link."""
-    return lambda health: link.send(topics.HEALTH, codec.encode(health, codec.Timing(health.stamp_ns, time.monotonic_ns())))
+def publish(link: ZenohLink, role: str) -> Callable[[Health], None]:
+    """What publishes the health of a router by a link, as that of a machine of a role."""
+    return lambda health: link.send(
+        topics.HEALTH_OF[role], codec.encode(health, codec.Timing(health.stamp_ns, time.monotonic_ns()))
+    )
 
 
 def link_to(endpoint: str, namespace: str) -> ZenohLink:

@@ -44,7 +44,7 @@ _WORDS = {  # what a client did, as the log has it
     "Declare Subscriber": "read",
     "Query": "ask for",
 }
-_QUIET = ("machine/presence", "health")  # what the processes of any machine say of themselves: that it ends here is no news
+_QUIET = ("machine/presence/", "health/")  # that a machine's own processes publish: a router that keeps them back is no news
 
 
 class Refusals:
@@ -118,7 +118,8 @@ class Refusals:
         if (denied := _DENIED.search(words)) is not None and denied["flow"] == "ingress":
             key = denied["key"].removeprefix(self._prefix)
             who = self._who.get(denied["zid"], "somebody")
-            return "" if key in _QUIET else f"{who} may not {_WORDS.get(denied['what'], denied['what'].lower())} {key}"
+            own = key in {f"{quiet}{who}" for quiet in _QUIET}
+            return "" if own else f"{who} may not {_WORDS.get(denied['what'], denied['what'].lower())} {key}"
         if (thinned := _THINNED.search(words)) is not None:
             who = next((name for zid, name in self._who.items() if zid.startswith(thinned["zid"])), "somebody")
             return f"{thinned['key'].removeprefix(self._prefix)} comes too often from {who}"

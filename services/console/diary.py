@@ -1,6 +1,7 @@
 """The log: what has come about, in the words of those whom it has come about for. Pure: time comes in."""
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from shared.messages import ActuatorState, BodyPose, CameraState, Health, Mode, PassagePlan, PlannerStatus
@@ -29,6 +30,7 @@ class Diary:
         self._told: dict[str, str] = {}  # what was last noted, by subject
         self._warnings: frozenset[str] = frozenset()
         self._silent: set[str] = set()
+        self._refusals: dict[str, str] = {}  # the last one noted, by service
 
     def note(self, at_ns: int, who: str, words: str, bad: bool = False) -> None:
         """Add a line."""
@@ -70,8 +72,10 @@ class Diary:
         """A section of a passage was planned."""
         self.note(now_ns, "planner", f"passage, section {plan.section}: {plan.state}: {plan.reason}", plan.state == "no way")
 
-    def services(self, now_ns: int, heard: dict[str, tuple[Health, int]]) -> None:
-        """See who has gone silent, who is back, and who refuses what comes in."""
+    def services(self, now_ns: int, heard: Mapping[str, tuple[Health, int]]) -> None:
+        """Note services that have gone silent, are back, or refuse a message; forget those that are not in `heard`."""
+        self._silent &= heard.keys()
+        self._refusals = {name: words for name, words in self._refusals.items() if name in heard}
         for name, (word, at_ns) in heard.items():
             if now_ns - at_ns > _SILENT_NS and name not in self._silent:
                 self._silent.add(name)
@@ -79,7 +83,9 @@ class Diary:
             elif now_ns - at_ns <= _SILENT_NS and name in self._silent:
                 self._silent.discard(name)
                 self.note(now_ns, name, "is back")
-            self._if_new(now_ns, name, "refusal", word.last_refusal, True)
+            if word.last_refusal and word.last_refusal != self._refusals.get(name):
+                self._refusals[name] = word.last_refusal
+                self.note(now_ns, name, word.last_refusal, True)
 
     def _if_new(self, now_ns: int, who: str, subject: str, words: str, bad: bool, unless: str | None = None) -> None:
         key = f"{who} {subject}"

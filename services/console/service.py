@@ -13,9 +13,10 @@ from services.console.diary import KEPT, Diary
 from services.console.requests import Command, Drive, GoTo, Record, Request, TakeOver, Watch
 from services.console.server import Event, PageServer
 from shared import topics
-from shared.access import barred
+from shared.access import refusal_here
 from shared.clock import now_ns
-from shared.messages import ActuatorState, CameraState, Health, Message, ModeCommand, PlannerStatus, StopOrder, TerrainMap, Tick
+from shared.health_table import HealthTable
+from shared.messages import ActuatorState, CameraState, Message, ModeCommand, PlannerStatus, StopOrder, TerrainMap, Tick
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
@@ -41,7 +42,7 @@ class Console:
         topics.CAMERA_STATE,
         topics.TERRAIN,
         topics.PREVIEW,
-        topics.HEALTH,
+        *topics.HEALTH_OF.values(),
         topics.RECORDER_STATE,
     )
     writes: tuple[AnyTopic, ...] = (topics.VELOCITY, topics.GOAL, topics.MODE, topics.STOP, topics.RECORD)
@@ -69,7 +70,7 @@ class Console:
         self._view_due_ns = self._told_ns = 0  # when pages are told of the robot next, and were last told of the services
         self._legs: ActuatorState | None = None
         self._status: PlannerStatus | None = None
-        self._health: dict[str, tuple[Health, int]] = {}
+        self._health = HealthTable()
         self._told = self._glanced = ""  # the last state, and the last glance
         self._logged = 0  # entries of the diary that were sent
         self._news_due_ns = self._map_due_ns = 0
@@ -112,7 +113,7 @@ class Console:
         if now - self._told_ns >= _HEALTH_NS:
             self._told_ns = now
             if self._watched:
-                self._tell("health", view.health(self._health, now))
+                self._tell("health", view.health(self._health.named(), now))
         self.server.flush()
 
     # ---------------------------------------------------------------------------------------------------------- from pages
@@ -141,7 +142,7 @@ class Console:
         self._watched[page] = Watch()
         self._tell("hello", view.hello(self._profile, self._settings, self._desk.arrive(page, now)), page)
         self._tell("log", view.log(self._diary.entries, now), page)
-        self._tell("health", view.health(self._health, now), page)
+        self._tell("health", view.health(self._health.named(), now), page)
         self._told = ""  # the state, which goes to all that are there
         self._draw(page)
 
@@ -156,21 +157,21 @@ class Console:
             self.server.show("map", frames.map_frame(self._map, self._watched[page].layer), [page])
 
     def _ask(self, page: int, request: Request, now: int) -> None:
-        refused = self._barred(request)
+        refused = self._barred(request, now)
         if not refused:
             refused = self._clerk.want(request.on, now) if isinstance(request, Record) else self._desk.ask(page, request, now)
         if refused:
             self._tell("refused", view.answer(refused), page)
 
-    def _barred(self, request: Request) -> str:
+    def _barred(self, request: Request, now: int) -> str:
         """Why a request comes to nothing on this machine, whoever leads: by its certificate it may only stop."""
         match request:
             case Record():
-                return barred(self._health, [topics.RECORD])
+                return refusal_here(self._health.roles(now), [topics.RECORD])
             case Command(order="off" | "stop"):
                 return ""
             case Command() | Drive() | GoTo() | TakeOver():
-                return barred(self._health, [topics.MODE])
+                return refusal_here(self._health.roles(now), [topics.MODE])
         return ""
 
     # ------------------------------------------------------------------------------------------------------------ to pages
@@ -184,7 +185,9 @@ class Console:
             self._hear_news(now, inbox)
         self._tell_log(now)
         if self._glancing:
-            glance = view.text(view.glance(self._profile.name, self._desk, legs, status, view.silent(self._health, now)))
+            glance = view.text(
+                view.glance(self._profile.name, self._desk, legs, status, view.silent(self._health.named(), now))
+            )
             if glance != self._glanced:
                 self._glanced = glance
                 self.server.post("glance", glance, self._glancing)
@@ -201,8 +204,8 @@ class Console:
 
     def _hear_news(self, now: int, inbox: Inbox) -> None:
         """What comes about now and then."""
-        self._health |= {word.service: (word, now) for word in inbox.drain(topics.HEALTH)}
-        self._diary.services(now, self._health)
+        self._health.drain(inbox, now)
+        self._diary.services(now, self._health.named())
         self._camera = inbox.latest(topics.CAMERA_STATE)
         self._diary.camera(now, self._camera)
         for plan in inbox.drain(topics.PASSAGE_PLAN):

@@ -16,6 +16,7 @@ from shared.robot import JOINTS, LEGS, RobotProfile
 
 PROTOCOL = 1
 _SILENT_S = 3.0  # without a word, after which something is wrong with a service
+_WORDS, _STAGES = 500, 32  # characters, and stages, of a service that a page is sent
 
 
 def hello(profile: RobotProfile, settings: Settings, seat: int) -> dict[str, Any]:
@@ -164,12 +165,15 @@ def health(services: Mapping[str, tuple[Health, int]], now_ns: int) -> dict[str,
         "services": [
             {
                 "name": name,
-                "doing": word.doing,
+                "doing": word.doing[:_WORDS],
                 "silent_s": round((now_ns - at_ns) * 1e-9, 1),
                 "refused": word.refused,
                 "dropped": word.dropped,
                 "robot_ahead_s": round(word.robot_ahead_s, 3),
-                "stages": {stage: round(float(p99), 1) for stage, p99 in zip(word.stages, word.stage_p99_ms, strict=True)},
+                "stages": {
+                    stage[:_WORDS]: round(float(p99), 1)
+                    for stage, p99 in zip(word.stages[:_STAGES], word.stage_p99_ms[:_STAGES], strict=True)
+                },
             }
             for name, (word, at_ns) in sorted(services.items())
         ],

@@ -69,7 +69,7 @@ class Recording:
         for record in read_records(path, condition):
             match record:
                 case Channel() if record.message_encoding == ENCODING:
-                    keys[record.id] = record.topic
+                    keys[record.id] = topics.RENAMED.get(record.topic, record.topic)
                 case Channel():
                     foreign.add(record.id)
                 case Schema():

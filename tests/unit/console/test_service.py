@@ -237,10 +237,20 @@ def test_on_a_machine_that_may_only_stop_the_page_says_so(rig: Rig) -> None:
     page.until("state", lambda told: len(told["seats"]) == 1)
     rig.legs()
     nothing = np.zeros(0)
-    rig.hear(Health(1, "router of viewer", "listening", 0, 0, 0, "", (), nothing, nothing))
+    word = Health(1, "router of viewer", "listening", 0, 0, 0, "", (), nothing, nothing)
+    rig.hear(word)
     rig.beat(300.0)
     page.ask("order", order="stand")
-    assert "this certificate (viewer: " in page.until("refused")["words"]
+    assert "leads the robot" in page.until("refused")["words"], "the name of a service is a claim"
+    rig.inbox.receive(topics.HEALTH_OF["viewer"], codec.encode(word), rig.now)
+    rig.beat(300.0)
+    page.ask("order", order="stand")
+    page.until("refused", lambda told: "this certificate (viewer: " in told["words"])
+    rig.beat(6000.0)
+    rig.legs()
+    rig.beat(300.0)
+    page.ask("order", order="stand")
+    page.until("refused", lambda told: "leads the robot" in told["words"])  # its router is that of another role by now
     page.ask("order", order="off")
     sent: list[Message] = []
     limit = time.monotonic() + PATIENCE_S

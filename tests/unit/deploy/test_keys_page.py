@@ -9,7 +9,7 @@ import pytest
 from deploy import cli, keys_page
 from shared import codec, messages
 from shared.messages import Mode, ModeCommand, VelocityCommand
-from shared.topics import TOPICS
+from shared.topics import OF_TYPE, TOPICS
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGE = (DOCS / "keys.md").read_text(encoding="utf-8")
@@ -31,13 +31,13 @@ def section(key: str) -> str:
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.key)
 def test_every_message_has_its_schema_and_all_its_fields_in_order(topic: messages.Message) -> None:
-    said = section(topic.key)  # type: ignore[attr-defined]
     kind = topic.type  # type: ignore[attr-defined]
+    said = section(OF_TYPE[kind].key)
     assert f"`{codec.schema_id(kind)}`" in said
     assert re.findall(r"^\| `(\w+)`", said, re.MULTILINE) == [name for name, _, _ in messages.schema(kind)]
     link = re.search(rf"^\| `{topic.key}` \| \[\w+\]\(#([\w-]+)\)", PAGE, re.MULTILINE)  # type: ignore[attr-defined]
     assert link is not None
-    title = f"{topic.key} {kind.__name__}"  # type: ignore[attr-defined]
+    title = f"{OF_TYPE[kind].key} {kind.__name__}"  # one section for the keys of all roles
     assert link[1] == re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-"), "as pages make anchors of titles"
 
 
@@ -68,7 +68,8 @@ def test_who_writes_and_reads_is_what_the_services_say() -> None:
         cells[1].strip(" `"): cells[9].strip() for cells in (row.split("|") for row in PAGE.splitlines()) if len(cells) == 11
     }
     assert (over["perception/scan"], over["planner/step"], over["camera/depth"]) == ("to the base", "to the robot", "")
-    assert over["machine/presence"] == "both ways"
+    assert (over["machine/presence/robot"], over["machine/presence/base"]) == ("to the base", "both ways")
+    assert over["machine/presence/viewer"] == ""
     assert all(f"| `{mode.value}` |" in PAGE for mode in Mode)
 
 

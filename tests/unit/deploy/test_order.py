@@ -143,10 +143,10 @@ def test_an_order_to_move_is_stamped_by_the_robots_clock_wherever_it_is_given() 
     assert desk.order.failed.startswith("the robot's clock began anew")
 
 
-def router_says(desk: Desk, refused: int, last: str, name: str = "router of robot") -> None:
+def router_says(desk: Desk, refused: int, last: str, name: str = "router of robot", role: str = "robot") -> None:
     nothing = np.zeros(0)
     word = Health(desk.now_ns, name, "listening", 0, refused, 0, last, (), nothing, nothing)
-    desk.inbox.receive(topics.HEALTH, codec.encode(word), desk.now_ns)
+    desk.inbox.receive(topics.HEALTH_OF[role], codec.encode(word), desk.now_ns)
 
 
 def test_whom_a_router_on_the_way_keeps_back_is_told_by_its_word() -> None:
@@ -171,6 +171,9 @@ def test_who_leads_takes_no_notice_of_others_being_kept_back() -> None:
 def test_on_a_machine_that_may_only_stop_its_own_router_says_so() -> None:
     desk = Desk(Order("stand", "me"), mode=Mode.OFF, reason="torque is off")
     router_says(desk, 0, "", "router of viewer")
+    desk.beats(1)
+    assert not desk.order.finished, "by the key of another role it is a claim"
+    router_says(desk, 0, "", "router of viewer", "viewer")
     desk.beats(1)
     assert "this certificate (viewer: " in desk.order.failed
     assert "may not send operator/mode, only operator/stop; use the keys of another role: base, console" in desk.order.failed

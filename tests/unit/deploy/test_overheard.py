@@ -52,7 +52,8 @@ def test_without_a_key_all_are_meant_but_what_is_made_or_sent_for_who_asks_alone
 
 
 @pytest.mark.parametrize(
-    ("key", "near"), [("actuator/odo", "actuator/odometry"), ("mapper/terain", "mapper/terrain"), ("helth", "health")]
+    ("key", "near"),
+    [("actuator/odo", "actuator/odometry"), ("mapper/terain", "mapper/terrain"), ("helth/robot", "health/robot")],
 )
 def test_a_key_that_is_none_is_refused_with_the_nearest(key: str, near: str) -> None:
     with pytest.raises(ValueError, match=f"did you mean '{near}'"):

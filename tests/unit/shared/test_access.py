@@ -16,19 +16,22 @@ from shared.access import ROLE_NAMED, ROLES, SITE, AccessError, Keys, Role
 from shared.service import AnyTopic
 from shared.topics import TOPICS
 
+HEARD_OF = ("robot", "base", "console", "site")  # on other machines
+LOCAL: set[AnyTopic] = {topics.HEALTH_OF["viewer"], topics.PRESENCE_OF["viewer"]}
 OF_THE_SIMULATOR = {topic for topic in TOPICS if topic.key.startswith("simulator/")}
 
 
-def written_and_read(names: set[str]) -> tuple[set[AnyTopic], set[AnyTopic]]:
-    """Of processes of the table, their word on how they fare included."""
-    written: set[AnyTopic] = {topics.HEALTH, topics.PRESENCE}
-    read: set[AnyTopic] = {topics.PRESENCE}
+def written_and_read(names: set[str], role: str) -> tuple[set[AnyTopic], set[AnyTopic]]:
+    """Of processes of the table on a machine of a role, its health and presence included."""
+    written: set[AnyTopic] = {topics.HEALTH_OF[role], topics.PRESENCE_OF[role]}
+    read: set[AnyTopic] = {topics.PRESENCE_OF[name] for name in HEARD_OF}
     for process in TABLE:
         if process.name in names:
             service = _service(process.module)
             pace = getattr(service, "paced_by", None)
             written |= set(service.writes)
-            read |= {*service.reads, *([pace] if isinstance(pace, topics.Topic) else [])}
+            reads = {*service.reads} - {topics.HEALTH_OF["viewer"]}  # which crosses no router
+            read |= {*reads, *([pace] if isinstance(pace, topics.Topic) else [])}
     return written, read
 
 
@@ -41,20 +44,20 @@ def written_and_read(names: set[str]) -> tuple[set[AnyTopic], set[AnyTopic]]:
     ],
 )
 def test_a_role_puts_what_its_processes_write_and_reads_what_they_read(role: str, processes: set[str]) -> None:
-    written, read = written_and_read(processes)
+    written, read = written_and_read(processes, role)
     held = ROLE_NAMED[role]
     assert set(held.puts) == written
     assert set(held.reads) >= read
 
 
 def test_the_robot_is_told_nothing_but_what_its_processes_read() -> None:
-    _, read = written_and_read({process.name for process in rows("onboard", simulated=False)})
+    _, read = written_and_read({process.name for process in rows("onboard", simulated=False)}, "robot")
     assert set(ROLE_NAMED["robot"].reads) == read
 
 
 def test_a_recorder_at_the_base_hears_all_that_is_recorded() -> None:
     heard = {*ROLE_NAMED["base"].reads, *ROLE_NAMED["base"].puts}
-    assert heard >= set(TOPICS) - LEFT_OUT - OF_THE_SIMULATOR
+    assert heard >= set(TOPICS) - LEFT_OUT - OF_THE_SIMULATOR - LOCAL
 
 
 @pytest.mark.parametrize("role", ROLES, ids=lambda role: role.name)
@@ -68,9 +71,30 @@ def test_plans_come_from_where_the_planner_is_and_from_nowhere_else() -> None:
     assert [role.name for role in ROLES if topics.MODE in role.puts] == ["base", "console", SITE]
 
 
+OF_ROLES = {**{t: r for r, t in topics.HEALTH_OF.items()}, **{t: r for r, t in topics.PRESENCE_OF.items()}}
+
+
+@pytest.mark.parametrize("role", [role for role in ROLES if role.name != SITE], ids=lambda role: role.name)
+def test_health_and_presence_are_published_by_the_role_that_they_name(role: Role) -> None:
+    """A console is no actuator's health, and no robot's presence; nor does anything but a robot tell its time."""
+    assert {OF_ROLES[topic] for topic in role.puts if topic in OF_ROLES} <= {role.name}
+    assert (topics.ACTUATOR_STATE in role.puts) == (role.name == "robot"), "whose clock other machines follow"
+    assert {OF_ROLES[topic] for topic in role.relays} <= {"base", "console"}
+    assert not role.relays or role.name == "robot", "whose router is between machines"
+    assert not LOCAL & {*role.puts, *role.reads, *role.relays}
+
+
+def test_a_router_that_refuses_is_believed_under_the_key_of_a_role_that_no_other_machine_can_use() -> None:
+    order = [topics.MODE]
+    assert "this certificate (viewer: " in access.refusal_here(["viewer", "robot"], order)
+    assert access.refusal_here(["robot", "base", "console", "site"], order) == ""
+    assert access.refusal_here(["viewer"], [topics.STOP]) == ""
+
+
 def test_a_site_passes_on_what_others_say_to_each_other() -> None:
     site, ends = ROLE_NAMED[SITE], [role for role in ROLES if role.name != SITE]
-    assert set(site.puts) == {topic for role in ends for topic in role.puts}
+    own = {topics.HEALTH_OF[SITE], topics.PRESENCE_OF[SITE]}
+    assert set(site.puts) == {topic for role in ends for topic in role.puts} | own
     assert set(site.reads) == {topic for role in ends for topic in role.reads}
 
 
@@ -102,7 +126,7 @@ def test_what_is_allowed_is_a_list_of_keys_without_wildcards(role: Role, keys: P
     allowed = set(rules(keys, role.name))
     assert {key for _, _, key in allowed if "*" in key} == set()
     assert {key for message, flow, key in allowed if (message, flow) == ("put", "ingress")} == {
-        f"here/{topic.key}" for topic in role.puts
+        f"here/{topic.key}" for topic in role.puts + role.relays
     }
     assert {key for message, flow, key in allowed if (message, flow) == ("put", "egress")} == {
         f"here/{topic.key}" for topic in role.reads

@@ -19,7 +19,7 @@ from shared import codec, topics
 from shared import messages as m
 from shared.messages import Message
 
-KINDS = [topic.type for topic in topics.TOPICS]
+KINDS = list(topics.OF_TYPE)
 int64 = st.integers(-(1 << 63) + 1, (1 << 63) - 1)
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 

@@ -12,13 +12,22 @@ from shared.topics import TOPICS, Delivery, Lane, Topic
 
 def test_keys_and_types_stand_once() -> None:
     assert len({t.key for t in TOPICS}) == len(TOPICS)
-    assert len({t.type for t in TOPICS}) == len(TOPICS)
-    assert len(topics.OF_TYPE) == len(TOPICS)
+    of_roles = {*topics.HEALTH_OF.values(), *topics.PRESENCE_OF.values()}
+    assert len({t.type for t in TOPICS if t not in of_roles}) == len(TOPICS) - len(of_roles)
+    assert {t.type for t in of_roles} == {messages.Health, messages.Presence}
+
+
+def test_what_machines_publish_of_themselves_has_a_key_for_each_role() -> None:
+    assert [topic.key for topic in topics.HEALTH_OF.values()] == [f"health/{role}" for role in topics.ROLE_NAMES]
+    assert [topic.key for topic in topics.PRESENCE_OF.values()] == [f"machine/presence/{role}" for role in topics.ROLE_NAMES]
+    assert topics.OF_TYPE[messages.Health] is topics.HEALTH_OF["robot"]
+    assert set(topics.RENAMED.values()) <= {topic.key for topic in TOPICS}
+    assert not set(topics.RENAMED) & {topic.key for topic in TOPICS}
 
 
 def test_every_row_is_in_the_table() -> None:
     rows = [value for value in vars(topics).values() if isinstance(value, Topic)]
-    assert rows == list(TOPICS)
+    assert dict.fromkeys([*rows, *topics.HEALTH_OF.values(), *topics.PRESENCE_OF.values()]).keys() == set(TOPICS)
 
 
 def test_every_message_but_the_tick_has_a_topic() -> None:

@@ -1,6 +1,7 @@
 """Follows a walk and tells it in Foxglove's schemas."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from services.console.diary import Diary
 from services.console.recording.foxglove import ground, numbers, robot
 from services.console.recording.foxglove.parts import time
 from shared import codec, topics
+from shared.health_table import HealthTable
 from shared.messages import (
     ActuatorState,
     BodyPose,
@@ -44,7 +46,7 @@ class Foxglove:
         self._due_ns: dict[str, int] = {}
         self._diary = Diary()
         self._logged = 0  # entries of the diary that were told
-        self._health: dict[str, tuple[Health, int]] = {}
+        self._health = HealthTable()
         self._tells: Mapping[AnyTopic, Callable[[Any, int], Iterator[Told]]] = {
             topics.ACTUATOR_STATE: self._legs,
             topics.STEP_PLAN: self._step,
@@ -57,7 +59,7 @@ class Foxglove:
         self._follows: Mapping[AnyTopic, Callable[[Any, int], None]] = {
             topics.BODY_POSE: self._pose,
             topics.CAMERA_STATE: self._camera,
-            topics.HEALTH: self._service,
+            **{topic: partial(self._service, role) for role, topic in topics.HEALTH_OF.items()},
         }
 
     def translate(self, topic: AnyTopic, frame: bytes, at_ns: int) -> Sequence[Told]:
@@ -129,10 +131,11 @@ class Foxglove:
     def _camera(self, state: CameraState, at_ns: int) -> None:
         self._diary.camera(at_ns, state)
 
-    def _service(self, word: Health, at_ns: int) -> None:
-        self._health[word.service] = word, at_ns
+    def _service(self, role: str, health: Health, at_ns: int) -> None:
+        self._health.add(role, health, at_ns)
         if self._due("services", at_ns, _SERVICES_NS):
-            self._diary.services(at_ns, self._health)
+            self._health.forget(at_ns)
+            self._diary.services(at_ns, self._health.named())
 
     def _log(self) -> Iterator[Told]:
         """What is new in the diary."""

@@ -21,7 +21,8 @@ from tests.support import gated
 from tests.support.gated import NAMESPACE, Inside, again, put_until, session, stranger, tls_of
 
 N = 200  # messages of each kind that are put in vain
-READ = (topics.STEP_PLAN, topics.MODE, topics.VELOCITY, topics.HEALTH, topics.ACTUATOR_STATE)
+CLAIMED = (*topics.HEALTH_OF.values(), *topics.PRESENCE_OF.values())
+READ = (topics.STEP_PLAN, topics.MODE, topics.STOP, topics.VELOCITY, topics.ACTUATOR_STATE, *CLAIMED)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +82,7 @@ def test_a_console_commands_but_its_plans_vanish(robot: Robot, keys: Path, insid
 def test_keys_that_are_not_listed_and_wildcards_lead_nowhere(robot: Robot, keys: Path, inside: Inside) -> None:
     """A put to a pattern that holds an allowed key is none to that key."""
     with link(robot, keys, "base") as base, session(robot.secure, tls_of(keys / "base")) as wild:
-        put_until(inside, base, topics.HEALTH, b"ready")
+        put_until(inside, base, topics.HEALTH_OF["base"], b"ready")
         before = inside.count[topics.ACTUATOR_STATE.key]
         for number in range(N):
             for key in ("**", f"{NAMESPACE}/**", f"{NAMESPACE}/planner/*", f"{NAMESPACE}/actuator/state", "servo/1/goal"):
@@ -90,6 +91,19 @@ def test_keys_that_are_not_listed_and_wildcards_lead_nowhere(robot: Robot, keys:
         again(inside, topics.VELOCITY, b"done", lambda: wild.put(f"{NAMESPACE}/operator/velocity", b"done"))
     assert inside.count[topics.ACTUATOR_STATE.key] == before
     assert inside.count[topics.STEP_PLAN.key] == inside.count[topics.MODE.key] == 0
+
+
+@pytest.mark.parametrize("role", ["base", "console", "viewer"])
+def test_health_and_presence_of_another_role_lead_nowhere(robot: Robot, keys: Path, inside: Inside, role: str) -> None:
+    own = {topics.HEALTH_OF[role].key, topics.PRESENCE_OF[role].key}
+    with link(robot, keys, role) as client:
+        for topic in CLAIMED:
+            for number in range(20):
+                client.send(topic, b"a claim %d" % number)
+        last = topics.STOP if role == "viewer" else topics.MODE
+        put_until(inside, client, last, b"done")
+    came = {topic.key for topic in CLAIMED if inside.count[topic.key]}
+    assert came == (set() if role == "viewer" else own)
 
 
 def test_who_may_not_read_hears_nothing(robot: Robot, keys: Path, inside: Inside) -> None:

@@ -95,13 +95,20 @@ def test_a_flood_is_counted_and_what_comes_all_at_once_behind_a_stall_is_not() -
         logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/actuator/state")
         + logged("Msg intercepted!", thread="rx-1 ThreadId(09)", target=""),
         # What the processes of another machine say of themselves.
-        logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/machine/presence") + KEPT,
+        logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/machine/presence/viewer") + KEPT,
     ],
 )
 def test_what_is_no_refusal_is_not_counted(log: str) -> None:
     refusals = Refusals("here")
     assert list(refusals.read(log)) == []
     assert refusals.count.total() == 0
+
+
+def test_a_claim_to_be_another_role_is_a_refusal() -> None:
+    refusals = Refusals("here")
+    line = logged(f"{VIEWER} on {ON}+{VIEWER} is unauthorized to Put (ingress) on here/health/robot") + KEPT
+    assert list(refusals.read(line)) == []
+    assert refusals.count.total() == 1
 
 
 def test_what_is_about_something_else_is_passed_on() -> None:

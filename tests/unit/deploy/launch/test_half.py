@@ -1,0 +1,130 @@
+"""One machine's half: what other machines publish keeps it from starting, and ends nothing that runs."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deploy import process_table
+from deploy.launch import half
+from deploy.launch.half import Half
+from deploy.launch.launcher import Ended
+from deploy.network import meeting
+from deploy.network.gate import Gate
+from deploy.process_table import Choices, Role
+from deploy.provenance import version
+from shared import codec, topics
+from shared.service import AnyTopic
+
+OWN = "tcp/127.0.0.1:7447"
+
+
+class FakeLink:
+    """A link by which the test is the other machines."""
+
+    def __init__(self, *_: Any):
+        self.frames: dict[str, list[bytes]] = {}
+
+    def __enter__(self) -> "FakeLink":
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def send(self, topic: AnyTopic, frame: bytes) -> None: ...
+
+    def collect(self, topic: AnyTopic) -> Callable[[], list[bytes]]:
+        return lambda: self.frames.pop(topic.key, [])
+
+
+class FakeLauncher:
+    """Starts nothing."""
+
+    started: list[str] = []  # noqa: RUF012 - of all that were made
+
+    def __init__(self, commands: Any, hear: Any):
+        self.names = [command.name for command in commands]
+
+    def __enter__(self) -> "FakeLauncher":
+        FakeLauncher.started += self.names
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for name in self.names:
+            FakeLauncher.started.remove(name)
+
+    def wait(self, timeout_s: float) -> list[Ended]:
+        return []
+
+
+@pytest.fixture
+def link(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeLink]:
+    made = FakeLink()
+    now = [0]
+
+    def clock() -> int:
+        now[0] += 100_000_000
+        return now[0]
+
+    monkeypatch.setattr(half, "Launcher", FakeLauncher)
+    monkeypatch.setattr(half, "ZenohLink", lambda _: made)
+    monkeypatch.setattr(half, "_host", lambda *_: None)
+    monkeypatch.setattr(half.time, "monotonic_ns", clock)
+    monkeypatch.setattr(half.time, "sleep", lambda _: None)
+    FakeLauncher.started.clear()
+    yield made
+    assert FakeLauncher.started == []
+
+
+def claim(link: FakeLink, role: str, *services: str) -> None:
+    """An older start of the same services, by somebody whose certificate has a role."""
+    made = meeting.presence("another-1", "onboard", version(), services, 1e9, 1)
+    link.frames[topics.PRESENCE_OF[role].key] = [codec.encode(made)]
+
+
+def a_half(role: Role, upstream: tuple[str, ...]) -> Half:
+    rows = process_table.rows(role, simulated=False)
+    return Half(role, rows, Choices(), {}, Gate((OWN,), upstream=upstream, open=True), lambda _: None)
+
+
+@pytest.mark.parametrize("role", topics.ROLE_NAMES)
+def test_a_robot_that_runs_goes_on_whatever_is_claimed(link: FakeLink, role: str) -> None:
+    with a_half("onboard", ()) as running:
+        assert {"actuator", "stop"} <= set(FakeLauncher.started), "at once, for others come to it"
+        for _ in range(60):
+            claim(link, role, "actuator", "stop", "perception")
+            assert running.beat(0.0) == ""
+        assert {"actuator", "stop"} <= set(FakeLauncher.started)
+
+
+def test_a_base_that_runs_goes_on_whatever_is_claimed(link: FakeLink) -> None:
+    with a_half("offboard", ("tcp/10.0.0.1:7447",)) as running:
+        while "planner" not in FakeLauncher.started:
+            assert running.beat(0.0) == ""
+        claim(link, "robot", "planner")
+        assert [running.beat(0.0) for _ in range(60)] == [""] * 60
+
+
+def test_a_base_does_not_start_what_another_has_started(link: FakeLink) -> None:
+    with a_half("offboard", ("tcp/10.0.0.1:7447",)) as starting:
+        assert starting.beat(0.0) == ""
+        assert FakeLauncher.started == [], "the others are waited for"
+        with pytest.raises(KeyError):
+            starting.pid("planner")
+        claim(link, "base", "planner")
+        assert "another-1 (onboard) has started planner already" in starting.beat(0.0)
+        assert FakeLauncher.started == []
+
+
+def test_a_console_cannot_keep_a_robot_from_starting(link: FakeLink) -> None:
+    with a_half("onboard", ("tcp/10.0.0.1:7447",)) as starting:
+        while "actuator" not in FakeLauncher.started:
+            claim(link, "console", "actuator", "stop", "perception")
+            assert starting.beat(0.0) == ""
+
+
+def test_its_processes_publish_under_the_role_of_the_machine(tmp_path: Path, link: FakeLink) -> None:
+    robot, base = a_half("onboard", ()), a_half("offboard", ("tcp/10.0.0.1:7447",))
+    assert not any("--role" in command.arguments for command in robot.commands), "the robot's, which it is by itself"
+    for command in base.commands:
+        assert command.arguments[command.arguments.index("--role") + 1] == "base"
