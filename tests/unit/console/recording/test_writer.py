@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from services.console.recording.layout import RecordingError, describe
 from services.console.recording.reader import Recording, read
 from services.console.recording.writer import Recorder
 from shared import codec, topics
-from shared.messages import DepthImage, Message, Mode, Scan
+from shared.messages import DepthImage, Health, Message, Mode, Scan
 from shared.service import AnyTopic
 from tests.support.frames import of_another_version
 from tests.support.recorded import S, some_messages, terrain, velocity
@@ -36,6 +37,15 @@ def test_what_is_written_is_read_back_in_its_order(tmp_path: Path) -> None:
     assert [(t, at) for t, _, at in found] == [(t, at) for t, _, at in written]
     assert all(same(a, b) for (_, a, _), (_, b, _) in zip(found, written, strict=True))
     assert [t for t, _, _ in read(tmp_path / "r.mcap", [topics.MODE])] == [topics.MODE] * 40
+
+
+def test_a_recording_of_before_keys_had_roles_is_read_as_the_robots(tmp_path: Path) -> None:
+    nothing = np.zeros(0)
+    message = Health(1, "actuator", "holding", 0, 0, 0, "", (), nothing, nothing)
+    write(tmp_path / "r.mcap", [(replace(topics.HEALTH, key="health"), message, 1)])
+    ((topic, found, _),) = read(tmp_path / "r.mcap")
+    assert topic is topics.HEALTH_OF["robot"]
+    assert same(found, message)
 
 
 def test_the_same_run_makes_the_same_bytes(tmp_path: Path) -> None:
