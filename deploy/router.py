@@ -15,14 +15,16 @@ from types import FrameType
 from deploy.interrupts import Interrupts
 from deploy.network import gate, refusals
 from deploy.network.gatekeeper import CaughtOutput, Gatekeeper, link_to, publish
+from deploy.network.hosting import hosted
 from deploy.network.knocking import Knocking
 from deploy.network.meeting import Meeting
 from deploy.network.silence import SilenceLimit
 from deploy.process_table import ROUTER_ENDPOINT
 from deploy.provenance import version
 from shared.access import AccessError
-from shared.ending import bound_the_end, end_with, leave, leave_at_errors
-from shared.transport import GIVEN_UP_S, LEASE_MS, Router, TransportError, ZenohLink, log_to_stdout
+from shared.ending import bound_the_end, end_with, leave, leave_at_errors, leave_at_errors_of_threads
+from shared.host import allow_many_files, switch_often
+from shared.transport import GIVEN_UP_S, LEASE_MS, TransportError, ZenohLink, log_to_stdout
 from shared.watchdog import Watchdog
 
 _WARN_S = 30.0  # between two warnings that it is open to anybody
@@ -56,6 +58,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="router: %(message)s")
     if arguments.parent:
         end_with(arguments.parent)
+    allow_many_files()
+    switch_often()
     try:
         given, upstream = arguments.listen, tuple(arguments.connect)
         gated = gate.of_arguments(given, arguments.keys, arguments.open, arguments.namespace, ROUTER_ENDPOINT, upstream)
@@ -83,12 +87,13 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
         caught = stack.enter_context(CaughtOutput()) if gated.guarded else None
         if caught:
             log_to_stdout(refusals.LEVELS)
-        router = stack.enter_context(Router(gated.listen, gated.upstream, gated.configuration()))
+        connections = refusals.RefusedConnections()
+        router = stack.enter_context(hosted(gated, connections.add))
         if caught or role:
             link = stack.enter_context(link_to(gated.own, gated.namespace))
         if caught:
             stack.enter_context(Knocking(gated.knock, lambda: router.chained, _tell))
-            beats.append(_Guard(gated, caught, link, machine_role).beat)
+            beats.append(_Guard(gated, caught, link, machine_role, connections).beat)
         if role:
             machine = f"{socket.gethostname()}-{os.getpid()}"
             beats.append(Meeting(link, machine, role, version(), starts, time.monotonic_ns, _tell, machine_role).beat)
@@ -111,10 +116,13 @@ def _host(gated: gate.Gate, role: str, starts: Sequence[str], told_to_stop: Call
 class _Guard:
     """Says whom the router refuses, and warns for as long as it lets anybody in."""
 
-    def __init__(self, gated: gate.Gate, caught: CaughtOutput, link: ZenohLink, role: str):
+    def __init__(
+        self, gated: gate.Gate, caught: CaughtOutput, link: ZenohLink, role: str, refused: refusals.RefusedConnections
+    ):
         self._warning, self._due_s = gated.warning(), 0.0
         doing = f"listening on {', '.join(gated.listen)}" + (f"; {self._warning}" if self._warning else "")
-        self._keeper = Gatekeeper(caught.take, publish(link, role), gated.name, gated.namespace, doing, sys.stderr)
+        send = publish(link, role)
+        self._keeper = Gatekeeper(caught.take, send, gated.name, gated.namespace, doing, sys.stderr, refused.take)
 
     def beat(self) -> None:
         """Do what is due."""
@@ -149,4 +157,5 @@ class _Awake:
 
 if __name__ == "__main__":
     leave_at_errors()
+    leave_at_errors_of_threads()
     leave(main())

@@ -17,6 +17,8 @@ from shared import topics as t
 
 AnyTopic: TypeAlias = t.Topic[Any]
 CERTIFICATE, KEY, AUTHORITY, ROLE = "certificate.pem", "key.pem", "ca.pem", "role.toml"  # files of a folder of keys
+PROXY = "proxy"  # folder within it: certificates between the TLS proxy and the router of one machine
+ROUTER = "router"  # name of the router's own certificate there
 SITE = "site"  # role of a router between others
 ROUTER_OF = "router of "  # a role: name of a router among the services
 PLAIN = ("tcp",)  # links without certificates, on loopback alone
@@ -168,6 +170,29 @@ class Keys:
         limits = _limits(namespace, {"link_protocols": list(SECURE)})
         transport = {"link": {"tls": self._tls("connect", "listen"), "rx": limits.pop("rx")}}
         return {"transport": transport, "access_control": _control(namespace), **(limits if limited else {})}
+
+    def proxy_file(self, name: str) -> Path:
+        """Return the certificate and private key of a role, or of the router, between the TLS proxy and the router.
+
+        Raises:
+            AccessError: The folder has none.
+        """
+        file = self.folder / PROXY / f"{name}.pem"
+        if not file.is_file():
+            raise AccessError(f"{file} is missing: these keys are of an older version; make new ones with `sextant keys new`")
+        return file
+
+    def behind_proxy(self, port: int) -> str:
+        """Return the endpoint on which the router listens for the TLS proxy alone, on a port of 127.0.0.1.
+
+        Raises:
+            AccessError: The folder has no certificates for it, or a path that cannot be part of an endpoint.
+        """
+        own = self.proxy_file(ROUTER)
+        if any(sign in str(own) for sign in ";=#?"):
+            raise AccessError(f"the folder of keys {self.folder} has one of ; = # ? in its path; move it to another")
+        files = f"listen_certificate_file={own};listen_private_key_file={own}"
+        return f"tls/127.0.0.1:{port}#root_ca_certificate_file={own.with_name(AUTHORITY)};{files}"
 
     def _tls(self, *sides: str) -> dict[str, Any]:
         own = {f"{side}_private_key": self._file(KEY) for side in sides}

@@ -82,6 +82,16 @@ def leave_at_errors() -> None:
     sys.excepthook = told
 
 
+def leave_at_errors_of_threads() -> None:
+    """End this process when one of its threads fails, for one whose threads are of no use without each other."""
+
+    def told(failed: threading.ExceptHookArgs) -> None:
+        threading.__excepthook__(failed)
+        leave(1)
+
+    threading.excepthook = told
+
+
 def leave(status: int) -> NoReturn:
     """End this process, which has closed what it had open, without the interpreter's teardown, in which libraries may hang."""
     logging.shutdown()

@@ -4,6 +4,7 @@ import socket
 import ssl
 
 from shared.access import AUTHORITY, CERTIFICATE, KEY, Keys
+from shared.endpoint import cannot_connect, place
 
 _CONNECT_S = 3.0
 _VERDICT_S = 0.25  # after its own handshake is done a client hears within a round trip that its certificate was refused
@@ -15,19 +16,6 @@ _ALERTS = (  # what a listener sends, and what it means
     ("CERTIFICATE_REQUIRED", "the robot asks for a certificate; give --keys DIR"),
     ("BAD_CERTIFICATE", "the robot does not take this certificate; use keys made together with the robot's"),
 )
-
-
-def place(endpoint: str) -> tuple[str, int]:
-    """Host and port of an endpoint, e.g. of tls/robot.local:7448.
-
-    Raises:
-        ValueError: It has none.
-    """
-    address = endpoint.partition("/")[2].partition("?")[0].partition("#")[0]
-    host, colon, port = address.rpartition(":")
-    if not colon or not port.isdecimal():
-        raise ValueError(f"PROTOCOL/HOST:PORT expected, e.g. tls/robot.local:7448, found {endpoint!r}")
-    return host.strip("[]"), int(port)
 
 
 def refusal(endpoint: str, keys: Keys) -> str:
@@ -46,6 +34,9 @@ def verdict(endpoint: str, context: ssl.SSLContext, patience_s: float = _VERDICT
     host, port = place(endpoint)
     try:
         plain = socket.create_connection((host, port), _CONNECT_S)
+    except OSError as error:
+        return cannot_connect(endpoint, error)
+    try:
         with plain, context.wrap_socket(plain, server_hostname=host) as link:
             link.settimeout(patience_s)
             link.recv(1)
@@ -57,7 +48,7 @@ def verdict(endpoint: str, context: ssl.SSLContext, patience_s: float = _VERDICT
         said = next((words for alert, words in _ALERTS if alert in (error.reason or "")), "")
         return f"{endpoint} refused this machine: {said or error.reason or error}"
     except OSError as error:
-        return f"{endpoint} cannot be reached: {error.strerror or error}; is the robot up, and is this its address?"
+        return cannot_connect(endpoint, error)
     return f"{endpoint} closed the connection without a word; does it speak TLS, and is this its port?"
 
 

@@ -3,11 +3,13 @@
 import ctypes
 import gc
 import os
+import resource
 import sys
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # glibc's mallopt
 _KEPT = 1 << 28  # [bytes]
 _SWITCH_S = 0.0005
+_OPEN_FILES = 16_384
 _REAL_TIME = 10  # priority, of 1 to 99: before all that has none, behind what the machine itself needs
 
 
@@ -32,6 +34,14 @@ def switch_often() -> None:
     The servos' answers and what comes from the network are handled in threads beside the one that computes.
     """
     sys.setswitchinterval(_SWITCH_S)
+
+
+def allow_many_files() -> None:
+    """Raise this process's limit of open files and connections, as far as the user may: the usual 1024 is soon reached."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _OPEN_FILES if hard == resource.RLIM_INFINITY else min(hard, _OPEN_FILES)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def spare_collector() -> None:

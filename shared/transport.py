@@ -34,6 +34,8 @@ QUEUE_SIZES = {"real_time": 16, "data": 8}
 _RX_BYTES = 1 << 20  # read at once: a map comes in 14 pieces of 64 kB, Zenoh's own choice
 # A router that is cut off from another tries again soon: SYNs of the kernel's own wait for seconds.
 _ATTEMPT_MS, _RETRY_MS = 500, 100
+# Connections that have not opened a session yet. With Zenoh's defaults, 100 for 10 s, 100 silent ones keep all others out.
+_ACCEPT_PENDING, _ACCEPT_MS = 8192, 4000
 _SEND_BUFFER = 64 * 1024  # [bytes] of bulk over a radio: what waits in the kernel is late already
 _LOOK_S = 0.05  # between two looks of a router at the time
 _KEPT = 256  # frames of an EVERY topic that may wait to be taken
@@ -112,7 +114,8 @@ def _merged(config: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any
 def _router_config(listen: tuple[str, ...], upstream: tuple[str, ...]) -> dict[str, Any]:
     """Of a router: two links to each that it is chained to, so that bulk which fills the radio delays no command."""
     config = _config("router", _lanes(upstream), listen, scouting=False, namespace=None)
-    config["transport"]["unicast"] = {"max_links": len(Lane), "open_timeout": _ATTEMPT_MS}
+    accepting = {"accept_pending": _ACCEPT_PENDING, "accept_timeout": _ACCEPT_MS}
+    config["transport"]["unicast"] = {"max_links": len(Lane), "open_timeout": _ATTEMPT_MS, **accepting}
     retry = {"period_init_ms": _RETRY_MS, "period_max_ms": 2 * _RETRY_MS, "period_increase_factor": 1.5}
     config["connect"] |= {"timeout_ms": -1, "exit_on_failure": False, "retry": retry}
     return config

@@ -23,12 +23,13 @@ from deploy.bench import intruders
 from deploy.launch.launcher import free_port
 from deploy.network.authority import Authority
 from deploy.network.gate import Gate
+from deploy.network.hosting import hosted
 from shared import codec, topics
 from shared.access import CERTIFICATE, KEY, ROLES, AccessError, Keys
 from shared.handshake import verdict
 from shared.messages import ModeCommand, VelocityCommand
 from shared.service import AnyTopic
-from shared.transport import Endpoints, Router, TransportError, ZenohLink
+from shared.transport import Endpoints, TransportError, ZenohLink
 
 _NAMESPACE = "bench"
 _PATIENCE_S = 20.0
@@ -90,7 +91,7 @@ def _robot(folder: Path) -> Iterator[tuple[str, list[str]]]:
     other.issue(folder / "foreign", "console")
     plain, secure = f"tcp/127.0.0.1:{free_port()}", [f"tls/127.0.0.1:{free_port()}" for _ in range(3)]
     gate = Gate((plain, *secure), _NAMESPACE, folder / "robot")
-    with Router(gate.listen, access=gate.configuration()):
+    with hosted(gate):
         yield plain, secure
 
 

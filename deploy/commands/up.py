@@ -19,6 +19,7 @@ def up(arguments: argparse.Namespace) -> int:
     from deploy import process_table
     from deploy.interrupts import Interrupts
     from deploy.launch.half import Half
+    from shared.host import allow_many_files
 
     rows, chosen, extra = asked(arguments)
     if arguments.print_zenoh:
@@ -29,6 +30,7 @@ def up(arguments: argparse.Namespace) -> int:
     if paged:
         chosen = replace(chosen, console_port=_page_port(chosen.console_port, extra.get("console", ())))
     process_table.new_robot(chosen)
+    allow_many_files()
     with Interrupts() as interrupts:
         gated = gate_of(arguments, rows, _usual(arguments))
         with Half(arguments.role, rows, chosen, extra, gated, complain) as half:
@@ -54,7 +56,7 @@ def _print_zenoh(gated: "Gate") -> int:
 
     from shared.transport import Router
 
-    say(json.dumps(Router(gated.listen, gated.upstream, gated.configuration()).configuration, indent=2))
+    say(json.dumps(Router(gated.behind_proxy(0), gated.upstream, gated.configuration()).configuration, indent=2))
     return SUCCESS
 
 

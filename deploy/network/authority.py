@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE, ROLES, AccessError
+from shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROLE, ROLES, ROUTER, AccessError
 
 OF_AUTHORITY = "ca"  # folder of the authority, which stays where it was made
 _BEFORE = timedelta(minutes=10)  # by which clocks of two machines may differ
@@ -73,7 +73,7 @@ class Authority:
         """Write the authority: its certificate, and the private key that signs others."""
         folder.mkdir(parents=True, mode=0o700)
         (folder / AUTHORITY).write_bytes(self.certificate.public_bytes(Encoding.PEM))
-        _write_key(folder / KEY, self._key)
+        _write_private(folder / KEY, _pem_of(self._key))
 
     def issue(self, folder: Path, role: str, addresses: Sequence[str] = HERE, ends: datetime | None = None) -> None:
         """Write a folder with a new certificate of a role.
@@ -85,20 +85,27 @@ class Authority:
             ends: When it ends; at the authority's own end by default.
         """
         folder.mkdir(parents=True, mode=0o700)
-        key, ends = ec.generate_private_key(ec.SECP256R1()), ends or self.ends
+        ends = ends or self.ends
+        key, certificate = self._signed(role, addresses, ends)
+        (folder / AUTHORITY).write_bytes(self.certificate.public_bytes(Encoding.PEM))
+        (folder / CERTIFICATE).write_bytes(certificate)
+        (folder / ROLE).write_text(f'role = "{role}"\nends = {ends:%Y-%m-%dT%H:%M:%SZ}\n', encoding="utf-8")
+        _write_private(folder / KEY, key)
+        _write_proxy_keys(folder / PROXY, (ends - datetime.now(UTC)) / timedelta(days=1))
+
+    def _signed(self, name: str, addresses: Sequence[str], ends: datetime) -> tuple[bytes, bytes]:
+        """Return a new private key and its certificate, both PEM."""
+        key = ec.generate_private_key(ec.SECP256R1())
         both = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
         certificate = (
-            self._begun(_name(role), key, ends)
+            self._begun(_name(name), key, ends)
             .issuer_name(self.certificate.subject)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(x509.SubjectAlternativeName([_address(address) for address in addresses]), critical=False)
             .add_extension(both, critical=False)
             .sign(self._key, hashes.SHA256())
         )
-        (folder / AUTHORITY).write_bytes(self.certificate.public_bytes(Encoding.PEM))
-        (folder / CERTIFICATE).write_bytes(certificate.public_bytes(Encoding.PEM))
-        (folder / ROLE).write_text(f'role = "{role}"\nends = {ends:%Y-%m-%dT%H:%M:%SZ}\n', encoding="utf-8")
-        _write_key(folder / KEY, key)
+        return _pem_of(key), certificate.public_bytes(Encoding.PEM)
 
     def _begun(self, name: x509.Name, key: ec.EllipticCurvePrivateKey, ends: datetime) -> x509.CertificateBuilder:
         begins = min(self._from, ends - _BEFORE)
@@ -154,8 +161,24 @@ def _address(text: str) -> x509.GeneralName:
         return x509.DNSName(text)
 
 
-def _write_key(file: Path, key: ec.EllipticCurvePrivateKey) -> None:
-    """Write a private key that its owner alone may read, from the first byte on."""
-    pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+def _write_proxy_keys(folder: Path, days: float) -> None:
+    """Write the certificates between the TLS proxy and the router of one machine (`deploy.network.tls_proxy`).
+
+    Their authority signs nothing else, and its private key is never written.
+    """
+    folder.mkdir(mode=0o700)
+    authority = Authority(days)
+    (folder / AUTHORITY).write_bytes(authority.certificate.public_bytes(Encoding.PEM))
+    for name in (ROUTER, *(role.name for role in ROLES)):
+        key, certificate = authority._signed(name, HERE, authority.ends)
+        _write_private(folder / f"{name}.pem", certificate + key)
+
+
+def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
+def _write_private(file: Path, pem: bytes) -> None:
+    """Write a file that its owner alone may read, from the first byte on."""
     with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as out:
         out.write(pem)

@@ -66,6 +66,22 @@ class Gate:
         return self.open or self.keys is not None
 
     @property
+    def secure(self) -> tuple[str, ...]:
+        """Where other machines meet it, by certificates."""
+        return tuple(endpoint for endpoint in self.listen if endpoint.startswith("tls/"))
+
+    def behind_proxy(self, port: int) -> tuple[str, ...]:
+        """Return the endpoints of the router, those of tls replaced by one of loopback for the TLS proxy alone.
+
+        Raises:
+            AccessError: The keys have no certificates for it.
+        """
+        plain = tuple(endpoint for endpoint in self.listen if endpoint not in self.secure)
+        if not self.secure or self.keys is None:
+            return plain
+        return (*plain, Keys.load(self.keys).behind_proxy(port))
+
+    @property
     def own(self) -> str:
         """Where processes of this machine meet it."""
         return re.sub(r"/(0\.0\.0\.0|\[::\]):", "/127.0.0.1:", self.listen[0])
@@ -86,8 +102,8 @@ class Gate:
             AccessError: The keys are wrong.
         """
         if self.keys is not None:
-            lets_in = any(endpoint.startswith("tls/") for endpoint in self.listen)
-            return Keys.load(self.keys).hosting(self.namespace, limited=lets_in)
+            self.behind_proxy(0)  # which may lack its certificates
+            return Keys.load(self.keys).hosting(self.namespace, limited=bool(self.secure))
         if self.open:
             return access.opened(self.namespace, [name for _, name in socket.if_nameindex() if name != "lo"])
         return {}

@@ -1,9 +1,9 @@
-"""Says on the console whom the router of this process refuses: what Zenoh logs, counted, as the word of a service `router`."""
+"""Says on the console whom the router of this process refuses: counted, as the word of a service `router`."""
 
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Self, TextIO
 
@@ -60,7 +60,14 @@ class Gatekeeper:
     """Looks at the log now and then, and says once a second, and at once when there is news, what was refused."""
 
     def __init__(
-        self, take: Callable[[], str], send: Callable[[Health], None], name: str, namespace: str, doing: str, out: TextIO
+        self,
+        take: Callable[[], str],
+        send: Callable[[Health], None],
+        name: str,
+        namespace: str,
+        doing: str,
+        out: TextIO,
+        refused: Callable[[], Mapping[str, int]] = dict,
     ):
         """Begin.
 
@@ -71,9 +78,11 @@ class Gatekeeper:
             namespace: Prefix of every key.
             doing: What the router does, in words.
             out: Where what is no refusal goes, as it is.
+            refused: Returns how many connections were refused since its last call, by kind.
         """
         self.refusals = Refusals(namespace)
         self._take, self._send, self._name, self._doing, self._out = take, send, name, doing, out
+        self._refused = refused
         self._said_ns = -_PERIOD_NS
         self._told: set[str] = set()  # kinds that the terminal knows
         self._known = 0
@@ -82,6 +91,8 @@ class Gatekeeper:
         """See what was refused; a line for the terminal where it is of a new kind, or nothing."""
         for line in self.refusals.read(self._take()):
             self._out.write(line + "\n")
+        for kind, number in self._refused().items():
+            self.refusals.add(kind, number)
         total = self.refusals.count.total()
         news, self._known = total != self._known, total
         if now_ns - self._said_ns >= (_SOON_NS if news else _PERIOD_NS):

@@ -1,10 +1,12 @@
-"""Whom a router refuses, and why: read from Zenoh's log, for it tells nobody else. Pure: lines come in.
+"""Counts of what a router refuses, by kind. Pure: lines of Zenoh's log and refused connections come in.
 
-What is not let in at all is named by what is wrong with its certificate, what a client may not do by the certificate's role and
-the key. How often each happened is counted; a line that says nothing of the kind is passed on as it is.
+A refused connection is named by what is wrong with its certificate (`deploy.network.tls_proxy`), a refused message by the role
+of its sender's certificate and its key: that is read from Zenoh's log, the only place where Zenoh reports it. A line of the log
+about anything else is passed on as it is.
 """
 
 import re
+import threading
 from collections import Counter
 from collections.abc import Iterator
 
@@ -17,7 +19,6 @@ _CLIENTS = 256  # whose certificates are remembered
 _BURST = 100  # messages a second that may come too soon behind another: a stream that stalled comes all at once
 _OTHERS = "more than can be named"
 _COLOR = re.compile(r"\x1b\[[0-9;]*m")
-_TLS = re.compile(r"WARN .*?zenoh_link_tls::unicast: (?P<why>.*?)(?: Hint: .*)?$")
 _SECOND = re.compile(r"^(\S+)\.\d+Z? ")
 _MESSAGE = re.compile(r" (?:TRACE|DEBUG|INFO)\s+(?:(?P<thread>.*?) )?zenoh::\S+: (?P<words>.*)$")
 _WHO = re.compile(r"^(?P<zid>[0-9a-f]+) on .*?(?:CertCommonName\((?P<who>[^)]*)\)|Transport\((?P<link>\w+)\))")
@@ -26,18 +27,6 @@ _THINNED = re.compile(r"Message dropped by the downsampling interceptor: Push\((
 _TOO_OFTEN = re.compile(r" comes too often from ")
 _INTERCEPTED = "Msg intercepted!"
 _FULL = re.compile(r"[Dd]efragmentation")
-_CERTIFICATES = (  # what the log says, and what it means
-    ("certificate expired", "an expired certificate"),
-    ("not valid yet", "a certificate that is not valid yet; do the clocks agree?"),
-    ("UnknownIssuer", "a certificate of a foreign authority"),
-    ("BadSignature", "a certificate of a foreign authority"),
-    ("sent no certificates", "a client without a certificate"),
-    ("fatal alert", "a client that does not take this robot's certificate"),
-    ("corrupt message", "a client that does not speak TLS"),
-    ("InvalidContentType", "a client that does not speak TLS"),
-    ("eof", "a client that hung up"),
-    ("reset by peer", "a client that hung up"),
-)
 _WORDS = {  # what a client did, as the log has it
     "Put": "put",
     "Delete": "delete",
@@ -45,6 +34,25 @@ _WORDS = {  # what a client did, as the log has it
     "Query": "ask for",
 }
 _QUIET = ("machine/presence/", "health/")  # that a machine's own processes publish: a router that keeps them back is no news
+
+
+class RefusedConnections:
+    """Counts refused connections from any thread until they are fetched."""
+
+    def __init__(self) -> None:
+        self._count: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    def add(self, kind: str) -> None:
+        """Count one."""
+        with self._lock:
+            self._count[kind] += 1
+
+    def take(self) -> Counter[str]:
+        """Return the counts since the last call."""
+        with self._lock:
+            count, self._count = self._count, Counter()
+        return count
 
 
 class Refusals:
@@ -68,7 +76,7 @@ class Refusals:
             if kind is None:
                 yield line
             elif kind and (number := self._weight(kind, line)):
-                self._add(kind, number)
+                self.add(kind, number)
 
     def words(self) -> str:
         """What was refused how often, the most frequent first."""
@@ -87,7 +95,8 @@ class Refusals:
             del self._soon[next(iter(self._soon))]
         return 0 if number <= _BURST else _BURST + 1 if number == _BURST + 1 else 1
 
-    def _add(self, kind: str, number: int) -> None:
+    def add(self, kind: str, number: int) -> None:
+        """Count refusals of a kind."""
         if kind not in self.count and len(self.count) >= _KINDS:
             kind = _OTHERS
         self.count[kind] += number
@@ -98,10 +107,7 @@ class Refusals:
         message = _MESSAGE.search(line)
         if message is not None:
             return self._of_message(message["thread"] or "", message["words"])
-        found = _TLS.search(line)
-        if found is None:
-            return "a message that is larger than any may be" if _FULL.search(line) else None
-        return next((words for sign, words in _CERTIFICATES if sign in found["why"]), f"a connection: {found['why']}")
+        return "a message that is larger than any may be" if _FULL.search(line) else None
 
     def _of_message(self, thread: str, words: str) -> str:
         """Whether a message was kept back; why, the line before of the same thread says, which may be a look at the rules."""

@@ -12,7 +12,8 @@ from pathlib import Path
 from deploy.checks import Check, Level
 from deploy.network.authority import OF_AUTHORITY, Authority
 from shared.access import CERTIFICATE, KEY
-from shared.handshake import place, verdict
+from shared.endpoint import place
+from shared.handshake import verdict
 from shared.transport import TransportError, overhear, scout
 
 _LISTEN_S = 2.0

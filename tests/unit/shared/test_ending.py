@@ -42,6 +42,15 @@ from shared import ending
 ending.leave_at_errors()
 raise RuntimeError("no more ground")
 """
+_FAILS_IN_A_THREAD = """
+import threading
+from shared import ending
+def fail():
+    raise RuntimeError("no more ground")
+ending.leave_at_errors_of_threads()
+threading.Thread(target=fail).start()
+threading.Event().wait()
+"""
 _STARTS_ONE = """
 import subprocess, sys
 subprocess.Popen([sys.executable, "-c", *sys.argv[1:]])
@@ -121,3 +130,10 @@ def test_the_block_leaves_signals_as_they_were(monkeypatch: pytest.MonkeyPatch) 
         assert not any(thread.name == "told to end" for thread in threading.enumerate())
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def test_a_process_ends_with_the_traceback_of_the_thread_that_failed() -> None:
+    with begun(_FAILS_IN_A_THREAD) as process:
+        _, said = process.communicate(timeout=60.0)
+        assert process.returncode == 1
+        assert "RuntimeError: no more ground" in said

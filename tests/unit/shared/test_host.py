@@ -2,6 +2,7 @@
 
 import gc
 import os
+import resource
 import sys
 import weakref
 from collections.abc import Iterator
@@ -9,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from services.actuator.line import REPLY_TIMEOUT_NS
-from shared.host import go_first, spare_collector, switch_often
+from shared.host import allow_many_files, go_first, spare_collector, switch_often
 
 
 @pytest.fixture(autouse=True)
@@ -58,3 +59,16 @@ def test_threads_take_turns_so_often_that_a_servo_is_not_taken_for_silent() -> N
         assert 10 * sys.getswitchinterval() < REPLY_TIMEOUT_NS * 1e-9 < 2 * usual_s
     finally:
         sys.setswitchinterval(usual_s)
+
+
+def test_a_process_may_open_many_files_as_far_as_the_user_may() -> None:
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    try:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (256, before[1]))
+        allow_many_files()
+        assert 256 < resource.getrlimit(resource.RLIMIT_NOFILE)[0] <= before[1]
+        raised = resource.getrlimit(resource.RLIMIT_NOFILE)
+        allow_many_files()
+        assert resource.getrlimit(resource.RLIMIT_NOFILE) == raised
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)

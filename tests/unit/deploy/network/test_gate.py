@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import json
+import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,9 +15,10 @@ from deploy import cli
 from deploy.launch.launcher import free_port
 from deploy.network import gate
 from deploy.network.gate import Gate
+from deploy.network.hosting import hosted
 from shared import topics
-from shared.access import AccessError, Keys
-from shared.transport import Endpoints, Router, TransportError, ZenohLink
+from shared.access import PROXY, ROLES, AccessError, Keys
+from shared.transport import Endpoints, TransportError, ZenohLink
 from tests.support import gated
 from tests.support.gated import NAMESPACE, Inside, again, put_until, session, stranger, tls_of
 
@@ -42,7 +44,7 @@ class Robot:
 def robot(keys: Path) -> Iterator[Robot]:
     at = Robot(f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}")
     here = Gate((at.plain, at.secure), NAMESPACE, keys / "robot")
-    with Router(here.listen, access=here.configuration()):
+    with hosted(here):
         yield at
 
 
@@ -187,7 +189,7 @@ def test_a_machine_that_is_chained_is_held_to_its_certificate(role: str, robot: 
     there = gate.of_arguments((plain,), str(keys / role), False, NAMESPACE, plain, (robot.secure,))
     assert there.listen == (plain,)
     with (
-        Router(there.listen, there.upstream, there.configuration()),
+        hosted(there),
         ZenohLink(Endpoints((plain,), namespace=NAMESPACE)) as process,
         link(robot, keys, "base") as base,
     ):
@@ -218,7 +220,7 @@ def test_a_site_between_holds_each_to_its_role(role: str, keys: Path) -> None:
     base = Gate((plain["base"],), NAMESPACE, keys / role, upstream=(secure,))
     with contextlib.ExitStack() as stack:
         for one in (site, robot, base):
-            stack.enter_context(Router(one.listen, one.upstream, one.configuration()))
+            stack.enter_context(hosted(one))
         inside = Inside(plain["robot"], *READ)
         stack.callback(inside.close)
         process = stack.enter_context(ZenohLink(Endpoints((plain["base"],), namespace=NAMESPACE)))
@@ -300,6 +302,20 @@ def test_up_refuses_to_listen_to_anybody(capsys: pytest.CaptureFixture[str]) -> 
     assert "tcp/0.0.0.0:17447 would let anybody in" in capsys.readouterr().err
 
 
+def test_keys_that_can_host_no_router_are_refused_before_anything_starts(
+    keys: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for change, words in (
+        ("old", "these keys are of an older version; make new ones"),
+        ("a;b", "has one of ; = # ? in its path"),
+    ):
+        folder = Path(shutil.copytree(keys / "robot", tmp_path / change))
+        if change == "old":
+            shutil.rmtree(folder / PROXY)
+        assert cli.main(["up", "all", "--scenario", "flat", "--no-page", "--keys", str(folder)]) == 2
+        assert words in capsys.readouterr().err
+
+
 def test_the_configuration_of_zenoh_is_printed_and_nothing_started(keys: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["up", "offboard", "--connect", "tls/robot.local:7448", "--keys", str(keys / "base"), "--namespace", NAMESPACE]
     assert cli.main([*words, "--print-zenoh"]) == 0
@@ -314,7 +330,9 @@ def test_the_configuration_of_zenoh_is_printed_and_nothing_started(keys: Path, c
 def test_new_keys_are_for_their_owner_alone_and_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "keys"
     assert cli.main(["keys", "new", str(folder), "--robot-address", "hexapod.local", "--robot-address", "10.0.0.7"]) == 0
-    assert {file.stat().st_mode & 0o777 for file in folder.rglob("key.pem")} == {0o600}
+    private = [file for file in folder.rglob("*.pem") if b"PRIVATE KEY" in file.read_bytes()]
+    assert {file.name for file in private} == {"key.pem", "router.pem", *(f"{role.name}.pem" for role in ROLES)}
+    assert {file.stat().st_mode & 0o777 for file in private} == {0o600}
     before = {file: file.read_bytes() for file in folder.rglob("*.pem")}
     assert cli.main(["keys", "new", str(folder)]) == 2
     assert "keys are not overwritten; name another folder" in capsys.readouterr().err

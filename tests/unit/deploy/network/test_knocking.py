@@ -7,8 +7,8 @@ import pytest
 
 from deploy.launch.launcher import free_port
 from deploy.network.gate import Gate
+from deploy.network.hosting import hosted
 from deploy.network.knocking import Knocking
-from shared.transport import Router
 from tests.support import gated
 
 
@@ -43,7 +43,7 @@ def test_why_a_machine_is_not_let_in(who: str, words: str, tmp_path: Path) -> No
     keys = gated.make_keys(tmp_path)
     plain, secure, nowhere = (f"{kind}/127.0.0.1:{free_port()}" for kind in ("tcp", "tls", "tls"))
     here = Gate((plain, secure), gated.NAMESPACE, keys / "robot")
-    with Router(here.listen, access=here.configuration()) as router:
+    with hosted(here) as router:
         at = nowhere if who == "console" else secure
         assert words in Gate((plain,), gated.NAMESPACE, keys / who, upstream=(at,)).knock()
         assert bool(Gate((plain,), gated.NAMESPACE, keys / who, upstream=(at,)).knock()) is bool(words)

@@ -15,6 +15,7 @@ from deploy.checks import Check, Level
 from deploy.launch.launcher import free_port
 from deploy.network import authority, stranger
 from deploy.network.gate import Gate
+from deploy.network.hosting import hosted
 from shared import topics
 from shared.access import AUTHORITY, CERTIFICATE, KEY
 from shared.transport import Router
@@ -35,7 +36,7 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def guarded(keys: Path) -> Iterator[str]:
     here = Gate((f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"), NAMESPACE, keys / "robot")
-    with Router(here.listen, access=here.configuration()):
+    with hosted(here):
         yield here.listen[1]
 
 

@@ -1,0 +1,266 @@
+"""A proxy that ends the TLS connections of other machines before the router, so that strangers keep no client out.
+
+Zenoh's own TLS listener stops accepting for 0.1 s after each failed handshake (`TLS_ACCEPT_THROTTLE_TIME`, fixed when it is
+compiled), so 15 refused handshakes a second are enough to keep every client out. Here one thread accepts and verifies
+certificates for all connections at the same time, within the bounds of `deploy.network.admission`. Only verified connections
+reach the router: another thread carries their bytes to it over TLS on loopback, under a certificate of the same role, by which
+the router applies its access rules. These certificates are valid on that one connection alone.
+"""
+
+import contextlib
+import errno
+import math
+import selectors
+import socket
+import ssl
+import struct
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+from deploy.network.admission import HandshakeLimit, Limits, Pending, source_of
+from deploy.network.tls_relay import TlsRelay
+from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
+from shared.endpoint import cannot_listen, place
+from shared.transport import TransportError
+
+_BACKLOG = 4096  # connections that the kernel completes before they are accepted
+_ACCEPTS = 64  # connections accepted before the others are looked at
+_LOOK_S = 0.1  # between two looks at what is overdue
+_NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+_NO_ROOM_S = 0.01
+_RECORD = b"\x16\x03"  # first bytes of a TLS handshake
+_DRAIN_BYTES = 4096  # read at once of a refused client, so that closing does not destroy the alert on its way
+
+_REFUSALS = (  # part of OpenSSL's error, and what it means
+    ("certificate has expired", "an expired certificate"),
+    ("certificate is not yet valid", "a certificate that is not valid yet; do the clocks agree?"),
+    ("PEER_DID_NOT_RETURN_A_CERTIFICATE", "a client without a certificate"),
+    ("ALERT", "a client that does not take this robot's certificate"),
+    ("CERTIFICATE_VERIFY_FAILED", "a certificate of a foreign authority"),
+    ("EOF", "a client that hung up"),
+)
+NOT_TLS = "a client that does not speak TLS"
+HUNG_UP = "a client that hung up"
+TOO_MANY = "too many handshakes from one address"
+TOO_SLOW = "a client that did not finish its handshake"
+CROWDED = "a client that made room for others"
+UNKNOWN_ROLE = "a certificate of no known role"
+
+
+@dataclass(slots=True, eq=False)
+class _Client:
+    """A connection that has no verified certificate yet."""
+
+    socket: socket.socket  # of TLS once it has begun its handshake
+    source: str  # address by which it is counted
+    refused: bool = False  # and kept open until it has read why
+
+
+class TlsProxy:
+    """Accepts connections from entering to leaving; a context manager."""
+
+    def __init__(
+        self, listen: Sequence[str], keys: Keys, port: int, refuse: Callable[[str], object], limits: Limits | None = None
+    ):
+        """Prepare.
+
+        Args:
+            listen: Endpoints of tls for other machines.
+            keys: Of this machine.
+            port: Of 127.0.0.1, on which the router listens for this proxy (`Keys.behind_proxy`).
+            refuse: Is called with the kind of each refusal, from a thread of the proxy.
+            limits: Bounds for connections without a verified certificate.
+
+        Raises:
+            AccessError: The folder of keys has no certificates for it.
+        """
+        limits = limits or Limits()
+        self._endpoints, self._refuse = tuple(listen), refuse
+        self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        self._context.verify_mode = ssl.CERT_REQUIRED
+        self._context.load_verify_locations(keys.folder / AUTHORITY)
+        self._context.load_cert_chain(keys.folder / CERTIFICATE, keys.folder / KEY)
+        self._context.num_tickets = 0  # no session is resumed
+        self._relay = TlsRelay({role: keys.proxy_file(role) for role in ROLE_NAMED}, port)
+        self._limit, self._pending = HandshakeLimit(limits), Pending[_Client](limits)
+        self._draining = Pending[_Client](limits)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="tls proxy", daemon=True)
+
+    def __enter__(self) -> Self:
+        """Listen.
+
+        Raises:
+            TransportError: An address cannot be listened on.
+        """
+        with contextlib.ExitStack() as stack:
+            self._selector = stack.enter_context(selectors.DefaultSelector())
+            for endpoint in self._endpoints:
+                listener = stack.enter_context(_listener(endpoint))
+                self._selector.register(listener, selectors.EVENT_READ)
+            stack.enter_context(self._relay)
+            self._thread.start()
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._stack.close()
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            for key, _ in self._selector.select(_LOOK_S):
+                if isinstance(key.fileobj, socket.socket):
+                    self._accept(key.fileobj)
+                elif key.data.socket.fileno() >= 0:  # not dropped in this round
+                    self._advance(key.data)
+            now_s = time.monotonic()
+            for client in self._pending.overdue(now_s):
+                self._drop(client, TOO_SLOW)
+            for client in self._draining.overdue(now_s):
+                self._close(client)
+        for client in (*self._pending.overdue(math.inf), *self._draining.overdue(math.inf)):
+            self._close(client)
+
+    def _accept(self, listener: socket.socket) -> None:
+        for _ in range(_ACCEPTS):
+            try:
+                connection, address = listener.accept()
+            except BlockingIOError:
+                return
+            except OSError as error:
+                if error.errno in _NO_ROOM:
+                    time.sleep(_NO_ROOM_S)  # there is room when others have gone
+                    return
+                continue  # it has gone already
+            connection.setblocking(False)
+            client = _Client(connection, source_of(address[0]))
+            self._selector.register(connection.fileno(), selectors.EVENT_READ, client)
+            if (crowded := self._pending.add(client, client.source, time.monotonic())) is not None:
+                self._drop(crowded, CROWDED)
+
+    def _advance(self, client: _Client) -> None:
+        """Take the next step with a client that is ready."""
+        if client.refused:
+            self._drain(client)
+        elif isinstance(client.socket, ssl.SSLSocket):
+            self._shake_hands(client, client.socket)
+        else:
+            self._begin(client)
+
+    def _begin(self, client: _Client) -> None:
+        """Start the handshake of a client whose first bytes are those of one."""
+        try:
+            first = client.socket.recv(len(_RECORD), socket.MSG_PEEK)
+        except BlockingIOError:
+            return
+        except OSError:
+            first = b""
+        if not first or not _RECORD.startswith(first):
+            self._drop(client, NOT_TLS if first else HUNG_UP)
+        elif not self._limit.allows(client.source, time.monotonic()):
+            self._drop(client, TOO_MANY)
+        else:
+            self._pending.speaks(client)
+            client.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            secured = self._context.wrap_socket(client.socket, server_side=True, do_handshake_on_connect=False)
+            client.socket = secured
+            self._shake_hands(client, secured)
+
+    def _shake_hands(self, client: _Client, secured: ssl.SSLSocket) -> None:
+        try:
+            secured.do_handshake()
+        except ssl.SSLWantReadError:
+            self._selector.modify(secured.fileno(), selectors.EVENT_READ, client)
+            return
+        except ssl.SSLWantWriteError:
+            self._selector.modify(secured.fileno(), selectors.EVENT_WRITE, client)
+            return
+        except ssl.SSLError as error:
+            self._refuse_kindly(client, _kind(error))
+            return
+        except OSError:
+            self._drop(client, HUNG_UP)
+            return
+        certificate = secured.getpeercert() or {}
+        role = _common_name(certificate)
+        if role not in ROLE_NAMED:
+            self._drop(client, UNKNOWN_ROLE)
+            return
+        self._pending.remove(client)
+        self._limit.verify(client.source)
+        self._selector.unregister(secured.fileno())
+        self._relay.carry(secured, role, ssl.cert_time_to_seconds(str(certificate["notAfter"])))
+
+    def _refuse_kindly(self, client: _Client, why: str) -> None:
+        """Refuse a client, and close when it has read the alert: closing with unread bytes would destroy that."""
+        self._pending.remove(client)
+        self._refuse(why)
+        client.refused = True
+        with contextlib.suppress(OSError):
+            client.socket.shutdown(socket.SHUT_WR)
+        self._selector.modify(client.socket.fileno(), selectors.EVENT_READ, client)
+        if (crowded := self._draining.add(client, client.source, time.monotonic())) is not None:
+            self._close(crowded)
+
+    def _drain(self, client: _Client) -> None:
+        """Read what a refused client had sent on, and close when it has closed."""
+        try:
+            if socket.socket.recv(client.socket, _DRAIN_BYTES):
+                return
+        except BlockingIOError:
+            return
+        except OSError:
+            pass
+        self._draining.remove(client)
+        self._close(client)
+
+    def _drop(self, client: _Client, why: str) -> None:
+        self._pending.remove(client)
+        self._refuse(why)
+        with contextlib.suppress(OSError):  # closes at once, and leaves nothing behind in the kernel
+            client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self._close(client)
+
+    def _close(self, client: _Client) -> None:
+        self._selector.unregister(client.socket.fileno())
+        client.socket.close()
+
+
+def _listener(endpoint: str) -> socket.socket:
+    """Open a listening socket.
+
+    Raises:
+        TransportError: The address cannot be listened on.
+    """
+    host, port = place(endpoint)
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, kind, protocol)
+    except OSError as error:
+        raise TransportError(cannot_listen(endpoint, error)) from None
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(_BACKLOG)
+    except OSError as error:
+        listener.close()
+        raise TransportError(cannot_listen(endpoint, error)) from None
+    listener.setblocking(False)
+    return listener
+
+
+def _common_name(certificate: Mapping[str, Any]) -> str:
+    names = (value for pairs in certificate.get("subject", ()) for key, value in pairs if key == "commonName")
+    return str(next(names, ""))
+
+
+def _kind(error: ssl.SSLError) -> str:
+    """The kind of refusal that an error of the handshake stands for."""
+    text = str(error)
+    return next((words for sign, words in _REFUSALS if sign in text), NOT_TLS)
