@@ -47,12 +47,13 @@ def gap_ahead(terrain: Terrain, xy: Array, target: Array, ground: float) -> Verg
     wall = (heights > ground + MAX_STEP).mean(axis=1) > _HIGHER
     bare = _wide((terrain.scores(places) <= ACCEPTABLE).mean(axis=1) < _CARRYING, round(_WIDE / terrain.map.resolution))
     known = np.isfinite(heights).mean(axis=1) > _KNOWN
-    first_wall, first_bare = (int(np.argmax(which)) if which.any() else len(along) for which in (wall, bare & known))
-    if first_bare == len(along):
+    if not (bare & known).any():
         return "no gap on the straight way to it"
-    if first_wall < first_bare + round(_BASE / terrain.map.resolution):
-        return f"the straight way to it ends at something high after {along[first_wall]:.1f} m"
-    return Verge(float(along[first_bare]), heading)
+    verge = float(along[bare & known][0])
+    walls = along[wall]
+    if walls.size and walls[0] < verge + _BASE:
+        return f"the straight way to it ends at something high after {walls[0]:.1f} m"
+    return Verge(verge, heading)
 
 
 def _wide(flags: Array, cells: int) -> Array:

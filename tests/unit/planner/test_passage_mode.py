@@ -67,6 +67,13 @@ def test_before_a_gap_it_walks_to_its_verge_faces_it_and_asks_for_the_strip(orde
     np.testing.assert_allclose(request.origin, body[:2, 3] - 0.5 * ahead, atol=1e-6)
 
 
+def test_a_goal_right_behind_an_edge_is_looked_at_from_the_edge() -> None:
+    """Nothing of the ground behind the goal is on the straight way: neither a wall nor where the gap ends."""
+    rig, heard = led(replace(GOAL, waypoints=np.array([[EDGE + 0.08, 0.0]])), gap())
+    assert any(isinstance(m, PassageRequest) for m in heard)
+    assert rig.status().state != "blocked"
+
+
 def test_where_nothing_is_to_be_crossed_the_refusal_says_both() -> None:
     """Walls all around are no gap."""
     terrain = terrain_of(

@@ -70,3 +70,18 @@ def test_across_pillars_it_is_a_gap_all_the_same(make_terrain: Maker) -> None:
     found = gap_ahead(terrain, HERE, GOAL, 0.0)
     assert isinstance(found, Verge)
     assert found.distance == pytest.approx(0.5, abs=0.021)
+
+
+@pytest.mark.parametrize("short", [0.02, 0.05, 0.09, 0.11])
+def test_a_gap_that_begins_right_before_the_goal_is_one(make_terrain: Maker, short: float) -> None:
+    """The goal lies over the gap, so close to its edge that no wall could begin before it."""
+    edge = float(GOAL[0]) - short
+    terrain = make_terrain(ditch(edge, 9.0), score(edge, 9.0), half=2.0)
+    found = gap_ahead(terrain, HERE, GOAL, 0.0)
+    assert isinstance(found, Verge)
+    assert found.distance == pytest.approx(edge, abs=0.021)
+
+
+def test_a_wall_right_before_the_goal_is_said(make_terrain: Maker) -> None:
+    terrain = make_terrain(lambda x, y: np.where(x > 1.52, 0.3, 0.0) + 0.0 * y, score(1.5, 9.0), half=2.0)
+    assert gap_ahead(terrain, HERE, GOAL, 0.0) == "the straight way to it ends at something high after 1.5 m"

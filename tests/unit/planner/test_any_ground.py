@@ -1,0 +1,148 @@
+"""Whatever ground a map shows, however small it is and wherever the goal lies: a way, or a reason, and never a traceback."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from services.planner.crossing import Prices, SeenGround, Size
+from services.planner.passage.errand import BEHIND, STRIP
+from services.planner.passage.field import Field
+from services.planner.passage.sections import bare, goal_behind, without
+from services.planner.passage.verge import Verge, gap_ahead
+from services.planner.route import NoWay, find_way
+from services.planner.terrain import Terrain
+from shared import codec, topics
+from shared.geometry import Array, from_xyz_rpy
+from shared.messages import Goal, PassageMap, PassageRequest, StepPlan, TerrainMap
+from shared.profiles import load_profile
+from tests.unit.planner.test_service import HEIGHT, Rig
+
+CAMERA = load_profile("phantomx_mk2").camera
+HEIGHTS = [0.0, 0.0, 0.0, 0.03, 0.09, 0.4, -0.05, -0.4, np.nan]  # [m] of patches
+RESOLUTIONS = [0.01, 0.01, 0.015, 0.04, 0.1]  # [m]
+seeds = st.integers(0, 2**32 - 1)
+
+
+def patches(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
+    """Heights (nx, ny) [m] in patches, in strips along or across, all alike, or unknown throughout."""
+    coarse = rng.choice(HEIGHTS, (rng.integers(1, 9), rng.integers(1, 9)))
+    if rng.random() < 0.1:
+        coarse[:] = np.nan
+    i, j = (np.sort(rng.integers(0, n, size)) for n, size in zip(coarse.shape, shape, strict=True))
+    return np.asarray(coarse[np.ix_(i, j)])
+
+
+def any_map(rng: np.random.Generator) -> TerrainMap:
+    """A map of random size at a random place, whose scores and evaluations fit its heights or do not."""
+    shape = (int(rng.integers(1, 180)), int(rng.integers(1, 180)))
+    resolution = float(rng.choice(RESOLUTIONS))
+    height = patches(rng, shape)
+    flat = height == rng.choice([0.0, 0.03])
+    whole = rng.random() < 0.2
+    return TerrainMap(
+        stamp_ns=0,
+        resolution=resolution,
+        origin=rng.uniform(-1.0, 0.2, 2) * (np.array(shape) * resolution),
+        elevation=height.astype(np.float32),
+        variance=np.full(shape, 1e-6, dtype=np.float32),
+        score=np.where(np.isnan(height), np.nan, np.where(flat | whole, 0.0, 9.0)).astype(np.float32),
+        assumed=np.zeros(shape, dtype=np.bool_),
+        evaluation=np.where(np.isnan(height), 127, np.where(flat | whole, -5, 5)).astype(np.int8),
+    )
+
+
+def any_strip(rng: np.random.Generator, request: PassageRequest, resolution: float = 0.01) -> PassageMap:
+    """The map of a strip that was asked for, with random ground."""
+    shape = (round(request.length / resolution), round(request.width / resolution))
+    height = patches(rng, shape)
+    along = np.array([np.cos(request.heading), np.sin(request.heading)])
+    left = np.array([-along[1], along[0]])
+    right_side = request.origin + resolution * 0.5 * along - (0.5 * request.width - 0.5 * resolution) * left
+    carries = height == 0.0
+    return PassageMap(
+        stamp_ns=0,
+        resolution=resolution,
+        origin=right_side,
+        heading=request.heading,
+        elevation=height.astype(np.float32),
+        evaluation=np.where(np.isnan(height), 127, np.where(carries, -9, 9)).astype(np.int8),
+        normals=np.zeros((*shape, 3), dtype=np.int16),
+        roughness=np.zeros(shape, dtype=np.float32),
+        assumed=np.zeros(shape, dtype=np.bool_),
+        unseen=float(np.isnan(height).mean()),
+        reason="",
+        T_world_look=from_xyz_rpy((*request.origin, HEIGHT), (0.0, 0.0, request.heading)),
+        look_shows=np.zeros(shape, dtype=np.bool_),
+    )
+
+
+@settings(max_examples=200, deadline=None)
+@given(seeds)
+def test_a_gap_ahead_lies_on_the_way_and_on_the_map(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    terrain = Terrain(any_map(rng))
+    xy, target = rng.uniform(-1.5, 1.5, (2, 2))
+    found = gap_ahead(terrain, xy, target, float(rng.choice([-0.4, 0.0, 0.03])))
+    if isinstance(found, Verge):
+        assert 0.0 <= found.distance <= np.linalg.norm(target - xy)
+    else:
+        assert found
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_a_way_begins_at_the_robot_and_costs_something_or_there_is_a_reason(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ground, terrain = SeenGround(), Terrain(any_map(rng))
+    place = np.array([*rng.uniform(-1.0, 1.0, 2), rng.uniform(-np.pi, np.pi)])
+    body = from_xyz_rpy((*place[:2], HEIGHT), (0.0, 0.0, place[2]))
+    for _ in range(4):
+        ground.see(terrain, body, CAMERA, 0.0)
+    stuck = rng.uniform(-1.0, 1.0, (int(rng.integers(0, 3)), 2))
+    goal = rng.uniform(-1.0, 1.0, 2) * rng.choice([0.02, 1.0, 6.0])
+    crossing = ground.crossing(Size(0.31, 0.51), Prices(), place, stuck, 0.08).beside(place[:2], goal, 1.5)
+    found = find_way(crossing, place[:2], goal, 0.05)
+    if isinstance(found, NoWay):
+        assert found.reason
+    else:
+        np.testing.assert_array_equal(found.corners[0], place[:2])
+        assert np.isfinite(found.corners).all()
+
+
+@settings(max_examples=100, deadline=None)
+@given(seeds)
+def test_the_goal_of_a_section_lies_ahead_of_the_body_up_to_the_target(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    request = PassageRequest(0, rng.uniform(-1.0, 1.0, 2), float(rng.uniform(-3.0, 3.0)), *STRIP)
+    field = Field.of(any_strip(rng, request))
+    for _ in range(int(rng.integers(0, 4))):
+        field = without(field, rng.uniform([-0.2, -0.6, -0.4], [2.9, 0.6, 0.1]), 0.055)
+    x, target = rng.uniform(-0.3, 3.0, 2)
+    goal = goal_behind(field, x, target)
+    assert goal is None or x - BEHIND < goal <= target
+    assert bare(field).shape == (len(field.evaluation),)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds)
+def test_the_planner_steps_or_says_why_not_on_any_map_and_strip(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rig = Rig()
+    rig.command, rig.terrain = None, any_map(rng)
+    waypoints = rng.uniform(-1.5, 1.5, (int(rng.integers(1, 4)), 2)) * rng.choice([0.03, 1.0, 4.0])
+    rig.goal = Goal(0, waypoints, 0.05, 0.1, HEIGHT, 0.03, passage=bool(rng.random() < 0.5))
+    for _ in range(40):
+        said = rig.cycle()
+        for request in (m for m in said if isinstance(m, PassageRequest)):
+            answer = replace(any_strip(rng, request), stamp_ns=rig.now_ns)
+            rig.inbox.receive(topics.PASSAGE, codec.encode(answer), rig.now_ns)
+        for plan in (m for m in said if isinstance(m, StepPlan)):
+            assert np.isfinite(plan.touchdown).all()
+            rig.begin(plan)
+            rig.finish(plan)
+            assert rig.pose is not None
+            rig.pose = replace(rig.pose, T_world_body=rig.state.T_odom_body)
+            rig.terrain = any_map(rng) if rng.random() < 0.3 else rig.terrain
+    assert rig.status().reason
