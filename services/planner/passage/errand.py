@@ -44,6 +44,7 @@ ATTEMPTS = 8  # attempts at planning a section, each with other samples
 PLANNINGS = 3  # plannings at one place of the body, within
 _SAME_PLACE = 0.03  # [m], before it says that there is no way
 _YIELDED = 0.055  # [m] around a foot that found nothing, where ground is taken to carry none
+_SUNK = 0.012  # [m] of a standing foot below the mapped ground, from which that ground has given way
 
 Stage = Literal["survey", "look", "return", "plan", "walk"]
 
@@ -268,8 +269,12 @@ class Errand:
         """The same ground, without what gave way under a foot, and as low as feet (6, 3) [m] {strip} stand in it by now."""
         gone = [apply(field.T_strip_world, place) for place in self._yielded]
         soles = feet - [0.0, 0.0, self._profile.foot.radius]
-        sunk = [sole for sole in soles if any(np.hypot(*(sole - place)[:2]) < _YIELDED for place in gone)]
-        for place in [*gone, *sunk]:
+        on_gone = [any(np.hypot(*(sole - place)[:2]) < _YIELDED for place in gone) for sole in soles]
+        sunk = [
+            sole for sole, known in zip(soles, on_gone, strict=True) if not known and field.lowest_at(sole) - sole[2] > _SUNK
+        ]
+        self._yielded += [apply(field.T_world_strip, sole) for sole in sunk]
+        for place in [*gone, *soles[on_gone], *sunk]:
             field = without(field, place, _YIELDED)
         return field
 

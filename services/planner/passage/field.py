@@ -63,6 +63,13 @@ class Field:
             h = out
         return np.ascontiguousarray(h)
 
+    def lowest_at(self, place: Array) -> float:
+        """Lowest known ground [m] in the 3x3 cells around a place (2+,) [m] {strip}, NaN where none is known."""
+        i, j = np.rint((place[:2] - self.corner) / self.resolution).astype(np.int64)
+        around = self.elevation[max(i - 1, 0) : max(i + 2, 0), max(j - 1, 0) : max(j + 2, 0)]
+        known = around[np.isfinite(around)]
+        return float(known.min()) if known.size else np.nan
+
     def known_until(self, start: float, half_width: float, least: float) -> float:
         """How far [m] there is ground that is known, from a place on: to the last row of cells of which a share is.
 

@@ -23,7 +23,7 @@ _AT_VERGE = 0.05  # [m] from there within which it has come
 _ALIGNED = radians(1.5)  # off the way across within which it begins
 _TURN_GAIN, _TURN = 1.0, 0.15  # [1/s] and [rad/s] at most
 _REST_NS = 300_000_000  # [ns] of rest after the last turn
-_LAPSES_NS = 30_000_000_000  # [ns] after which a refusal is looked into again
+_LAPSES_NS = 12_000_000_000  # [ns] after which a refusal is looked into again, twice as late each time at one place
 _TURNING_NS = 30_000_000_000  # [ns] that the turn may take
 _INCLINED = radians(15.0)  # off the way within which a robot that cannot go back to the verge crosses as it faces
 _ELSEWHERE = 0.30  # [m] from where there was no way across, from which it is tried again
@@ -41,8 +41,8 @@ class PassageMode:
         self._verge: tuple[Array, Array] | None = None  # (2,) [m] {world} where it begins, and what it heads for
         self._still_ns = self._turning_ns = -1
         self._refused = ""
-        self._refused_at = np.zeros(2)
-        self._refused_ns = 0
+        self._refused_at: Array | None = None  # (2,) [m] {world}
+        self._refused_ns, self._lapses_ns = 0, _LAPSES_NS
         self._crossed = False
         self._nothing_at: Array | None = None  # (2,) [m] {world} where a look found nothing to cross
         self._yielded: list[Array] = []  # (3,) [m] {world} where ground gave way under feet; it stays so, whatever the goal
@@ -71,7 +71,7 @@ class PassageMode:
     def abandon(self) -> None:
         """Forget where it was; whoever walks next begins with six feet on the ground."""
         self._goal = self._errand = self._approach = self._verge = None
-        self._refused, self._crossed, self._nothing_at = "", False, None
+        self._refused, self._refused_at, self._crossed, self._nothing_at = "", None, False, None
 
     def lead(
         self, goal: Goal, state: ActuatorState, standing: Standing, T_world_body: Array, terrain: Terrain | None,
@@ -92,8 +92,8 @@ class PassageMode:
             self.abandon()
             self._goal = goal
         xy = standing.body[:2, 3]
-        lately = state.stamp_ns - self._refused_ns < _LAPSES_NS
-        if self._refused and lately and float(np.linalg.norm(xy - self._refused_at)) < _ELSEWHERE:
+        lately = state.stamp_ns - self._refused_ns < self._lapses_ns
+        if self._refused and lately and self._is_where_refused(xy):
             return Refused(self._refused)
         self._refused = ""
         nothing_at = None if self.under_way(goal) else self._nothing_at
@@ -117,8 +117,13 @@ class PassageMode:
             self._errand, self._verge, self._crossed, self._nothing_at = None, None, True, xy.copy() if nothing else None
         elif isinstance(outcome, Refused):
             self._errand, self._verge = None, None
+            self._lapses_ns = 2 * self._lapses_ns if self._is_where_refused(xy) else _LAPSES_NS
             self._refused, self._refused_at, self._refused_ns = outcome.reason, xy.copy(), now_ns
         return outcome
+
+    def _is_where_refused(self, xy: Array) -> bool:
+        """Whether a place (2,) [m] {world} is where there was no way across."""
+        return self._refused_at is not None and float(np.linalg.norm(xy - self._refused_at)) < _ELSEWHERE
 
     def _to_verge(
         self, goal: Goal, state: ActuatorState, standing: Standing, T_world_body: Array, terrain: Terrain

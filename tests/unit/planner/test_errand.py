@@ -398,6 +398,19 @@ def test_sunk_ground_is_planned_on_as_low_as_a_foot_stands_in_it() -> None:
     assert np.nanmax(field.elevation) == 0.0
 
 
+@pytest.mark.parametrize(("lower", "gone"), [(0.008, False), (0.02, True)])
+def test_where_a_foot_stands_lower_than_the_map_the_ground_has_given_way(lower: float, gone: bool) -> None:
+    """The camera does not see the ground under a foot, and nothing was felt: the foot has gone down with it."""
+    robot = Robot(Planned(section(0.0, 1.85)))
+    robot.feet[0, 2] -= lower
+    robot.until(lambda: bool(robot.sections.begun))
+    field, stance, _, _ = robot.sections.begun[0]
+    i, j = np.rint((stance.feet[0, :2] - field.corner) / field.resolution).astype(int)
+    assert (field.evaluation[i, j] >= 0) == gone
+    assert field.elevation[i, j] == pytest.approx(-lower if gone else 0.0, abs=1e-6)
+    assert (field.evaluation[:100] >= 0).any() == gone, "ground under the other feet carries"
+
+
 def test_a_robot_that_was_carried_aside_does_not_go_on() -> None:
     robot = Robot(Planned())
     robot.T = from_xyz_rpy((0.0, 0.5, HEIGHT), np.zeros(3))

@@ -1,6 +1,7 @@
 """When a passage is begun: by a goal that cannot be walked to, or by order; what goes out, and who takes over."""
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -135,8 +136,11 @@ def test_a_crossing_without_a_map_is_refused_and_looked_into_again_later() -> No
     rig.command, rig.goal = None, replace(GOAL, passage=True)
     rig.plans(400)  # 8 s
     assert rig.status().reason.startswith("no passage: no map of the passage comes from the mapper")
-    heard = [m for _ in range(1600) for m in rig.cycle()]
-    assert any(isinstance(m, PassageRequest) for m in heard)
+    asked_s = [t * 0.02 for t in range(3000) if any(isinstance(m, PassageRequest) for m in rig.cycle())]
+    begun_s = [b for a, b in pairwise([-10.0, *asked_s]) if b - a > 5.0]
+    patience_s = 20.0  # of whoever waits for a blocked planner, from the refusal on
+    assert begun_s[0] < patience_s
+    assert begun_s[1] - begun_s[0] > patience_s, "it is left alone for longer, so that a refusal stands in the end"
 
 
 @pytest.mark.parametrize("walked", [True, False])
