@@ -4,6 +4,8 @@ A bad cell is no obstacle: feet find another place within 6 cm, and the body pas
 changes by more than its legs can take, ground without a foothold over more than feet can step across, and ground that was
 looked at and not there. Ground never seen is dear but open: who comes nearer sees it, and no foot is set on it before.
 
+A hole is not a wall: the body may reach out over a hole, and feet beside it may stand closer together.
+
 What was seen is kept while the map moves on, so that a robot that turns back does not take the way it knows to be closed.
 """
 
@@ -49,7 +51,7 @@ class Prices:
     rough: float = 1.5  # where no cell carries a foot, of a footprint; less where some do
     bare: float = 6.0  # where no foothold is in reach
     relief: float = 2.0  # where the ground changes by as much as legs can take
-    near: float = 3.0  # right beside what cannot be crossed, falling to nothing at `wide`
+    near: float = 3.0  # `half_width` from what cannot be crossed, falling to nothing at `wide`
     unseen: float = 1.0
     behind: float = 2.0  # beyond that, unseen right behind the robot; less where it need not turn about to look at it
     beside: float = 40.0  # unseen and so near that it cannot be looked at
@@ -59,8 +61,9 @@ class Prices:
 class Size:
     """How much room the robot takes."""
 
-    half_width: float  # [m] from its middle to its feet, by which it must keep away from what cannot be crossed
-    wide: float  # [m] by which it would like to
+    half_width: float  # [m] from its middle to its feet, by which it must keep away from what stands in its way
+    beside_hole: float  # [m] from its middle, by which it must keep away from a hole
+    wide: float  # [m] by which it would like to keep away from both
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,11 +73,13 @@ class Crossing:
     first: NDArray[np.int64]  # (2,)
     edge: float  # [m]
     cost: Array  # (n, m) of a metre, 1 and more; inf where it may not be
-    room: Array  # (n, m) [m] to the nearest cell that cannot be crossed, at most the room it would like
+    room: (
+        Array  # (n, m) [m] to the cell that leaves the robot least, of those that cannot be crossed; at most what it would like
+    )
+    needs: Array  # (n, m) [m] by which the robot must keep away from that cell
     stops: NDArray[np.int8]  # (n, m) what cannot be crossed there, OPEN where the ground can
     unseen: Mask  # (n, m)
     veiled: Array  # (n, m) [1] share of the ground under a robot there that is unseen
-    half_width: float  # [m] of the robot
 
     def cell(self, xy: Array) -> tuple[int, int]:
         """The cell that holds a place (2,) [m] {world}, the nearest one if it lies outside."""
@@ -143,7 +148,9 @@ class SeenGround:
             self._layers[name][here][anew] = layer[there][anew]
         # Narrow low ground is stepped over.
         mind = self._layers
-        mind["rise"] = mind["high"] - lowest_around(closed(mind["low"], _BRIDGED))
+        floor_beside = closed(mind["low"], _BRIDGED)
+        mind["rise"] = mind["high"] - lowest_around(floor_beside)
+        mind["fall"] = -lowest_around(-mind["high"]) - floor_beside
         self._look(T_world_body @ camera.T_body_camera, camera, floor, low, high)
 
     def crossing(self, size: Size, prices: Prices, place: Array, stuck: Array, stuck_radius: float) -> Crossing:
@@ -168,7 +175,7 @@ class SeenGround:
         centres = (np.indices(unseen.shape).transpose(1, 2, 0) + self._first + 0.5) * self._edge
         for shut in stuck:
             stops[(np.linalg.norm(centres - shut, axis=2) < stuck_radius) & (stops == OPEN)] = STUCK
-        room = distance(stops != OPEN, size.wide / self._edge) * self._edge
+        room, needs = self._room(stops, size)
         # 3. Where the body may be: prices over the ground that its feet stand on, and more where there is little room.
         off = centres - place[:2]
         near = np.linalg.norm(off, axis=2) < BESIDE
@@ -179,12 +186,30 @@ class SeenGround:
             np.where(near, prices.beside, prices.unseen + prices.behind * aside),
             prices.rough * (1.0 - seen["footing"]) + prices.bare * seen["bare"] + prices.relief * relief**2,
         )
-        beyond = np.clip((size.wide - room) / max(size.wide - size.half_width, 1e-9), 0.0, 1.0)
+        beyond = np.maximum((size.wide - room) / max(size.wide - size.half_width, 1e-9), 0.0)
         under = round(size.half_width / self._edge)
         cost = 1.0 + mean_around(ground_price, under) + prices.near * beyond**2
-        cost[room < size.half_width] = np.inf
+        cost[room < needs] = np.inf
         veiled = mean_around(unseen.astype(np.float64), under)
-        return Crossing(self._first.copy(), self._edge, cost, room, stops, unseen, veiled, size.half_width)
+        return Crossing(self._first.copy(), self._edge, cost, room, needs, stops, unseen, veiled)
+
+    def _room(self, stops: NDArray[np.int8], size: Size) -> tuple[Array, Array]:
+        """Distances (n, m) [m] to what stops the robot, and which (n, m) [m] it needs: of all, those that leave least.
+
+        A step is a wall to a robot below it, which keeps away from its upper edge, and a hole to one above, from its lower.
+        """
+        seen, reach = self._layers, int(np.ceil(size.half_width / self._edge))
+        tops = over_square(np.where(stops == STEP, seen["high"], -np.inf), reach, reach, np.maximum, -np.inf)
+        below = tops > np.nan_to_num(seen["low"], nan=-np.inf) + MAX_STEP
+        kinds = (
+            (stops == STUCK, size.half_width),
+            (stops == STEP, np.where(below, size.half_width, 0.0)),
+            ((stops == BARE) | (stops == HOLE) | (seen["fall"] > MAX_STEP), size.beside_hole),
+        )
+        rooms = np.stack([distance(mask, size.wide / self._edge) * self._edge for mask, _ in kinds])
+        needs = np.stack([np.broadcast_to(need, stops.shape) for _, need in kinds])
+        least = np.argmin(rooms - needs, axis=0)[None]
+        return np.take_along_axis(rooms, least, axis=0)[0], np.take_along_axis(needs, least, axis=0)[0]
 
     def _move_to(self, xy: Array) -> None:
         """Bring the window's middle to where the robot is, a quarter at a time; what it leaves is forgotten."""
@@ -239,5 +264,6 @@ def _nothing() -> dict[str, Array]:
         "low": np.nan,  # [m] {world}
         "looks": 0.0,  # at the cell, in which nothing showed
         "rise": 0.0,  # [m] over the lowest ground around
+        "fall": 0.0,  # [m] under the highest ground around
     }
     return {name: np.full((_CELLS, _CELLS), value) for name, value in blank.items()}

@@ -82,7 +82,9 @@ class Pilot:
         self._profile = profile
         feet = profile.rest_feet()
         half = float(np.linalg.norm(feet[:, :2], axis=1).max()) + _SPARE  # it must be able to turn
-        self._size = Size(half, half + _LIKED)
+        # Beside a hole the feet that reach out furthest to the side may stand closer, by as much as footholds are looked for.
+        closer = float(np.abs(feet[:, 1]).max()) - profile.stance.search_radius + _SPARE
+        self._size = Size(half, min(closer, half), half + _LIKED)
         self._prices = Prices()
         self._ground = SeenGround()
         self._errand: _Errand | None = None

@@ -173,10 +173,11 @@ def enclosure(crossing: Crossing, reached: NDArray[np.bool_]) -> str:
 
 def gap(crossing: Crossing, start: tuple[int, int], end: tuple[int, int]) -> str:
     """How much room the way between two cells has that has most, where it has least, and what the robot needs, in words."""
-    room, cell = widest(np.where(crossing.stops == OPEN, crossing.room, 0.0), start, end)
+    spare = crossing.room - crossing.needs
+    _, cell = widest(np.where(crossing.stops == OPEN, spare + crossing.needs.max(), 0.0), start, end)
     if cell is None:
         return "there is no gap"
-    at, needed = _place(crossing.centres(np.array([cell]))[0]), crossing.half_width
+    at, room, needed = _place(crossing.centres(np.array([cell]))[0]), crossing.room[cell], crossing.needs[cell]
     return f"the widest gap, at {at}, leaves {room:.2f} m to either side of its middle, and the robot needs {needed:.2f} m"
 
 

@@ -102,7 +102,7 @@ def test_a_way_begins_at_the_robot_and_costs_something_or_there_is_a_reason(seed
         ground.see(terrain, body, CAMERA, 0.0)
     stuck = rng.uniform(-1.0, 1.0, (int(rng.integers(0, 3)), 2))
     goal = rng.uniform(-1.0, 1.0, 2) * rng.choice([0.02, 1.0, 6.0])
-    crossing = ground.crossing(Size(0.31, 0.51), Prices(), place, stuck, 0.08).beside(place[:2], goal, 1.5)
+    crossing = ground.crossing(Size(0.31, 0.19, 0.51), Prices(), place, stuck, 0.08).beside(place[:2], goal, 1.5)
     found = find_way(crossing, place[:2], goal, 0.05)
     if isinstance(found, NoWay):
         assert found.reason

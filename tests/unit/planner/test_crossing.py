@@ -12,7 +12,7 @@ from shared.geometry import Array, from_xyz_rpy
 from shared.profiles import load_profile
 
 CAMERA = load_profile("phantomx_mk2").camera
-SIZE = Size(0.25, 0.40)
+SIZE = Size(0.25, 0.18, 0.40)
 HERE = from_xyz_rpy((0.0, 0.0, 0.1), np.zeros(3))
 NOWHERE = np.zeros((0, 2))
 Maker = Callable[..., Terrain]
@@ -79,6 +79,40 @@ def test_a_ditch_that_feet_step_over_is_crossed_and_a_wide_one_is_not(width: flo
     row = found.cost[:, found.cell(np.zeros(2))[1]]
     assert np.isinf(row).any() != open_
     assert row[found.cell(np.array([0.62, 0.0]))[0]] > 1.2, "it is dear"
+
+
+@pytest.mark.parametrize(
+    ("half", "beside", "open_"), [(0.15, -0.4, False), (0.22, -0.4, True), (0.22, 0.3, False), (0.35, 0.3, True)]
+)
+@pytest.mark.parametrize("shows", [True, False])
+def test_between_holes_there_is_room_where_there_is_none_between_walls(
+    half: float, beside: float, open_: bool, shows: bool, make_terrain: Maker
+) -> None:
+    """A lane along x: what lies beside it is higher or lower than any leg steps, or does not show where it is lower."""
+    lower = beside if shows or beside > 0.0 else np.nan
+
+    def height(x: Array, y: Array) -> Array:
+        return np.where(np.abs(y) > half, lower, 0.0) + 0.0 * x
+
+    ground, terrain = SeenGround(), make_terrain(height, edges(height), half=1.28)
+    for _ in range(4):
+        ground.see(terrain, HERE, CAMERA, 0.0)
+    found = ground.crossing(SIZE, Prices(), np.zeros(3), NOWHERE, 0.08)
+    assert np.isfinite(found.cost[found.cell(np.array([0.7, 0.0]))]) == open_
+
+
+def test_a_wall_is_no_hole_to_a_robot_on_top_of_it(make_terrain: Maker) -> None:
+    def height(x: Array, y: Array) -> Array:
+        return np.where(x > 0.6, 0.3, 0.0)
+
+    terrain, places = make_terrain(height, edges(height), half=1.28), ((0.43, 0.0), (0.82, 0.0))
+    ground = SeenGround()
+    ground.see(terrain, HERE, CAMERA, 0.0)
+    found = ground.crossing(SIZE, Prices(), np.zeros(3), NOWHERE, 0.08)
+    below, above = (found.cell(np.array(place)) for place in places)
+    assert np.isinf(found.cost[below])
+    assert np.isfinite(found.cost[above])
+    assert (found.needs[below], found.needs[above]) == (SIZE.half_width, SIZE.beside_hole)
 
 
 def test_ground_that_carries_no_foot_over_more_than_a_step_is_closed(make_terrain: Maker) -> None:

@@ -24,7 +24,8 @@ def crossing(cost: Array, stops: Array | None = None) -> Crossing:
     far = np.full(cost.shape, 9.0)
     room = np.min([far, *(np.linalg.norm(grid - cell, axis=2) for cell in cells)], axis=0) * EDGE
     nothing = np.zeros(cost.shape)
-    return Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, kinds.astype(np.int8), nothing > 0, nothing, HALF)
+    needs = np.full(cost.shape, HALF)
+    return Crossing(np.zeros(2, dtype=np.int64), EDGE, cost, room, needs, kinds.astype(np.int8), nothing > 0, nothing)
 
 
 def reference(cost: Array, start: tuple[int, int]) -> Array:
