@@ -14,7 +14,9 @@ from deploy.judging.stage_times import rounded, stages_ms
 from deploy.pictures import layers_picture
 from deploy.pictures.relief import shaded
 from deploy.progress import Progress
+from deploy.replay import evidence as replay_evidence
 from deploy.replay.error import ReplayError
+from deploy.replay.evidence import DepthRange, Evidence, depth_range, picture_evidence
 from deploy.replay.listener import Listener
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
@@ -66,10 +68,18 @@ class Player:
     reads: tuple[AnyTopic, ...] = ()
     writes: tuple[AnyTopic, ...] = (topics.DEPTH, topics.COLOR, topics.ODOMETRY)
 
-    def __init__(self, sequence: tum.Recording):
+    def __init__(self, sequence: tum.Recording, sensor: DepthSensor):
+        """Begin with the first picture.
+
+        Args:
+            sequence: What is played.
+            sensor: Its range is what the depths are compared with.
+        """
         self.stages = Stages()
         self.played = 0
+        self.depth_ranges: dict[int, DepthRange] = {}  # stamp [ns] of each picture played -> its depths
         self._sequence = sequence
+        self._sensor = sensor
         self._color_due_ns = 0
         self._stamps_ns = [int(stamp) for stamp in sequence.stamps_ns - sequence.stamps_ns[0]]
 
@@ -84,7 +94,9 @@ class Player:
             yield odometry(0, np.eye(4), 0.0, 0.0)
         while not self.finished and self._stamps_ns[self.played] <= tick.stamp_ns:
             stamp_ns = self._stamps_ns[self.played]
-            yield DepthImage(stamp_ns, self._depth(self.played))
+            depth = self._depth(self.played)
+            self.depth_ranges[stamp_ns] = depth_range(depth, self._sensor)
+            yield DepthImage(stamp_ns, depth)
             color = self._color(self.played) if stamp_ns >= self._color_due_ns else None
             if color is not None:
                 self._color_due_ns = stamp_ns + round(1e9 / topics.COLOR.rate_hz)

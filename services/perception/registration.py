@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from services.perception.anchor import AnchorMap, surface_points
 from services.perception.block_frame import BlockFrame
 from services.perception.keyframes import Keyframes, Match
+from services.perception.observability import AXES
 from shared.camera import DepthSensor, Intrinsics
 from shared.compiled import compiled
 from shared.geometry import exp_so3, log_so3, orthonormal
@@ -38,7 +39,6 @@ _ALONG_FLOOR = [0, 1, 5]  # x, y and yaw
 _SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] by which legs may slip between two frames
 _TRUSTING = 2  # iterations in which matches far off are believed after a slip
 _LOST_SIGMA = 0.03  # [m] and [rad] by which a place that was searched for is known
-AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,9 +13,10 @@ from services.perception.coloring import Coloring
 from services.perception.config import Settings
 from services.perception.link_care import LinkCare
 from services.perception.motion import Motion, OdometryHistory
+from services.perception.observability import AXES, unobservable_directions
 from services.perception.preview import preview
 from services.perception.reduction import reduce_scan
-from services.perception.registration import AXES, Registered, Registration, refused
+from services.perception.registration import Registered, Registration, refused
 from services.perception.sights import free_sights
 from shared import topics
 from shared.geometry import Array, inverse, rotation_from_rpy, rpy_from_rotation, to_millimetres, transform, yaw_of
@@ -30,7 +31,6 @@ _BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothi
 _SILENT_S = 0.5  # [s] without odometry from which nothing is known of what the ground does not show
 _MOVED = 0.01  # [m] or [rad] beyond which no two pictures are the same
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a frame that was overtaken may be late
-_LEFT = 0.8  # share of an axis that must be left to odometry to be named
 
 
 class Perception:
@@ -316,12 +316,11 @@ def in_words(found: Registered) -> str:
     """How a registration went, for the operator."""
     if not found.ok:
         return f"on odometry alone: {found.reason}"
-    # An axis is left to odometry as far as it lies in the span of the twists that are.
-    span, _ = np.linalg.qr(found.degenerate.T) if len(found.degenerate) else (np.zeros((6, 0)), None)
-    left = [axis for axis, share in zip(AXES, np.linalg.norm(span, axis=1), strict=True) if share > _LEFT]
-    if len(left) == len(AXES):
+    unobservable = unobservable_directions(found.degenerate)
+    if len(unobservable) == len(AXES):
         return "the first frame: a map begins"
-    return f"registering, overlap {found.overlap:.0%}" + (f", {', '.join(left)} by the legs alone" if left else "")
+    words = f"registering, overlap {found.overlap:.0%}"
+    return f"{words}; {', '.join(unobservable)} unobservable (leg odometry only)" if unobservable else words
 
 
 class Registers(Protocol):

@@ -143,7 +143,7 @@ def test_what_level_ground_leaves_to_the_legs_is_said(world) -> None:  # type: i
         rig = Rig(world, scene)
         rig.frame(body_at(0.0))
         poses.append(pose_of(rig.frame(body_at(0.01))))
-        assert ("x, y, yaw by the legs alone" in rig.perception.doing()) is (scene == "flat")
+        assert ("x, y, yaw unobservable" in rig.perception.doing()) is (scene == "flat")
     level, rough = poses
     assert level.degenerate.shape == (3, 6)
     assert np.abs(level.degenerate[:, [2, 3, 4]]).max() < 0.2  # height, roll and pitch are seen

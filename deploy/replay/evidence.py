@@ -1,0 +1,254 @@
+"""What a replayed depth sequence proves, and what to change where it proves too little.
+
+A picture supports the trajectory when it registers and shows every direction of motion. Elsewhere the trajectory is the motion
+that was expected, which is a guess.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.judging.stage_times import rounded
+from services.perception.observability import AXES, unobservable_directions
+from shared.camera import DepthSensor
+from shared.messages import BodyPose
+
+USUAL_SCALES = (1000.0, 5000.0, 10_000.0, 100.0)  # raw units per metre: mm, as in the TUM RGB-D benchmark, 0.1 mm, cm
+_SAMPLED = 4  # every how many rows and columns of a picture are counted
+_PERCENTILES = (5, 50, 95)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """From when on a trajectory counts as supported."""
+
+    min_share: float = 0.9  # of the pictures after the first that support it
+    max_gap_s: float = 0.5  # [s] between two pictures that support it, over others that do not
+    min_in_range: float = 0.5  # share of the depths in range, below which range or scale may be wrong
+    max_size_error: float = 0.1  # of the trajectory's size against the true one
+
+
+@dataclass(frozen=True, slots=True)
+class DepthRange:
+    """The depths of one picture against the range of a sensor."""
+
+    measured: float  # share of the picture's pixels with a return
+    in_range: float  # share of those within the range, which registration uses
+    depths: tuple[float, float, float]  # [m] 5th, 50th and 95th percentile of those with a return, NaN without one
+    at_scale: tuple[float, ...]  # share in range at each of the usual scales
+
+
+@dataclass(frozen=True, slots=True)
+class PictureEvidence:
+    """What one picture adds to the trajectory."""
+
+    stamp_s: float  # [s] since the first picture
+    registered: bool
+    reason: str  # why it did not register
+    overlap: float  # 0..1 share of its points that found a plane
+    unobservable: tuple[str, ...]  # directions that are left to the expected motion
+    depth: DepthRange
+
+    @property
+    def supports(self) -> bool:
+        """Whether it registered and shows every direction."""
+        return self.registered and not self.unobservable
+
+    def as_table(self) -> dict[str, Any]:
+        """Plain table for JSON."""
+        return {
+            "stamp_s": rounded(self.stamp_s),
+            "registered": self.registered,
+            "reason": self.reason,
+            "overlap": rounded(self.overlap),
+            "unobservable": list(self.unobservable),
+            "depth_measured": rounded(self.depth.measured),
+            "depth_used": rounded(self.depth.in_range),
+            "depth_m": _percentiles(self.depth.depths),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What all pictures of a sequence prove together."""
+
+    pictures: tuple[PictureEvidence, ...]
+    sensor: DepthSensor  # with the range that registration uses
+    size: float | None = None  # of the estimated trajectory over that of the true one, where the two agree in shape
+    limits: Limits = Limits()
+
+    @property
+    def supporting(self) -> int:
+        """Pictures after the first that support the trajectory; the first one only begins the map."""
+        return sum(p.supports for p in self.pictures[1:])
+
+    @property
+    def longest_gap_s(self) -> float:
+        """Longest time [s] from a supporting picture, or the first, to the next one or the end, over pictures that are none."""
+        longest, since_s, broken = 0.0, 0.0, False
+        for n, picture in enumerate(self.pictures):
+            last = n == len(self.pictures) - 1
+            broken = broken or (n > 0 and not picture.supports)
+            if broken and (picture.supports or last):
+                longest = max(longest, picture.stamp_s - since_s)
+            if picture.supports:
+                since_s, broken = picture.stamp_s, False
+        return longest
+
+    @property
+    def unobservable(self) -> dict[str, int]:
+        """Direction -> registered pictures after the first that do not show it, most frequent first."""
+        counts: dict[str, int] = {}
+        for picture in self.pictures[1:]:
+            for name in picture.unobservable if picture.registered else ():
+                counts[name] = counts.get(name, 0) + 1
+        return dict(sorted(counts.items(), key=lambda item: -item[1]))
+
+    @property
+    def depths(self) -> tuple[float, float, float]:
+        """Median over the pictures of their 5th, 50th and 95th percentile [m]; NaN without a return."""
+        found = np.array([p.depth.depths for p in self.pictures if p.depth.measured > 0]).reshape(-1, 3)
+        if not len(found):
+            return (float("nan"),) * 3
+        low, median, high = np.median(found, axis=0)
+        return float(low), float(median), float(high)
+
+    @property
+    def measured(self) -> float:
+        """Mean share of the pixels with a return."""
+        return float(np.mean([p.depth.measured for p in self.pictures])) if self.pictures else 0.0
+
+    @property
+    def used(self) -> float:
+        """Share of the pixels with a return that are in range, over all pictures."""
+        return self._in_range([p.depth.in_range for p in self.pictures])
+
+    @property
+    def fitting_scale(self) -> float | None:
+        """The usual depth scale that puts the most depths in range, where the given one puts few there and this one many."""
+        if not self.pictures or self.used >= self.limits.min_in_range:
+            return None
+        shares = [self._in_range([p.depth.at_scale[k] for p in self.pictures]) for k in range(len(USUAL_SCALES))]
+        best = int(np.argmax(shares))
+        return USUAL_SCALES[best] if shares[best] >= max(self.limits.min_in_range, 2.0 * self.used) else None
+
+    @property
+    def problem(self) -> str:
+        """Why the trajectory is not supported and what to do; empty where it is."""
+        after = self.pictures[1:]
+        if not after:
+            return f"a trajectory needs at least 2 pictures, found {len(self.pictures)}; record a longer sequence"
+        if not any(p.depth.measured > 0 for p in self.pictures):
+            return "no picture has a single depth other than 0; check that the images are 16-bit depth images"
+        if self.supporting < self.limits.min_share * len(after) or self.longest_gap_s > self.limits.max_gap_s:
+            lost = [p for p in after if not p.registered]
+            if 2 * len(lost) < len(after) - self.supporting:
+                return self._not_observed()
+            return self._out_of_range() if self.used < self.limits.min_in_range else self._lost(lost)
+        if self.size is not None and abs(self.size - 1.0) > self.limits.max_size_error:
+            scale = self.sensor.depth_scale * self.size
+            return (
+                f"the trajectory has the true shape at {self.size:.3g} times the true size: at depth_scale "
+                f"{self.sensor.depth_scale:g} the depths are wrong; depth_scale = {scale:.4g} in camera.toml fits"
+            )
+        return ""
+
+    def as_table(self) -> dict[str, Any]:
+        """Plain table for JSON; the pictures are in `PictureEvidence.as_table`."""
+        return {
+            "supported": not self.problem,
+            "problem": self.problem,
+            "pictures_supporting": self.supporting,
+            "pictures_registered": sum(p.registered for p in self.pictures[1:]),
+            "pictures_after_first": len(self.pictures[1:]),
+            "longest_gap_s": rounded(self.longest_gap_s),
+            "unobservable": self.unobservable,
+            "depth_measured": rounded(self.measured),
+            "depth_used": rounded(self.used),
+            "depth_m": _percentiles(self.depths),
+            "range_m": [self.sensor.min_range, self.sensor.max_range],
+            "depth_scale": self.sensor.depth_scale,
+            "fitting_depth_scale": self.fitting_scale,
+            "size": None if self.size is None else rounded(self.size),
+        }
+
+    def _in_range(self, shares: Sequence[float]) -> float:
+        """Mean of a share of the pixels with a return, weighted by their number in each picture."""
+        weights = np.array([p.depth.measured for p in self.pictures])
+        return float(np.dot(shares, weights) / weights.sum()) if weights.any() else 0.0
+
+    def _not_observed(self) -> str:
+        names = ", ".join(self.unobservable)
+        return (
+            f"only {self.supporting} of {len(self.pictures) - 1} pictures show every direction of motion ({names} unobservable, "
+            f"for up to {self.longest_gap_s:.1f} s): the trajectory is a guess there; record a scene with edges, objects or "
+            f"walls in all directions, or a robot's run with its leg odometry"
+        )
+
+    def _out_of_range(self) -> str:
+        low, median, high = self.depths
+        found = (
+            f"only {self.used:.0%} of the depths are in range: at depth_scale {self.sensor.depth_scale:g} they are "
+            f"{low:.2f} to {high:.2f} m (median {median:.2f} m), {self.sensor.min_range:g} to {self.sensor.max_range:g} m is used"
+        )
+        if self.fitting_scale is not None:
+            return f"{found}; depth_scale = {self.fitting_scale:g} in camera.toml fits"
+        return f"{found}; set min_range and max_range in camera.toml if the camera measures these depths well"
+
+    def _lost(self, lost: Sequence[PictureEvidence]) -> str:
+        return (
+            f"{len(lost)} of {len(self.pictures) - 1} pictures did not register, for up to {self.longest_gap_s:.1f} s "
+            f"(at {lost[0].stamp_s:.2f} s: {lost[0].reason}): the trajectory is a guess there; move the camera more slowly, "
+            f"and let each picture show a third of what was seen before"
+        )
+
+
+def depth_range(raw: NDArray[np.uint16], sensor: DepthSensor) -> DepthRange:
+    """The depths of a raw picture (h, w), by a sample, against the range of a sensor."""
+    sample = raw[::_SAMPLED, ::_SAMPLED]
+    returns = sample[sample > 0]
+    if not returns.size:
+        nan = float("nan")
+        return DepthRange(0.0, 0.0, (nan, nan, nan), (0.0,) * len(USUAL_SCALES))
+
+    def share(scale: float) -> float:
+        low, high = sensor.min_range * scale, sensor.max_range * scale
+        return float(np.count_nonzero((returns >= low) & (returns <= high))) / returns.size
+
+    low, median, high = np.percentile(returns, _PERCENTILES) / sensor.depth_scale
+    depths = float(low), float(median), float(high)
+    at_scale = tuple(share(scale) for scale in USUAL_SCALES)
+    return DepthRange(returns.size / sample.size, share(sensor.depth_scale), depths, at_scale)
+
+
+def picture_evidence(pose: BodyPose, depth: DepthRange) -> PictureEvidence:
+    """The evidence of a picture, by the pose that was found for it."""
+    unobservable = unobservable_directions(pose.degenerate) if pose.ok else AXES
+    return PictureEvidence(pose.stamp_ns * 1e-9, pose.ok, pose.reason, pose.overlap, unobservable, depth)
+
+
+def in_words(evidence: Evidence) -> list[str]:
+    """The evidence for people, line by line."""
+    after = len(evidence.pictures[1:])
+    low, median, high = evidence.depths
+    lines = [f"{evidence.supporting} of {after} pictures after the first show every direction of motion"]
+    if evidence.unobservable:
+        counts = ", ".join(f"{name} in {count}" for name, count in evidence.unobservable.items())
+        lines.append(f"unobservable, left to the expected motion: {counts}")
+    if evidence.measured > 0:
+        lines.append(
+            f"depths {low:.2f} to {high:.2f} m (5 to 95 %), median {median:.2f} m; "
+            f"{evidence.used:.0%} within the {evidence.sensor.min_range:g} to {evidence.sensor.max_range:g} m that are used"
+        )
+    if evidence.longest_gap_s > 0:
+        lines.append(f"longest time without support {evidence.longest_gap_s:.2f} s")
+    return lines
+
+
+def _percentiles(depths: tuple[float, float, float]) -> dict[str, float | None]:
+    """Plain table of the percentiles [m]; JSON has no NaN."""
+    known = [rounded(depth) if np.isfinite(depth) else None for depth in depths]
+    return dict(zip(("p5", "median", "p95"), known, strict=True))
