@@ -149,7 +149,7 @@ def recover(arguments: argparse.Namespace) -> int:
 
 
 def replay(arguments: argparse.Namespace) -> int:
-    """`sextant replay`: a recorded depth sequence, or a recorded run."""
+    """`sextant replay`: a recorded depth sequence, or a recorded run; fails where the replay proves nothing."""
     source = Path(arguments.source)
     run = source.suffix == ".mcap" and source.is_file()
     parts = source.is_dir() and not (source / "depth.txt").is_file() and any(source.glob("recording*.mcap"))
@@ -172,4 +172,8 @@ def replay(arguments: argparse.Namespace) -> int:
     text = json.dumps(table, indent=1)
     (out / "replay.json").write_text(text + "\n", encoding="utf-8")
     say(text if arguments.json else f"{words}\nwritten to {out}")
+    problem = table["evidence"]["problem"]
+    if problem:
+        complain(f"sextant replay: {problem}")
+        return FAILED
     return SUCCESS

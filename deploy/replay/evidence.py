@@ -4,7 +4,7 @@ A picture supports the trajectory when it registers and shows every direction of
 that was expected, which is a guess.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +29,8 @@ class Limits:
     max_gap_s: float = 0.5  # [s] between two pictures that support it, over others that do not
     min_in_range: float = 0.5  # share of the depths in range, below which range or scale may be wrong
     max_size_error: float = 0.1  # of the trajectory's size against the true one
+    max_error_share: float = 0.1  # of the true trajectory's extent that the rms error may be, and
+    max_error_m: float = 0.05  # [m] of it at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +74,21 @@ class PictureEvidence:
 
 
 @dataclass(frozen=True, slots=True)
+class TrueComparison:
+    """The estimated trajectory against the true one."""
+
+    rms_m: float  # [m] error after rigid alignment
+    extent_m: float  # [m] largest distance of the true one from where it begins
+    size: float | None  # of the estimated one over the true one, None where they differ in shape
+
+
+@dataclass(frozen=True, slots=True)
 class Evidence:
     """What all pictures of a sequence prove together."""
 
     pictures: tuple[PictureEvidence, ...]
     sensor: DepthSensor  # with the range that registration uses
-    size: float | None = None  # of the estimated trajectory over that of the true one, where the two agree in shape
+    truth: TrueComparison | None = None
     limits: Limits = Limits()
 
     @property
@@ -138,23 +149,20 @@ class Evidence:
     @property
     def problem(self) -> str:
         """Why the trajectory is not supported and what to do; empty where it is."""
-        after = self.pictures[1:]
+        after, limits = self.pictures[1:], self.limits
         if not after:
             return f"a trajectory needs at least 2 pictures, found {len(self.pictures)}; record a longer sequence"
         if not any(p.depth.measured > 0 for p in self.pictures):
             return "no picture has a single depth other than 0; check that the images are 16-bit depth images"
-        if self.supporting < self.limits.min_share * len(after) or self.longest_gap_s > self.limits.max_gap_s:
+        out_of_range = self.used < limits.min_in_range
+        if out_of_range and self.depths[1] < self.sensor.min_range:
+            return self._out_of_range()  # nearer than the camera measures: what registers is no depth
+        if self.supporting < limits.min_share * len(after) or self.longest_gap_s > limits.max_gap_s:
             lost = [p for p in after if not p.registered]
             if 2 * len(lost) < len(after) - self.supporting:
                 return self._not_observed()
-            return self._out_of_range() if self.used < self.limits.min_in_range else self._lost(lost)
-        if self.size is not None and abs(self.size - 1.0) > self.limits.max_size_error:
-            scale = self.sensor.depth_scale * self.size
-            return (
-                f"the trajectory has the true shape at {self.size:.3g} times the true size: at depth_scale "
-                f"{self.sensor.depth_scale:g} the depths are wrong; depth_scale = {scale:.4g} in camera.toml fits"
-            )
-        return ""
+            return self._out_of_range() if out_of_range else self._lost(lost)
+        return self._against_truth()
 
     def as_table(self) -> dict[str, Any]:
         """Plain table for JSON; the pictures are in `PictureEvidence.as_table`."""
@@ -172,7 +180,7 @@ class Evidence:
             "range_m": [self.sensor.min_range, self.sensor.max_range],
             "depth_scale": self.sensor.depth_scale,
             "fitting_depth_scale": self.fitting_scale,
-            "size": None if self.size is None else rounded(self.size),
+            "size_of_true": None if self.truth is None or self.truth.size is None else rounded(self.truth.size),
         }
 
     def _in_range(self, shares: Sequence[float]) -> float:
@@ -180,19 +188,37 @@ class Evidence:
         weights = np.array([p.depth.measured for p in self.pictures])
         return float(np.dot(shares, weights) / weights.sum()) if weights.any() else 0.0
 
+    def _against_truth(self) -> str:
+        truth, limits = self.truth, self.limits
+        if truth is None:
+            return ""
+        if truth.size is not None and abs(truth.size - 1.0) > limits.max_size_error:
+            return (
+                f"the trajectory has the true shape at {truth.size:.3g} times the true size: depth_scale is "
+                f"{self.sensor.depth_scale:g}, and depth_scale = {self.sensor.depth_scale * truth.size:.4g} in camera.toml fits"
+            )
+        allowed_m = max(limits.max_error_m, limits.max_error_share * truth.extent_m)
+        if truth.rms_m > allowed_m:
+            return (
+                f"the trajectory is {1e3 * truth.rms_m:.0f} mm rms off groundtruth.txt, {1e3 * allowed_m:.0f} mm allowed, "
+                f"though the pictures register: they look alike in different places, or camera.toml does not fit them"
+            )
+        return ""
+
     def _not_observed(self) -> str:
         names = ", ".join(self.unobservable)
         return (
-            f"only {self.supporting} of {len(self.pictures) - 1} pictures show every direction of motion ({names} unobservable, "
-            f"for up to {self.longest_gap_s:.1f} s): the trajectory is a guess there; record a scene with edges, objects or "
-            f"walls in all directions, or a robot's run with its leg odometry"
+            f"{self.supporting} of {len(self.pictures) - 1} pictures show every direction of motion ({names} unobservable, "
+            f"for up to {self.longest_gap_s:.1f} s): the rest of the trajectory is a guess; record a scene with edges, "
+            f"objects or walls in all directions, or a robot's run with its leg odometry"
         )
 
     def _out_of_range(self) -> str:
         low, median, high = self.depths
         found = (
             f"only {self.used:.0%} of the depths are in range: at depth_scale {self.sensor.depth_scale:g} they are "
-            f"{low:.2f} to {high:.2f} m (median {median:.2f} m), {self.sensor.min_range:g} to {self.sensor.max_range:g} m is used"
+            f"{low:.2f} to {high:.2f} m (median {median:.2f} m), the range used is {self.sensor.min_range:g} to "
+            f"{self.sensor.max_range:g} m"
         )
         if self.fitting_scale is not None:
             return f"{found}; depth_scale = {self.fitting_scale:g} in camera.toml fits"
@@ -224,27 +250,29 @@ def depth_range(raw: NDArray[np.uint16], sensor: DepthSensor) -> DepthRange:
     return DepthRange(returns.size / sample.size, share(sensor.depth_scale), depths, at_scale)
 
 
-def picture_evidence(pose: BodyPose, depth: DepthRange) -> PictureEvidence:
-    """The evidence of a picture, by the pose that was found for it."""
-    unobservable = unobservable_directions(pose.degenerate) if pose.ok else AXES
-    return PictureEvidence(pose.stamp_ns * 1e-9, pose.ok, pose.reason, pose.overlap, unobservable, depth)
+def picture_evidence(stamp_ns: int, pose: BodyPose | None, depth: DepthRange) -> PictureEvidence:
+    """The evidence of a picture taken at a time [ns], by the pose that was found for it, if any."""
+    if pose is None or not pose.ok:
+        reason = "no pose was estimated" if pose is None else pose.reason
+        return PictureEvidence(stamp_ns * 1e-9, False, reason, 0.0 if pose is None else pose.overlap, AXES, depth)
+    return PictureEvidence(stamp_ns * 1e-9, True, "", pose.overlap, unobservable_directions(pose.degenerate), depth)
 
 
-def in_words(evidence: Evidence) -> list[str]:
-    """The evidence for people, line by line."""
-    after = len(evidence.pictures[1:])
-    low, median, high = evidence.depths
-    lines = [f"{evidence.supporting} of {after} pictures after the first show every direction of motion"]
-    if evidence.unobservable:
-        counts = ", ".join(f"{name} in {count}" for name, count in evidence.unobservable.items())
+def in_words(table: Mapping[str, Any]) -> list[str]:
+    """`Evidence.as_table` for people, line by line."""
+    after, depth = table["pictures_after_first"], table["depth_m"]
+    lines = [f"{table['pictures_supporting']} of {after} pictures after the first show every direction of motion"]
+    if table["unobservable"]:
+        counts = ", ".join(f"{name} in {count}" for name, count in table["unobservable"].items())
         lines.append(f"unobservable, left to the expected motion: {counts}")
-    if evidence.measured > 0:
+    if table["longest_gap_s"] > 0:
+        lines.append(f"longest time without such a picture: {table['longest_gap_s']:.2f} s")
+    if depth["median"] is not None:
+        low, high = table["range_m"]
         lines.append(
-            f"depths {low:.2f} to {high:.2f} m (5 to 95 %), median {median:.2f} m; "
-            f"{evidence.used:.0%} within the {evidence.sensor.min_range:g} to {evidence.sensor.max_range:g} m that are used"
+            f"depths {depth['p5']:.2f} to {depth['p95']:.2f} m (5 to 95 %), median {depth['median']:.2f} m; "
+            f"{table['depth_used']:.0%} are within the {low:g} to {high:g} m that are used"
         )
-    if evidence.longest_gap_s > 0:
-        lines.append(f"longest time without support {evidence.longest_gap_s:.2f} s")
     return lines
 
 

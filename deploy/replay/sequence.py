@@ -16,7 +16,7 @@ from deploy.pictures.relief import shaded
 from deploy.progress import Progress
 from deploy.replay import evidence as replay_evidence
 from deploy.replay.error import ReplayError
-from deploy.replay.evidence import DepthRange, Evidence, depth_range, picture_evidence
+from deploy.replay.evidence import DepthRange, Evidence, PictureEvidence, TrueComparison, depth_range, picture_evidence
 from deploy.replay.listener import Listener
 from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
@@ -24,8 +24,9 @@ from services.perception import tum
 from services.perception.config import Settings as PerceptionSettings
 from services.perception.motion import constant_velocity
 from services.perception.service import Perception
-from services.perception.trajectory import TrajectoryError, trajectory_error
+from services.perception.trajectory import relative_size, trajectory_error
 from shared import topics
+from shared.camera import DepthSensor
 from shared.geometry import Array, inverse, log_so3, transform
 from shared.lockstep import Lockstep
 from shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
@@ -37,6 +38,7 @@ _FLAT = 0.05  # [m] of height that a picture's colours span at least: noise is n
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
 _SHOW_NS = 1_000_000_000
 _HAND_CELLS = 512  # along each edge of the map: a hand-held camera sees further than the robot steps
+_FARTHEST_M = 30.0  # [m] to which registration can be set
 _HAND_SIGMA = 0.01  # [m] and [rad] by which a hand's motion from picture to picture differs from the one before
 
 
@@ -164,7 +166,8 @@ def replay_folder(
     foothold layers (map.png, layers.png).
 
     Returns:
-        Plain table: frames, pose_error_m after alignment, map_error_m (nothing to compare with), stages_ms.
+        Plain table: frames, pose_error_m after alignment, map_error_m (nothing to compare with), stages_ms, evidence (see
+        `Evidence.as_table`) and pictures (see `PictureEvidence.as_table`).
     """
     # 1. The sequence, and a profile that has its camera.
     try:
@@ -173,11 +176,18 @@ def replay_folder(
         raise ReplayError(str(unreadable)) from None
     profile = profile_for(sequence)
     # 2. Play it to perception and mapper on simulated time.
-    poses, terrain, stages, lost = _play(sequence, profile, registration, progress)
-    # 3. Compare the camera's way with the truth.
+    poses, pictures, terrain, stages = _play(sequence, profile, registration, progress)
+    # 3. Compare the camera's way with the truth, and judge what supports it.
     stamps_ns = np.array([pose.stamp_ns for pose in poses], dtype=np.int64) + sequence.stamps_ns[0]
     T_estimate = np.array([pose.T_world_body for pose in poses]).reshape(-1, 4, 4) @ profile.camera.T_body_camera
-    error = _error(sequence.truth, stamps_ns, T_estimate)
+    pairs = _true_pairs(sequence.truth, stamps_ns, T_estimate)
+    error = None if pairs is None else trajectory_error(*pairs)
+    truth = None
+    if pairs is not None and error is not None:
+        p_estimate, p_true = pairs[0][:, :3, 3], pairs[1][:, :3, 3]
+        extent = float(np.linalg.norm(p_true - p_true[0], axis=1).max())
+        truth = TrueComparison(error.rms, extent, relative_size(p_estimate, p_true))
+    found = Evidence(tuple(pictures), _registered_range(profile, registration), truth)
     # 4. Leave trajectory and map behind.
     tum.write_trajectory(out / "trajectory.txt", tum.Trajectory(stamps_ns, T_estimate))
     if terrain is not None:
@@ -187,16 +197,24 @@ def replay_folder(
         "source": folder.name,
         "frames": len(sequence),
         "poses": len(poses),
-        "poses_not_ok": lost,
+        "poses_not_ok": sum(not pose.ok for pose in poses),
         "pose_error_m": {"rms": error and rounded(error.rms), "final": error and rounded(error.final)},
         "map_error_m": {"rmse": None, "bias": None, "p95": None, "coverage": None},
         "stages_ms": stages,
+        "evidence": found.as_table(),
+        "pictures": [picture.as_table() for picture in pictures],
     }
 
 
-def hand_held_settings(registration: Literal["projective", "kiss-icp"]) -> PerceptionSettings:
-    """Perception that believes a guess of constant velocity as far as a hand keeps to one, and maps as far as a Kinect sees."""
+def hand_held_settings(registration: Literal["projective", "kiss-icp"], sensor: DepthSensor) -> PerceptionSettings:
+    """Perception that believes a guess of constant velocity as far as a hand keeps to one, and maps as far as a Kinect sees.
+
+    A sensor that states a longer range than usual, or one that begins where registration usually ends, is used to its end.
+    """
+    usual = PerceptionSettings().registration_range
+    whole = sensor.max_range > DepthSensor().max_range or sensor.min_range >= usual
     return PerceptionSettings(
+        registration_range=min(sensor.max_range, _FARTHEST_M) if whole else usual,
         settle_s=0.0,
         scan_rate_hz=1e3,  # every picture counts: the guess reaches from one to the next
         method=registration,
@@ -233,6 +251,7 @@ def in_words(table: dict[str, Any]) -> str:
     """A replay's result for people."""
     lines = [f"{table['source']}:"]
     lines.append(f"  {table['poses']} poses of {table['frames']} pictures, {table['poses_not_ok']} of them by the prior alone")
+    lines += [f"  {line}" for line in replay_evidence.in_words(table["evidence"])]
     if table["pose_error_m"]["rms"] is not None:
         error = table["pose_error_m"]
         lines.append(
@@ -246,12 +265,12 @@ def in_words(table: dict[str, Any]) -> str:
 
 def _play(
     sequence: tum.Recording, profile: RobotProfile, registration: Literal["projective", "kiss-icp"], progress: Progress
-) -> tuple[list[BodyPose], TerrainMap | None, dict[str, Any], int]:
+) -> tuple[list[BodyPose], list[PictureEvidence], TerrainMap | None, dict[str, Any]]:
     heard = Listener()
-    player = Player(sequence)
+    player = Player(sequence, _registered_range(profile, registration))
     makers: dict[str, Callable[[], Service]] = {
         "player": lambda: player,
-        "perception": lambda: Perception(profile, hand_held_settings(registration)),
+        "perception": lambda: Perception(profile, hand_held_settings(registration, profile.camera.sensor)),
         "mapper": lambda: Mapper(profile, MapperSettings(cells=_HAND_CELLS)),
         "constant velocity": lambda: ConstantVelocity(round(1e9 / profile.camera.sensor.rate_hz)),
     }
@@ -262,11 +281,20 @@ def _play(
         progress.say(f"{player.doing()}, {len(heard.poses)} poses")
     lockstep.run(lockstep.now_ns + _SETTLE_NS)
     stages = stages_ms(lockstep.service("perception"), lockstep.service("mapper"))
-    return heard.poses, heard.terrain, stages, sum(not pose.ok for pose in heard.poses)
+    poses = {pose.stamp_ns: pose for pose in heard.poses}
+    pictures = [picture_evidence(stamp_ns, poses.get(stamp_ns), depth) for stamp_ns, depth in player.depth_ranges.items()]
+    return heard.poses, pictures, heard.terrain, stages
 
 
-def _error(truth: tum.Trajectory | None, stamps_ns: NDArray[np.int64], T_estimate: Array) -> TrajectoryError | None:
-    """Error of the camera's way where the truth covers it; None where it does so for less than three poses."""
+def _registered_range(profile: RobotProfile, registration: Literal["projective", "kiss-icp"]) -> DepthSensor:
+    """The camera's sensor with the range of the depths that registration uses."""
+    sensor = profile.camera.sensor
+    settings = hand_held_settings(registration, sensor)
+    return replace(sensor, max_range=min(sensor.max_range, settings.registration_range))
+
+
+def _true_pairs(truth: tum.Trajectory | None, stamps_ns: NDArray[np.int64], T_estimate: Array) -> tuple[Array, Array] | None:
+    """Estimated and true poses (n, 4, 4) where the truth covers the camera's way; None where it does so for less than three."""
     if truth is None:
         return None
     pairs = [
@@ -274,7 +302,7 @@ def _error(truth: tum.Trajectory | None, stamps_ns: NDArray[np.int64], T_estimat
     ]
     if len(pairs) < 3:
         return None
-    return trajectory_error(np.array([T for T, _ in pairs]), np.array([T for _, T in pairs]))
+    return np.array([T for T, _ in pairs]), np.array([T for _, T in pairs])
 
 
 def _draw(path: Path, terrain: TerrainMap, T: Array) -> None:

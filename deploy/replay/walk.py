@@ -5,7 +5,7 @@ import heapq
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,16 @@ from shared.service import AnyTopic, Service
 
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
 _SHOW_FRAMES = 5000
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How far what is made now may be off what a live run made; what a lockstep run made is met exactly."""
+
+    map_rmse_m: float = 0.01
+    map_coverage: float = 0.9  # share of the recorded cells that are known now
+    touchdown_p50_m: float = 0.02
+
 
 Change = Callable[[AnyTopic, Message, int], Iterable[tuple[Message, int]]]  # message, time [ns] -> what is fed in its place
 
@@ -54,7 +64,7 @@ def replay_recording(
 
     Returns:
         Plain table: topics with their counts, maps and plans compared, map_error_m and plan_error_m of the new ones against
-        the recorded ones, stages_ms.
+        the recorded ones, stages_ms, and evidence: whether the replay supports what was recorded, or the problem.
     """
     # 1. What there is, and who hears it now.
     recording = Recording(path)
@@ -77,7 +87,7 @@ def replay_recording(
     maps, plans = replay.compared_maps(), compared_plans(replay.recorded_plans, replay.plans)
     if replay.maps:
         layers_picture.draw(out / "layers.png", replay.maps[max(replay.maps)])
-    return {
+    table = {
         "source": path.name,
         "about": {key: value for key, value in recording.about.items() if key != "frame_layout"},
         "complete": recording.complete,
@@ -91,6 +101,49 @@ def replay_recording(
         "said": replay.said,
         "stages_ms": stages_ms(*replay.services()),
     }
+    problem = problem_of(table, everything=not only)
+    return table | {"evidence": {"supported": not problem, "problem": problem}}
+
+
+def problem_of(table: Mapping[str, Any], everything: bool = True, limits: Limits | None = None) -> str:
+    """Why a replay does not support what was recorded, and what to do; empty where it does.
+
+    Args:
+        table: As `replay_recording` returns it.
+        everything: Whether all topics were fed, so that maps and plans are both to be met.
+        limits: For a live run.
+    """
+    maps, plans, error, off = table["maps"], table["plans"], table["map_error_m"], table["plan_error_m"]
+    if not (maps["compared"] or plans["compared"]):
+        return (
+            f"nothing was compared: {maps['recorded']} maps and {plans['recorded']} plans were recorded, {maps['made']} and "
+            f"{plans['made']} made now; record perception/scan and mapper/terrain, or the planner's topics, of a longer run"
+        )
+    for name, found in (("map", maps), ("plan", plans)):
+        if everything and found["recorded"] and not found["compared"]:
+            return (
+                f"no {name} was compared: {found['recorded']} were recorded, {found['made']} made now; "
+                f"`sextant info` shows whether the recording has the topics that they are made of"
+            )
+    exact = everything and table["about"].get("run") == "lockstep"
+    allowed = Limits(0.0, 1.0, 0.0) if exact else limits or Limits()
+    advice = (
+        "a lockstep run replays exactly with the version that recorded it"
+        if exact
+        else "replay it with the version that recorded it, or record on a computer that is not too busy"
+    )
+    if maps["compared"] and (error["rmse"] is None or error["coverage"] < allowed.map_coverage):
+        known = 0.0 if error["rmse"] is None else error["coverage"]
+        return f"only {known:.1%} of the recorded cells are known now, {allowed.map_coverage:.0%} expected; {advice}"
+    if maps["compared"] and error["rmse"] > allowed.map_rmse_m:
+        found_mm, allowed_mm = 1e3 * error["rmse"], 1e3 * allowed.map_rmse_m
+        return f"maps are {found_mm:.1f} mm rms off the recorded ones, {allowed_mm:g} mm allowed; {advice}"
+    name = "touchdown_max" if exact else "touchdown_p50"
+    if plans["compared"] and off[name] > allowed.touchdown_p50_m:
+        which = "at most" if exact else "in the median"
+        found_mm, allowed_mm = 1e3 * off[name], 1e3 * allowed.touchdown_p50_m
+        return f"touchdowns are {found_mm:.1f} mm off the recorded ones {which}, {allowed_mm:g} mm allowed; {advice}"
+    return ""
 
 
 class _Replay:

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from shared.geometry import align_rigid, inverse, log_so3
 
+_SAME_SHAPE = 0.1  # of a trajectory's extent, up to which two of them have one shape
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrajectoryError:
@@ -52,3 +54,17 @@ def trajectory_error(T_estimate: NDArray[np.float64], T_truth: NDArray[np.float6
     return TrajectoryError(
         T, np.linalg.norm(difference[:, :3, 3], axis=-1), np.linalg.norm(log_so3(difference[:, :3, :3]), axis=-1)
     )
+
+
+def relative_size(estimate: NDArray[np.float64], truth: NDArray[np.float64]) -> float | None:
+    """Size of an estimated trajectory (n, 3) [m] over that of the true one, taken at the same times.
+
+    None where nothing moves, or where the two differ in shape by more than a tenth of the true size.
+    """
+    T = align_rigid(estimate, truth)
+    p, q = (estimate - estimate.mean(axis=0)) @ T[:3, :3].T, truth - truth.mean(axis=0)
+    squares, extent = float((p * p).sum()), float(np.sqrt((q * q).sum()))
+    scale = float((p * q).sum()) / squares if squares > 0.0 else 0.0
+    if scale <= 0.0 or float(np.linalg.norm(q - scale * p)) > _SAME_SHAPE * extent:
+        return None
+    return 1.0 / scale

@@ -55,6 +55,7 @@ def test_a_recorded_walk_replays_into_the_same_maps_and_plans(recorded: Path, tm
     assert table["plans"]["compared"] >= 8
     assert set(table["plan_error_m"].values()) == {0.0}
     assert set(table["stages_ms"]) >= {"mapper.fuse", "mapper.score", "planner.plan step"}
+    assert table["evidence"] == {"supported": True, "problem": ""}
     assert (tmp_path / "layers.png").stat().st_size > 1000
 
 
@@ -79,6 +80,7 @@ def test_scans_that_stay_away_stop_the_planner_and_it_says_why(recorded: Path, t
         return () if isinstance(message, Scan) and broken(message) else ((message, at_ns),)
 
     whole, table = replayed(recorded, tmp_path, lambda _, m, t: ((m, t),)), replayed(recorded, tmp_path, no_scans)
+    assert "expected; a lockstep run replays exactly" in table["evidence"]["problem"] or "off" in table["evidence"]["problem"]
     assert table["said"]["waiting: no fresh terrain map"] > 15, "ten words a second, from 0.8 s after the last map on"
     assert table["plans"]["compared"] < whole["plans"]["compared"]
     assert table["plans"]["compared"] >= 4, "before and after it plans"

@@ -1,6 +1,8 @@
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,14 +13,14 @@ from deploy.progress import Silent
 from deploy.replay import sequence as replay
 from deploy.replay.error import ReplayError
 from deploy.replay.sequence import HandHeld, Player
-from deploy.replay.walk import in_words, map_difference, replay_recording
+from deploy.replay.walk import in_words, map_difference, problem_of, replay_recording
 from deploy.runs.attendance import about
 from services.console.recording.writer import Recorder
 from services.mapper.config import Settings
 from services.mapper.service import Mapper
 from services.perception import tum
 from shared import codec, topics
-from shared.camera import Intrinsics
+from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import exp_se3, from_xyz_rpy, transform
 from shared.messages import BodyPose, ColorImage, DepthImage, Odometry, Scan, TerrainMap, Tick
 from shared.profiles import load_profile
@@ -72,7 +74,7 @@ def test_a_camera_that_looks_straight_down_has_a_body_too() -> None:
 
 
 def test_pictures_come_once_in_order_and_never_early(folder: Path) -> None:
-    player = Player(tum.read_recording(folder))
+    player = Player(tum.read_recording(folder), DepthSensor())
     inbox = Inbox((), Stages())
     played: list[DepthImage] = []
     for beat in range(40):
@@ -97,11 +99,11 @@ def test_colour_goes_with_the_depth_nearest_in_time(folder: Path) -> None:
     assert colors[0] is not None
     np.testing.assert_array_equal(colors[0][0, 0], [200, 100, 0])
     assert replay.profile_for(sequence).camera.color
-    made = list(Player(sequence).step(Tick(S), Inbox((), Stages())))
+    made = list(Player(sequence, DepthSensor()).step(Tick(S), Inbox((), Stages())))
     assert [m.stamp_ns for m in made if isinstance(m, ColorImage)] == [0], "at most five a second"
     (folder / "rgb" / "0.png").write_bytes(b"nothing")
     with pytest.raises(ReplayError, match="a colour image"):
-        list(Player(sequence).step(Tick(0), Inbox((), Stages())))
+        list(Player(sequence, DepthSensor()).step(Tick(0), Inbox((), Stages())))
 
 
 def test_what_is_wrong_in_a_folder_is_said(folder: Path, tmp_path: Path) -> None:
@@ -114,7 +116,7 @@ def test_a_missing_picture_is_named(folder: Path) -> None:
     sequence = tum.read_recording(folder)
     (folder / sequence.files[0]).unlink()
     with pytest.raises(ReplayError, match="is missing"):
-        list(Player(sequence).step(Tick(0), Inbox((), Stages())))
+        list(Player(sequence, DepthSensor()).step(Tick(0), Inbox((), Stages())))
 
 
 def terrain(elevation: np.ndarray) -> TerrainMap:
@@ -183,8 +185,48 @@ def test_the_command_replays_a_recording_or_the_folder_that_holds_it(
     assert json.loads(capsys.readouterr().out)["map_error_m"]["rmse"] == 0.0
     assert cli.main(["replay", str(recorded.parent), "--out", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["map_error_m"]["rmse"] == 0.0
+    assert cli.main(["replay", str(recorded), "--only", "perception/pose", "--out", str(out), "--json"]) == 1
+    found = capsys.readouterr()
+    assert "nothing was compared: 6 maps" in found.err
+    assert json.loads(found.out)["evidence"]["problem"] in found.err
     assert cli.main(["replay", str(recorded), "--only", "perception/skan", "--out", str(out)]) == 2
     assert "did you mean 'perception/scan'" in capsys.readouterr().err
+
+
+def replay_table(**changed: Any) -> dict[str, Any]:
+    """A replay of a lockstep run that met all that was recorded, but for some entries."""
+    error = {"rmse": 0.0, "bias": 0.0, "p95": 0.0, "coverage": 1.0}
+    off = {"touchdown_p50": 0.0, "touchdown_p95": 0.0, "touchdown_max": 0.0, "body_max": 0.0}
+    counts = {"made": 20, "recorded": 10, "compared": 10}
+    whole = {"about": {"run": "lockstep"}, "maps": counts, "plans": counts, "map_error_m": error, "plan_error_m": off}
+    return {key: {**value, **changed.get(key, {})} for key, value in whole.items()}
+
+
+@pytest.mark.parametrize(
+    ("changed", "problem"),
+    [
+        ({}, ""),
+        ({"maps": {"compared": 0}, "plans": {"compared": 0}}, "nothing was compared"),
+        ({"maps": {"compared": 0}}, "no map was compared: 10 were recorded, 20 made"),
+        ({"plans": {"compared": 0}}, "no plan was compared"),
+        ({"plans": {"compared": 0, "recorded": 0}}, ""),
+        ({"map_error_m": {"rmse": 0.0004}}, "maps are 0.4 mm rms off"),
+        ({"map_error_m": {"coverage": 0.99}}, "only 99.0% of the recorded cells"),
+        ({"map_error_m": {"rmse": None, "coverage": None}}, r"only 0.0% of the recorded cells"),
+        ({"plan_error_m": {"touchdown_max": 0.003}}, "touchdowns are 3.0 mm off the recorded ones at most"),
+        ({"about": {"run": "live"}, "map_error_m": {"rmse": 0.004, "coverage": 0.95}}, ""),
+        ({"about": {"run": "live"}, "map_error_m": {"rmse": 0.02}}, "maps are 20.0 mm rms off"),
+        ({"about": {"run": "live"}, "plan_error_m": {"touchdown_max": 0.5}}, ""),
+        ({"about": {"run": "live"}, "plan_error_m": {"touchdown_p50": 0.05}}, "in the median, 20 mm allowed"),
+    ],
+)
+def test_a_replay_that_does_not_meet_what_was_recorded_says_so(changed: dict[str, Any], problem: str) -> None:
+    found = problem_of(replay_table(**changed))
+    assert re.search(problem, found) if problem else found == ""
+
+
+def test_where_only_some_topics_are_fed_the_rest_is_not_asked_for() -> None:
+    assert problem_of(replay_table(plans={"compared": 0}, map_error_m={"rmse": 0.004}), everything=False) == ""
 
 
 def test_a_run_with_a_map_of_its_own_replays_into_the_same_cells(tmp_path: Path) -> None:

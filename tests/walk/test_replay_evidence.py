@@ -1,0 +1,69 @@
+"""`sextant replay` on made-up sequences: exit status 0 only where the pictures support the trajectory."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deploy import cli
+from tests.support.depth_folders import RATE_HZ, room, write_folder
+from tests.support.raycast import camera_pose
+
+NOTHING = np.zeros((0, 6))
+
+
+def replayed(folder: Path, out: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any], str]:
+    """Exit status, table and last line on stderr."""
+    status = cli.main(["replay", str(folder), "--out", str(out), "--json"])
+    found = capsys.readouterr()
+    return status, json.loads(found.out), found.err.splitlines()[-1]
+
+
+def ahead(n: int, speed: float) -> np.ndarray:
+    """Camera at a height of 0.6 m after n pictures at a speed [m/s]."""
+    return np.asarray(camera_pose(speed * n / RATE_HZ, z=0.6))
+
+
+def test_a_room_is_evidence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_folder(tmp_path / "room", [ahead(n, 0.5) for n in range(30)], room())
+    status, table, _ = replayed(folder, tmp_path, capsys)
+    assert status == 0
+    assert table["evidence"]["supported"]
+    assert table["evidence"]["pictures_supporting"] == 29
+    assert table["pose_error_m"]["rms"] < 0.01
+    assert len(table["pictures"]) == 30
+    assert all(picture["unobservable"] == [] for picture in table["pictures"][1:])
+    assert 0.5 < table["evidence"]["depth_m"]["median"] < 2.5
+
+
+def test_a_bare_floor_is_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_folder(tmp_path / "bare", [ahead(n, 0.5) for n in range(30)], NOTHING)
+    status, table, error = replayed(folder, tmp_path, capsys)
+    assert status == 1
+    assert table["evidence"]["unobservable"] == {"x": 29, "y": 29, "yaw": 29}
+    assert all(picture["unobservable"] == ["x", "y", "yaw"] for picture in table["pictures"][1:])
+    assert "x, y, yaw unobservable" in error
+    assert error.startswith("sextant replay: 0 of 29 pictures")
+
+
+def test_a_wrong_scale_is_named_with_one_that_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_folder(tmp_path / "scale", [ahead(n, 0.5) for n in range(10)], room(), depth_scale=5000.0)
+    status, table, error = replayed(folder, tmp_path, capsys)
+    assert status == 1
+    assert table["evidence"]["fitting_depth_scale"] == 1000.0
+    assert "depth_scale = 1000 in camera.toml fits" in error
+
+
+def test_near_surfaces_want_a_nearer_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Boxes 0.35 to 0.48 m below a camera that looks down."""
+    boxes = [[x, y, 0, x + 0.06, y + 0.06, h] for x, y, h in ((-0.1, -0.1, 0.1), (0.05, 0.0, 0.06), (0.0, 0.12, 0.03))]
+    poses = [np.asarray(camera_pose(0.1 * n / RATE_HZ, z=0.48, pitch=np.pi / 2)) for n in range(10)]
+    status, _, error = replayed(write_folder(tmp_path / "far", poses, np.array(boxes)), tmp_path, capsys)
+    assert status == 1
+    assert "set min_range and max_range in camera.toml" in error
+    near = write_folder(tmp_path / "near", poses, np.array(boxes), min_range=0.2)
+    status, table, _ = replayed(near, tmp_path, capsys)
+    assert status == 0
+    assert table["pose_error_m"]["rms"] < 0.01
