@@ -114,8 +114,8 @@ class BusFault:
     volts: float = 2.0  # [V] less
 
     checks = (
-        *config.each("at_s", lambda at: at >= 0, "a time of at least 0 s"),
-        *config.each("for_s", lambda length: length > 0, "a fault longer than 0 s"),
+        *config.each("at_s", lambda at: 0 <= at <= 1e6, "a time from 0 to 1000000 s"),
+        *config.each("for_s", lambda length: 0 < length <= 1e6, "more than 0 and at most 1000000 s"),
         config.Check(("target", "kind"), _off_the_grid),
         *config.each("servo", lambda servo: -1 <= servo <= 253, "a servo id from 0 to 253, or -1 for none in particular,"),
         *config.each("share", lambda share: 0 < share <= 1, "a share above 0, at most 1,"),

@@ -71,7 +71,8 @@ def together(keys: str, holds: Callable[..., bool], expected: str) -> Check:
 
     def finds(*values: Any) -> Iterator[Misfit]:
         if all(map(_known, values)) and not holds(*values):
-            yield Misfit(names[0], expected, ", ".join(f"{n} = {v!r}" for n, v in zip(names, values, strict=True)))
+            found = ", ".join(f"{name} = {_shown(value)}" for name, value in zip(names, values, strict=True))
+            yield Misfit(names[0], expected, found)
 
     return Check(tuple(names), finds)
 

@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 
 _MAX_TEXT_BYTES = 16 << 20
 _MAX_TOML_BYTES = 2 << 20
+_PIECE_BYTES = 1 << 20
 _MAX_DEPTH = 32  # tables and lists within each other
 _INT64 = range(-(2**63), 2**63)
 # One name more than may be joined by dots: tomllib takes time and memory by the square of their number.
@@ -42,7 +43,9 @@ def read_bytes(path: Path, most: int) -> bytes:
         _check_regular(path, path.stat())
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
             _check_regular(path, os.fstat(file.fileno()))
-            data = file.read(most + 1)
+            data = bytearray()
+            while len(data) <= most and (piece := file.read(_PIECE_BYTES)):  # the size that a file states may be wrong
+                data += piece
     except OSError as error:
         raise FileError(path, os_cause(error)) from None
     except ValueError as error:
@@ -51,7 +54,7 @@ def read_bytes(path: Path, most: int) -> bytes:
         raise FileError(Path(repr(str(path))), "a path without zero characters expected") from None
     if len(data) > most:
         raise FileError(path, f"at most {_size(most)} expected, found more")
-    return data
+    return bytes(data)
 
 
 def read_text(path: Path, most: int = _MAX_TEXT_BYTES) -> str:

@@ -35,7 +35,7 @@ class LegLinks:
     femur: float
     tibia: float
 
-    checks = (*config.each("coxa femur tibia", lambda length: length > 0, "a length of more than 0 m"),)
+    checks = (*config.each("coxa femur tibia", lambda length: 0 < length <= 10, "a length of more than 0 and at most 10 m"),)
 
     def __post_init__(self) -> None:
         config.verify(self)
@@ -56,6 +56,8 @@ class Leg:
 
     checks = (
         *config.each("name", lambda name: name in LEGS, f"one of {', '.join(LEGS)}"),
+        *config.each("mount_xyz", lambda place: abs(place) <= 10, "at most 10 m either way"),
+        *config.each("neutral_yaw_deg", lambda yaw: abs(yaw) <= 360, "-360 to 360 deg"),
         *config.each("servo_ids", lambda servo: 0 <= servo <= 253, "a servo id from 0 to 253"),
         *config.each("servo_signs", lambda sign: sign in (-1, 1), "a servo sign of 1 or -1"),
         *config.each(
@@ -84,8 +86,8 @@ class Servo:
     lock_eeprom: bool = True  # once set up, id, baud rate and limits cannot be written until its power goes
 
     checks = (
-        *config.each("stall_torque no_load_speed stiffness", lambda value: value > 0, "more than 0"),
-        *config.each("armature friction", lambda value: value >= 0, "at least 0"),
+        *config.each("stall_torque no_load_speed stiffness", lambda value: 0 < value <= 1e4, "more than 0 and at most 10000"),
+        *config.each("armature friction", lambda value: 0 <= value <= 100, "0 to 100"),
         *config.each("temperature_limit", lambda limit: 40 <= limit <= 99, "40 to 99 deg C"),
         *config.each("compliance_slope", lambda slope: 1 <= slope <= 254, "a compliance slope from 1 to 254"),
     )
@@ -109,8 +111,8 @@ class Battery:
     checks = (
         config.together(
             "warn_voltage empty_voltage",
-            lambda warn, empty: 0 < empty <= warn,
-            "an empty_voltage of more than 0 V and at most warn_voltage",
+            lambda warn, empty: 0 < empty <= warn <= 100,
+            "an empty_voltage of more than 0 V and at most warn_voltage, which is at most 100 V,",
         ),
     )
 
@@ -127,8 +129,8 @@ class Body:
     leg_link_masses: tuple[float, float, float]  # [kg] coxa, femur, tibia link with the servos they carry
 
     checks = (
-        *config.each("size", lambda edge: edge > 0, "an edge of more than 0 m"),
-        *config.each("mass leg_link_masses", lambda mass: mass > 0, "a mass of more than 0 kg"),
+        *config.each("size", lambda edge: 0 < edge <= 10, "an edge of more than 0 and at most 10 m"),
+        *config.each("mass leg_link_masses", lambda mass: 0 < mass <= 1000, "a mass of more than 0 and at most 1000 kg"),
     )
 
     def __post_init__(self) -> None:
@@ -146,7 +148,7 @@ class Foot:
 
     radius: float  # [m]
 
-    checks = (*config.each("radius", lambda radius: radius > 0, "a foot radius of more than 0 m"),)
+    checks = (*config.each("radius", lambda radius: 0 < radius <= 1, "a foot radius of more than 0 and at most 1 m"),)
 
     def __post_init__(self) -> None:
         config.verify(self)
@@ -176,11 +178,11 @@ class Stance:
     checks = (
         *config.each(
             "foot_radius_from_coxa body_height body_height_range stride search_radius max_climb rough_lift max_lift",
-            lambda length: length > 0,
-            "more than 0 m",
+            lambda length: 0 < length <= 10,
+            "more than 0 and at most 10 m",
         ),
-        *config.each("foot_distance support_margin", lambda length: length >= 0, "at least 0 m"),
-        *config.each("max_speed foot_speed", lambda speed: speed > 0, "more than 0 m/s"),
+        *config.each("foot_distance support_margin", lambda length: 0 <= length <= 10, "0 to 10 m"),
+        *config.each("max_speed foot_speed", lambda speed: 0 < speed <= 100, "more than 0 and at most 100 m/s"),
         *config.each("step_s", lambda duration: 0.4 <= duration <= 2.0, "0.4 to 2 s"),
         config.together(
             "body_height body_height_range",
@@ -206,6 +208,7 @@ class Camera:
     device: str = "none"
 
     checks = (
+        *config.each("mount_xyz", lambda place: abs(place) <= 10, "at most 10 m either way"),
         *config.each("pitch_down_deg", lambda pitch: -45.0 <= pitch <= 90.0, "an angle from -45 (up) to 90 (straight down)"),
         *config.each(
             "device", lambda device: device.strip() != "", '"openni2", "realsense", "none" or the path of a recorded folder'
@@ -292,6 +295,7 @@ class RobotProfile:
 
     checks = (
         *config.each("name", lambda name: name.strip() != "", "a name"),
+        *config.each("horn_offsets_deg", lambda offset: abs(offset) <= 360, "-360 to 360 deg"),
         config.Check(("legs",), _out_of_order),
         config.Check(("legs",), _ids_given_twice),
         config.Check(("calibration",), _calibrated_twice),

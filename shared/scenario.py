@@ -16,7 +16,17 @@ from shared.bus_fault import BusFault
 from shared.messages import GaitName
 
 Color = tuple[int, int, int]  # R, G, B from 0 to 255
+MAX_BLOCKS = 500  # of a kind that the seed places: each keeps clear of all the others, which takes time
 _MOST_WAYPOINTS = 32  # of a route, its end included
+
+
+def _bounded(keys: str, most: float, unit: str) -> tuple[config.Check, ...]:
+    """Checks that numbers are no larger than a world that can be simulated."""
+    return config.each(keys, lambda value: value is None or abs(value) <= most, f"at most {most:g} {unit} either way")
+
+
+_BLOCK_COUNT = config.each("count", lambda count: 1 <= count <= MAX_BLOCKS, f"a count from 1 to {MAX_BLOCKS}")
+_STEP_COUNT = config.each("count", lambda count: 1 <= count <= 1000, "a count from 1 to 1000")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +36,8 @@ class Plane:
     kind: Literal["plane"] = "plane"
     height: float = 0.0  # [m]
     color: Color | None = None
+
+    checks = (*_bounded("height", 100, "m"),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +58,8 @@ class Box:
     size_spread: tuple[float, float] = (0.0, 0.0)  # [m]
     top_spread: float = 0.0  # [m]
 
+    checks = (*_bounded("xy size xy_spread size_spread", 1000, "m"), *_bounded("top depth top_spread", 100, "m"))
+
     def __post_init__(self) -> None:
         least = min(*self.xy_spread, *self.size_spread, self.top_spread)
         _expect(least >= 0, "spreads of at least 0 m", least)
@@ -64,6 +78,8 @@ class Hole:
     xy_spread: tuple[float, float] = (0.0, 0.0)  # [m]
     size_spread: tuple[float, float] = (0.0, 0.0)  # [m]
     color: Color | None = None
+
+    checks = (*_bounded("xy size xy_spread size_spread", 1000, "m"), *_bounded("depth", 100, "m"))
 
     def __post_init__(self) -> None:
         least = min(*self.xy_spread, *self.size_spread)
@@ -94,6 +110,12 @@ class Stairs:
     tread_spread: float = 0.0  # [m] and to the treads
     color: Color | None = None
 
+    checks = (
+        *_STEP_COUNT,
+        *_bounded("xy width landing", 1000, "m"),
+        *_bounded("riser tread base depth riser_spread tread_spread", 100, "m"),
+    )
+
     def __post_init__(self) -> None:
         _expect(self.count >= 1, "a count of at least one step", self.count)
         _expect(min(self.tread, self.width, self.landing) > 0, "tread, width and landing greater than 0 m", self)
@@ -120,6 +142,14 @@ class Pillars:
     bears: float = 3.0  # [N] the most that a weak one does
     sinks: float = 0.06  # [m] it sinks by
 
+    checks = (
+        config.together("xy", lambda xy: len(xy) <= 5000, "at most 5000 pillars"),
+        config.together("xy", lambda xy: all(max(map(abs, one)) <= 1000 for one in xy), "places within 1000 m"),
+        *_bounded("size length jitter", 1000, "m"),
+        *_bounded("top depth top_spread sinks", 100, "m"),
+        *_bounded("bears", 1e6, "N"),
+    )
+
     def __post_init__(self) -> None:
         _expect(self.size > 0 and self.length >= 0, "a size greater than 0 m and a length", (self.size, self.length))
         least = min(self.jitter, self.top_spread)
@@ -143,6 +173,8 @@ class PillarField:
     depth: float = 0.5  # [m]
     color: Color | None = None
 
+    checks = (*_bounded("x y size gap", 1000, "m"), *_bounded("top depth", 100, "m"))
+
     def __post_init__(self) -> None:
         low, high = self.density
         _expect(0 <= low <= high <= 0.5, "densities in rising order from 0 to 0.5", self.density)
@@ -164,6 +196,8 @@ class Slope:
     depth: float = 0.5  # [m] how far it reaches below its lower end
     color: Color | None = None
 
+    checks = (*_bounded("xy length width landing", 1000, "m"), *_bounded("base depth", 100, "m"))
+
 
 @dataclass(frozen=True, slots=True)
 class Rubble:
@@ -180,10 +214,17 @@ class Rubble:
     base: float = 0.0  # [m] ground they stand on
     color: Color | None = None
 
+    checks = (
+        *_BLOCK_COUNT,
+        *_bounded("x y size gap", 1000, "m"),
+        *_bounded("top base", 100, "m"),
+        *config.each("yaw_deg", lambda yaw: 0 <= yaw <= 180, "0 to 180 deg"),
+    )
+
 
 @dataclass(frozen=True, slots=True)
 class HeightMap:
-    """Measured ground from a .npy file (metres, NaN unknown, filled with the lowest) or a .png (grey value times scale).
+    """Measured ground from a .npy file (metres, NaN unknown, filled with the lowest) or a .png (grey value times `scale`).
 
     Of a larger map a part can be taken, and then be turned.
     """
@@ -192,12 +233,19 @@ class HeightMap:
     resolution: float  # [m] cell edge
     xy: tuple[float, float]  # [m] where cell (0, 0) of what is taken and turned lies; rows run along x
     kind: Literal["height_map"] = "height_map"
-    scale: float = 1.0  # heights are multiplied by it
+    scale: float | None = None  # heights are multiplied by it; None for 1, and a .png needs it: [m] of one grey value
     color: Color | None = None
     base: float = 0.0  # [m] and this is added: a .png has no negative heights
     rows: tuple[int, int] | None = None  # first and one past the last that is taken, None for all
     columns: tuple[int, int] | None = None
     quarter_turns: int = 0  # of what is taken, counterclockwise as seen from above
+
+    checks = (
+        *_bounded("xy", 1000, "m"),
+        *_bounded("base", 100, "m"),
+        *config.each("resolution", lambda edge: 0.001 <= edge <= 10, "0.001 to 10 m"),
+        *config.each("scale", lambda scale: scale is None or 0 < scale <= 1000, "more than 0 and at most 1000"),
+    )
 
     def __post_init__(self) -> None:
         for name, taken in (("rows", self.rows), ("columns", self.columns)):
@@ -235,6 +283,8 @@ class Puddle:
     depth: float = 0.05  # [m] from what is seen to the bed
     color: Color = (74, 94, 118)
 
+    checks = (*_bounded("xy size", 1000, "m"), *_bounded("depth", 100, "m"))
+
 
 @dataclass(frozen=True, slots=True)
 class Puddles:
@@ -249,6 +299,8 @@ class Puddles:
     depth: float = 0.05  # [m]
     color: Color = (74, 94, 118)
 
+    checks = (*_BLOCK_COUNT, *_bounded("x y size gap", 1000, "m"), *_bounded("depth", 100, "m"))
+
 
 @dataclass(frozen=True, slots=True)
 class Level:
@@ -256,6 +308,8 @@ class Level:
 
     length: float  # [m]
     kind: Literal["level"] = "level"
+
+    checks = (*_bounded("length", 1000, "m"),)
 
     def __post_init__(self) -> None:
         _expect(self.length > 0, "a length greater than 0 m", self.length)
@@ -269,6 +323,8 @@ class Ramp:
     angle_deg: float
     kind: Literal["ramp"] = "ramp"
     angle_spread_deg: float = 0.0  # at most this much, of either sign, is added by the run's seed
+
+    checks = (*_bounded("length", 1000, "m"),)
 
     def __post_init__(self) -> None:
         _expect(self.length > 0, "a length greater than 0 m", self.length)
@@ -287,6 +343,8 @@ class Flight:
     kind: Literal["flight"] = "flight"
     riser_spread: float = 0.0  # [m]
     tread_spread: float = 0.0  # [m]
+
+    checks = (*_STEP_COUNT, *_bounded("riser tread riser_spread tread_spread", 100, "m"))
 
     def __post_init__(self) -> None:
         _expect(self.count >= 1, "a count of at least one step", self.count)
@@ -307,6 +365,13 @@ class Blocks:
     gap: float = 0.02  # [m]
     yaw_deg: float = 180.0  # [deg]
 
+    checks = (
+        *_BLOCK_COUNT,
+        *_bounded("length size gap", 1000, "m"),
+        *_bounded("top", 100, "m"),
+        *config.each("yaw_deg", lambda yaw: 0 <= yaw <= 180, "0 to 180 deg"),
+    )
+
     def __post_init__(self) -> None:
         _expect(self.length > 0, "a length greater than 0 m", self.length)
 
@@ -321,6 +386,8 @@ class Stones:
     kind: Literal["stones"] = "stones"
     jitter: float = 0.0  # [m] by which the run's seed moves each stone, at most and along either axis
     top: tuple[float, float] = (0.0, 0.0)  # [m] lowest and highest over the ground before them, by the run's seed
+
+    checks = (*_bounded("length size gap jitter", 1000, "m"), *_bounded("top", 100, "m"))
 
     def __post_init__(self) -> None:
         _expect(self.size > 0, "a size greater than 0 m", self.size)
@@ -342,6 +409,8 @@ class Gap:
     kind: Literal["gap"] = "gap"
     spread: float = 0.0  # [m] at most this much, of either sign, is added by the run's seed
 
+    checks = (*_bounded("length spread", 1000, "m"),)
+
     def __post_init__(self) -> None:
         _expect(0 <= self.spread < self.length, "a spread from 0 to less than the length", self.spread)
 
@@ -361,6 +430,8 @@ class Course:
     shuffled: bool = False  # the stretches between the first and the last follow each other in an order of the run's seed
     rest: float = 0.0  # [m] of level ground put between any two of those
     color: Color | None = None
+
+    checks = (*_bounded("width x rest", 1000, "m"), *_bounded("bottom", 100, "m"))
 
     def __post_init__(self) -> None:
         _expect(self.width > 0, "a width greater than 0 m", self.width)
@@ -386,6 +457,8 @@ class Start:
     xy_spread: tuple[float, float] = (0.0, 0.0)  # [m]
     yaw_spread_deg: float = 0.0
 
+    checks = (*_bounded("xy xy_spread", 1000, "m"), *_bounded("yaw_deg yaw_spread_deg", 360, "deg"))
+
     def __post_init__(self) -> None:
         least = min(*self.xy_spread, self.yaw_spread_deg)
         _expect(least >= 0, "spreads of at least 0", least)
@@ -403,6 +476,11 @@ class Goal:
     # What is right to do: to arrive, or to stand before what cannot be crossed and to say why; either where the seed decides
     # whether it can be crossed, unless somebody has found that out and tells the scorer.
     expect: Literal["arrival", "refusal", "either"] = "arrival"
+
+    checks = (
+        *_bounded("distance corridor", 1000, "m"),
+        config.together("waypoints", lambda found: all(max(map(abs, one)) <= 1000 for one in found), "places within 1000 m"),
+    )
 
     def __post_init__(self) -> None:
         _expect(min(self.distance, self.corridor) > 0, "distance and corridor greater than 0 m", (self.distance, self.corridor))
@@ -423,6 +501,8 @@ class Walk:
     footholds: Literal["score", "evaluation"] = "score"  # the layer of the map that says where: Lotriet's or Masri's
     arc: Literal["flow", "sixth_order"] = "flow"  # of swinging feet: Lotriet's, or Erasmus' for reference
     by_touch: bool = False  # when the robot stands for want of sight, it is asked to go on by touch alone
+
+    checks = (*_bounded("speed", 10, "m/s"), *_bounded("body_height lift", 10, "m"))
 
     def __post_init__(self) -> None:
         _expect(self.speed > 0, "a speed greater than 0 m/s", self.speed)
@@ -447,6 +527,8 @@ class Variation:
     imu: bool = False  # whether the robot has an inertial sensor
     registration: Literal["projective", "kiss-icp"] = "projective"
 
+    checks = (*_bounded("armature friction", 100, "times"),)
+
     def __post_init__(self) -> None:
         _expect(min(self.armature, self.friction) >= 1, "factors of at least 1", (self.armature, self.friction))
 
@@ -458,6 +540,8 @@ class MapOptions:
     cells: int = 256  # along x
     cells_y: int = 0  # along y, 0 for as many
     resolution: float = 0.01  # [m]
+
+    checks = (*_bounded("cells cells_y", 2048, "cells"),)
 
     def __post_init__(self) -> None:
         _expect(self.cells >= 8 and (self.cells_y == 0 or self.cells_y >= 8), "at least 8 cells", (self.cells, self.cells_y))
@@ -479,6 +563,8 @@ class Fault:
     kind: Literal["kill", "hang", "absent", "frozen", "blind", "noise"] = "kill"
     # [s] until it is back. A live run starts a killed process again by itself, and one that hangs for longer than it may.
     for_s: float = 2.0
+
+    checks = (*_bounded("at_s for_s", 1e6, "s"),)
 
     def __post_init__(self) -> None:
         _expect(self.at_s >= 0, "a time of at least 0 s", self.at_s)
@@ -532,6 +618,12 @@ class Scenario:
     link: Link = field(default_factory=Link)
     time_limit_s: float = 90.0  # [s] simulated
     folder: str = "."  # where files named in the scenario are looked for; set on loading
+
+    checks = (
+        *_bounded("battery_ah", 1e6, "A h"),
+        *_bounded("time_limit_s", 86400, "s"),
+        config.together("terrain", lambda parts: len(parts) <= 5000, "at most 5000 primitives"),
+    )
 
     def __post_init__(self) -> None:
         # Folders of runs are named by it.

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shared import config, input_file
+from shared import config, input_file, picture_file
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import interpolate, quaternion_from_rotation, rotation_from_quaternion, transform
 
@@ -130,14 +130,9 @@ class Recording:
             ValueError: It is no 16-bit grey image of the camera's size.
         """
         path = self.folder / self.files[index]
-        if not path.is_file():
+        if not path.exists():
             raise FileNotFoundError(f"{path} is missing, though depth.txt of the recording names it")
-        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        shape = (self.camera.intrinsics.height, self.camera.intrinsics.width)
-        if image is None or image.dtype != np.uint16 or image.shape != shape:
-            found = "no readable image" if image is None else f"{image.dtype} {image.shape}"
-            raise ValueError(f"{path}: 16-bit depth image {shape} expected, found {found}")
-        return np.asarray(image)
+        return np.asarray(picture_file.read_grey(path, bits=(16,), size=self._size), dtype=np.uint16)
 
     def color(self, index: int) -> NDArray[np.uint8] | None:
         """Colour image (h, w, 3), R, G, B, nearest in time to a depth image; None where none was taken near it.
@@ -151,13 +146,12 @@ class Recording:
         nearest = int(np.abs(stamps - self.stamps_ns[index]).argmin())
         if abs(int(stamps[nearest] - self.stamps_ns[index])) > _PAIRED_NS:
             return None
-        path = self.folder / files[nearest]
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
-        shape = (self.camera.intrinsics.height, self.camera.intrinsics.width, 3)
-        if image is None or image.shape != shape:
-            found = "no readable image" if image is None else f"{image.shape}"
-            raise ValueError(f"{path}: a colour image {shape} expected, found {found}")
-        return np.ascontiguousarray(image[:, :, ::-1], dtype=np.uint8)
+        return picture_file.read_color(self.folder / files[nearest], self._size)
+
+    @property
+    def _size(self) -> tuple[int, int]:
+        """Width and height [px] of its pictures."""
+        return self.camera.intrinsics.width, self.camera.intrinsics.height
 
     def frames(self) -> Iterator[tuple[int, NDArray[np.uint16]]]:
         """Stamps [ns] and raw depth images in order; errors as in `depth`."""

@@ -10,14 +10,15 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from services.simulator.solids import Boxes, HeightField
+from shared import array_file, picture_file
 from shared.config import ConfigError
 from shared.geometry import Array, rotation_from_rpy, rotation_z
 from shared.scenario import (
+    MAX_BLOCKS,
     Blocks,
     Box,
     Color,
@@ -44,8 +45,13 @@ from shared.scenario import Terrain as Primitive
 
 DEPTH = 0.5  # [m] how far rubble and height fields reach below the ground they join
 _BATCH = 256  # rubble candidates drawn at a time
+_FEW = 16  # of them, which are looked at first
 _BATCHES = 40  # tried for one block before the heap is begun anew
 _RESTARTS = 20
+_PACKED = 0.75  # share of a region that blocks placed at random cannot reach
+_HOPELESS_RESTARTS, _HOPELESS_SHARE = 3, 0.7  # after so many without this share of the blocks there is no room
+_MAX_BOXES = 5000  # of a terrain: physics and renderer take time and memory by their number
+_MAX_HEIGHT_M = 100.0  # either way, of measured ground
 Block = TypeVar("Block", Box, Hole)
 _FAR = 50.0  # [m] how far the level ground reaches where it has puddles
 
@@ -273,6 +279,8 @@ class _Heap:
 
     def add(self, xy: Iterable[float], size: tuple[float, float], top: float, bottom: float, yaw: float = 0.0) -> None:
         """An upright box."""
+        if len(self.centre) >= _MAX_BOXES:
+            raise ValueError(f"at most {_MAX_BOXES} solids expected, found more; ask for fewer or larger ones")
         if not (min(size) > 0 and top > bottom):
             raise ValueError(f"a box with positive edges expected, found {size[0]} x {size[1]} x {top - bottom} m")
         self.centre.append(np.array([*xy, (top + bottom) / 2]))
@@ -379,6 +387,8 @@ def _stones(
 ) -> tuple[list[Primitive], float, float]:
     pitch = stones.size + stones.gap
     across = max(1, int((course.width + stones.gap) // pitch))
+    if stones.rows * across > _MAX_BOXES:
+        raise ValueError(f"at most {_MAX_BOXES} stones expected, found {stones.rows} rows of {across}")
     i, j = np.meshgrid(np.arange(stones.rows), np.arange(across), indexing="ij")
     xy = np.stack([x + stones.gap + stones.size / 2 + pitch * i, pitch * (j - (across - 1) / 2)], axis=-1).reshape(-1, 2)
     xy += rng.uniform(-stones.jitter, stones.jitter, xy.shape)
@@ -438,6 +448,8 @@ def _pillar_field(heap: _Heap, pillars: PillarField, rng: np.random.Generator) -
     density = rng.uniform(*pillars.density)
     area = (pillars.x[1] - pillars.x[0]) * (pillars.y[1] - pillars.y[0])
     count, size = round(density * area / pillars.size**2), (pillars.size, pillars.size)
+    if count > MAX_BLOCKS:
+        raise ValueError(f"at most {MAX_BLOCKS} pillars in a field expected, found {count}; ask for fewer or larger ones")
     like = Rubble(pillars.x, pillars.y, count, size, (0.0, 0.0), gap=pillars.gap, yaw_deg=0.0)
     for x, y, *_ in _placed(like, rng):
         heap.add((x, y), size, pillars.top, pillars.top - pillars.depth)
@@ -459,12 +471,24 @@ def _placed(rubble: Rubble, rng: np.random.Generator) -> Array:
     for bounds in (rubble.x, rubble.y, rubble.size, rubble.top):
         if bounds[0] > bounds[1]:
             raise ValueError(f"rubble bounds in rising order expected, found {bounds}")
-    for _ in range(_RESTARTS):
+    least = rubble.size[0] + rubble.gap
+    room = _PACKED * (np.ptp(rubble.x) + rubble.gap) * (np.ptp(rubble.y) + rubble.gap) / max(least, 1e-6) ** 2
+    if rubble.count > room:
+        raise _no_room(rubble, int(room))
+    most = 0
+    for restart in range(_RESTARTS):
         placed = _place_rectangles(rubble, rng)
         if len(placed) == rubble.count:
             return placed
-    raise ValueError(
-        f"room for {rubble.count} blocks of rubble expected, found room for about {len(placed)} of {rubble.size[0]} to "
+        most = max(most, len(placed))
+        if restart >= _HOPELESS_RESTARTS and most < _HOPELESS_SHARE * rubble.count:
+            break
+    raise _no_room(rubble, most)
+
+
+def _no_room(rubble: Rubble, found: int) -> ValueError:
+    return ValueError(
+        f"room for {rubble.count} blocks of rubble expected, found room for about {found} of {rubble.size[0]} to "
         f"{rubble.size[1]} m in {rubble.x[1] - rubble.x[0]:g} x {rubble.y[1] - rubble.y[0]:g} m, {rubble.gap} m apart; "
         "ask for fewer, smaller or closer ones, or a larger region"
     )
@@ -483,13 +507,33 @@ def _place_rectangles(rubble: Rubble, rng: np.random.Generator) -> Array:
             xy = lower + reach + rng.uniform(0.0, 1.0, (_BATCH, 2)) * (upper - lower - 2 * reach)
             fits = np.all(upper - lower >= 2 * reach, axis=1)
             candidates = np.column_stack([xy, size, yaw])
-            free = fits & ~np.any(_closer_than(candidates[:, None], placed[None], rubble.gap), axis=1)
-            if free.any():
-                placed = np.vstack([placed, candidates[np.argmax(free)]])
+            free = _first_free(candidates[fits], placed, rubble.gap)
+            if free is not None:
+                placed = np.vstack([placed, free])
                 break
         else:
             return placed
     return placed
+
+
+def _first_free(candidates: Array, placed: Array, gap: float) -> Array | None:
+    """The first of some rectangles (n, 5) that keeps a gap [m] to all placed ones (m, 5); None where none does."""
+    for some in np.split(candidates, [_FEW]):
+        free = np.flatnonzero(~_blocked(some, placed, gap))
+        if len(free):
+            return np.asarray(some[free[0]])
+    return None
+
+
+def _blocked(candidates: Array, placed: Array, gap: float) -> NDArray[np.bool_]:
+    """Which of the candidates (n, 5) lie within a gap [m] of a placed rectangle (m, 5)."""
+    blocked = np.zeros(len(candidates), dtype=np.bool_)
+    reach, reach_placed = (np.hypot(some[:, 2], some[:, 3]) / 2 for some in (candidates, placed))
+    d2 = np.subtract.outer(candidates[:, 0], placed[:, 0]) ** 2 + np.subtract.outer(candidates[:, 1], placed[:, 1]) ** 2
+    # From there on one axis of a rectangle keeps them apart, whichever way both are turned.
+    i, j = np.nonzero(d2 < 2.0 * (reach[:, None] + reach_placed + max(gap, 0.0)) ** 2)
+    blocked[i[_closer_than(candidates[i], placed[j], gap)]] = True
+    return blocked
 
 
 def _closer_than(a: Array, b: Array, gap: float) -> Array:
@@ -508,22 +552,27 @@ def _closer_than(a: Array, b: Array, gap: float) -> Array:
 
 def _height_field(part: HeightMap, folder: Path) -> HeightField:
     path = part.path(folder)
-    if not path.is_file():
+    if not path.exists():
         raise ValueError(f"height map {str(path)!r} expected, found no such file; name it relative to the scenario file")
-    if path.suffix == ".npy":
-        heights = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
-    elif path.suffix == ".png":
-        image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE)
-        if image is None:
-            raise ValueError(f"a grey PNG image expected, found something else in {str(path)!r}")
-        heights = np.asarray(image, dtype=np.float64)
-    else:
+    kind, scale = path.suffix.lower(), part.scale
+    if kind == ".npy":
+        stored, scale = array_file.read_numbers(path), 1.0 if scale is None else scale
+    elif kind != ".png":
         raise ValueError(f"a height map in .npy or .png expected, found {part.file!r}")
-    heights = _taken(heights, part)
-    if not np.any(np.isfinite(heights)):
-        raise ValueError(f"a height map with at least one known height expected, found none in {str(path)!r}")
-    lowest = heights[np.isfinite(heights)].min()
-    return HeightField(np.where(np.isfinite(heights), heights, lowest) * part.scale + part.base, part.resolution, part.xy)
+    elif scale is None:
+        raise ValueError(f"{path}: scale expected, the metres of one grey value, e.g. scale = 0.001; found none")
+    else:
+        stored = np.asarray(picture_file.read_grey(path, bits=(8, 16)), dtype=np.float64)
+    with np.errstate(over="ignore"):  # infinite heights are refused
+        heights = _taken(stored, part) * scale + part.base
+    known = ~np.isnan(heights)
+    if not known.any():
+        raise ValueError(f"{path}: at least one known height expected, found none")
+    low, high = float(heights[known].min()), float(heights[known].max())
+    if not -_MAX_HEIGHT_M <= low <= high <= _MAX_HEIGHT_M:
+        limits = f"heights within {_MAX_HEIGHT_M:g} m of 0"
+        raise ValueError(f"{path}: {limits} expected, found {low:g} to {high:g} m; set scale and base")
+    return HeightField(np.where(known, heights, low), part.resolution, part.xy)
 
 
 def _taken(heights: Array, part: HeightMap) -> Array:

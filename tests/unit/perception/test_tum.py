@@ -163,7 +163,7 @@ def test_the_range_is_settable_and_kept(tmp_path):
 def test_an_image_of_another_kind_is_refused(recorded):
     recording = read_recording(recorded[0])
     (recorded[0] / recording.files[0]).write_bytes(b"no picture")
-    with pytest.raises(ValueError, match="no readable image"):
+    with pytest.raises(ValueError, match="a PNG picture expected, found something else"):
         recording.depth(0)
 
 

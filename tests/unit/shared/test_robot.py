@@ -137,7 +137,7 @@ LEG = PROFILE.legs[0]
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: LegLinks(0.05, 0.0, 0.1), "femur: a length of more than 0 m"),
+        (lambda: LegLinks(0.05, 0.0, 0.1), "femur: a length of more than 0 and"),
         (lambda: replace(LEG, name="middle"), "name: one of left front"),
         (lambda: replace(LEG, servo_signs=(1, 0, 1)), r"servo_signs\[1\]: a servo sign of 1 or -1"),
         (
@@ -155,10 +155,10 @@ LEG = PROFILE.legs[0]
             "18 different servo ids",
         ),
         (lambda: replace(PROFILE.stance, body_height=0.2), "body_height: a body height within"),
-        (lambda: replace(PROFILE.stance, max_speed=0.0), "max_speed: more than 0 m/s"),
-        (lambda: Foot(0.0), "radius: a foot radius"),
-        (lambda: Body((0.2, 0.1, 0.0), 1.0, (0.1, 0.1, 0.1)), r"size\[2\]: an edge of more than 0 m"),
-        (lambda: replace(PROFILE.servo, no_load_speed=0.0), "no_load_speed: more than 0 expected"),
+        (lambda: replace(PROFILE.stance, max_speed=0.0), "max_speed: more than 0 and"),
+        (lambda: Foot(0.0), "radius: a foot radius of more"),
+        (lambda: Body((0.2, 0.1, 0.0), 1.0, (0.1, 0.1, 0.1)), r"size\[2\]: an edge of more than 0 and"),
+        (lambda: replace(PROFILE.servo, no_load_speed=0.0), "no_load_speed: more than 0 and"),
         (lambda: Servo("AX-12A", 1.5, 6.0, 9.0, 0, 0.0, 0.0), "compliance slope"),
         (lambda: Intrinsics(0, 480, 585.0, 585.0, 1.0, 1.0), "width: 1 to 4096 pixels"),
         (lambda: Intrinsics(640, 480, 0.0, 585.0, 1.0, 1.0), "fx: a focal length of 1 to"),
@@ -208,19 +208,19 @@ def _at(table: Any, path: str) -> tuple[Any, Any]:
 
 # Each is wrong by itself, whatever the others are: place in the table, a value that cannot be, what is said of it.
 MISTAKES: dict[str, tuple[Any, str]] = {
-    "servo.stall_torque": (-1.0, "servo.stall_torque: more than 0 expected, found -1.0"),
+    "servo.stall_torque": (-1.0, "servo.stall_torque: more than 0 and at most 10000 expected, found -1.0"),
     "servo.model": ("AX-18", "servo.model: one of 'AX-12A', 'RX-64' expected, found 'AX-18'"),
     "servo.compliance_slope": (0, "servo.compliance_slope: a compliance slope from 1 to 254 expected, found 0"),
     "servo.armature": ("little", "servo.armature: a number expected, found 'little'"),
-    "links.femur": (0.0, "links.femur: a length of more than 0 m expected, found 0.0"),
+    "links.femur": (0.0, "links.femur: a length of more than 0 and at most 10 m expected, found 0.0"),
     "links.tibia": (None, "links.tibia: missing"),
     "links.shin": (0.1, "links.shin: unknown key"),
-    "body.size[2]": (-0.1, r"body.size[2]: an edge of more than 0 m expected, found -0.1"),
+    "body.size[2]": (-0.1, r"body.size[2]: an edge of more than 0 and at most 10 m expected, found -0.1"),
     "body.leg_link_masses": ([0.1, 0.1], "body.leg_link_masses: a list of 3 values expected, found 2"),
     "body.mass": (float("inf"), "body.mass: a finite number expected, found inf"),
-    "foot.radius": (-0.01, "foot.radius: a foot radius of more than 0 m expected, found -0.01"),
+    "foot.radius": (-0.01, "foot.radius: a foot radius of more than 0 and at most 1 m expected, found -0.01"),
     "stance.body_height": (0.5, "stance.body_height: a body height within its range expected, found body_height = 0.5"),
-    "stance.max_speed": (0.0, "stance.max_speed: more than 0 m/s expected, found 0.0"),
+    "stance.max_speed": (0.0, "stance.max_speed: more than 0 and at most 100 m/s expected, found 0.0"),
     "camera.pitch_down_deg": (120.0, "camera.pitch_down_deg: an angle from -45 (up) to 90 (straight down) expected"),
     "camera.intrinsics.width": (0, "camera.intrinsics.width: 1 to 4096 pixels expected, found 0"),
     "camera.sensor.min_range": (9.0, "camera.sensor.min_range: min_range below max_range expected"),

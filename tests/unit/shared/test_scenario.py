@@ -24,6 +24,7 @@ from shared.scenario import (
 
 STAIRS = {"kind": "stairs", "xy": [0.0, 0.0], "riser": 0.04, "tread": 0.3, "count": 3, "width": 1.0}
 PILLARS = {"kind": "pillars", "xy": [[1.0, 0.0]], "size": 0.1, "top": 0.0}
+RUBBLE = {"kind": "rubble", "x": [0, 1], "y": [0, 1], "count": 3, "size": [0.1, 0.2], "top": [0.0, 0.1]}
 FIELD = {"kind": "pillar_field", "x": [1.0, 2.0], "y": [-0.5, 0.5], "density": [0.2, 0.3], "size": 0.1, "top": 0.0}
 COURSE = {"kind": "course", "width": 1.0}
 STONES = {"kind": "stones", "length": 1.0, "size": 0.12, "gap": 0.05}
@@ -116,7 +117,7 @@ def test_an_unknown_name_lists_the_known() -> None:
         ({"faults": [{"at_s": 1, "service": "planner", "kind": "blind"}]}, r"faults\[0\]: a kind out of kill, hang"),
         ({"name": "a/../b"}, "a name of letters"),
         ({"name": ""}, "a name of letters"),
-        ({"terrain": [STAIRS | {"count": 0}]}, r"terrain\[0\]: a count of at least one step"),
+        ({"terrain": [STAIRS | {"count": 0}]}, r"terrain\[0\]\.count: a count from 1 to 1000"),
         ({"terrain": [STAIRS | {"riser_spread": 0.05}]}, r"terrain\[0\]: a riser_spread from 0 to less than the riser"),
         ({"terrain": [STAIRS | {"tread_spread": -0.1}]}, r"terrain\[0\]: a tread_spread from 0"),
         ({"terrain": [PILLARS | {"jitter": -0.01}]}, r"terrain\[0\]: a jitter and a top_spread of at least 0 m"),
@@ -133,6 +134,12 @@ def test_an_unknown_name_lists_the_known() -> None:
             "a spread from 0 to less than",
         ),
         ({"time_limit_s": 0}, "a time limit greater than 0 s"),
+        ({"time_limit_s": 1e12}, "time_limit_s: at most 86400 s either way expected"),
+        ({"map": {"cells": 10**12}}, r"map\.cells: at most 2048 cells either way expected"),
+        ({"terrain": [RUBBLE | {"count": 10**12}]}, r"terrain\[0\]\.count: a count from 1 to 500 expected"),
+        ({"terrain": [RUBBLE | {"x": [0, 1e300]}]}, r"terrain\[0\]\.x\[1\]: at most 1000 m either way expected"),
+        ({"terrain": [PILLARS | {"xy": [[0, 1e300]]}]}, r"terrain\[0\]\.xy: places within 1000 m expected"),
+        ({"goal": {"distance": 1e12}}, r"goal\.distance: at most 1000 m either way expected"),
         ({"battery_ah": 0}, "a battery_ah greater than 0 A h"),
         ({"time_limit_s": float("inf")}, "time_limit_s: a finite number expected"),
     ],

@@ -255,7 +255,7 @@ def test_a_fault_is_injected_by_message_in_lockstep_and_what_makes_no_sense_is_r
         (overload, "faults: servo overload, servo 8"),
         (replace(overload, servo=99), "fault refused: servo overload, servo 99: one of the servos 1, 2"),
         (replace(overload, kind="gone"), "fault refused: kind: one of silent, stuck"),
-        (replace(overload, for_s=-1.0), "fault refused: for_s: a fault longer than 0 s"),
+        (replace(overload, for_s=-1.0), "fault refused: for_s: more than 0 and at most"),
     ):
         inbox.receive(topics.FAULT, codec.encode(command), 0)
         truths = [m for m in sim.step(Tick(sim.world.time_ns + BEAT_NS), inbox) if isinstance(m, GroundTruth)]

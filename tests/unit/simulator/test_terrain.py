@@ -218,16 +218,33 @@ def test_unreadable_height_maps_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "unknown.npy", np.full((3, 3), np.nan))
     np.save(tmp_path / "line.npy", np.zeros(3))
     (tmp_path / "text.png").write_text("not a picture")
+    (tmp_path / "text.npy").write_text("0.1 0.2\n0.3 0.4\n")
     (tmp_path / "ground.tif").touch()
+    np.save(tmp_path / "endless.npy", np.array([[0.0, 0.1], [np.inf, 0.0]]))
+    np.save(tmp_path / "tall.npy", np.array([[0.0, 255.0], [0.0, 0.0]]))
+    np.save(tmp_path / "pickled.npy", np.array([[0.0, None], [0.0, 0.0]]))
+    cv2.imwrite(str(tmp_path / "grey.png"), np.array([[0, 255], [0, 0]], dtype=np.uint8))
+    cv2.imwrite(str(tmp_path / "colour.png"), np.zeros((2, 2, 3), dtype=np.uint8))
     for file, why in (
         ("missing.npy", "no such file"),
         ("unknown.npy", "at least one known height"),
         ("line.npy", "at least 2x2"),
-        ("text.png", "grey PNG"),
+        ("text.npy", "text.npy: a .npy array expected"),
+        ("pickled.npy", "pickled.npy: a .npy array of numbers expected, found pickled objects"),
+        ("endless.npy", "heights within 100 m of 0 expected, found 0 to inf m"),
+        ("tall.npy", "heights within 100 m of 0 expected, found 0 to 255 m"),
         ("ground.tif", ".npy or .png"),
+        ("grey.png", "grey.png: scale expected, the metres of one grey value"),
     ):
         with pytest.raises(ValueError, match=why):
             build(HeightMap(file, 0.1, (0.0, 0.0)), folder=tmp_path)
+    for file, why in (
+        ("text.png", "text.png: a PNG picture expected"),
+        ("colour.png", "colour.png: a grey PNG of 8 or 16 bits expected, found colour of 8 bits"),
+        ("grey.png", "heights within 100 m of 0 expected, found 0 to 255 m; set scale and base"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            build(HeightMap(file, 0.1, (0.0, 0.0), scale=1.0), folder=tmp_path)
 
 
 def test_stairs_are_as_high_and_as_long_as_their_seed_says() -> None:
@@ -497,3 +514,19 @@ def test_over_a_gap_nothing_reaches_from_platform_to_platform(name: str) -> None
         assert np.array(lanes)[~carries].max() <= -0.3
         beyond = np.abs(np.arange(-0.6, 0.6, 0.01)) > 0.45
         assert not carries[np.ix_(beyond, (x > 0.805) & (x < 1.595))].any()
+
+
+def test_blocks_that_cannot_fit_are_refused_without_trying(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.simulator.terrain._place_rectangles", lambda *_: pytest.fail("tried"))
+    with pytest.raises(ValueError, match="room for 500 blocks of rubble expected, found room for about"):
+        build(Rubble((0.0, 1.0), (0.0, 1.0), 500, (0.1, 0.2), (0.01, 0.05)))
+
+
+def test_a_terrain_has_a_bounded_number_of_solids() -> None:
+    for part, message in (
+        (PillarField((0.0, 1000.0), (0.0, 1000.0), (0.5, 0.5), 0.1, 0.0), "pillars in a field expected, found 50000000"),
+        (Course((Stones(1000.0, 0.01, 0.01),), 1000.0), "at most 5000 stones expected, found 49999 rows of 50000"),
+        (Course(tuple(Flight(0.01, 0.1, 1000) for _ in range(6)), 1.0, bottom=-100.0), "at most 5000 solids expected"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            build(part)

@@ -102,7 +102,7 @@ def test_colour_goes_with_the_depth_nearest_in_time(folder: Path) -> None:
     made = list(Player(sequence, DepthSensor()).step(Tick(S), Inbox((), Stages())))
     assert [m.stamp_ns for m in made if isinstance(m, ColorImage)] == [0], "at most five a second"
     (folder / "rgb" / "0.png").write_bytes(b"nothing")
-    with pytest.raises(ReplayError, match="a colour image"):
+    with pytest.raises(ReplayError, match="a PNG or JPEG picture expected"):
         list(Player(sequence, DepthSensor()).step(Tick(0), Inbox((), Stages())))
 
 

@@ -103,7 +103,7 @@ def test_pictures_that_cannot_be_read_are_passed_over_and_named(folder: Path, ki
     assert "missing" in camera.about
     camera = FolderCamera(folder, kit.profile.camera, kit.clock)
     assert [frame is None for frame in read_all(camera, kit, color=True)] == [True, True, True, False]
-    assert "a colour image (48, 64, 3) expected" in camera.about
+    assert "a picture of 64x48 pixels expected, found 32x24" in camera.about
 
 
 def test_a_recording_of_another_camera_is_refused(folder: Path, kit) -> None:  # type: ignore[no-untyped-def]
