@@ -44,6 +44,7 @@ from deploy.commands.walks import DEMOS, demo, run
 
 _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "shared.transport": "TransportError",
+    "shared.input_file": "FileError",
     "shared.access": "AccessError",
     "services.console.recording.layout": "RecordingError",
     "deploy.video.story": "StoryError",

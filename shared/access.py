@@ -6,13 +6,13 @@ the machine's on which it runs, and a servo has none. What may be put is limited
 """
 
 import ipaddress
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from shared import input_file
 from shared import topics as t
 
 AnyTopic: TypeAlias = t.Topic[Any]
@@ -137,10 +137,15 @@ class Keys:
                 f"keys in {folder}: {', '.join(missing)} expected, not found{hint or '; `sextant keys new DIR` makes keys'}"
             )
         try:
-            said = tomllib.loads((folder / ROLE).read_text(encoding="utf-8"))
-            role, ends = ROLE_NAMED[said["role"]], said["ends"].astimezone(UTC)
-        except (tomllib.TOMLDecodeError, KeyError, AttributeError) as error:
-            raise AccessError(f"{folder / ROLE}: a role of {', '.join(ROLE_NAMED)} and its end expected: {error!r}") from None
+            stated = input_file.read_toml(folder / ROLE)
+        except input_file.FileError as error:
+            raise AccessError(str(error)) from None
+        name, end = stated.get("role"), stated.get("ends")
+        dated = isinstance(end, datetime) and end.tzinfo is not None and 2000 <= end.year < 9000
+        if not (isinstance(name, str) and name in ROLE_NAMED and isinstance(end, datetime) and dated):
+            expected = f"a role of {', '.join(ROLE_NAMED)} and the time at which it ends"
+            raise AccessError(f"{folder / ROLE}: {expected} expected, found {name!s:.60} and {end!s:.60}")
+        role, ends = ROLE_NAMED[name], end.astimezone(UTC)
         found = cls(folder.resolve(), role, ends)
         if (left := found.days_left(datetime.now(UTC))) <= 0:
             raise AccessError(

@@ -13,12 +13,11 @@ import os
 import sys
 import threading
 import time
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
-from shared import clock, codec, config, topics
+from shared import clock, codec, config, input_file, topics
 from shared.access import Keys
 from shared.ending import ToldToEnd, end_with, leave, leave_at_errors
 from shared.host import go_first, keep_memory, switch_often
@@ -156,8 +155,8 @@ def load_settings(schema: type[S], path: str | None, assignments: Sequence[str])
         if not equals or not all(part.isidentifier() for part in parts):
             raise config.ConfigError("--set", [f"key=value expected, found {assignment!r}"])
         try:
-            parsed = tomllib.loads(f"value = {value}")
-        except tomllib.TOMLDecodeError:
+            parsed = input_file.parse_toml(Path("--set"), f"value = {value}".encode(errors="replace"))
+        except input_file.FileError:
             parsed = {}
         item = parsed["value"] if len(parsed) == 1 else value  # a bare word is a text
         inner = table

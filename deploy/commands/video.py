@@ -1,7 +1,6 @@
 """`sextant video`: a recorded run as a moving picture."""
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Mapping
@@ -78,10 +77,12 @@ def _recording_of(run: Path) -> Path:
 def _about(run: Path, said: Mapping[str, str], story: "Story") -> dict[str, str]:
     """Scenario, seed and robot: what the recording says, or the report beside it, or the simulator in it."""
     about = {name: said[name] for name in ("scenario", "seed", "robot") if name in said}
+    from shared.input_file import FileError, read_json
+
     folder = run if run.is_dir() else run.parent
     try:
-        report: Any = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        report: Any = read_json(folder / "report.json")
+    except FileError:
         report = None
     if isinstance(report, dict):
         about = {name: str(report[name]) for name in ("scenario", "seed", "robot") if name in report} | about

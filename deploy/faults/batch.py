@@ -19,6 +19,7 @@ from deploy.faults.watched import SCENARIO, in_walks
 from deploy.trials import kept
 from deploy.trials.batch import fingerprint, refuse_another_program
 from deploy.workers import share_out
+from shared.input_file import FileError, parse_json, read_bytes
 
 FILE = "faults.jsonl"
 
@@ -104,10 +105,13 @@ def read(path: Path, mark: str) -> Iterator[Injection]:
     """
     if not path.exists():
         return
-    *lines, _ = path.read_bytes().split(b"\n")
+    try:
+        *lines, _ = read_bytes(path, 1 << 30).split(b"\n")
+    except FileError as error:
+        raise kept.KeptError(str(error)) from None
     for number, line in enumerate(lines, 1):
         try:
-            entry = json.loads(line)
+            entry = parse_json(path, line, number)
             if entry["fingerprint"] == mark:
                 yield _injection(entry)
         except (ValueError, KeyError, TypeError) as error:

@@ -8,16 +8,19 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROLE, ROLES, ROUTER, AccessError
+from shared.input_file import FileError, read_bytes
 
 OF_AUTHORITY = "ca"  # folder of the authority, which stays where it was made
 _BEFORE = timedelta(minutes=10)  # by which clocks of two machines may differ
 HERE = ("localhost", "127.0.0.1")
+_MAX_PEM_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +65,11 @@ class Authority:
     def load(cls, folder: Path) -> "Authority":
         """The authority that `write` has written to a folder."""
         made = cls.__new__(cls)
-        made.certificate = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
-        key = load_pem_private_key((folder / KEY).read_bytes(), password=None)
+        made.certificate = _certificate(folder / AUTHORITY)
+        try:
+            key = load_pem_private_key(_read(folder / KEY), password=None)
+        except (ValueError, TypeError, UnsupportedAlgorithm):
+            raise AccessError(f"{folder / KEY}: a private key in PEM without a password expected") from None
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise AccessError(f"{folder / KEY}: a key of an elliptic curve expected, found {type(key).__name__}")
         made._key, made._from, made.ends = key, datetime.now(UTC) - _BEFORE, made.certificate.not_valid_after_utc
@@ -145,9 +151,27 @@ def held(folder: Path) -> Iterator[Held]:
     if not places:
         raise AccessError(f"no {CERTIFICATE} in {folder}, nor in a folder of a role in it; `sextant keys new DIR` makes them")
     for place in places:
-        certificate = x509.load_pem_x509_certificate((place / CERTIFICATE).read_bytes())
-        (name,) = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-        yield Held(str(name.value), certificate.not_valid_after_utc, place / CERTIFICATE)
+        certificate = _certificate(place / CERTIFICATE)
+        names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+        if len(names) != 1:
+            raise AccessError(f"{place / CERTIFICATE}: a certificate of one role expected, found {len(names)} common names")
+        yield Held(str(names[0].value), certificate.not_valid_after_utc, place / CERTIFICATE)
+
+
+def _certificate(path: Path) -> x509.Certificate:
+    try:
+        return x509.load_pem_x509_certificate(_read(path))
+    except ValueError as error:
+        if isinstance(error, AccessError):
+            raise
+        raise AccessError(f"{path}: a certificate in PEM expected") from None
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return read_bytes(path, _MAX_PEM_BYTES)
+    except FileError as error:
+        raise AccessError(str(error)) from None
 
 
 def _name(common: str) -> x509.Name:

@@ -1,7 +1,6 @@
 """A recorded run, heard again by the scorer that judged it: what its figures are drawn from."""
 
 import heapq
-import json
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,6 +19,7 @@ from services.console.recording.reader import Recording
 from shared import codec, topics
 from shared.config import ConfigError
 from shared.geometry import Array
+from shared.input_file import FileError, read_json
 from shared.messages import GroundTruth, TerrainMap
 from shared.profiles import load_profile
 from shared.scenario import load_scenario
@@ -170,9 +170,9 @@ def _left_behind(folder: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        table = None
+        table = read_json(path)
+    except FileError as error:
+        raise RecordingError(f"{error}; leave it out, or make the run again") from None
     problems = reports.check(table)
     if problems:
         raise RecordingError(f"{path}: not a report: {problems[0]}; leave it out, or make the run again")

@@ -14,12 +14,14 @@ from typing import Any, Self
 
 from deploy.judging import report as reports
 from deploy.judging.report import Passage
+from shared.input_file import FileError, parse_json, read_bytes
 
 
 class KeptError(ValueError):
     """A file of runs that cannot be read, in words."""
 
 
+_MAX_FILE_BYTES = 1 << 30
 _MARKS = ("fingerprint", "commit", "time", "machine")
 _BEGINS = b'{"fingerprint":'  # as every line of runs does
 
@@ -213,12 +215,12 @@ def files(places: Sequence[Path]) -> list[Path]:
 
 def _lines(path: Path) -> list[bytes]:
     """The lines of a file, then what follows its last line break, which is nothing where the file is whole or missing."""
-    try:
-        return path.read_bytes().split(b"\n")
-    except FileNotFoundError:
+    if not _exists(path):
         return [b""]
-    except OSError as error:
-        raise _unreadable(path, error) from None
+    try:
+        return read_bytes(path, _MAX_FILE_BYTES).split(b"\n")
+    except FileError as error:
+        raise KeptError(f"{error}; a file of kept runs that you may read expected") from None
 
 
 def _runs(line: bytes, fingerprint: str | None) -> list[Run]:
@@ -227,11 +229,15 @@ def _runs(line: bytes, fingerprint: str | None) -> list[Run]:
     return [Run.read(entry)] if fingerprint in (None, entry.get("fingerprint")) else []
 
 
-def _entry(line: bytes) -> dict[str, Any]:
+def _exists(path: Path) -> bool:
     try:
-        entry = json.loads(line)
-    except RecursionError:  # brackets within brackets
-        raise ValueError("no run") from None
+        return path.exists()
+    except OSError as error:
+        raise _unreadable(path, error) from None
+
+
+def _entry(line: bytes) -> dict[str, Any]:
+    entry = parse_json(Path(), line)
     if not isinstance(entry, dict) or ("report" not in entry and "scenario" not in entry):
         raise ValueError("no run")
     return entry

@@ -3,11 +3,10 @@
 import os
 import re
 import tempfile
-import tomllib
 from pathlib import Path
 from typing import Any
 
-from shared import config
+from shared import config, input_file
 from shared.profiles import load_profile
 from shared.robot import Calibration, RobotProfile
 
@@ -31,7 +30,7 @@ def keep(path: Path, entry: Calibration, base: str) -> RobotProfile:
     """
     path = path.resolve()
     if path.exists():
-        before, old = config.read(path), path.read_text(encoding="utf-8")
+        before, old = config.read(path), input_file.read_text(path).replace("\r\n", "\n")
     else:
         before, old = {"extends": base}, _NEW.format(base=base)
     text = with_entry(old, entry)
@@ -62,8 +61,8 @@ def with_entry(text: str, entry: Calibration) -> str:
 def _is_added(before: dict[str, Any], entry: Calibration, text: str) -> bool:
     """Whether a text says all that was said before, but for the calibration of one leg, which is the entry's."""
     try:
-        after = tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
+        after = input_file.parse_toml(Path(), text.encode())
+    except input_file.FileError:
         return False
     others = [one for one in before.get("calibration", []) if one.get("leg") != entry.leg]
     return after == {**before, "calibration": [*others, config.as_table(entry)]}

@@ -180,4 +180,4 @@ def _time_in(path: Path) -> int:
         text = path.read_bytes()
     except OSError:
         return 0
-    return int(text) if text.isdigit() else 0
+    return int(text) if text.isdigit() and len(text) < 20 else 0

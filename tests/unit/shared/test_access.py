@@ -8,7 +8,7 @@ import pytest
 
 from deploy import access_page
 from deploy.keys_page import _service
-from deploy.network.authority import Authority
+from deploy.network.authority import Authority, held
 from deploy.process_table import TABLE, rows
 from services.console.recording.writer import LEFT_OUT
 from shared import access, topics
@@ -169,7 +169,7 @@ def test_who_may_not_send_is_told_by_its_own_certificate(keys: Path) -> None:
             lambda folder: (folder / access.ROLE).write_text('role = "king"\nends = 2100-01-01'),
             "a role of robot, base",
         ),
-        (lambda folder: (folder / access.ROLE).write_text("role = "), "a role of robot, base"),
+        (lambda folder: (folder / access.ROLE).write_text("role = "), "role.toml: TOML expected"),
         (lambda folder: (folder / access.ROLE).write_text('role = "base"\nends = "soon"'), "a role of robot, base"),
     ],
 )
@@ -223,3 +223,23 @@ def test_the_tables_of_the_page_are_the_rules() -> None:
     page = (Path(__file__).parents[3] / "docs" / "access.md").read_text(encoding="utf-8")
     for table in (access_page.roles(), access_page.keys()):
         assert "\n".join(table) in page, "made anew: the lines of deploy/access_page.py"
+
+
+@pytest.mark.parametrize("name", [access.CERTIFICATE, access.AUTHORITY, access.KEY])
+@pytest.mark.parametrize("data", [b"", b"none", b"-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n", None])
+def test_a_folder_of_broken_certificates_says_which(name: str, data: bytes | None, tmp_path: Path) -> None:
+    Authority(days=30).write(tmp_path / "ca")
+    Authority(days=30).issue(tmp_path / "base", "base")
+    for folder in ("ca", "base"):
+        file = tmp_path / folder / name
+        file.unlink(missing_ok=True)
+        if data is None:
+            file.mkdir()
+        else:
+            file.write_bytes(data)
+    if name == access.CERTIFICATE:
+        with pytest.raises(AccessError, match=name if data is not None else "no certificate.pem in"):
+            list(held(tmp_path / "base"))
+    else:
+        with pytest.raises(AccessError, match=name):
+            Authority.load(tmp_path / "ca")

@@ -142,13 +142,13 @@ def test_nothing_is_kept_in_a_file_of_something_else(tmp_path, before):
 
 def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
     (tmp_path / "campaign.jsonl").mkdir()
-    with pytest.raises(kept.KeptError, match=r"campaign\.jsonl: cannot be read \(Is a directory\).*you may read expected"):
+    with pytest.raises(kept.KeptError, match=r"campaign\.jsonl: a file expected, found a folder.*you may read expected"):
         kept.read(tmp_path / "campaign.jsonl")
 
     def forbidden(path):
         raise PermissionError(13, "Permission denied", str(path))
 
-    for name, reading in (("is_file", lambda path: kept.files([path])), ("read_bytes", kept.read)):
+    for name, reading in (("is_file", lambda path: kept.files([path])), ("exists", kept.read)):
         monkeypatch.setattr(type(tmp_path), name, forbidden)
         with pytest.raises(kept.KeptError, match=r"mine: cannot be read \(Permission denied\)"):
             reading(tmp_path / "mine")
