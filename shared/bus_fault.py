@@ -52,6 +52,7 @@ GRID: Mapping[tuple[FaultTarget, FaultKind], Cell] = MappingProxyType(
         ("servo", "intermittent"): _of_servo("a loose cable: silent for a while, again and again", *_WINDOWS, "cable"),
         ("servo", "overload"): _of_servo("it has latched an overload, and latches it again until the end"),
         ("servo", "heat"): _of_servo("its motor is heated from outside", "kelvin_per_s"),
+        ("servo", "hot"): _of_servo("its temperature register reads a value, whatever its heat is", "celsius"),
         ("bus", "silent"): Cell("the adapter has no power: nobody hears and nobody answers; servos hold their goals"),
         ("bus", "stuck"): Cell("the line is held: one byte comes without end, nobody hears", ("value",)),
         ("bus", "garbage"): Cell("random bytes come without end, nobody hears"),
@@ -88,7 +89,7 @@ def _meaningless(target: FaultTarget, kind: FaultKind, *values: object) -> Itera
 
 _PARAMETERS = (
     *("servo", "share", "value", "part", "delay_ms", "on_ms", "off_ms"),
-    *("cable", "offset_ticks", "kelvin_per_s", "renamed", "volts"),
+    *("cable", "offset_ticks", "kelvin_per_s", "celsius", "renamed", "volts"),
 )
 
 
@@ -110,6 +111,7 @@ class BusFault:
     cable: bool = False  # the servo's power goes with it: limp, and when it is back torque is off and its RAM forgotten
     offset_ticks: int = 100
     kelvin_per_s: float = 1.0  # [K/s]
+    celsius: int = 85  # [deg C] that its temperature register reads
     renamed: bool = False  # the port comes back under another name
     volts: float = 2.0  # [V] less
 
@@ -123,6 +125,7 @@ class BusFault:
         *config.each("delay_ms on_ms off_ms", lambda time: 0 < time <= 60_000, "more than 0 and at most 60000 ms"),
         *config.each("offset_ticks", lambda ticks: 0 < abs(ticks) <= 1023, "-1023 to 1023 ticks, not 0,"),
         *config.each("kelvin_per_s", lambda rate: 0 < rate <= 100, "more than 0 and at most 100 K/s"),
+        *config.each("celsius", lambda celsius: 0 <= celsius <= 255, "0 to 255 deg C"),
         *config.each("volts", lambda volts: 0 < volts <= 20, "more than 0 and at most 20 V"),
         config.Check(("target", "kind", *_PARAMETERS), _meaningless),
     )

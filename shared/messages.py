@@ -72,7 +72,7 @@ LegFlags: TypeAlias = Annotated[NDArray[np.bool_], Dims(6)]
 GaitName: TypeAlias = Literal["tripod", "ripple", "wave"]
 FaultTarget: TypeAlias = Literal["bytes", "packets", "servo", "bus", "supply"]
 FaultKind: TypeAlias = Literal[
-    "silent", "stuck", "garbage", "wrong", "slow", "intermittent", "jammed", "overload", "heat", "gone", "sag", "drain"
+    "silent", "stuck", "garbage", "wrong", "slow", "intermittent", "jammed", "overload", "heat", "hot", "gone", "sag", "drain"
 ]
 BrokenPart: TypeAlias = Literal["value", "id", "length", "error", "two bits", "two bytes"]
 _POINTS_WITHOUT_COLOR, _CELLS_WITHOUT_COLOR = np.zeros((0, 3), np.uint8), np.zeros((0, 0, 3), np.uint8)
@@ -454,6 +454,7 @@ class FaultCommand(Message):
     cable: bool  # the servo's power goes with it
     offset_ticks: int
     kelvin_per_s: float  # [K/s]
+    celsius: int  # [deg C] that a servo reports
     renamed: bool  # the port comes back under another name
     volts: float  # [V] less
 

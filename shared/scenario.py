@@ -4,6 +4,7 @@ Services that steer the robot never see a scenario; the simulator builds the wor
 launcher hands its goal and speed to the planner as an operator would.
 """
 
+import difflib
 import os
 import re
 from dataclasses import dataclass, field, replace
@@ -11,12 +12,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from shared import config
 from shared.bus_fault import BusFault
 from shared.messages import GaitName
+from shared.mover import Mover
 
 Color = tuple[int, int, int]  # R, G, B from 0 to 255
 MAX_BLOCKS = 500  # of a kind that the seed places: each keeps clear of all the others, which takes time
+_FAULT_STREAM = 0x5CE  # of the run's seed, from which times of faults are drawn
 _MOST_WAYPOINTS = 32  # of a route, its end included
 
 
@@ -515,7 +520,11 @@ class CameraOptions:
     """How the simulated depth camera behaves."""
 
     noise: bool = True
-    dropouts: bool = True
+    dropouts: bool = True  # pixels without return in shadows, on grazed surfaces, and at random
+    loss: float = 0.05  # share of the pixels that are without return at random, each frame others; not without dropouts
+
+    def __post_init__(self) -> None:
+        _expect(0.0 <= self.loss <= 1.0, "a loss from 0 to 1", self.loss)
 
 
 @dataclass(frozen=True, slots=True)
@@ -563,11 +572,13 @@ class Fault:
     kind: Literal["kill", "hang", "absent", "frozen", "blind", "noise"] = "kill"
     # [s] until it is back. A live run starts a killed process again by itself, and one that hangs for longer than it may.
     for_s: float = 2.0
+    at_spread_s: float = 0.0  # [s] at most this much, drawn by the run's seed, is added to at_s
 
-    checks = (*_bounded("at_s for_s", 1e6, "s"),)
+    checks = (*_bounded("at_s for_s at_spread_s", 1e6, "s"),)
 
     def __post_init__(self) -> None:
         _expect(self.at_s >= 0, "a time of at least 0 s", self.at_s)
+        _expect(self.at_spread_s >= 0, "an at_spread_s of at least 0 s", self.at_spread_s)
         _expect(self.for_s > 0, "an outage longer than 0 s", self.for_s)
         kinds = ("absent", "frozen", "blind", "noise") if self.of_camera else ("kill", "hang")
         _expect(self.kind in kinds, f"a kind out of {', '.join(kinds)} for service = {self.service!r}", repr(self.kind))
@@ -598,6 +609,20 @@ class Link:
 
 
 @dataclass(frozen=True, slots=True)
+class Trouble:
+    """What goes wrong on whatever course."""
+
+    faults: tuple[Fault, ...] = ()
+    bus_faults: tuple[BusFault, ...] = ()
+    movers: tuple[Mover, ...] = ()
+    camera: CameraOptions | None = None  # in place of the course's
+    extra_time_s: float = 0.0  # [s] simulated, added to the course's time limit
+
+    def __post_init__(self) -> None:
+        _expect(self.extra_time_s >= 0, "an extra_time_s of at least 0 s", self.extra_time_s)
+
+
+@dataclass(frozen=True, slots=True)
 class Scenario:
     """One course and the way to walk it."""
 
@@ -615,6 +640,7 @@ class Scenario:
     bridge: bool = False  # the servo bus is spoken by a microcontroller, to which the actuator sends its goals
     faults: tuple[Fault, ...] = ()
     bus_faults: tuple[BusFault, ...] = ()  # of the simulated servos and their bus
+    movers: tuple[Mover, ...] = ()  # what moves over the course; the depth camera sees it, nothing touches it
     link: Link = field(default_factory=Link)
     time_limit_s: float = 90.0  # [s] simulated
     folder: str = "."  # where files named in the scenario are looked for; set on loading
@@ -623,24 +649,51 @@ class Scenario:
         *_bounded("battery_ah", 1e6, "A h"),
         *_bounded("time_limit_s", 86400, "s"),
         config.together("terrain", lambda parts: len(parts) <= 5000, "at most 5000 primitives"),
+        config.together("movers", lambda movers: len(movers) <= 100, "at most 100 movers"),
     )
 
     def __post_init__(self) -> None:
         # Folders of runs are named by it.
-        plain = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.-]*", self.name) is not None and ".." not in self.name
-        _expect(plain, "a name of letters, digits, spaces, dots, dashes and underscores", repr(self.name))
+        plain = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.+-]*", self.name) is not None and ".." not in self.name
+        _expect(plain, "a name of letters, digits, spaces, dots, dashes, plus signs and underscores", repr(self.name))
         if not self.terrain:
             raise ValueError('at least one terrain primitive expected, found none; add [[terrain]] with kind = "plane"')
         _expect(self.time_limit_s > 0, "a time limit greater than 0 s", self.time_limit_s)
         _expect(self.battery_ah > 0, "a battery_ah greater than 0 A h", self.battery_ah)
 
+    def faults_at(self, seed: int) -> tuple[Fault, ...]:
+        """The faults of the run with a seed, their times drawn."""
+        spread = np.random.default_rng([seed, _FAULT_STREAM]).random(len(self.faults))
+        return tuple(
+            replace(fault, at_s=fault.at_s + fault.at_spread_s * float(share), at_spread_s=0.0)
+            for fault, share in zip(self.faults, spread, strict=True)
+        )
+
+    def with_trouble(self, trouble: Trouble, name: str) -> "Scenario":
+        """This course with something more that goes wrong, by another name."""
+        return replace(
+            self,
+            name=name,
+            faults=(*self.faults, *trouble.faults),
+            bus_faults=(*self.bus_faults, *trouble.bus_faults),
+            movers=(*self.movers, *trouble.movers),
+            camera=trouble.camera or self.camera,
+            time_limit_s=self.time_limit_s + trouble.extra_time_s,
+        )
+
 
 def load_scenario(name_or_path: str) -> Scenario:
     """Read a scenario that comes with Sextant by its name, or any other by the path of its TOML file.
 
+    The name of a trouble may follow: `steps+sun` is `steps` with what the trouble `sun` adds to it.
+
     Raises:
         ConfigError: No such scenario, or what is wrong in it, all at once.
     """
+    course, plus, trouble = name_or_path.rpartition("+")
+    if plus and course and "/" not in trouble:
+        scenario = load_scenario(course)
+        return scenario.with_trouble(load_trouble(trouble), f"{scenario.name}+{trouble}")
     if name_or_path.endswith(".toml"):
         return _with_folder(config.load(Path(name_or_path), Scenario), Path(name_or_path).parent)
     known = scenario_names()
@@ -654,7 +707,31 @@ def load_scenario(name_or_path: str) -> Scenario:
 
 def scenario_names() -> list[str]:
     """Names of the scenarios that come with Sextant."""
-    files = resources.files("shared.scenarios").iterdir()
+    return _names("shared.scenarios")
+
+
+def trouble_names() -> list[str]:
+    """Names of the troubles that come with Sextant."""
+    return _names("shared.troubles")
+
+
+def load_trouble(name: str) -> Trouble:
+    """Read a trouble that comes with Sextant by its name.
+
+    Raises:
+        ConfigError: No such trouble, or what is wrong in it, all at once.
+    """
+    known = trouble_names()
+    if name not in known:
+        near = difflib.get_close_matches(name, known, 1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise config.ConfigError("trouble", [f"no trouble {name!r}; {hint}known: {', '.join(known)}"])
+    with resources.as_file(resources.files("shared.troubles") / f"{name}.toml") as path:
+        return config.load(path, Trouble)
+
+
+def _names(package: str) -> list[str]:
+    files = resources.files(package).iterdir()
     return sorted(p.name.removesuffix(".toml") for p in files if p.name.endswith(".toml"))
 
 

@@ -262,6 +262,7 @@ CASES: tuple[Case, ...] = (
         warm_c=58.0,
         watch_s=0.0,
     ),
+    Case("hot-reading", "one servo's temperature reads 85 deg C for 0.25 s", (_bus("servo", "hot", 0.25),), _CALM),
     Case(
         "drain",
         "the battery, 12 % full, runs empty within 60 s",

@@ -82,7 +82,7 @@ def run_live_scenario(
         launcher.__enter__()
         started(launcher)
         # 3. Watch until something ends it, breaking what the scenario wants broken.
-        ended_by = _watch(attendance, attendants, launcher, Faults(scenario.faults), progress, interrupts)
+        ended_by = _watch(attendance, attendants, launcher, Faults(scenario.faults_at(seed)), progress, interrupts)
         # 4. Stop everything.
         for name in launcher.stop(interrupts.insisted):
             progress.say(f"{name} did not end when asked and was killed")

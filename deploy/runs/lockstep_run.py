@@ -103,7 +103,7 @@ class LockstepRun:
             makers[name] = lambda make=makers[name], wrap=wrap: wrap(make())  # type: ignore[misc]
         spare_collector()
         radio = Radio(scenario.link, seed) if scenario.link.exists else None
-        outages = [_outage(fault) for fault in scenario.faults if not fault.of_camera]
+        outages = [_outage(fault) for fault in scenario.faults_at(seed) if not fault.of_camera]
         self._lockstep = Lockstep(makers, tap, outages=outages, busy_until={"actuator": self._busy_until}, radio=radio)
 
     def now_ns(self) -> int:

@@ -16,6 +16,7 @@ class Ailments:
     tripped: NDArray[np.uint8]  # (n,) error bits that latch, whatever load and heat are
     offset: NDArray[np.int64]  # (n,) [ticks] by which position registers are off
     heating: NDArray[np.float64]  # (n,) [K/s]
+    reads_hot: NDArray[np.int64]  # (n,) [deg C] that temperature registers read, -1 for what is true
     sag: float = 0.0  # [V] less
     drain: float = 0.0  # [1/s] of the battery's capacity
 
@@ -23,4 +24,4 @@ class Ailments:
     def none(cls, n: int) -> "Ailments":
         """Of n servos that are well."""
         no, ticks = np.zeros((3, n), dtype=np.bool_), np.zeros(n, dtype=np.int64)
-        return cls(no[0], no[1], no[2], np.zeros(n, dtype=np.uint8), ticks, np.zeros(n))
+        return cls(no[0], no[1], no[2], np.zeros(n, dtype=np.uint8), ticks, np.zeros(n), ticks - 1)

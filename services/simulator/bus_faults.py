@@ -209,6 +209,8 @@ class BusFaults(AnswersOnly):
                 ailments.tripped[row] |= int(dxl.ServoError.OVERLOAD)
             case "servo", "heat":
                 ailments.heating[row] += fault.kelvin_per_s
+            case "servo", "hot":
+                ailments.reads_hot[row] = fault.celsius
             case "supply", "sag":
                 ailments.sag += fault.volts
             case "supply", "drain":

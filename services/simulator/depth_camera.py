@@ -34,6 +34,7 @@ class DepthCamera:
         rng: np.random.Generator,
         noise: bool = True,
         dropouts: bool = True,
+        loss: float = RANDOM_LOSS,
     ):
         """Set up a camera.
 
@@ -43,11 +44,13 @@ class DepthCamera:
             rng: Only drawn from here, once, for the camera's key.
             noise: Disparity noise and quantisation; without it, depth is only rounded to raw units.
             dropouts: Pixels without return in shadows, on grazed surfaces, and at random.
+            loss: Share of the pixels that are without return at random.
         """
         self.intrinsics, self.sensor = intrinsics, sensor
         self._key = np.uint32(rng.integers(1 << 32))
         self._frames = 0
         self._dropouts = dropouts
+        self._loss = loss
         self._bf = intrinsics.fx * sensor.baseline  # [px m]
         quantised = noise and sensor.disparity_step > 0
         self._counts = 1.0 / sensor.disparity_step if quantised else 0.0  # per pixel of disparity, 0 for no quantisation
@@ -80,6 +83,7 @@ class DepthCamera:
             limits,
             self._camera,
             self._dropouts,
+            self._loss,
         )
         self._frames += 1
         return raw
@@ -130,6 +134,7 @@ def _expose(
     limits: Array,
     camera: Array,
     dropouts: bool,
+    loss: float,
 ) -> None:
     """Noise in disparity, quantised or not; then pixels taken away.
 
@@ -208,7 +213,8 @@ def _expose(
             column -= 1
         # 4. Grazed surfaces, and the losses at random.
         above, below = w[max(row - 1, 0)], w[min(row + 1, rows - 1)]
-        _graze(line, above, below, bits, x, np.float32(row - camera[3]), np.float32(camera[0]), np.float32(camera[1]), out)
+        y, fx, fy = np.float32(row - camera[3]), np.float32(camera[0]), np.float32(camera[1])
+        _graze(line, above, below, bits, x, y, fx, fy, np.float32(loss), out)
         out[0] = out[columns - 1] = 0  # without a neighbour on one side
 
 
@@ -222,13 +228,14 @@ def _graze(
     y: np.float32,
     fx: np.float32,
     fy: np.float32,
+    loss: np.float32,
     out: NDArray[np.uint16],
 ) -> None:
     """Take away pixels of a row on grazed surfaces and at random; x and y [px] from the optical axis."""
     one = np.float32(1.0)
     per_fx, per_fy = one / fx, one / fy
-    low, width = np.float32(GRAZING[0]), np.float32((GRAZING[1] - GRAZING[0]) / (1.0 - RANDOM_LOSS))
-    likely, to_unit = np.float32(1.0 - RANDOM_LOSS), np.float32(2.0 ** (_GAUSS_BITS - 32))
+    low, width = np.float32(GRAZING[0]), np.float32(GRAZING[1] - GRAZING[0]) / max(one - loss, np.float32(1e-6))
+    likely, to_unit = one - loss, np.float32(2.0 ** (_GAUSS_BITS - 32))
     mask = np.uint32((1 << (32 - _GAUSS_BITS)) - 1)
     ry2 = one + (y * per_fy) * (y * per_fy)
     for k in range(1, len(line) - 1):

@@ -52,7 +52,7 @@ class Renderer:
         self._quads, self._colours = quads, colours
         self._weak = (6 * terrain.weak.box[:, None] + np.arange(6)).ravel()  # faces of what may sink
         self._unsunk = quads[self._weak]
-        self._robot_colours = _colours(_ROBOT_COLOUR, len(_FACES))
+        self._robot_colour = np.array(_ROBOT_COLOUR, dtype=np.float64)
         self._plane = np.nan if terrain.plane is None else terrain.plane
         self._field = _FieldMesh(field, field_colour)
         self._lens = float(intrinsics.fx), float(intrinsics.fy), float(intrinsics.cx), float(intrinsics.cy)
@@ -110,8 +110,8 @@ class Renderer:
             draw_field(canvas, T_camera_world, mesh.heights, mesh.grid, mesh.blocks, mesh.colour)
         if robot is not None:
             boxes, capsules = robot
-            draw_quads(canvas, T_camera_world, _box_quads(boxes), self._robot_colours)
-            draw_capsules(canvas, T_camera_world, capsules.start, capsules.end, capsules.radius, self._robot_colours[0])
+            draw_quads(canvas, T_camera_world, _box_quads(boxes), _colours(_ROBOT_COLOUR, len(_FACES) * len(boxes)))
+            draw_capsules(canvas, T_camera_world, capsules.start, capsules.end, capsules.radius, self._robot_colour)
         return self._inverse_depth
 
 

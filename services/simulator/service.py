@@ -16,8 +16,10 @@ from services.simulator.config import Settings
 from services.simulator.depth_camera import DepthCamera
 from services.simulator.imu import Imu as ImuSensor
 from services.simulator.imu import ImuNoise
+from services.simulator.movers import Movers, together
 from services.simulator.render import Renderer
 from services.simulator.servos import ServoBank, bank_of
+from services.simulator.solids import Boxes, Capsules
 from services.simulator.tcp_port import TcpBusServer
 from services.simulator.terrain import build_terrain
 from services.simulator.world import TIME_STEP_NS, Factors, World
@@ -64,7 +66,7 @@ class Simulator:
         self._settings = settings
         scenario = load_scenario(settings.scenario) if scenario is None else scenario
         self._scenario = scenario
-        seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(6)]
+        seeds = [np.random.default_rng([settings.seed, stream]) for stream in range(7)]
         terrain = build_terrain(scenario, seeds[0])
         self.world = World(profile, terrain, Factors.draw(scenario.variation, seeds[1]), imu=scenario.variation.imu)
         self._T_body_camera = profile.camera.T_body_camera
@@ -75,7 +77,10 @@ class Simulator:
             seeds[2],
             noise=scenario.camera.noise,
             dropouts=scenario.camera.dropouts,
+            loss=scenario.camera.loss,
         )
+        self._faults = [fault for fault in scenario.faults_at(settings.seed) if fault.of_camera]
+        self._movers = Movers(scenario.movers, terrain, seeds[6])
         self._last_depth: NDArray[np.uint16] | None = None
         self._frames = 0
         self._color = ColorCamera(self._renderer, terrain, seeds[4]) if profile.camera.color else None
@@ -209,7 +214,7 @@ class Simulator:
                 # Of the same instant as a depth frame, so that a pixel of one is a pixel of the other.
                 if self._color is not None and inbox.wanted(topics.COLOR) and self._due(topics.COLOR, now_ns):
                     with self.stages("color"):
-                        color = self._color.picture(self._camera_pose(), self.world.robot_solids())
+                        color = self._color.picture(self._camera_pose(), self._solids())
                     yield ColorImage(now_ns, color)
         if self._due(topics.CAMERA_STATE, now_ns):
             absent = "unplugged by the scenario" if self._camera_fault() == "absent" else ""
@@ -222,6 +227,8 @@ class Simulator:
     def _is_looked_at(self) -> bool:
         """Whether somebody looks at the depth frame that is due; it counts as taken in any case."""
         self._frames += 1
+        if len(self._movers):
+            self._movers.advance(self.world.time_ns * 1e-9, self.world.T_world_body)
         looked_at = self._frames % self._settings.frames_per_picture == 0
         if not looked_at:
             self._camera.pass_over()
@@ -242,7 +249,7 @@ class Simulator:
             return np.random.default_rng([self._settings.seed, self.world.time_ns]).integers(0, high, shape, dtype=np.uint16)
         with self.stages("render"):
             self._renderer.settle(self.world.sunk)
-            picture = self._renderer.inverse_depth(self._camera_pose(), self.world.robot_solids())
+            picture = self._renderer.inverse_depth(self._camera_pose(), self._solids())
         with self.stages("depth noise"):
             self._last_depth = self._camera.measure(picture)
         return self._last_depth
@@ -250,10 +257,12 @@ class Simulator:
     def _camera_fault(self) -> str:
         """What is wrong with the camera now, by the scenario; nothing while all is well."""
         now_s = self.world.time_ns * 1e-9
-        faults = (
-            fault for fault in self._scenario.faults if fault.of_camera and fault.at_s <= now_s < fault.at_s + fault.for_s
-        )
-        return next((fault.kind for fault in faults), "")
+        return next((fault.kind for fault in self._faults if fault.at_s <= now_s < fault.at_s + fault.for_s), "")
+
+    def _solids(self) -> tuple[Boxes, Capsules]:
+        """What the camera sees beside the terrain: the robot and what moves over the course."""
+        robot = self.world.robot_solids()
+        return together(robot, self._movers.solids()) if len(self._movers) else robot
 
     def _due(self, topic: AnyTopic, now_ns: int, rate_hz: float | None = None) -> bool:
         """Whether a topic's next beat has come; beats are even multiples of its period, or of another rate's."""

@@ -484,7 +484,9 @@ class ServoBank:
             off = np.clip(position + self._ailments.offset, 0, dxl.TICK_MAX)
             position[:] = np.where(self._ailments.frozen, before, off)
         self._column(dxl.PRESENT_VOLTAGE)[:] = min(max(round(self.voltage / dxl.VOLT_UNIT), 0), 255)
-        self._column(dxl.PRESENT_TEMPERATURE)[:] = np.minimum(np.maximum(np.rint(self.temperature), 0.0), 255.0)
+        temperature = np.minimum(np.maximum(np.rint(self.temperature), 0.0), 255.0)
+        reads = self._ailments.reads_hot if before is not None else -1
+        self._column(dxl.PRESENT_TEMPERATURE)[:] = np.where(reads >= 0, reads, temperature)
         self._column(dxl.MOVING)[:] = (np.abs(self._goal - self._setpoint) > dxl.TICK_RAD) & ~self._limp
 
 

@@ -19,7 +19,9 @@ from shared.scenario import (
     Scenario,
     Stairs,
     load_scenario,
+    load_trouble,
     scenario_names,
+    trouble_names,
 )
 
 STAIRS = {"kind": "stairs", "xy": [0.0, 0.0], "riser": 0.04, "tread": 0.3, "count": 3, "width": 1.0}
@@ -28,6 +30,8 @@ RUBBLE = {"kind": "rubble", "x": [0, 1], "y": [0, 1], "count": 3, "size": [0.1, 
 FIELD = {"kind": "pillar_field", "x": [1.0, 2.0], "y": [-0.5, 0.5], "density": [0.2, 0.3], "size": 0.1, "top": 0.0}
 COURSE = {"kind": "course", "width": 1.0}
 STONES = {"kind": "stones", "length": 1.0, "size": 0.12, "gap": 0.05}
+LEGS = {"kind": "legs", "path": [[1.0, -1.0], [1.0, 1.0]]}
+CART = {"kind": "box", "path": [[1.0, -1.0], [1.0, 1.0]], "speed": 0.5, "size": [0.4, 0.3, 0.2]}
 MINIMAL = {"name": "mine", "terrain": [{"kind": "plane"}], "goal": {"distance": 1.0}}
 
 
@@ -133,6 +137,17 @@ def test_an_unknown_name_lists_the_known() -> None:
             {"terrain": [COURSE | {"stretches": [{"kind": "gap", "length": 0.1, "spread": 0.1}]}]},
             "a spread from 0 to less than",
         ),
+        ({"movers": [{"kind": "cart"}]}, r"movers\[0\].kind: found 'cart'; known kinds: box, legs"),
+        ({"movers": [LEGS | {"speed": 0}]}, r"movers\[0\].speed: more than 0 and at most 5 m/s expected, found 0"),
+        ({"movers": [LEGS | {"path": [[1, 0]]}]}, r"movers\[0\].path: 2 to 64 corners expected"),
+        ({"movers": [LEGS | {"path": [[1, 0], [1, 0]]}]}, r"movers\[0\].path: corners of which no two neighbours coincide"),
+        ({"movers": [LEGS | {"path": [[1, 0], [1e9, 0]]}]}, r"movers\[0\].path: corners within 50 m"),
+        ({"movers": [LEGS | {"strides": 1}]}, r"movers\[0\].strides: unknown key; did you mean 'stride'"),
+        ({"movers": [LEGS | {"height": 0.1}]}, r"movers\[0\]: height: a height of more than two radii and the lift"),
+        ({"movers": [LEGS | {"start_s": -1}]}, r"movers\[0\].start_s: 0 to 86400 s expected"),
+        ({"movers": [CART | {"size": [1, 0, 1]}]}, r"movers\[0\].size\[1\]: more than 0 and at most 3 m"),
+        ({"camera": {"loss": 1.5}}, "camera: a loss from 0 to 1 expected"),
+        ({"faults": [{"at_s": 1, "service": "planner", "at_spread_s": -1}]}, r"faults\[0\]: an at_spread_s of at least 0"),
         ({"time_limit_s": 0}, "a time limit greater than 0 s"),
         ({"time_limit_s": 1e12}, "time_limit_s: at most 86400 s either way expected"),
         ({"map": {"cells": 10**12}}, r"map\.cells: at most 2048 cells either way expected"),
@@ -151,3 +166,33 @@ def test_nonsense_is_refused(change: dict[str, Any], words: str) -> None:
 
 def test_a_fault_lasts_two_seconds_unless_said() -> None:
     assert Fault(1.0, "planner").for_s == 2.0
+
+
+@pytest.mark.parametrize("name", trouble_names())
+def test_a_trouble_is_laid_over_any_course(name: str) -> None:
+    course, trouble = load_scenario("stairs"), load_trouble(name)
+    both = load_scenario(f"stairs+{name}")
+    assert both.name == f"stairs+{name}"
+    assert (both.terrain, both.goal, both.folder) == (course.terrain, course.goal, course.folder)
+    assert (both.faults, both.bus_faults, both.movers) == (trouble.faults, trouble.bus_faults, trouble.movers)
+    assert both.camera == (trouble.camera or course.camera)
+    assert both.time_limit_s == course.time_limit_s + trouble.extra_time_s
+    assert both.faults or both.bus_faults or both.movers or both.camera != course.camera
+
+
+def test_an_unknown_trouble_names_the_nearest_and_the_course_is_looked_at_first() -> None:
+    with pytest.raises(config.ConfigError, match=r"no trouble 'snu'; did you mean 'sun'\? known: .*legs.*sun"):
+        load_scenario("steps+snu")
+    with pytest.raises(config.ConfigError, match="no scenario 'stpes'"):
+        load_scenario("stpes+sun")
+
+
+def test_times_of_faults_are_drawn_by_the_seed_within_their_spread() -> None:
+    scenario = config.build(
+        MINIMAL | {"faults": [{"at_s": 3, "service": "planner", "at_spread_s": 4}, {"at_s": 1, "service": "mapper"}]}, Scenario
+    )
+    drawn = [scenario.faults_at(seed) for seed in range(50)]
+    times = [faults[0].at_s for faults in drawn]
+    assert 3 <= min(times) < 3.5 < 6.5 < max(times) <= 7
+    assert {faults[1].at_s for faults in drawn} == {1.0}
+    assert drawn == [scenario.faults_at(seed) for seed in range(50)]

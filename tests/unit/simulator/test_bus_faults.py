@@ -370,6 +370,17 @@ def test_heat_and_its_cut_off() -> None:
     assert rig.bank.shutdown.tolist() == [False, True, False]
 
 
+def test_a_temperature_that_reads_too_high_is_no_heat_and_is_right_again_afterwards() -> None:
+    rig = Rig(of("servo", "hot", for_s=0.5, celsius=85))
+    question = dxl.read(2, dxl.PRESENT_TEMPERATURE.address, 1)
+    rig.run(0.1)
+    assert rig.hear(question)[0].data[5] == 85
+    rig.run(1.0)
+    assert rig.hear(question)[0].data[5] == 25
+    assert rig.bank.temperature[1] == pytest.approx(25.0, abs=0.1)
+    assert not rig.bank.shutdown.any()
+
+
 # ------------------------------------------------------------------------------------------------- bus and supply
 
 

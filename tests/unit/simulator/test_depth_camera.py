@@ -53,6 +53,15 @@ def test_a_frame_does_not_depend_on_whether_those_before_it_were_made() -> None:
     np.testing.assert_array_equal(first.measure(wall(2.0)), second.measure(wall(2.0)))
 
 
+@pytest.mark.parametrize("loss", [0.0, 0.3, 0.6, 0.95, 1.0])
+def test_a_share_of_the_pixels_is_lost_at_random_other_ones_each_frame(loss: float) -> None:
+    cam = DepthCamera(XTION, SENSOR, np.random.default_rng(0), noise=False, dropouts=True, loss=loss)
+    middle = (slice(100, 380), slice(100, 540))  # seen from straight ahead
+    one, other = ((cam.measure(wall(1.0)) == 0)[middle] for _ in range(2))
+    assert one.mean() == pytest.approx(loss, abs=0.01)
+    assert np.mean(one & other) == pytest.approx(loss**2, abs=0.01)
+
+
 def test_noise_is_white_in_the_picture_and_over_time() -> None:
     e = errors(6) / SENSOR.disparity_sigma
     bound = 5 / np.sqrt(e[0].size)

@@ -1,0 +1,1 @@
+"""Troubles that come with Sextant, one TOML file each: what goes wrong on whatever course."""
