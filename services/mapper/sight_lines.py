@@ -15,6 +15,7 @@ FOLLOWED = 8  # every how many points of a scan have their line of sight followe
 SHORT = 3  # cells before its end at which a line of sight stops: what it meets is thick, and not quite where it is mapped
 WELL_BELOW = 0.02  # [m] beyond three sigma of a cell, by which a line of sight must pass below its height
 SIGHTS_NEEDED = 8  # scans that look through a cell until it is cleared, without one that measures it
+MAX_SIGMA_M = 0.01  # of a cell's height; what is more is the spread of what stood there, and says nothing of what is free
 FELL_AROUND = 3  # neighbours that have fallen, from which on a cell at the rim of what stood there may fall, too
 SETTLED = 2 * FOLLOWED * SIGHTS_NEEDED  # scans that measure a fallen cell, until what stands beside it is no remnant
 _REFRESHED = 16  # scans after which the highest cell is looked for anew
@@ -105,10 +106,11 @@ def _clear_along_sights(
 ) -> int:
     """Count, once a scan, the cells that stand well above a line of sight, and clear those that have been so often.
 
-    A cell counts only within a body: none of its eight neighbours is known to lie lower than the line but such as have
+    A cell counts within a body: none of its eight neighbours is known to lie lower than the line but such as have
     fallen already, and at most two are unknown; so what is narrower than three cells, a rim that fills its cells in part,
     and a wall seen along its face are left to measurement. A body is eaten from within: a rim falls after what it was the
-    rim of.
+    rim of. Outside of a body a cell counts that fewer scans have measured than must look through it: so something
+    thin that has passed by does not stay.
 
     Returns the number of cells cleared.
     """
@@ -152,7 +154,7 @@ def _clear_along_sights(
             c = a * columns + b
             if not heights[np.uint64(c)] > over:
                 continue
-            if not height[a, b] > over + 3.0 * math.sqrt(variance[a, b]):
+            if not height[a, b] > over + 3.0 * min(math.sqrt(variance[a, b]), MAX_SIGMA_M):
                 continue
             if slot[c] >= 0:
                 continue
@@ -170,7 +172,8 @@ def _clear_along_sights(
                         fallen += 1
                     elif height[e, f] == height[e, f]:
                         low += 1
-            if (low == 0 and standing + fallen >= 6) or fallen >= FELL_AROUND:
+            within = (low == 0 and standing + fallen >= 6) or fallen >= FELL_AROUND
+            if within or support[a, b] < SIGHTS_NEEDED:
                 slot[c] = 0
                 marked[m] = c
                 m += 1

@@ -19,7 +19,9 @@ from shared.compiled import compiled
 Array = NDArray[Any]  # what compiled functions take: numbers of any width
 
 _CORRELATION = 4.0  # neighbouring pixels share their disparity error: so many of a block count as one
-_MIN_FILLED = 0.5  # share of a block's pixels that must be measured
+_MIN_FILLED = 0.5  # share of a block's pixels that must be measured, or
+_USUAL_EVERY = 4  # rows and columns of blocks, of which one tells of the usual share
+_MIN_OF_USUAL = 0.6  # of the share that usually is of this frame's blocks, where pixels are missing everywhere
 
 
 class BlockFrame:
@@ -47,21 +49,25 @@ class BlockFrame:
         self.inverse_depth = np.zeros(self.shape)
         self._points = np.zeros((self.shape[0] * self.shape[1], 3))
         self.valid = 0
+        self.usual_share = 1.0  # of the pixels of a block in which any is measured
 
     def load(self, depth_raw: NDArray[np.uint16]) -> None:
-        """Reduce a frame (h, w); a block that straddles an edge, or is less than half measured, is left out.
+        """Reduce a frame (h, w); a block that straddles an edge, or is measured far less than others, is left out.
+
+        That is less than half, or where pixels are missing all over the frame, less than 60 % of the usual share.
 
         Raises:
             ValueError: Another shape or type than (h, w) uint16.
         """
         self._intrinsics.check_raw(depth_raw)
         max_variance = (3.0 * self.pixel_sigma) ** 2
+        self.usual_share = _usual_share(depth_raw, self._bounds, self.block)
         self.valid = _reduce_blocks(
             depth_raw,
             self._bounds,
             self._scale,
             self.block,
-            _MIN_FILLED,
+            min(_MIN_FILLED, _MIN_OF_USUAL * self.usual_share),
             max_variance,
             self.x,
             self.y,
@@ -87,6 +93,22 @@ def inverse_depth_sigma(intrinsics: Intrinsics, sensor: DepthSensor) -> float:
     disparity_sigma = float(sensor.sigma(np.array(1.0), intrinsics.fx))
     rounding = 1.0 / (sensor.depth_scale * math.sqrt(12.0))
     return math.hypot(disparity_sigma, rounding)
+
+
+@compiled
+def _usual_share(raw: Array, bounds: tuple[int, int], block: int) -> float:
+    """Mean share of measured pixels of every few blocks that have any, 1 where none has."""
+    first, last = bounds
+    measured, blocks = 0, 0
+    for i in range(0, raw.shape[0] - block + 1, _USUAL_EVERY * block):
+        for j in range(0, raw.shape[1] - block + 1, _USUAL_EVERY * block):
+            n = 0
+            for a in range(i, i + block):
+                for b in range(j, j + block):
+                    n += int((raw[a, b] >= first) & (raw[a, b] <= last))
+            measured += n
+            blocks += int(n > 0)
+    return measured / (blocks * block * block) if blocks else 1.0
 
 
 @compiled

@@ -32,6 +32,7 @@ _RECENT_SHARE = 0.2  # of each good frame in how well frames fit of late
 # Legs may have slipped where a frame fits worse than of late, lies further from its planes, or has been drawn so far from
 # the prior.
 _SURPRISING, _FAR_APART, _DRAWN = 1.25, 1.6, 2.0  # times; times; [sigma]
+_SPARSE = 0.5  # share of the pixels of surfaces in view, below which their loss is named where a frame does not register
 _TRIES = 3  # to come from a place that was searched for to the right one
 _FAR_APART_FOUND = 2.0  # times, from which a place that was searched for is not the right one
 _EXPLAINED = 0.85  # of a misfit, below which another pose fits better
@@ -202,7 +203,13 @@ class Registration:
         """Why a match is not to be trusted; surfaces must be as near to each other as they use to be."""
         limits = self._acceptance
         usual = limits.rmse_factor * self._usual_rmse + limits.rmse_margin
-        return objection(match, replace(limits, max_rmse=min(limits.max_rmse, usual)))
+        reason = objection(match, replace(limits, max_rmse=min(limits.max_rmse, usual)))
+        share = self._frame.usual_share
+        return (
+            f"{reason}; {1.0 - share:.0%} of the pixels of what is in view are missing"
+            if reason and share < _SPARSE
+            else reason
+        )
 
     def _is_doubted(self, T: NDArray[np.float64]) -> bool:
         self._believed = max(0, self._believed - 1)

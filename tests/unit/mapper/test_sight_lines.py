@@ -132,11 +132,14 @@ STILL = np.array(  # pillars of 5 and 2 cm, a wall of one cell, boxes seen along
 )  # fmt: skip
 
 
-def test_a_still_scene_loses_nothing_to_lines_of_sight_on_a_noisy_walk() -> None:
-    """Grazing rays over edges, along faces and past pillars, with a pose that errs by millimetres and tenths of a degree."""
+def test_a_still_scene_loses_next_to_nothing_to_lines_of_sight_on_a_noisy_walk() -> None:
+    """Grazing rays over edges, along faces and past pillars, with a pose that errs by millimetres and tenths of a degree.
+
+    Only single cells fall, which fewer scans have measured than have looked past what fills them in part.
+    """
     rng = np.random.default_rng(8)
     grid = ElevationGrid(size=400)
-    highest = np.full((400, 400), -np.inf)
+    cleared = 0
     for k in range(50):
         camera = np.array([0.018 * k, 0.05 * math.sin(0.2 * k), 0.30 + 0.01 * math.sin(0.9 * k)])
         points = look(STILL, camera, math.radians(25.0 + 1.5 * math.sin(0.9 * k)), rng)
@@ -144,8 +147,31 @@ def test_a_still_scene_loses_nothing_to_lines_of_sight_on_a_noisy_walk() -> None
         report = take(
             grid, points + v + np.cross(w, points - camera), camera + v, pose_covariance=np.diag([2e-6] * 3 + [4e-6] * 3)
         )
-        assert report.cleared == 0
-        seen = np.isfinite(grid.snapshot().elevation)
-        assert seen[np.isfinite(highest)].all()
-        highest[seen] = 0.0
+        assert report.cleared <= 1
+        cleared += report.cleared
+    assert cleared <= 5
     assert grid.height_drift == 0.0
+
+
+def legs_at(y: float) -> NDArray[np.float64]:
+    """Two legs of a person, 12 cm thick, as blocks; in the picture as high as the camera."""
+    return np.array([[0.94, y + a - 0.06, 1.06, y + a + 0.06, 0.9] for a in (-0.1, 0.1)])
+
+
+def test_legs_that_walk_across_leave_nothing_that_stands_where_the_ground_is_hardly_seen() -> None:
+    """A person crosses before the camera within 2 s; behind two low blocks the ground is hidden from it."""
+    rng = np.random.default_rng(9)
+    grid, camera = ElevationGrid(size=400), np.array([0.0, 0.0, 0.25])
+    low = np.array([[0.85, -0.3, 0.95, -0.1, 0.04], [0.85, 0.1, 0.95, 0.3, 0.04]])
+    for _ in range(20):
+        take(grid, look(low, camera, rng=rng), camera)
+    before = grid.snapshot().elevation
+    for k in range(30):
+        take(grid, look(np.concatenate([low, legs_at(0.9 - 0.06 * k)]), camera, rng=rng), camera)
+    assert np.nanmax(grid.snapshot().elevation) > 0.08
+    for _ in range(30):
+        take(grid, look(low, camera, rng=rng), camera)
+    after = grid.snapshot().elevation
+    assert np.nanmax(after) < 0.065, "lines of sight pass over the blocks 2 cm and more below that"
+    known = np.isfinite(before) & np.isfinite(after)
+    assert np.abs(after - before)[known].max() < 0.02

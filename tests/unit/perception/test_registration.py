@@ -287,16 +287,29 @@ def test_noise_images_never_crash(world):
         assert np.isfinite(result.T_world_camera).all()
 
 
-def test_dropped_pixels_do_not_hurt(world):
+@pytest.mark.parametrize("loss", [0.2, 0.6])
+def test_dropped_pixels_do_not_hurt(world, loss):
     registration = Registration(world.intrinsics, world.sensor)
     rng = np.random.default_rng(9)
     T = world.camera_pose(0.4)
     for i in range(2):
         depth = world.depth_image(T, world.scenes["steps"], rng)
-        depth[rng.random(depth.shape) < 0.2] = 0
+        depth[rng.random(depth.shape) < loss] = 0
         result = registration.update(depth, i, T, WIDE)
     assert result.ok
     assert np.abs(error_twist(result.T_world_camera, T)).max() < 0.003
+
+
+def test_where_too_many_pixels_are_missing_that_is_the_reason(world):
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(9)
+    T = world.camera_pose(0.4)
+    for i in range(2):
+        depth = world.depth_image(T, world.scenes["steps"], rng)
+        depth[rng.random(depth.shape) < 0.85] = 0
+        result = registration.update(depth, i, T, WIDE)
+    assert not result.ok
+    assert "of the pixels of what is in view are missing" in result.reason
 
 
 @pytest.mark.parametrize(("width", "height"), [(160, 120), (320, 240), (424, 240), (1282, 722)])
