@@ -211,6 +211,7 @@ _OFF: tuple[tuple[str, str, tuple[Deed, ...]], ...] = (
     ("off-corrupted-10", "10 % of the answers broken", (_corrupted(0.10, _OUT_S), Off())),
     ("off-overload", "one servo has shut down", (_bus("servo", "overload"), Off())),
     ("off-heat", "one servo is heated by 10 K/s", (_bus("servo", "heat", kelvin_per_s=10.0), Off())),
+    ("off-hot-reading", "one servo's temperature reads 85 deg C", (_bus("servo", "hot"), Off())),
     ("off-drain", "the battery runs empty within 4 s", (_bus("supply", "drain", 4.0), Off())),
     ("off-sag", "the voltage is 3 V lower for 0.4 s", (_SAG, Off(until_s=0.4))),
     ("off-planner-killed", "the planner is killed", (Away("planner", True, _OUT_S), Off())),
