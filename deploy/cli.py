@@ -213,7 +213,7 @@ def _add_walks(add: Any) -> None:
 
 def _add_campaigns(add: Any) -> None:
     one = add("trials", trials, "run a scenario in lockstep with many seeds: success rate with its 95 %% interval")
-    one.add_argument("scenario", help="name of a scenario, path of a TOML file, all that are walked, or passages: all gaps")
+    one.add_argument("scenario", help="scenario name or TOML file; or a group: all, passages, troubles")
     _add_robot_and_gait(one)
     words = "from A up to, not including, B; or commit:N, N that the hash of the commit gives, so that nobody has chosen them"
     one.add_argument("--seeds", type=values.any_seeds, required=True, metavar="A:B", help=words)

@@ -40,6 +40,7 @@ RUN_BY = {
     "trials all --blind": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials table": "tests/unit/deploy/test_cli.py::test_trials_of_all_terrains_print_one_table",
     "trials passages": "tests/unit/deploy/test_cli.py::test_trials_of_all_passages_print_their_table_and_the_thesis_one",
+    "trials troubles": "tests/unit/deploy/test_cli.py::test_trials_troubles_tells_of_every_trouble_on_every_terrain",
     "replay": "tests/walk/test_replay.py::test_the_command_replays_a_folder_and_prints_json",
     "replay FILE": "tests/unit/deploy/replay/test_replay.py::test_the_command_replays_a_recording_or_the_folder_that_holds_it",
     "record": "tests/live/test_recording.py::test_what_is_said_is_recorded_until_the_recorder_is_killed",
@@ -93,7 +94,7 @@ def commands(text: str) -> Iterator[list[str]]:
 
 def way_of_running(words: list[str]) -> str:
     """The key in RUN_BY of a `sextant` command."""
-    pairs = (["trials", "all"], ["trials", "passages"], ["trials", "table"], ["demo", "gap"])
+    pairs = (["trials", "all"], ["trials", "passages"], ["trials", "troubles"], ["trials", "table"], ["demo", "gap"])
     group = words[:2] if words[0] in ("topics", "bench", "servos", "keys") or words[:2] in pairs else words[:1]
     ways = [
         word for word in words if word in ("--lockstep", "--connect", "--blind", "--camera", "--gait", "--bridge", "--live")
@@ -133,7 +134,12 @@ def test_scenarios_named_in_the_readme_come_with_sextant() -> None:
     from shared.scenario import load_scenario
 
     for words in README:
-        if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[2] not in ("all", "passages", "table"):
+        if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[2] not in (
+            "all",
+            "passages",
+            "troubles",
+            "table",
+        ):
             assert load_scenario(words[2]).name == words[2]
 
 

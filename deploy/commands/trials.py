@@ -9,7 +9,7 @@ from deploy.commands.common import SUCCESS, InputError, as_asked, asked_scenario
 
 def trials(arguments: argparse.Namespace) -> int:
     """`sextant trials`: the success rate over many seeds, in lockstep."""
-    if arguments.scenario in ("all", "passages"):
+    if arguments.scenario in ("all", "passages", "troubles"):
         return _campaign(arguments)
     scenario = asked_scenario(arguments)
     out = out_folder(arguments, f"trials-{scenario.name}")
@@ -31,7 +31,7 @@ def trials(arguments: argparse.Namespace) -> int:
 
 
 def _campaign(arguments: argparse.Namespace) -> int:
-    """`sextant trials all`, `sextant trials passages`: the table of all terrains, or of all passages, and Masri's of these."""
+    """`sextant trials all`, `passages`, `troubles`: run a group of scenarios and print one table of them."""
     from deploy.trials import campaign_table as tables
     from deploy.trials import kept
     from deploy.trials.campaign import run_campaign
@@ -41,7 +41,8 @@ def _campaign(arguments: argparse.Namespace) -> int:
     asked = as_asked(arguments)
     out = out_folder(arguments, f"trials-{arguments.scenario}")
     hear = open_progress(arguments.json).say
-    courses, table = (tables.PASSAGES, "passages") if passages else (tables.WALKED, "walks")
+    courses = {"all": tables.WALKED, "passages": tables.PASSAGES, "troubles": tables.TROUBLED}[arguments.scenario]
+    table = "passages" if passages else "walks"
     found = run_campaign(courses, arguments.seeds, arguments.jobs, out, arguments.blind, asked, hear, table=table)
     tables.write(found, out, table)
     if arguments.json:

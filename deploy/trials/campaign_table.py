@@ -35,6 +35,15 @@ PASSAGES: Mapping[str, str] = {
     "passage_gives_way": "a pillar that sinks under a foot",
     "pillar_field": "pillars strewn by the seed, with a way or without",
 }
+# What goes wrong on the way, and where it does.
+TROUBLES: Mapping[str, str] = {
+    "sun": "no depth for 10 s, twice",
+    "legs": "a person crosses the view every 5 s",
+    "sparse": "60 % of the pixels missing at random",
+}
+TROUBLED: Mapping[str, str] = {
+    f"{course}+{trouble}": words for trouble, words in TROUBLES.items() for course in ("steps", "stairs", "cobbles")
+}
 Columns = Mapping[str, Callable[[Trials], str]]  # heading -> cell
 _WALKS: Columns = {
     "goal reached": lambda t: _outcome(t),
@@ -95,7 +104,7 @@ def of_runs(runs: Iterable[Run]) -> Campaign:
     """A campaign of runs on file, in the public table's order; where only blind walks are on file they stand for themselves."""
     found, older = kept.newest(runs)
     summaries = [batches.summarise(batch) for batch in found]
-    places = {name: place for place, name in enumerate([*WALKED, *PASSAGES])}
+    places = {name: place for place, name in enumerate([*WALKED, *PASSAGES, *TROUBLED])}
     pairs: dict[tuple[int, str, str, str], list[Trials]] = {}
     for t in sorted(summaries, key=lambda t: t.blind):
         pairs.setdefault((places.get(t.scenario, len(places)), t.scenario, t.robot, t.gait), []).append(t)
@@ -135,7 +144,7 @@ def write(campaign: Campaign, out: Path, table: str = "walks") -> None:
 
 
 def _reached(campaign: Campaign, entry: Entry) -> list[str]:
-    words = {**WALKED, **PASSAGES}.get(entry.seeing.scenario, "")
+    words = {**WALKED, **PASSAGES, **TROUBLED}.get(entry.seeing.scenario, "")
     course = _ticked(_name(campaign, entry.seeing)) + (f": {words}" if words else "")
     return [course, _outcome(entry.seeing), _outcome(entry.blind) if entry.blind else ""]
 

@@ -361,6 +361,22 @@ def test_trials_of_all_passages_print_their_table_and_the_thesis_one(
         assert row in capsys.readouterr().out
 
 
+def test_trials_troubles_tells_of_every_trouble_on_every_terrain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deploy.runs import lockstep_run
+    from deploy.trials import campaign_table
+    from shared.scenario import trouble_names
+
+    monkeypatch.setattr(lockstep_run, "run_lockstep", lambda s, seed, *_: replace(report(True, seed), scenario=s.name))
+    assert cli.main(["trials", "troubles", "--seeds", "5:7", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert set(campaign_table.TROUBLES) == set(trouble_names())
+    assert all(f"| `{name}` | 2 of 2" in printed for name in campaign_table.TROUBLED)
+    assert cli.main(["trials", "table", str(tmp_path), "--of", "reached"]) == 0
+    assert "| `steps+sun`: no depth for 10 s, twice | 2 of 2" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     "data",
     [b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", b'{"scenario": "flat", "seed": 3}', b"", b"[]\n[]", b"[" * 100_000, b"words\n"],
