@@ -26,6 +26,7 @@ from deploy.commands.benches import (
     bench_speed,
     bench_stages,
     bench_start,
+    bench_strangers,
 )
 from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
 from deploy.commands.facts import compose, doctor
@@ -362,6 +363,17 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
 
     one = add("access", bench_access, "put what may not be put through a guarded router: what comes through", group)
     one.add_argument("--messages", type=values.positive, default=10_000, metavar="N", help="of each kind (default %(default)s)")
+    _add_out_and_json(one)
+    one = add("strangers", bench_strangers, "time how soon rightful clients are let in while strangers connect", group)
+    words = "cuts of the radio between robot and base (default %(default)s)"
+    one.add_argument("--cuts", type=values.positive, default=100, metavar="N", help=words)
+    words = "connections of strangers a second (default %(default)s)"
+    one.add_argument("--rate", type=values.positive, default=1000, metavar="HZ", help=words)
+    words = "restarts of an actuator, each without silent connections and with them (default %(default)s)"
+    one.add_argument("--restarts", type=values.natural, default=10, metavar="N", help=words)
+    words = "silent connections at each endpoint of the router meanwhile (default %(default)s)"
+    one.add_argument("--silent", type=values.positive, default=500, metavar="N", help=words)
+    one.add_argument("--seed", type=values.natural, default=0, help="random seed of the cuts (default %(default)s)")
     _add_out_and_json(one)
     one = add("bus", bench_bus, "break the emulated servo bus in many ways: what the driver loses, doubts and believes", group)
     words = "asked in each case, at least (default %(default)s)"

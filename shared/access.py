@@ -193,10 +193,21 @@ class Keys:
         Raises:
             AccessError: The folder has no certificates for it, or a path that cannot be part of an endpoint.
         """
+        return self._on_loopback("listen", port)
+
+    def to_dialer(self, port: int) -> str:
+        """Return the endpoint at which the router connects to the dialer of another machine, on a port of 127.0.0.1.
+
+        Raises:
+            AccessError: The folder has no certificates for it, or a path that cannot be part of an endpoint.
+        """
+        return self._on_loopback("connect", port)
+
+    def _on_loopback(self, side: str, port: int) -> str:
         own = self.proxy_file(ROUTER)
         if any(sign in str(own) for sign in ";=#?"):
             raise AccessError(f"the folder of keys {self.folder} has one of ; = # ? in its path; move it to another")
-        files = f"listen_certificate_file={own};listen_private_key_file={own}"
+        files = f"{side}_certificate_file={own};{side}_private_key_file={own}"
         return f"tls/127.0.0.1:{port}#root_ca_certificate_file={own.with_name(AUTHORITY)};{files}"
 
     def _tls(self, *sides: str) -> dict[str, Any]:

@@ -72,7 +72,7 @@ class Endpoints:
             listen=("tcp/127.0.0.1:0" if self.loopback else "tcp/0.0.0.0:0",) if self.scouting else (),
             scouting=self.scouting,
             namespace=self.namespace,
-            access=_merged(
+            access=merged(
                 self.keys.connecting() if self.keys is not None else {},
                 {"scouting": {"multicast": {"interface": "lo"}}} if self.loopback else {},
             ),
@@ -99,15 +99,15 @@ def _config(
     }
     if namespace is not None:
         config["namespace"] = namespace
-    return _merged(config, access or {})
+    return merged(config, access or {})
 
 
-def _merged(config: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
+def merged(config: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
     """A configuration with more in it, tables within tables likewise."""
     made = dict(config)
     for key, value in more.items():
         there = made.get(key)
-        made[key] = _merged(there, value) if isinstance(there, dict) and isinstance(value, dict) else value
+        made[key] = merged(there, value) if isinstance(there, dict) and isinstance(value, dict) else value
     return made
 
 
@@ -127,9 +127,13 @@ def _lanes(endpoints: tuple[str, ...]) -> tuple[str, ...]:
     What routers tell each other of themselves (priority 0) is in neither, so it stays on the link that was first: where it
     could change to the other in between, its first words were overtaken now and then, and the routers never met.
     """
-    return tuple(
-        lane for one in endpoints for lane in (f"{one}?prio=1-3", f"{one}?prio=4-7#so_sndbuf={_SEND_BUFFER}")
-    )  # of the priorities, REAL_TIME is 1 and DATA 5
+    lanes: list[str] = []
+    for endpoint in endpoints:
+        address, _, settings = endpoint.partition("#")
+        small = ";".join(filter(None, (settings, f"so_sndbuf={_SEND_BUFFER}")))
+        # Of the priorities, REAL_TIME is 1 and DATA 5.
+        lanes += [f"{address}?prio=1-3{'#' if settings else ''}{settings}", f"{address}?prio=4-7#{small}"]
+    return tuple(lanes)
 
 
 class TransportError(RuntimeError):
@@ -183,7 +187,7 @@ class Router:
             upstream: Endpoints of routers that this one is chained to, whenever they are there.
             access: Configuration that says who may do what (`shared.access`).
         """
-        self.configuration: Mapping[str, Any] = _merged(_router_config(listen, upstream), access or {})
+        self.configuration: Mapping[str, Any] = merged(_router_config(listen, upstream), access or {})
         self._session: zenoh.Session | None = None  # None while it begins anew
         self._ended = False
         self._woken = threading.Event()  # by SIGCONT, or to end
@@ -303,7 +307,8 @@ class _Pump:
     """Hands every sample of a subscriber on at once, from a thread that ends with its session."""
 
     def __init__(self, subscriber: Any, take: Callable[[Any], None], name: str):
-        self._subscriber, self._take = subscriber, take
+        # Taken once: `undeclare` borrows the subscriber for itself, and asking it for its handler meanwhile is an error.
+        self._subscriber, self._handler, self._take = subscriber, subscriber.handler, take
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
@@ -319,7 +324,7 @@ class _Pump:
     def _run(self) -> None:
         while True:
             try:
-                sample = self._subscriber.handler.recv()  # by itself it could not be ended while one waits for it
+                sample = self._handler.recv()
             except zenoh.ZError:
                 return  # it has been ended, or the session closed
             self._take(sample)

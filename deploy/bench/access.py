@@ -79,18 +79,15 @@ class _Inside:
 
 
 @contextmanager
-def _robot(folder: Path) -> Iterator[tuple[str, list[str]]]:
-    """A guarded router with keys of every role, an expired and a foreign one; where it listens, with and without TLS.
-
-    Behind each handshake that fails an endpoint rests for a tenth of a second, so there is one for each kind of stranger.
-    """
+def _robot(folder: Path) -> Iterator[tuple[str, str]]:
+    """A guarded router with keys of every role, an expired and a foreign one; where it listens, with and without TLS."""
     authority, other = Authority(days=1), Authority(days=1)
     for role in ROLES:
         authority.issue(folder / role.name, role.name)
     authority.issue(folder / "expired", "console", ends=datetime.now(UTC) - timedelta(hours=1))
     other.issue(folder / "foreign", "console")
-    plain, secure = f"tcp/127.0.0.1:{free_port()}", [f"tls/127.0.0.1:{free_port()}" for _ in range(3)]
-    gate = Gate((plain, *secure), _NAMESPACE, folder / "robot")
+    plain, secure = f"tcp/127.0.0.1:{free_port()}", f"tls/127.0.0.1:{free_port()}"
+    gate = Gate((plain, secure), _NAMESPACE, folder / "robot")
     with hosted(gate):
         yield plain, secure
 
@@ -102,7 +99,7 @@ def measure(messages: int, say: Callable[[str], None] = lambda _: None) -> tuple
         folder = Path(name)
 
         def link(role: str) -> ZenohLink:
-            return ZenohLink(Endpoints((secure[0],), namespace=_NAMESPACE, keys=Keys.load(folder / role)))
+            return ZenohLink(Endpoints((secure,), namespace=_NAMESPACE, keys=Keys.load(folder / role)))
 
         with ZenohLink(Endpoints((plain,), namespace=_NAMESPACE)) as own, link("base") as base:
             inside = _Inside(own)
@@ -119,8 +116,8 @@ def measure(messages: int, say: Callable[[str], None] = lambda _: None) -> tuple
     return tuple(rows)
 
 
-def _refused(folder: Path, secure: list[str], messages: int) -> Iterator[Row]:
-    """Those who are not let in at all, each kind at an endpoint of its own."""
+def _refused(folder: Path, secure: str, messages: int) -> Iterator[Row]:
+    """Those who are not let in at all."""
     known = Keys.load(folder / "console")
     kinds = (
         ("certificate that has expired", dataclasses.replace(known, folder=folder / "expired")),
@@ -128,7 +125,7 @@ def _refused(folder: Path, secure: list[str], messages: int) -> Iterator[Row]:
         ("no certificate", None),
     )
     with ThreadPoolExecutor(len(kinds)) as at_once:
-        tried = [at_once.submit(_knock, *kind, endpoint, messages) for kind, endpoint in zip(kinds, secure, strict=True)]
+        tried = [at_once.submit(_knock, what, keys, secure, messages) for what, keys in kinds]
         yield from (one.result() for one in tried)
 
 

@@ -60,6 +60,24 @@ def bench_access(arguments: argparse.Namespace) -> int:
     return _tell_bench(access.in_words(rows), access.to_json(rows), out / "access.json", arguments.json)
 
 
+def bench_strangers(arguments: argparse.Namespace) -> int:
+    """`sextant bench strangers`: how soon rightful clients are let in while strangers connect; fails where one is late."""
+    from deploy.bench import strangers
+
+    out, progress = out_folder(arguments, "bench-strangers"), open_progress(arguments.json)
+    if arguments.restarts:
+        warm_up(progress)
+    try:
+        found = strangers.measure(
+            arguments.cuts, arguments.rate, arguments.restarts, arguments.silent, arguments.seed, progress.say
+        )
+    except TimeoutError as error:
+        complain(f"sextant bench strangers: {error}")
+        return FAILED
+    told = _tell_bench(strangers.in_words(found), strangers.to_json(found), out / "strangers.json", arguments.json)
+    return FAILED if found.late else told
+
+
 def bench_fleet(arguments: argparse.Namespace) -> int:
     """`sextant bench fleet`: how many robots one base carries."""
     from deploy.bench import fleet

@@ -55,6 +55,10 @@ class HandshakeLimit:
         _bound(self._buckets, self._limits.addresses)
         return allowed
 
+    def is_verified(self, source: str) -> bool:
+        """Whether a certificate was verified from an address."""
+        return source in self._verified
+
     def verify(self, source: str) -> None:
         """Limit an address no longer."""
         self._verified.pop(source, None)

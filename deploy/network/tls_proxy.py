@@ -16,19 +16,22 @@ import ssl
 import struct
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from deploy.network.admission import HandshakeLimit, Limits, Pending, source_of
-from deploy.network.tls_relay import TlsRelay
+from deploy.network.tls_relay import Target, TlsRelay, common_name
 from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
 from shared.endpoint import cannot_listen, place
 from shared.transport import TransportError
 
+_HERE = "127.0.0.1"
+_ROUTER_S = 3.0  # [s] in which the router has to take a connection
 _BACKLOG = 4096  # connections that the kernel completes before they are accepted
-_ACCEPTS = 64  # connections accepted before the others are looked at
+_ACCEPTS = 256  # connections accepted before the others are looked at
+_TURN_S = 0.01  # of handshakes, before the next connections are accepted
 _LOOK_S = 0.1  # between two looks at what is overdue
 _NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _NO_ROOM_S = 0.01
@@ -57,6 +60,7 @@ class _Client:
 
     socket: socket.socket  # of TLS once it has begun its handshake
     source: str  # address by which it is counted
+    number: int  # of all that came
     refused: bool = False  # and kept open until it has read why
 
 
@@ -85,9 +89,10 @@ class TlsProxy:
         self._context.load_verify_locations(keys.folder / AUTHORITY)
         self._context.load_cert_chain(keys.folder / CERTIFICATE, keys.folder / KEY)
         self._context.num_tickets = 0  # no session is resumed
-        self._relay = TlsRelay({role: keys.proxy_file(role) for role in ROLE_NAMED}, port)
+        self._relay, self._to_router = TlsRelay("tls relay"), {role: _target(keys, role, port) for role in ROLE_NAMED}
         self._limit, self._pending = HandshakeLimit(limits), Pending[_Client](limits)
         self._draining = Pending[_Client](limits)
+        self._accepted = 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="tls proxy", daemon=True)
 
@@ -114,18 +119,32 @@ class TlsProxy:
 
     def _run(self) -> None:
         while not self._ended.is_set():
+            ready = list[_Client]()
             for key, _ in self._selector.select(_LOOK_S):
                 if isinstance(key.fileobj, socket.socket):
                     self._accept(key.fileobj)
-                elif key.data.socket.fileno() >= 0:  # not dropped in this round
-                    self._advance(key.data)
+                else:
+                    ready.append(key.data)
             now_s = time.monotonic()
+            ready.sort(key=self._urgency, reverse=True)
+            for client in ready:
+                if client.socket.fileno() >= 0:  # not dropped in this turn
+                    self._advance(client)
+                if time.monotonic() - now_s > _TURN_S:  # the others are still ready in the next turn
+                    break
             for client in self._pending.overdue(now_s):
                 self._drop(client, TOO_SLOW)
             for client in self._draining.overdue(now_s):
                 self._close(client)
         for client in (*self._pending.overdue(math.inf), *self._draining.overdue(math.inf)):
             self._close(client)
+
+    def _urgency(self, client: _Client) -> tuple[bool, bool, int]:
+        """Order in which clients are served when there are more than can be.
+
+        Those of verified addresses go first, then those in a handshake, then the newest: who waits in vain tries again.
+        """
+        return self._limit.is_verified(client.source), isinstance(client.socket, ssl.SSLSocket), client.number
 
     def _accept(self, listener: socket.socket) -> None:
         for _ in range(_ACCEPTS):
@@ -139,7 +158,8 @@ class TlsProxy:
                     return
                 continue  # it has gone already
             connection.setblocking(False)
-            client = _Client(connection, source_of(address[0]))
+            self._accepted += 1
+            client = _Client(connection, source_of(address[0]), self._accepted)
             self._selector.register(connection.fileno(), selectors.EVENT_READ, client)
             if (crowded := self._pending.add(client, client.source, time.monotonic())) is not None:
                 self._drop(crowded, CROWDED)
@@ -187,15 +207,15 @@ class TlsProxy:
         except OSError:
             self._drop(client, HUNG_UP)
             return
-        certificate = secured.getpeercert() or {}
-        role = _common_name(certificate)
-        if role not in ROLE_NAMED:
+        target = self._to_router.get(common_name(secured))
+        if target is None:
             self._drop(client, UNKNOWN_ROLE)
             return
         self._pending.remove(client)
         self._limit.verify(client.source)
         self._selector.unregister(secured.fileno())
-        self._relay.carry(secured, role, ssl.cert_time_to_seconds(str(certificate["notAfter"])))
+        certificate = secured.getpeercert() or {}
+        self._relay.carry(secured, target, ends_s=ssl.cert_time_to_seconds(str(certificate["notAfter"])))
 
     def _refuse_kindly(self, client: _Client, why: str) -> None:
         """Refuse a client, and close when it has read the alert: closing with unread bytes would destroy that."""
@@ -255,9 +275,13 @@ def _listener(endpoint: str) -> socket.socket:
     return listener
 
 
-def _common_name(certificate: Mapping[str, Any]) -> str:
-    names = (value for pairs in certificate.get("subject", ()) for key, value in pairs if key == "commonName")
-    return str(next(names, ""))
+def _target(keys: Keys, role: str, port: int) -> Target:
+    """How the router is met for the holder of a role."""
+    file = keys.proxy_file(role)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.load_verify_locations(file.with_name(AUTHORITY))
+    context.load_cert_chain(file)
+    return Target((_HERE, port), socket.AF_INET, _HERE, context, attempt_s=_ROUTER_S, patience_s=_ROUTER_S)
 
 
 def _kind(error: ssl.SSLError) -> str:

@@ -218,6 +218,44 @@ def test_closing_is_quick_and_ends_its_threads(endpoint: str) -> None:
         assert not thread.is_alive()
 
 
+def test_a_subscriber_is_asked_for_nothing_while_it_is_undeclared() -> None:
+    """Zenoh's subscriber refuses all else meanwhile: `Already mutably borrowed`."""
+    ended, failed = threading.Event(), list[str]()
+
+    class Handler:
+        def recv(self) -> Any:
+            if ended.wait(0.0):
+                raise zenoh.ZError("closed")
+            return "sample"
+
+    class Subscriber:
+        undeclaring = False
+
+        @property
+        def handler(self) -> Handler:
+            if self.undeclaring:
+                failed.append("asked while it is undeclared")
+            return Handler()
+
+        def undeclare(self) -> None:
+            self.undeclaring = True
+            samples.wait(PATIENCE_S)  # the thread goes on receiving
+            ended.set()
+
+    count, samples = [0], threading.Event()
+
+    def take(_sample: Any) -> None:
+        count[0] += 1
+        if subscriber.undeclaring:
+            samples.set()
+
+    subscriber = Subscriber()
+    pump = transport._Pump(subscriber, take, "receive")
+    pump.end()
+    assert samples.is_set()
+    assert failed == []
+
+
 def test_closing_does_not_wait_for_a_session_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "CLOSE_TIMEOUT_S", 0.05)
     release = threading.Event()

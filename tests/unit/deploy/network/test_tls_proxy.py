@@ -22,6 +22,7 @@ from shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROUTER, Keys
 from shared.handshake import verdict
 from shared.transport import TransportError
 from tests.support import gated
+from tests.support.echo_server import EchoServer, read
 
 PATIENCE_S = 20.0
 
@@ -31,58 +32,13 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return gated.make_keys(tmp_path_factory.mktemp("keys"))
 
 
-class EchoRouter:
-    """Stands in for the router: answers with the role that a client's certificate names, then sends back what comes."""
-
-    def __init__(self, folder: Path):
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.verify_mode = ssl.CERT_REQUIRED
-        context.load_verify_locations(folder / AUTHORITY)
-        context.load_cert_chain(folder / f"{ROUTER}.pem")
-        self._context, self._listener = context, socket.create_server(("127.0.0.1", 0))
-        self.port = self._listener.getsockname()[1]
-        self._open: list[socket.socket] = []
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def _accept(self) -> None:
-        while True:
-            try:
-                plain, _ = self._listener.accept()
-            except OSError:
-                return
-            threading.Thread(target=self._echo, args=(plain,), daemon=True).start()
-
-    def _echo(self, plain: socket.socket) -> None:
-        try:
-            with self._context.wrap_socket(plain, server_side=True) as link:
-                self._open.append(link)
-                certificate = link.getpeercert() or {}
-                subject = certificate["subject"]
-                link.sendall(f"{dict(pair[0] for pair in subject)['commonName']:<16}".encode())
-                while data := link.recv(1 << 16):
-                    link.sendall(data)
-        except OSError:
-            pass
-
-    def close(self) -> None:
-        with suppress(OSError):  # closed already
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-
-    def hang_up(self) -> None:
-        """Close all connections."""
-        for link in self._open:
-            with suppress(OSError):
-                socket.socket.shutdown(link, socket.SHUT_RDWR)
-
-
 @dataclasses.dataclass
 class At:
     """A running proxy."""
 
     port: int
     refused: Counter[str]
-    router: EchoRouter
+    router: EchoServer
     keys: Path
 
     def context(self, folder: Path | None) -> ssl.SSLContext:
@@ -107,7 +63,8 @@ class At:
 @contextmanager
 def proxy(keys: Path, limits: Limits | None = None) -> Iterator[At]:
     with ExitStack() as stack:
-        router = EchoRouter(keys / "robot" / PROXY)
+        inner = keys / "robot" / PROXY
+        router = EchoServer(inner / AUTHORITY, inner / f"{ROUTER}.pem")
         stack.callback(router.close)
         refused = Counter[str]()
         with socket.create_server(("127.0.0.1", 0)) as probe:
@@ -124,15 +81,6 @@ def proxy(keys: Path, limits: Limits | None = None) -> Iterator[At]:
 def at(keys: Path) -> Iterator[At]:
     with proxy(keys) as running:
         yield running
-
-
-def read(link: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        more = link.recv(1 << 16)
-        assert more, f"closed after {len(data)} of {size} bytes"
-        data += more
-    return data
 
 
 @pytest.mark.parametrize("role", ["robot", "base", "console", "viewer", "site"])

@@ -1,0 +1,117 @@
+"""A simulated robot, live, whose router lets in other machines by certificates."""
+
+import contextlib
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from deploy.faults.live import commands
+from deploy.launch.launcher import Launcher, free_port
+from deploy.launch.tapped_robot import Places
+from deploy.network.authority import Authority
+from deploy.network.gate import Gate
+from services.actuator.latch import Latch
+from shared import codec, topics
+from shared.access import ROLES, Keys
+from shared.messages import ActuatorState, Mode, ModeCommand
+from shared.service import AnyTopic
+from shared.transport import Endpoints, ZenohLink
+
+_NAMESPACE = "intruders"
+_PATIENCE_S = 90.0
+_LEAD_S = 0.5  # between two orders of who leads
+
+
+class GuardedRobot:
+    """Processes of a robot behind a guarded router, and who of its own machine hears the actuator; a context manager."""
+
+    def __init__(self, folder: Path):
+        authority = Authority(days=1)
+        for role in ROLES:
+            authority.issue(folder / role.name, role.name)
+        self._folder, self._secure = folder, f"tls/127.0.0.1:{free_port()}"
+        self._places = Places.free(_NAMESPACE)
+        self._latch = Latch.of_port(self._places.servos)
+        gate = Gate((*self._places.robot.connect, self._secure), _NAMESPACE, folder / "robot")
+        self._launcher = Launcher(commands(self._places, 1, gate))
+        self.states: list[ActuatorState] = []
+        self._leads, self._number, self._due_s = False, 0, 0.0
+
+    def __enter__(self) -> "GuardedRobot":
+        self._latch.open()
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._latch.open)
+            stack.enter_context(self._launcher)
+            self._link = stack.enter_context(ZenohLink(self._places.robot))
+            self._link.subscribe(topics.ACTUATOR_STATE, self._hear)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def link_of(self, role: str) -> ZenohLink:
+        """A link of who holds the certificate of a role."""
+        return ZenohLink(Endpoints((self._secure,), namespace=_NAMESPACE, keys=self._keys(role)))
+
+    def peer_of(self, role: str) -> ZenohLink:
+        """A link of who holds it likewise, and scouts and listens for others beside the router."""
+        return ZenohLink(Endpoints((self._secure,), True, _NAMESPACE, self._keys(role), loopback=True))
+
+    def _keys(self, role: str) -> Keys:
+        return Keys.load(self._folder / role)
+
+    def until(self, holds: Callable[[ActuatorState], bool], what: str) -> None:
+        """Wait for a state of the actuator that comes from now on.
+
+        Raises:
+            TimeoutError: There is none.
+        """
+        begun, limit = len(self.states), time.monotonic() + _PATIENCE_S
+        while not any(holds(state) for state in self.states[begun:]):
+            if time.monotonic() > limit:
+                last = f"{self.states[-1].mode}: {self.states[-1].reason}" if self.states else "nothing"
+                raise TimeoutError(f"{what} expected within {_PATIENCE_S:.0f} s, the actuator says {last}")
+            self.look(0.02)
+
+    def look(self, seconds: float) -> None:
+        """Let time pass; what has ended is started again, and the robot is led, if it is."""
+        if self._leads and time.monotonic() >= self._due_s:
+            self._due_s = time.monotonic() + _LEAD_S
+            now_ns = time.monotonic_ns()
+            self._link.send(topics.MODE, codec.encode(ModeCommand(now_ns, "walk", self._number, "bench")))
+        self._launcher.wait(seconds)
+
+    def lead(self, leads: bool) -> None:
+        """Lead it from now on, or no longer: it may walk, and is not told where to."""
+        self._leads, self._number = leads, time.monotonic_ns()
+        self.until(
+            lambda s: s.mode is Mode.HOLD and (s.lease == "bench") == leads,
+            "a robot that is led" if leads else "one that is not",
+        )
+
+    def leave_alone(self) -> None:
+        """Nobody leads from now on: the operator's process stands still, and what it would say is not said."""
+        self._launcher.freeze("operator")
+
+    def begin_anew(self) -> None:
+        """Kill the actuator, and wait for the next one."""
+        epoch = self.states[-1].epoch
+        self._launcher.kill("actuator")
+        self.until(lambda state: state.epoch != epoch and state.mode is Mode.HOLD, "another actuator, which holds")
+
+    @property
+    def ports(self) -> tuple[int, ...]:
+        """The ports on which its router listens: for its own processes, and for other machines."""
+        own = (*self._places.robot.connect, self._secure)
+        return tuple(int(endpoint.rpartition(":")[2]) for endpoint in own)
+
+    def restart_actuator(self) -> float:
+        """Kill the actuator; how long it takes until the state of the next one is heard [s]."""
+        epoch, began_s = self.states[-1].epoch, time.monotonic()
+        self._launcher.kill("actuator")
+        self.until(lambda state: state.epoch != epoch, "another actuator")
+        return time.monotonic() - began_s
+
+    def _hear(self, _topic: AnyTopic, frame: bytes) -> None:
+        self.states.append(codec.decode(frame, topics.ACTUATOR_STATE.type)[0])

@@ -1,0 +1,371 @@
+"""How soon rightful clients are let in while strangers open connections: a base after each cut of its radio, an actuator.
+
+A robot's router runs in a process of its own, and the router of a base is chained to it through a relay that is the radio.
+Strangers (`deploy.bench.stranger_load`) connect to the robot's endpoint directly, half of them from the base's own address.
+The radio is cut for longer than a link lasts, so each time the base needs a new connection. It is back when a message has
+come through both ways. Then a simulated robot's actuator is killed, with and without silent connections at both of the
+router's endpoints, and it has joined when the next actuator's state is heard.
+"""
+
+import json
+import math
+import os
+import random
+import selectors
+import socket
+import ssl
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from deploy.bed.bed import OneMachine
+from deploy.bench.guarded_robot import GuardedRobot
+from deploy.bench.stranger_load import HERE
+from deploy.bench.timing import machine
+from deploy.launch.launcher import Launcher, free_port
+from deploy.launch.ports import port_taken
+from deploy.network.authority import Authority
+from deploy.network.gate import Gate
+from deploy.process_table import router_command
+from shared import codec, topics
+from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLES
+from shared.host import go_first
+from shared.messages import Health, Mode
+from shared.scenario import Link
+from shared.service import AnyTopic
+from shared.transport import Endpoints, ZenohLink
+
+BACK_S = 2.0  # within which the base has to be back
+RADIO = Link(20.0, 20.0, 0.0)
+_CUT_S = (1.2, 2.5)  # longer than a link lasts without a word
+_BETWEEN_S = (0.2, 1.0)
+_PATIENCE_S = 30.0
+_PERIOD_S = 0.01  # between two messages each way
+_PROBE_S = 0.5  # between two handshakes that are timed
+_NAMESPACE = "strangers"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What was measured; times [s]."""
+
+    rate_hz: float  # of the strangers, as asked for
+    strangers: dict[str, int]  # that connected while the radio was cut and came back, by kind
+    strangers_s: float  # for how long they did
+    back_s: tuple[float, ...]  # after each cut
+    handshake_s: tuple[float, ...]  # of rightful clients beside that, without the radio
+    refused: str  # by the robot's router, as its health says
+    shared: str  # why the processes of the cuts had no real-time priority, or empty
+    silent: int  # connections at each endpoint
+    alone_s: tuple[float, ...]  # from killing an actuator to the next one's state, without silent connections
+    joined_s: tuple[float, ...]  # likewise, with them
+
+    @property
+    def late(self) -> int:
+        """Cuts after which the base was not back in time."""
+        return sum(seconds > BACK_S for seconds in self.back_s)
+
+
+def measure(cuts: int, rate_hz: float, restarts: int, silent: int, seed: int, say: Callable[[str], object]) -> Found:
+    """Cut the radio so many times among strangers, then restart an actuator so many times with silent connections and without.
+
+    Raises:
+        TimeoutError: Something did not come back at all.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _make_keys(folder)
+        with _real_time() as shared:
+            back, handshakes, load, refused = _cuts(folder, cuts, rate_hz, seed, say)
+        alone, joined = _restarts(folder / "robot keys", restarts, silent, say)
+    return Found(
+        rate_hz=rate_hz,
+        strangers={str(kind): int(number) for kind, number in load["count"].items()},
+        strangers_s=load["seconds"],
+        back_s=tuple(back),
+        handshake_s=tuple(handshakes),
+        refused=refused,
+        shared=shared,
+        silent=silent,
+        alone_s=tuple(alone),
+        joined_s=tuple(joined),
+    )
+
+
+@contextmanager
+def _real_time() -> Iterator[str]:
+    """Give this thread and what it starts real-time priority, as on machines of their own; yield why it may not, or nothing."""
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    refused = go_first()
+    try:
+        yield refused
+    finally:
+        os.sched_setscheduler(0, policy, parameters)
+
+
+def _make_keys(folder: Path) -> None:
+    authority = Authority(days=1)
+    for role in ROLES:
+        authority.issue(folder / role.name, role.name)
+    Authority(days=1).issue(folder / "foreign", "console")
+
+
+def _cuts(
+    folder: Path, cuts: int, rate_hz: float, seed: int, say: Callable[[str], object]
+) -> tuple[list[float], list[float], dict[str, Any], str]:
+    """How long the base was away after each cut, how long handshakes took, what the strangers did, and who was refused."""
+    chooser, back = random.Random(seed), list[float]()
+    secure, plain, far = free_port(), f"tcp/127.0.0.1:{free_port()}", f"tcp/127.0.0.1:{free_port()}"
+    robot = Gate((plain, f"tls/127.0.0.1:{secure}"), _NAMESPACE, folder / "robot")
+    with ExitStack() as stack:
+        _start(stack, robot)
+        radio = stack.enter_context(OneMachine(RADIO, seed, behind=(secure,)))
+        _start(stack, Gate((far,), _NAMESPACE, folder / "base", upstream=(f"tls/{radio.seen(secure)}",)))
+        near_link, far_link = (stack.enter_context(ZenohLink(Endpoints((at,), namespace=_NAMESPACE))) for at in (plain, far))
+        meeting = stack.enter_context(_Meeting(near_link, far_link))
+        words = list[str]()
+        near_link.subscribe(topics.HEALTH_OF["robot"], lambda _, frame: words.append(_refusals(frame)))
+        meeting.after(time.monotonic())
+        strangers = stack.enter_context(_strangers(secure, rate_hz, folder / "foreign"))
+        probes = stack.enter_context(_Probes(secure, folder / "viewer"))
+        for number in range(1, cuts + 1):
+            time.sleep(chooser.uniform(*_BETWEEN_S))
+            radio.cut()
+            time.sleep(chooser.uniform(*_CUT_S))
+            mended_s = radio.mend().at_ns * 1e-9
+            back.append(meeting.after(mended_s) - mended_s)
+            say(f"cut {number} of {cuts}: back after {back[-1]:.2f} s")
+        assert strangers.stdin is not None
+        strangers.stdin.close()
+        assert strangers.stdout is not None
+        load = json.loads(strangers.stdout.readline())
+        return back, probes.took_s, load, words[-1] if words else ""
+
+
+def _start(stack: ExitStack, gate: Gate) -> None:
+    """Start a router in a process of its own.
+
+    Raises:
+        TimeoutError: It does not come up.
+    """
+    launcher = stack.enter_context(Launcher((router_command(gate.own, gate.words()),)))
+    until, port = time.monotonic() + _PATIENCE_S, int(gate.own.rpartition(":")[2])
+    while not port_taken(port):
+        ended = [str(one) for one in launcher.wait(0.02)]
+        if ended or time.monotonic() > until:
+            raise TimeoutError("; ".join(ended) or f"the router did not come up within {_PATIENCE_S:.0f} s")
+
+
+class _Meeting:
+    """Sends messages both ways between the robot and the base all the time; a context manager."""
+
+    def __init__(self, robot: ZenohLink, base: ZenohLink):
+        self._ways: tuple[tuple[ZenohLink, AnyTopic], ...] = ((robot, topics.ACTUATOR_STATE), (base, topics.MODE))
+        self._sent_s = {topic.key: 0.0 for _, topic in self._ways}  # [s] when the newest that has come was sent
+        self._came_s = dict(self._sent_s)
+        self._news = threading.Condition()
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._send, name="send both ways", daemon=True)
+        base.subscribe(topics.ACTUATOR_STATE, self._hear)
+        robot.subscribe(topics.MODE, self._hear)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def after(self, since_s: float) -> float:
+        """Wait until a message that was sent after a time has come each way; when the later of both came [s].
+
+        Raises:
+            TimeoutError: It did not.
+        """
+        first: dict[str, float] = {}
+        until = time.monotonic() + _PATIENCE_S
+        with self._news:
+            while len(first) < len(self._ways):
+                first |= {key: self._came_s[key] for key, sent in self._sent_s.items() if sent > since_s and key not in first}
+                if time.monotonic() > until:
+                    missing = ", ".join(key for key in self._sent_s if key not in first)
+                    raise TimeoutError(
+                        f"the base is not back {_PATIENCE_S:.0f} s after the radio is: nothing comes on {missing}"
+                    )
+                self._news.wait(_PERIOD_S)
+        return max(first.values())
+
+    def _hear(self, topic: AnyTopic, frame: bytes) -> None:
+        with self._news:
+            self._sent_s[topic.key], self._came_s[topic.key] = float(frame), time.monotonic()
+            self._news.notify_all()
+
+    def _send(self) -> None:
+        while not self._ended.wait(_PERIOD_S):
+            for link, topic in self._ways:
+                link.send(topic, str(time.monotonic()).encode())
+
+
+class _Probes:
+    """Times handshakes of a rightful client again and again; a context manager."""
+
+    def __init__(self, port: int, folder: Path):
+        self.took_s: list[float] = []  # of each, from connecting to its end; infinite for one that failed
+        self._port = port
+        self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        self._context.load_verify_locations(folder / AUTHORITY)
+        self._context.load_cert_chain(folder / CERTIFICATE, folder / KEY)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._probe, name="probe", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _probe(self) -> None:
+        while not self._ended.wait(_PROBE_S):
+            began_s = time.monotonic()
+            try:
+                plain = socket.create_connection((HERE, self._port), _PATIENCE_S)
+                with plain, self._context.wrap_socket(plain, server_hostname=HERE):
+                    self.took_s.append(time.monotonic() - began_s)
+            except OSError:
+                self.took_s.append(math.inf)
+
+
+@contextmanager
+def _strangers(port: int, rate_hz: float, folder: Path) -> Iterator["subprocess.Popen[str]"]:
+    """Strangers in a process of their own, until its standard input is closed."""
+    words = ("-m", "deploy.bench.stranger_load", "--port", str(port), "--rate", str(rate_hz), "--keys", str(folder))
+    with subprocess.Popen([sys.executable, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+class Silent:
+    """Keeps so many connections open that say nothing, and opens new ones for those that are dropped; a context manager."""
+
+    def __init__(self, ports: Sequence[int], count: int):
+        self._ports, self._count = ports, count
+        self._open: dict[socket.socket, int] = {}
+        self._selector = selectors.DefaultSelector()
+        self._ended, self._full = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._keep, name="silent", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._full.wait()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._ended.set()
+        self._thread.join()
+        for connection in self._open:
+            connection.close()
+        self._selector.close()
+
+    def _keep(self) -> None:
+        while not self._ended.is_set():
+            for port in self._ports:
+                for _ in range(self._count - sum(one == port for one in self._open.values())):
+                    self._open_one(port)
+            self._full.set()
+            for key, _ in self._selector.select(0.05):
+                dropped = key.fileobj
+                assert isinstance(dropped, socket.socket)
+                self._selector.unregister(dropped)
+                del self._open[dropped]
+                dropped.close()
+
+    def _open_one(self, port: int) -> None:
+        try:
+            connection = socket.create_connection((HERE, port), _PATIENCE_S)
+        except OSError:  # its backlog is full
+            return
+        self._open[connection] = port
+        self._selector.register(connection, selectors.EVENT_READ)
+
+
+def _restarts(folder: Path, restarts: int, silent: int, say: Callable[[str], object]) -> tuple[list[float], list[float]]:
+    """How long killed actuators are away [s], without silent connections and with them."""
+    alone, joined = list[float](), list[float]()
+    if not restarts:
+        return alone, joined
+    with GuardedRobot(folder) as robot:
+        robot.until(lambda state: state.mode is Mode.WALK, "a walk")
+        for number in range(1, restarts + 1):
+            alone.append(robot.restart_actuator())
+            with Silent(robot.ports, silent):
+                joined.append(robot.restart_actuator())
+            say(f"restart {number} of {restarts}: {alone[-1]:.2f} s alone, {joined[-1]:.2f} s with silent connections")
+    return alone, joined
+
+
+def in_words(found: Found) -> str:
+    """A table."""
+    rows = [
+        _row(f"the radio's return: the base is back, {found.rate_hz:.0f} strangers/s", found.back_s, f"{BACK_S:.1f}"),
+        _row("a handshake without the radio, likewise", found.handshake_s, ""),
+        _row("an actuator is killed: the next is heard", found.alone_s, ""),
+        _row(f"likewise, {found.silent} silent connections at each endpoint", found.joined_s, ""),
+    ]
+    kinds = ", ".join(f"{number} {kind}" for kind, number in found.strangers.items())
+    rate = sum(found.strangers.values()) / found.strangers_s if found.strangers_s else 0.0
+    return "\n".join(
+        [
+            "| from | times | p50, s | p90, s | worst, s | wanted, s |",
+            "|---|---|---|---|---|---|",
+            *filter(None, rows),
+            "",
+            f"Strangers: {kinds}; {rate:.0f} a second for {found.strangers_s:.0f} s.",
+            f"Robot, base and strangers are processes of one machine{_priority(found)}.",
+            *([f"The router: {found.refused}."] if found.refused else []),
+        ]
+    )
+
+
+def _priority(found: Found) -> str:
+    return f" without real-time priority ({found.shared})" if found.shared else ", of real-time priority while the radio is cut"
+
+
+def _row(what: str, seconds: Sequence[float], wanted: str) -> str:
+    if not seconds:
+        return ""
+    p50, p90 = np.percentile(seconds, [50, 90])
+    return f"| {what} | {len(seconds)} | {p50:.3f} | {p90:.3f} | {max(seconds):.3f} | {wanted} |"
+
+
+def to_json(found: Found) -> str:
+    """For scripts."""
+    return json.dumps({"machine": machine(), **asdict(found)}, indent=1)
+
+
+def from_json(text: str) -> Found:
+    """What `to_json` gave."""
+    table = json.loads(text)
+    return Found(**{one.name: _tuple(table[one.name]) for one in fields(Found)})
+
+
+def _tuple(value: object) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _refusals(frame: bytes) -> str:
+    return codec.decode(frame, Health)[0].doing.partition("; ")[2]

@@ -1,0 +1,102 @@
+"""A proxy that dials another machine's TLS endpoint for the router of this one, so that the router never cancels an attempt.
+
+Zenoh 1.10 gives up opening a session after `open_timeout`, which has to be short for a router behind a radio to be back soon
+after a cut. Where that happens in the moment in which the session is registered, a session is left that sends and never
+receives, and its link keeps the place of another: the routers never meet again (1 of 25 cuts of a link of 20 ms). Here the
+router connects on loopback, waits for as long as it takes, and is only ever told by a closed connection. The far end is dialled
+again and again, and answered for under its own role (`deploy.network.tls_proxy`).
+"""
+
+import socket
+import ssl
+import threading
+from types import TracebackType
+from typing import Self
+
+from deploy.network.tls_relay import Target, TlsRelay
+from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
+from shared.endpoint import place
+from shared.transport import LEASE_MS
+
+_HERE = "127.0.0.1"
+_ATTEMPT_S = 0.5  # [s] of connecting and handshake
+PATIENCE_S = 5.0  # [s] after which the router is told that the other machine cannot be reached
+_LOOK_S = 0.1
+_BUFFER = 1 << 16  # [bytes]
+
+
+class TlsDialer:
+    """Dials from entering to leaving; a context manager."""
+
+    def __init__(self, endpoint: str, keys: Keys):
+        """Prepare.
+
+        Args:
+            endpoint: Of tls, of the other machine.
+            keys: Of this machine.
+
+        Raises:
+            AccessError: The folder of keys has no certificates for it.
+        """
+        self._place, self._relay = place(endpoint), TlsRelay("tls dialer's relay")
+        self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        self._context.load_verify_locations(keys.folder / AUTHORITY)
+        self._context.load_cert_chain(keys.folder / CERTIFICATE, keys.folder / KEY)
+        self._answers = {role: _server(keys, role) for role in ROLE_NAMED}
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="tls dialer", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._listener = socket.create_server((_HERE, 0))
+        self._listener.settimeout(_LOOK_S)
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        self._relay.__enter__()
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._listener.close()
+        self._relay.__exit__(kind, error, trace)
+
+    @property
+    def port(self) -> int:
+        """The port of 127.0.0.1 on which the router connects to it."""
+        return int(self._listener.getsockname()[1])
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            try:
+                near, _ = self._listener.accept()
+            except TimeoutError:
+                continue
+            near.setblocking(False)
+            near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            host, port = self._place
+            try:
+                family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+            except socket.gaierror:  # `deploy.network.knocking` says so
+                near.close()
+                continue
+            target = Target(address, family, host, self._context, _ATTEMPT_S, PATIENCE_S, LEASE_MS * 1e-3)
+            self._relay.carry(near, target, self._answer)
+
+    def _answer(self, role: str) -> ssl.SSLContext:
+        """How the router is answered for a machine of a role.
+
+        Raises:
+            OSError: There is no such role.
+        """
+        if role not in self._answers:
+            raise ConnectionAbortedError(f"a certificate of no known role: {role!r}")
+        return self._answers[role]
+
+
+def _server(keys: Keys, role: str) -> ssl.SSLContext:
+    file = keys.proxy_file(role)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.verify_mode = ssl.CERT_REQUIRED  # another user's program of this machine has none
+    context.load_verify_locations(file.with_name(AUTHORITY))
+    context.load_cert_chain(file)
+    return context

@@ -1,0 +1,24 @@
+"""The bench of strangers: while they connect, a base and a restarted actuator are let in."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from deploy import cli
+from deploy.bench import strangers
+
+pytestmark = pytest.mark.live
+
+
+def test_a_base_and_an_actuator_are_let_in_among_strangers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bench", "strangers", "--cuts", "2", "--rate", "200", "--restarts", "1", "--silent", "500", "--out", str(tmp_path)]
+    assert cli.main(words) in (0, 1), "1 where a base was late, which is up to the machine"
+    assert "| from | times |" in capsys.readouterr().out
+    found = strangers.from_json((tmp_path / "strangers.json").read_text(encoding="utf-8"))
+    assert len(found.back_s) == 2, "it was back each time"
+    assert len(found.alone_s) == len(found.joined_s) == 1
+    assert min(found.strangers.values()) > 50
+    for kind in ("a client that does not speak TLS", "a certificate of a foreign authority", "a client that hung up"):
+        assert kind in found.refused
+    assert json.loads((tmp_path / "strangers.json").read_text(encoding="utf-8"))["machine"]
