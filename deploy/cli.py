@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from deploy.arguments import ArgumentParser
 from deploy.commands import keys, service, servos, values
 from deploy.commands.benches import (
     bench_access,
@@ -46,6 +47,7 @@ from deploy.commands.walks import DEMOS, demo, run
 _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "shared.transport": "TransportError",
     "shared.input_file": "FileError",
+    "shared.lockstep": "ServiceFailedError",
     "shared.access": "AccessError",
     "services.console.recording.layout": "RecordingError",
     "deploy.video.story": "StoryError",
@@ -58,7 +60,7 @@ _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "services.actuator.line": "BusGone",
     "services.actuator.gentle": "ServoSilentError",
 }
-_OF_THE_MACHINE = ("TransportError", "BusGone", "ServoSilentError")  # and not the caller's mistakes
+_OF_THE_MACHINE = ("TransportError", "BusGone", "ServoSilentError", "ServiceFailedError")  # and not the caller's mistakes
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -82,7 +84,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     words = list(argv)
     if words[:2] == ["trials", "table"]:  # a command of two words, the first of which is one by itself
         words[:2] = ["trials table"]
-    return _parser().parse_args(words)
+    return _parser().parse_whole(words)
 
 
 def _refusals() -> tuple[type[Exception], ...]:
@@ -93,8 +95,8 @@ def _refusals() -> tuple[type[Exception], ...]:
     return ConfigError, InputError, *others
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="sextant", description="Six-legged walking where only some places carry a foot.")
+def _parser() -> ArgumentParser:
+    parser = ArgumentParser(prog="sextant", description="Six-legged walking where only some places carry a foot.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def add(name: str, command: Any, words: str, to: Any = commands, listed: bool = True) -> argparse.ArgumentParser:
@@ -102,7 +104,7 @@ def _parser() -> argparse.ArgumentParser:
         made: argparse.ArgumentParser = to.add_parser(
             name, description=words[0].upper() + words[1:].replace("%%", "%") + ".", **about
         )
-        made.set_defaults(command=command, name=name)
+        made.set_defaults(command=command, name=name, parser=made)
         return made
 
     _add_walks(add)
@@ -153,7 +155,7 @@ def _add_recordings(add: Any) -> None:
     one.add_argument("--rerun", required=True, metavar="FILE.rrd", help="for the rerun viewer")
     one = add("foxglove", foxglove, "show what is said, live, in Foxglove or Lichtblick, until Ctrl-C")
     one.add_argument("--host", default="127.0.0.1", help="address to listen on (default %(default)s)")
-    one.add_argument("--port", type=values.natural, default=8765, help="TCP port, 0 for any that is free (default %(default)s)")
+    one.add_argument("--port", type=values.port, default=8765, help="TCP port, 0 for any that is free (default %(default)s)")
     one.add_argument("--robot", default="phantomx_mk2", help="whose (default %(default)s)")
     _add_meeting(one)
     one = add(
@@ -220,7 +222,7 @@ def _add_campaigns(add: Any) -> None:
     one.add_argument("--seeds", type=values.any_seeds, required=True, metavar="A:B", help=words)
     one.epilog = "`sextant trials table --help`: print tables of trials that were kept, nothing being run."
     one.add_argument("--blind", action="store_true", help="also run the baseline, without a map, and compare")
-    one.add_argument("--jobs", type=values.positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
+    one.add_argument("--jobs", type=values.processes, default=1, metavar="N", help="processes at a time (default %(default)s)")
     one.add_argument("--out", metavar="DIR", help="folder to write to; seeds that it has already are not run again")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
 
@@ -240,7 +242,7 @@ def _add_campaigns(add: Any) -> None:
     one.add_argument("--phases", type=values.positive, metavar="N", help="times that each is injected (default 300, live 30)")
     one.add_argument("--list", action="store_true", help="name the faults, and break nothing")
     words = "processes at a time, in lockstep (default %(default)s)"
-    one.add_argument("--jobs", type=values.positive, default=1, metavar="N", help=words)
+    one.add_argument("--jobs", type=values.processes, default=1, metavar="N", help=words)
     one.add_argument("--out", metavar="DIR", help="folder to write to; what it has already is not done again")
     one.add_argument("--json", action="store_true", help="print the result as JSON; progress goes to stderr")
 
@@ -251,7 +253,7 @@ def _add_campaigns(add: Any) -> None:
     one.add_argument("--only", action="append", default=[], metavar="NAME", help="only for this one; again for another")
     one.add_argument("--list", action="store_true", help="name all that takes messages in, and break none")
     one.add_argument("--give", metavar="FILE", help="give the one of --only this message, as it is")
-    one.add_argument("--jobs", type=values.positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
+    one.add_argument("--jobs", type=values.processes, default=1, metavar="N", help="processes at a time (default %(default)s)")
     _add_out_and_json(one)
 
 
@@ -350,7 +352,7 @@ def _add_certificates(add: Any, parser: argparse.ArgumentParser) -> None:
 def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     group = parser.add_subparsers(required=True, metavar="WHAT")
     one = add("accuracy", bench_accuracy, "ride over rebuilt scenes: errors of pose and map through the real services", group)
-    one.add_argument("--jobs", type=values.positive, default=1, metavar="N", help="processes at a time (default %(default)s)")
+    one.add_argument("--jobs", type=values.processes, default=1, metavar="N", help="processes at a time (default %(default)s)")
     _add_bench(one)
     one = add("speed", bench_speed, "time registration beside its peers, frame by frame in one run", group)
     _add_frames(one)
@@ -486,7 +488,7 @@ def _add_servos(add: Any, parser: argparse.ArgumentParser) -> None:
     one.add_argument("--out", metavar="FILE", help="that TOML (default: the one of --robot, or my_NAME.toml for a profile)")
     angles = ("COXA", "FEMUR", "TIBIA")
     one.add_argument(
-        "--pose", type=float, nargs=3, metavar=angles, help="joint angles of a jig [deg] (default 0 0 0: straight out)"
+        "--pose", type=values.angle, nargs=3, metavar=angles, help="joint angles of a jig [deg] (default 0 0 0: straight out)"
     )
     one = of_legs("test", servos.test, "move each joint a few degrees and back, alone, slowly and with little torque")
     one.add_argument(
@@ -497,9 +499,7 @@ def _add_servos(add: Any, parser: argparse.ArgumentParser) -> None:
         "--fresh", action="store_true", help="as from the factory, all with id 1, to be plugged in at this terminal"
     )
     one.add_argument("--seed", type=values.natural, default=3, help="by which their horns sit wrong (default %(default)s)")
-    one.add_argument(
-        "--listen", type=values.natural, default=0, metavar="PORT", help="on 127.0.0.1 (default: any that is free)"
-    )
+    one.add_argument("--listen", type=values.port, default=0, metavar="PORT", help="on 127.0.0.1 (default: any that is free)")
 
 
 def _add_frames(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,6 @@ the key `kind`, a Literal of each member.
 """
 
 import dataclasses
-import difflib
 import math
 import types
 from collections.abc import Callable, Iterable, Iterator
@@ -16,8 +15,10 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 from shared import input_file
+from shared.spelling import hint, nearest
 
 T = TypeVar("T")
+_MOST_SHOWN = 30  # problems of one configuration
 
 
 class ConfigError(ValueError):
@@ -25,7 +26,9 @@ class ConfigError(ValueError):
 
     def __init__(self, source: str, problems: list[str]):
         self.problems = tuple(problems)
-        listed = f" {problems[0]}" if len(problems) == 1 else "".join(f"\n  - {problem}" for problem in problems)
+        more = [f"and {len(problems) - _MOST_SHOWN} more"] if len(problems) > _MOST_SHOWN else []
+        shown = [*problems[:_MOST_SHOWN], *more]
+        listed = f" {shown[0]}" if len(shown) == 1 else "".join(f"\n  - {problem}" for problem in shown)
         super().__init__(f"{source}:{listed}")
 
 
@@ -177,15 +180,14 @@ def _build_dataclass(table: object, schema: type[Any], where: str, problems: lis
     hints = get_type_hints(schema)
     fields = {f.name: f for f in dataclasses.fields(schema) if f.init}
     before = len(problems)
-    for key in sorted(table.keys() - fields.keys(), key=str):
-        near = difflib.get_close_matches(str(key), fields, n=1)
-        known = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(sorted(fields))}"
-        problems.append(f"{_join(where, str(key))}: unknown key; {known}")
+    unknown = sorted(str(key) for key in table.keys() - fields.keys())
+    problems += [f"{_join(where, key[:60])}: unknown key; {hint(key, sorted(fields), 'known keys')}" for key in unknown]
+    misspelt = {nearest(key, sorted(fields)) for key in unknown}
     values: dict[str, object] = {}
     for name, field in fields.items():
         if name in table:
             values[name] = _build_value(table[name], hints[name], _join(where, name), problems)
-        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING and name not in misspelt:
             problems.append(f"{_join(where, name)}: missing; {_wanted(hints[name], name)} is needed")
     given = dict(values)
     misfits = _misfits((*getattr(schema, "checks", ()), *also), values)
@@ -212,7 +214,9 @@ def _build_value(value: object, hint: Any, where: str, problems: list[str]) -> o
     if origin is Literal:
         if value in args:
             return value
-        problems.append(f"{where}: one of {', '.join(map(repr, args))} expected, found {_shown(value)}")
+        near = nearest(value, map(str, args)) if isinstance(value, str) else ""
+        guess = f"; did you mean {near!r}?" if near else ""
+        problems.append(f"{where}: one of {', '.join(map(repr, args))} expected, found {_shown(value)}{guess}")
         return _INVALID
     if hint is float and isinstance(value, int) and not isinstance(value, bool):
         try:
@@ -235,9 +239,7 @@ def _build_union(value: object, members: list[Any], where: str, problems: list[s
     kinds: dict[object, Any] = {get_args(get_type_hints(m)["kind"])[0]: m for m in members}
     kind = value.get("kind") if isinstance(value, dict) else None
     if not isinstance(kind, str) or kind not in kinds:
-        near = difflib.get_close_matches(str(kind), map(str, kinds), n=1)
-        known = f"did you mean {near[0]!r}?" if near else f"known kinds: {', '.join(map(str, kinds))}"
-        problems.append(f"{_join(where, 'kind')}: found {_shown(kind)}; {known}")
+        problems.append(f"{_join(where, 'kind')}: found {_shown(kind)}; {hint(str(kind), map(str, kinds), 'known kinds')}")
         return _INVALID
     return _build_dataclass(value, kinds[kind], where, problems)
 
@@ -272,6 +274,8 @@ def _members(hint: Any) -> tuple[Any, ...]:
 
 
 def _type_words(hint: Any) -> str:
+    if get_origin(hint) is tuple:
+        return "a list"
     words: dict[Any, str] = {
         float: "a number", int: "a whole number", str: "a text", bool: "true or false", date: "a date as in 2026-07-30",
     }  # fmt: skip

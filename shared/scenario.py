@@ -18,6 +18,7 @@ from shared import config
 from shared.bus_fault import BusFault
 from shared.messages import GaitName
 from shared.mover import Mover
+from shared.spelling import hint
 
 Color = tuple[int, int, int]  # R, G, B from 0 to 255
 MAX_BLOCKS = 500  # of a kind that the seed places: each keeps clear of all the others, which takes time
@@ -698,9 +699,8 @@ def load_scenario(name_or_path: str) -> Scenario:
         return _with_folder(config.load(Path(name_or_path), Scenario), Path(name_or_path).parent)
     known = scenario_names()
     if name_or_path not in known:
-        raise config.ConfigError(
-            "scenario", [f"no scenario {name_or_path!r}; known: {', '.join(known)}; or give a path that ends in .toml"]
-        )
+        ways = f"{hint(name_or_path, known)}; or give a path that ends in .toml"
+        raise config.ConfigError("scenario", [f"no scenario {name_or_path!r}; {ways}"])
     with resources.as_file(resources.files("shared.scenarios") / f"{name_or_path}.toml") as path:
         return _with_folder(config.load(path, Scenario), path.parent)
 

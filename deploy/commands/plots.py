@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 from deploy.commands.common import FAILED, SUCCESS, InputError, complain, out_folder, say
+from shared.spelling import hint
 
 
 def plot(arguments: argparse.Namespace) -> int:
@@ -17,7 +18,7 @@ def plot(arguments: argparse.Namespace) -> int:
         return SUCCESS
     unknown = [name for name in arguments.what or () if name not in FIGURES]
     if unknown:
-        raise InputError(f"--what: no figure {unknown[0]!r}; known: {', '.join(FIGURES)}")
+        raise InputError(f"--what: no figure {unknown[0]!r}; {hint(unknown[0], FIGURES)}")
     paths = [Path(run) for run in arguments.run]
     if not paths:
         raise InputError("a run's folder expected, found none; `sextant plot --list` names the figures")

@@ -5,13 +5,18 @@ import re
 from collections.abc import Sequence
 
 _SERVO_IDS = 254  # the next is everybody's
+_LARGEST = 2**53  # whole number that every reader of JSON keeps
+_LONGEST_SEEDS = 40  # characters
+_MOST_SEEDS = 1_000_000
 
 
 def seeds(text: str) -> range:
     """Seeds from A to B."""
     found = re.fullmatch(r"(\d+):(\d+)", text)
-    if found is None or int(found[1]) >= int(found[2]):
-        raise argparse.ArgumentTypeError(f"A:B with A < B expected, B not included, found {text!r}; for example 0:50")
+    if found is None or len(text) > _LONGEST_SEEDS or not int(found[1]) < int(found[2]) <= _LARGEST:
+        raise argparse.ArgumentTypeError(f"A:B with A < B expected, B not included, found {text[:60]!r}; for example 0:50")
+    if int(found[2]) - int(found[1]) > _MOST_SEEDS:
+        raise argparse.ArgumentTypeError(f"at most {_MOST_SEEDS} seeds expected, found {text[:60]!r}; for example 0:50")
     return range(int(found[1]), int(found[2]))
 
 
@@ -38,15 +43,33 @@ def any_seeds(text: str) -> Sequence[int]:
 
 def natural(text: str) -> int:
     """A whole number of at least 0."""
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"a whole number of at least 0 expected, found {text!r}")
-    return int(text)
+    return _whole(text, 0, _LARGEST)
 
 
 def positive(text: str) -> int:
     """A whole number of at least 1."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"a whole number of at least 1 expected, found {text!r}")
+    return _whole(text, 1, _LARGEST)
+
+
+def port(text: str) -> int:
+    """A TCP port, 0 for any that is free."""
+    return _whole(text, 0, 65535)
+
+
+def processes(text: str) -> int:
+    """How many processes run at a time."""
+    return _whole(text, 1, 256)
+
+
+def angle(text: str) -> float:
+    """An angle [deg]."""
+    return _number(text, -180.0, 180.0, "degrees")
+
+
+def _whole(text: str, lowest: int, highest: int) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) < 20 and lowest <= int(text) <= highest):
+        bounds = f"at least {lowest}" if highest == _LARGEST else f"{lowest} to {highest}"
+        raise argparse.ArgumentTypeError(f"a whole number of {bounds} expected, found {text[:60]!r}")
     return int(text)
 
 
@@ -113,6 +136,4 @@ def size(text: str) -> tuple[int, int]:
 
 def frames(text: str) -> int:
     """Depth frames of a ride."""
-    if not text.isdecimal() or int(text) < 3:
-        raise argparse.ArgumentTypeError(f"a whole number of at least 3 expected, found {text!r}: a ride has a way to go")
-    return int(text)
+    return _whole(text, 3, 100_000)

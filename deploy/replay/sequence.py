@@ -28,7 +28,7 @@ from services.perception.trajectory import relative_size, trajectory_error
 from shared import topics
 from shared.camera import DepthSensor
 from shared.geometry import Array, inverse, log_so3, transform
-from shared.lockstep import Lockstep
+from shared.lockstep import Lockstep, ServiceFailedError
 from shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
 from shared.profiles import load_profile
 from shared.robot import Camera, RobotProfile
@@ -276,10 +276,15 @@ def _play(
     }
     # The guess must be there before the next picture, as a hand-held camera's perception would make it by itself.
     lockstep = Lockstep(makers, heard.tap, latency_s={topics.BODY_POSE.key: 0.001, topics.ODOMETRY.key: 0.001})
-    while not player.finished:
-        lockstep.run(lockstep.now_ns + _SHOW_NS)
-        progress.say(f"{player.doing()}, {len(heard.poses)} poses")
-    lockstep.run(lockstep.now_ns + _SETTLE_NS)
+    try:
+        while not player.finished:
+            lockstep.run(lockstep.now_ns + _SHOW_NS)
+            progress.say(f"{player.doing()}, {len(heard.poses)} poses")
+        lockstep.run(lockstep.now_ns + _SETTLE_NS)
+    except ServiceFailedError as error:
+        if isinstance(error.__cause__, ReplayError):  # a picture that cannot be read
+            raise error.__cause__ from None
+        raise
     stages = stages_ms(lockstep.service("perception"), lockstep.service("mapper"))
     poses = {pose.stamp_ns: pose for pose in heard.poses}
     pictures = [picture_evidence(stamp_ns, poses.get(stamp_ns), depth) for stamp_ns, depth in player.depth_ranges.items()]

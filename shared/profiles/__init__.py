@@ -11,6 +11,7 @@ import numpy as np
 from shared import config
 from shared.kinematics import leg_inverse
 from shared.robot import Foot, Leg, LegLinks, RobotProfile, Stance
+from shared.spelling import hint
 
 
 def load_profile(name_or_path: str) -> RobotProfile:
@@ -31,9 +32,7 @@ def _shipped(name: str) -> Traversable:
     """Where a profile that comes with Sextant is kept."""
     known = profile_names()
     if name not in known:
-        raise config.ConfigError(
-            "robot", [f"no profile {name!r}; known: {', '.join(known)}; or give a path that ends in .toml"]
-        )
+        raise config.ConfigError("robot", [f"no profile {name!r}; {hint(name, known)}; or give a path that ends in .toml"])
     return resources.files("shared.profiles") / f"{name}.toml"
 
 

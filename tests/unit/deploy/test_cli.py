@@ -37,12 +37,12 @@ def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
 @pytest.mark.parametrize(
     ("words", "hint"),
     [
-        (["run", "stepz"], "known: "),
+        (["run", "stepz"], "did you mean 'steps'?"),
         (["run", "nowhere.toml"], "no such file"),
-        (["run", "stepz", "--lockstep"], "known: "),
+        (["run", "stepz", "--lockstep"], "did you mean 'steps'?"),
         (["run", "steps", "--lockstep", "--connect", "tcp/127.0.0.1:7447"], "leave --connect out"),
         (["run", "steps", "--lockstep", "--out", "/proc/nowhere"], "--out"),
-        (["up", "all", "--scenario", "stepz"], "known: "),
+        (["up", "all", "--scenario", "stepz"], "did you mean 'steps'?"),
         (["up", "onboard", "--set", "actuater.port=x"], "did you mean 'actuator'?"),
         (["up", "onboard", "--set", "port=x"], "SERVICE.KEY=VALUE"),
         (["up", "onboard", "--camera", "nowhere"], "a folder with depth.txt expected, found 'nowhere'"),
@@ -56,8 +56,8 @@ def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
         (["up", "all", "--scenario", "flat", "--robot", "nobody"], "no profile 'nobody'"),
         (["replay", "nowhere.mcap"], "recording.mcap of a run"),
         (["replay", "nowhere.txt"], "depth.txt"),
-        (["compose", "--scenario", "stepz"], "known: "),
-        (["trials", "stepz", "--seeds", "0:2"], "known: "),
+        (["compose", "--scenario", "stepz"], "did you mean 'steps'?"),
+        (["trials", "stepz", "--seeds", "0:2"], "did you mean 'steps'?"),
         (["trials", "table", "nowhere"], "campaign.jsonl or trials.jsonl, expected"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -92,7 +92,9 @@ def test_arguments_that_make_no_sense_are_refused(words: list[str], capsys: pyte
     with pytest.raises(SystemExit) as refused:
         cli.main(words)
     assert refused.value.code == 2
-    assert "usage: sextant" in capsys.readouterr().err
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("sextant")
+    assert line.endswith("--help`")
 
 
 class NoLink:
@@ -248,7 +250,7 @@ def test_a_demo_of_another_course_is_refused(capsys: pytest.CaptureFixture[str])
     with pytest.raises(SystemExit) as ended:
         cli.main(["demo", "gpa"])
     assert ended.value.code == 2
-    assert "'steps', 'gap'" in capsys.readouterr().err
+    assert "did you mean 'gap'?" in capsys.readouterr().err
 
 
 def test_a_machine_that_cannot_warm_up_does_not_walk(

@@ -165,11 +165,15 @@ def test_a_missing_value_is_named() -> None:
 
 
 def test_everything_wrong_is_said_at_once() -> None:
-    found = problems({"cuont": 1, "name": 7, "inner": {"sped": 1, "gait": 2}, "pair": [0]})
-    assert sorted(p.partition(":")[0] for p in found) == ["count", "cuont", "inner.gait", "inner.sped", "name", "pair"]
+    found = problems({"total": 1, "name": 7, "inner": {"sped": 1, "gait": 2}, "pair": [0]})
+    assert sorted(p.partition(":")[0] for p in found) == ["count", "inner.gait", "inner.sped", "name", "pair", "total"]
     error = config.ConfigError("robot.toml", list(found))
     assert str(error).startswith("robot.toml:\n  - ")
     assert all(p in str(error) for p in found)
+
+
+def test_a_misspelt_key_is_not_missing_too() -> None:
+    assert problems({"cuont": 1}) == ("cuont: unknown key; did you mean 'count'?",)
 
 
 def test_unknown_keys_are_told_in_order() -> None:

@@ -170,7 +170,7 @@ def test_the_command_lists_its_figures(capsys):
         (["plot", "nowhere.mcap"], "give the recording.mcap of a run's folder"),
         (["plot", "nowhere", "--what", "table"], "table compares runs: at least 2 expected, found 1"),
         (["plot", "nowhere", "anywhere", "--what", "summary"], "summary is of one run: found 2"),
-        (["plot", "nowhere", "--what", "heigth"], "no figure 'heigth'; known: summary, height"),
+        (["plot", "nowhere", "--what", "heigth"], "no figure 'heigth'; did you mean 'height'"),
     ],
     ids=["none", "no such", "one run", "two runs", "no figure"],
 )

@@ -1,0 +1,165 @@
+"""Mistakes that are typical of a command line: each ends with status 1 or 2 and one sentence, never with a traceback."""
+
+import json
+import os
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from deploy import cli
+
+SCENARIO = """name = "mine"
+[goal]
+distance = 1.0
+[[terrain]]
+kind = "plane"
+"""
+MAP = '[[terrain]]\nkind = "height_map"\nresolution = 0.02\nxy = [0, 0]\n'
+CAMERA = "width = 8\nheight = 8\nfx = 9.0\nfy = 9.0\ncx = 4.0\ncy = 4.0\ndepth_scale = 1000.0\n"
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with everything that the mistakes below name."""
+    monkeypatch.chdir(tmp_path)
+    texts = {
+        "typo.toml": SCENARIO.replace("distance", "distanse"),
+        "gait.toml": SCENARIO + '[walk]\ngait = "tripode"\n',
+        "kind.toml": SCENARIO + '[[terrain]]\nkind = "stiars"\n',
+        "twice.toml": SCENARIO + 'name = "again"\n[goal]\n',
+        "text.toml": "This is not TOML.\n",
+        "none.toml": SCENARIO + MAP + 'file = "gone.npy"\n',
+        "words.toml": SCENARIO + MAP + 'file = "words.npy"\n',
+        "grey.toml": SCENARIO + MAP + 'file = "grey.png"\n',
+        "robot.toml": 'extends = "phantomx_mk3"\n',
+        "loop.toml": 'extends = "loop.toml"\n',
+        "legs.toml": 'extends = "phantomx_mk2"\n[links]\nfemure = 0.1\n',
+        "fleet.toml": '[robots.alpha]\nconect = ["tcp/127.0.0.1:7447"]\n',
+        "empty.toml": "",
+        "words.npy": "0.1 0.2\n",
+        "notes.txt": "notes\n",
+        "recording.mcap": "no recording\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "utf16.toml").write_bytes(SCENARIO.encode("utf-16"))
+    (tmp_path / "latin1.toml").write_bytes(SCENARIO.replace("mine", "Übung").encode("latin-1"))
+    (tmp_path / "deep.toml").write_text("a = " + "[" * 5000)
+    cv2.imwrite(str(tmp_path / "grey.png"), np.zeros((4, 4), dtype=np.uint8))
+    os.mkfifo(tmp_path / "pipe.toml")
+    for name, camera, frames in (
+        ("depth", CAMERA, "0.0 gone.png\n"),
+        ("bent", CAMERA + "k1 = -0.28\n", "0.0 a.png\n"),
+        ("unsorted", CAMERA, "1.0 a.png\n0.5 b.png\n"),
+    ):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "camera.toml").write_text(camera)
+        (tmp_path / name / "depth.txt").write_text(frames)
+    for name, report in (("run", "[" * 9000), ("half", json.dumps({"seed": 1}))):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "report.json").write_text(report)
+    (tmp_path / "keys").mkdir()
+    return tmp_path
+
+
+MISTAKES = [
+    # Commands, options and values.
+    ("", "COMMAND"),
+    ("walk", "see `sextant --help`"),
+    ("rnu flat", "unknown 'rnu'; did you mean 'run'?"),
+    ("Run flat", "unknown 'Run'; did you mean 'run'?"),
+    ("trial flat --seeds 0:2", "did you mean 'trials'?"),
+    ("topics lst", "unknown 'lst'; did you mean 'list'?"),
+    ("servos calibarte", "unknown 'calibarte'; did you mean 'calibrate'?"),
+    ("bench acuracy", "did you mean 'accuracy'?"),
+    ("keys shwo here", "did you mean 'show'?"),
+    ("demo step", "did you mean 'steps'?"),
+    ("up onbord", "did you mean 'onboard'?"),
+    ("order sitt", "did you mean 'sit'?"),
+    ("run flat --gait tripode", "--gait: unknown 'tripode'; did you mean 'tripod'?"),
+    ("run flat --sed 3", "unknown option '--sed'; did you mean '--seed'?"),
+    ("run flat --lockstepp", "unknown option '--lockstepp'; did you mean '--lockstep'?"),
+    ("run flat stairs", "unexpected 'stairs'"),
+    ("run", "the following arguments are required: scenario"),
+    ("run flat --seed", "--seed: expected one argument"),
+    ("run flat --seed -1", "--seed"),
+    ("run flat --seed 1.5", "--seed: a whole number of at least 0 expected, found '1.5'"),
+    ("run flat --seed " + "9" * 5000, "--seed: a whole number of at least 0 expected"),
+    ("trials flat --seeds 5", "--seeds: A:B with A < B expected"),
+    ("trials flat --seeds 0:1000000000000", "--seeds: at most 1000000 seeds expected"),
+    ("trials flat --seeds 0:2 --jobs 100000", "--jobs: a whole number of 1 to 256 expected"),
+    ("foxglove --port 99999", "--port: a whole number of 0 to 65535 expected"),
+    ("servos calibrate --pose 0 0 nan", "--pose: degrees from -180 to 180 expected, found 'nan'"),
+    ("servos test --leg front", "--leg: unknown 'front'; did you mean 'left front'?"),
+    ("video run --size huge", "--size: WxH expected"),
+    ("video run --speed inf", "--speed: a number from 0.05 to 100 expected"),
+    ("run flat --lockstep --link fast", "--link: MS,MBIT,LOSS expected"),
+    ("run flat --lockstep --link 1e9,1,0", "delay_ms from 0 to 1000 expected"),
+    ("plot run --what hieght", "did you mean"),
+    ("faults limp_servo", "limp_servo"),
+    ("fuzz --only camera/dept", "did you mean 'camera/depth'?"),
+    ("up offboard --with plannar", "did you mean 'planner'?"),
+    ("up onboard --set actuator.rate=50", "rate"),
+    # Names of scenarios and profiles.
+    ("run stiars --lockstep", "no scenario 'stiars'; did you mean 'stairs'?"),
+    ("run flat.tmol --lockstep", "no scenario 'flat.tmol'; did you mean 'flat'?"),
+    ("run nowhere.toml --lockstep", "nowhere.toml: no such file"),
+    ("run flat --lockstep --robot fantomx_mk2", "no profile 'fantomx_mk2'; did you mean 'phantomx_mk2'?"),
+    ("compose --scenario rubbel", "did you mean 'rubble'?"),
+    # Files.
+    ("run typo.toml --lockstep", "goal.distanse: unknown key; did you mean 'distance'?"),
+    ("run gait.toml --lockstep", "did you mean 'tripod'?"),
+    ("run kind.toml --lockstep", "terrain[1].kind: found 'stiars'; did you mean 'stairs'?"),
+    ("run twice.toml --lockstep", "twice.toml: TOML expected, found"),
+    ("run text.toml --lockstep", "text.toml: TOML expected, found"),
+    ("run utf16.toml --lockstep", "utf16.toml: UTF-8 text expected, found UTF-16"),
+    ("run latin1.toml --lockstep", "latin1.toml:1: UTF-8 text expected, found byte 0xdc"),
+    ("run deep.toml --lockstep", "deep.toml: TOML expected, found lists or tables more than 32 deep"),
+    ("run empty.toml --lockstep", "name: missing; a value of a text is needed"),
+    ("run pipe.toml --lockstep", "pipe.toml: a file expected, found a pipe"),
+    ("run . --lockstep", "no scenario '.'"),
+    ("run none.toml --lockstep", "gone.npy"),
+    ("run words.toml --lockstep", "words.npy: a .npy array expected, found something else"),
+    ("run grey.toml --lockstep", "grey.png: scale expected"),
+    ("run flat --lockstep --robot robot.toml", "did you mean 'phantomx_mk2'?"),
+    ("run flat --lockstep --robot loop.toml", "which extends this one"),
+    ("run flat --lockstep --robot legs.toml", "links.femure: unknown key; did you mean 'femur'?"),
+    ("run flat --lockstep --robot .", "no profile '.'"),
+    ("run flat --lockstep --out notes.txt", "cannot make the folder notes.txt"),
+    ("fleet fleet.toml", "robots.alpha.conect: unknown key; did you mean 'connect'?"),
+    ("fleet fleat.toml", "fleat.toml: no such file"),
+    ("replay depth", "gone.png is missing"),
+    ("replay bent", "camera.toml: k1: 0 (distortion"),
+    ("replay unsorted", "depth.txt:2: times that ascend expected"),
+    ("replay notes.txt", "notes.txt"),
+    ("replay recording.mcap", "recording.mcap"),
+    ("info notes.txt", "notes.txt"),
+    ("info gone.mcap", "gone.mcap"),
+    ("recover notes.txt", "notes.txt"),
+    ("video gone", "gone: no such run"),
+    ("plot gone", "gone"),
+    ("plot run", "run"),
+    ("plot half", "half"),
+    ("trials table notes.txt", "notes.txt"),
+    ("trials table run/report.json", "no finished run in run/report.json"),
+    ("keys show keys", "no certificate.pem in keys"),
+    ("keys new notes.txt", "notes.txt"),
+    ("order stand --keys keys", "keys in keys: ca.pem, certificate.pem, key.pem, role.toml expected"),
+]
+
+
+@pytest.mark.parametrize(("line", "message"), MISTAKES, ids=lambda value: value[:60])
+def test_a_mistake_is_named_in_one_sentence(line: str, message: str, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        status = cli.main(line.split())
+    except SystemExit as ended:
+        status = int(str(ended.code))
+    printed = capsys.readouterr()
+    assert status in (1, 2)
+    assert message in printed.err
+    assert "Traceback" not in printed.err
+    assert all(line.startswith("  - ") for line in printed.err.splitlines()[1:]), "one sentence, or a list of problems"
+    assert re.match(r"sextant\b", printed.err)
