@@ -205,6 +205,8 @@ def _add_walks(add: Any) -> None:
     one.add_argument(
         "--bridge", action="store_true", help="a simulated microcontroller speaks the servo bus, see docs/bridge.md"
     )
+    words = "let simulated time wait where this computer is too slow, as the demo does (default: real time)"
+    one.add_argument("--slow-down", action="store_true", help=words)
     one.add_argument("--json", action="store_true", help="print report.json; progress goes to stderr")
     one.add_argument("--record-depth", metavar="DIR", help="also write the depth frames for `sextant replay` (with --lockstep)")
     one.add_argument("--connect", action="append", help="use services that already run, met here, e.g. tcp/127.0.0.1:7447")

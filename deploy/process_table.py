@@ -5,6 +5,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from services.actuator.latch import Latch
@@ -252,6 +253,7 @@ def commands(
     extra: Mapping[str, tuple[str, ...]] | None = None,
     elsewhere: bool = False,
     role: str = "",
+    simulated_time: Path | None = None,
 ) -> tuple[Command, ...]:
     """How to start processes so that they meet at `endpoints`.
 
@@ -262,16 +264,32 @@ def commands(
         extra: Process name -> assignments `key=value` that go before the table's; the last one of a key counts.
         elsewhere: Whether this is another machine than the robot's.
         role: Of this machine's certificate; empty: the robot's, or elsewhere that of a base.
+        simulated_time: File of the time that the processes of a simulated run share; None has them go by real time.
+
+    Raises:
+        ValueError: Simulated time without a simulator: real servos do not wait.
     """
     processes = tuple(processes)
+    if simulated_time is not None and not any(p.side == "simulation" for p in processes):
+        raise ValueError("simulated time needs a simulator among the processes")
     started = {p.name for p in processes}
     role = role or ("base" if elsewhere else "robot")
     away = (*(("--elsewhere",) if elsewhere else ()), *(("--role", role) if role != "robot" else ()))
+    shared_time = () if simulated_time is None else ("--simulated-time", str(simulated_time))
     return tuple(
         Command(
             name=p.name,
             arguments=(
-                *("-m", _module(p, chosen), "--robot", chosen.robot, *_meeting(endpoints), *_giving_way(p), *away),
+                *(
+                    "-m",
+                    _module(p, chosen),
+                    "--robot",
+                    chosen.robot,
+                    *_meeting(endpoints),
+                    *_giving_way(p),
+                    *away,
+                    *shared_time,
+                ),
                 *_set([assignment(key, value) for key, value in p.settings(chosen).items()]),
                 *_set((extra or {}).get(p.name, ())),
             ),

@@ -7,15 +7,19 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, TextIO
 
+from deploy.judging.report import InputAges
 from shared import topics
 from shared.health_table import HealthTable
+from shared.lateness import SlowComputer, ages_of
 from shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 _SPEED_OVER_NS = 2_000_000_000  # speed is the mean over the newest two seconds
 _SILENT_NS = 3_500_000_000  # a service that says nothing for so long, at one health report a second, is in trouble
+_REAL_TIME = 0.95  # [1] of real time, below which the speed of simulated time is shown
 _LINE_EVERY_S = 5.0  # [s] simulated between two plain lines
 _ATTENDING = ("operator", "scorer")  # they tell what the line says already
+_REMEDY = "use --lockstep or close programs"  # for a computer that is too slow
 _BAR = 20  # characters of the way done
 
 
@@ -28,8 +32,51 @@ class View:
     walked: float = 0.0  # [m] along the starting direction
     to_goal: float = 0.0  # [m]
     up: bool = False  # whether the actuator has been heard
+    of_real_time: float = 1.0  # [1] at which simulated time runs
     doing: Mapping[str, str] = field(default_factory=dict)  # service -> what it is about, in words
     warnings: tuple[str, ...] = ()  # in words
+
+
+class RunLateness:
+    """How late inputs were over a run, and for how long the computer was too slow."""
+
+    def __init__(self, computer: SlowComputer):
+        """Begin a run.
+
+        Args:
+            computer: What tells whether one is too slow.
+        """
+        self.late_s = 0.0
+        self.words = ""  # that the computer was too slow, when it last was
+        self.missed_beats: dict[str, int] = {}
+        self._computer = computer
+        self._looked_ns: int | None = None
+        self._ages: dict[str, tuple[InputAges, int]] = {}  # and the reports behind them
+
+    def update(self, services: Mapping[str, tuple[Health, int]], now_ns: int) -> str:
+        """Take in what has come since the last look; that the computer is too slow, or nothing.
+
+        Args:
+            services: Name -> newest health and when it came [ns].
+            now_ns: [ns]
+        """
+        for name, health in self._computer.update(services):
+            if health.missed_beats:
+                self.missed_beats[name] = health.missed_beats
+            for age in ages_of(health):
+                before, count = self._ages.get(f"{name} {age.what}", (InputAges(0.0, 0.0, 0.0), 0))
+                late = (count * before.late + age.late) / (count + 1)
+                self._ages[f"{name} {age.what}"] = InputAges(max(before.max, age.age_s), age.limit_s, late), count + 1
+        words = self._computer.words(now_ns)
+        if words:
+            self.words = words
+            self.late_s += 0.0 if self._looked_ns is None else (now_ns - self._looked_ns) * 1e-9
+        self._looked_ns = now_ns
+        return words
+
+    def ages(self) -> dict[str, InputAges]:
+        """Service and input -> its ages over the run."""
+        return {name: ages for name, (ages, _) in sorted(self._ages.items())}
 
 
 class Monitor:
@@ -46,8 +93,9 @@ class Monitor:
     )
     writes: tuple[AnyTopic, ...] = ()
 
-    def __init__(self, goal_distance: float):
+    def __init__(self, goal_distance: float, computer: SlowComputer | None = None):
         self.stages = Stages()
+        self.lateness = RunLateness(computer or SlowComputer())
         self.view = View(to_goal=goal_distance)
         self._goal_distance = goal_distance
         self._began_ns: int | None = None
@@ -57,6 +105,7 @@ class Monitor:
     def step(self, tick: Tick, inbox: Inbox) -> Iterable[Message]:
         """Look at what has come and make the next view."""
         self._health.drain(inbox, tick.stamp_ns)
+        too_slow = self.lateness.update(self._health.named(), tick.stamp_ns)
         state, pose = inbox.latest(topics.ACTUATOR_STATE), inbox.latest(topics.BODY_POSE)
         if state is not None and self._began_ns is None:
             self._began_ns = state.stamp_ns
@@ -70,6 +119,7 @@ class Monitor:
             up=self._began_ns is not None,
             doing={name: health.doing for name, (health, _) in self._services()},
             warnings=(
+                *((f"{too_slow}; {_REMEDY}",) if too_slow else ()),
                 *_of_camera(inbox.fresh(topics.CAMERA_STATE)),
                 *self._warnings(state, pose, inbox.latest(topics.PLANNER_STATUS), tick.stamp_ns),
             ),
@@ -180,7 +230,8 @@ class Lines:
         if view.up and view.time_s >= self._next_s:
             self._next_s = view.time_s + _LINE_EVERY_S
             busy = "; ".join(f"{name}: {doing}" for name, doing in view.doing.items() if name not in _ATTENDING)
-            self.say(f"{view.time_s:6.1f} s  {view.speed:.3f} m/s  {view.to_goal:.2f} m to the goal  {busy}")
+            slower = f"  at {view.of_real_time:.2f} of real time" if view.of_real_time < _REAL_TIME else ""
+            self.say(f"{view.time_s:6.1f} s{slower}  {view.speed:.3f} m/s  {view.to_goal:.2f} m to the goal  {busy}")
 
     def say(self, text: str) -> None:
         """One line."""
@@ -236,7 +287,8 @@ def block(view: View) -> list[str]:
         whole = view.walked + view.to_goal
         done = round(_BAR * min(max(view.walked / whole, 0.0), 1.0)) if whole > 0 else _BAR
         bar = "#" * done + "-" * (_BAR - done)
-        head = f"{view.time_s:6.1f} s   {view.speed:.3f} m/s   {view.to_goal:.2f} m to the goal  [{bar}]"
+        slower = f"   at {view.of_real_time:.2f} of real time" if view.of_real_time < _REAL_TIME else ""
+        head = f"{view.time_s:6.1f} s{slower}   {view.speed:.3f} m/s   {view.to_goal:.2f} m to the goal  [{bar}]"
     return [
         head,
         *(f"  {name:<11} {doing}" for name, doing in view.doing.items()),

@@ -8,7 +8,8 @@ plan seems older by it to the robot, and none seems newer than it is.
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 _WINDOW_NS = 10_000_000_000  # over which the shortest way is looked for, and up to twice that: clocks drift by 0.1 ms in it
 _BRACKET_NS = 1_000_000  # widest bracket of a reading of the boot clock
@@ -114,3 +115,19 @@ class SuspendedTime:
 def go_by(clock: Callable[[], int]) -> None:
     """Let this process go by a clock; done once, before anything asks for the time."""
     _clock[0] = clock
+
+
+def in_use() -> Callable[[], int]:
+    """The clock that this process goes by."""
+    return _clock[0]
+
+
+@contextmanager
+def going_by(clock: Callable[[], int]) -> Iterator[None]:
+    """Go by a clock within a block, and then by the one before."""
+    before = _clock[0]
+    _clock[0] = clock
+    try:
+        yield
+    finally:
+        _clock[0] = before

@@ -3,10 +3,15 @@
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 from shared.clock import now_ns
 from shared.service import AnyTopic, Every, Service, Worker
+from shared.simulated_time import hold
+
+_LOOK_S = 0.2  # [s] of real time for which the thread that steps waits at most without saying that it lives
+_SHORTEST_WAIT_S = 0.5e-3  # [s] between two looks at simulated time that stands
 
 
 class Link(Protocol):
@@ -56,8 +61,9 @@ def run_live(
     ahead_s: Callable[[], float] = lambda: 0.0,
     role: str = "robot",
 ) -> None:
-    """Run one service in this process at real time until `stop` is set; stamps are the robot's time (`shared.clock`).
+    """Run one service in this process until `stop` is set; stamps are the robot's time (`shared.clock`).
 
+    That is real time, but in a simulated run with `shared.simulated_time`, which waits for this service if it is late.
     `alive` is told this machine's monotonic time [ns] at least every 0.2 s, as long as no step hangs and no beat is rarer.
     `ahead_s` says by how much [s] the robot's clock is ahead of this machine's, `role` is that of this machine.
     """
@@ -70,7 +76,9 @@ def run_live(
     def astray() -> tuple[int, str]:
         return link.astray, link.last_astray
 
-    worker = Worker(service, send, clock, link.wanted, ahead_s=ahead_s, astray=astray, role=role)
+    worker = Worker(
+        service, send, clock, link.wanted, ahead_s=ahead_s, astray=astray, role=role, hold=partial(hold, service.name)
+    )
     pace = service.paced_by
 
     def receive(topic: AnyTopic, frame: bytes) -> None:
@@ -87,20 +95,31 @@ def run_live(
     if isinstance(service, Listening):
         service.meet(link)
     beats = Beats(pace, clock) if isinstance(pace, Every) else None
+    wait = _waiting(pace, stop, clock, alive)
     while not stop.is_set():
         alive(time.monotonic_ns())
         if beats is not None:
-            service.stages.add("cycle", beats.next(_waiting(pace, stop)) * 1e-6)
+            service.stages.add("cycle", beats.next(wait) * 1e-6)
             worker.tick()
-        elif arrived.wait(0.2):
+        elif arrived.wait(_LOOK_S):
             arrived.clear()
             worker.arrived()
         worker.report_health(clock())  # also while nothing comes in, or nothing that decodes
 
 
-def _waiting(pace: AnyTopic | Every, stop: threading.Event) -> Callable[[float], object]:
-    """What waits [s] for the next beat."""
-    return (pace.wait if isinstance(pace, Every) else None) or stop.wait
+def _waiting(
+    pace: AnyTopic | Every, stop: threading.Event, clock: Callable[[], int], alive: Callable[[int], object]
+) -> Callable[[float], object]:
+    """What waits [s] for the next beat, by a clock [ns] that may be slower than the machine's."""
+
+    def wait(length_s: float) -> None:
+        until_ns = clock() + round(length_s * 1e9)
+        while (left_ns := until_ns - clock()) > 0 and not stop.wait(min(max(left_ns * 1e-9, _SHORTEST_WAIT_S), _LOOK_S)):
+            alive(time.monotonic_ns())
+
+    if isinstance(pace, Every) and pace.by_machine:
+        return stop.wait
+    return (pace.wait if isinstance(pace, Every) else None) or wait
 
 
 class Beats:

@@ -80,6 +80,7 @@ _NO_SIGHTS = np.zeros((0, 3), dtype=np.int16)
 _NO_CELLS = np.zeros((0, 0), np.uint8)
 _NEVER, _NOWHERE, _NONE = np.full(6, -1, dtype=np.int64), np.zeros((6, 3)), np.zeros(6, dtype=np.bool_)
 _NO_PATH = np.zeros((0, 2))
+_NO_INPUTS = np.zeros(0)
 
 
 class Mode(StrEnum):
@@ -491,6 +492,17 @@ class Health(Message):
     stage_p50_ms: Annotated[NDArray[np.float64], Dims("stage")]
     stage_p99_ms: Annotated[NDArray[np.float64], Dims("stage")]
     robot_ahead_s: float = 0.0  # [s] the robot's clock is ahead of its machine's; 0 on the robot
+    # Inputs with a limit on their age, by topic key, or "beat"; see `shared.lateness`. Each since the last report:
+    inputs: tuple[str, ...] = ()
+    input_age_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(default_factory=lambda: _NO_INPUTS)  # worst
+    input_arrived_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(
+        default_factory=lambda: _NO_INPUTS
+    )  # [s] the worst age when it arrived
+    input_limit_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(default_factory=lambda: _NO_INPUTS)
+    input_late: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(
+        default_factory=lambda: _NO_INPUTS
+    )  # [1] share of the uses beyond the limit
+    missed_beats: int = 0  # beats that its own clock left out since it started
 
 
 @dataclass(frozen=True, slots=True)

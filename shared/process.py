@@ -25,6 +25,7 @@ from shared.live import run_live
 from shared.profiles import load_profile
 from shared.robot import RobotProfile
 from shared.service import Service
+from shared.simulated_time import SimulatedTime
 from shared.transport import Endpoints, TransportError, ZenohLink
 from shared.watchdog import Watchdog
 
@@ -85,6 +86,10 @@ def run(
             keys = Keys.load(Path(arguments.keys)) if arguments.keys else None
             if rehearse is not None:
                 _patiently(lambda: rehearse(profile, settings))
+            if arguments.simulated_time:
+                if arguments.elsewhere:
+                    raise ValueError("--simulated-time is shared on one machine: leave --elsewhere out")
+                stack.enter_context(clock.going_by(SimulatedTime(Path(arguments.simulated_time))))
             told.open()
             endpoints = Endpoints(tuple(arguments.connect), arguments.scouting, arguments.namespace, keys)
             watchdog = stack.enter_context(Watchdog(os.environ))
@@ -205,6 +210,8 @@ def _parser(name: str, package: str, schema: type[Any]) -> argparse.ArgumentPars
     parser.add_argument("--elsewhere", action="store_true", help="this is not the robot's machine: go by the robot's clock")
     words = "role of this machine, under which the service publishes its health (default %(default)s)"
     parser.add_argument("--role", default="robot", choices=topics.ROLE_NAMES, help=words)
+    words = "file of the time that the processes of a simulated run share (default: real time)"
+    parser.add_argument("--simulated-time", metavar="FILE", help=words)
     parser.add_argument("--nice", type=int, default=0, help="how far to give way to others where cores are short, 0 to 19")
     parser.add_argument("--urgent", action="store_true", help="go before others where cores are short, if this user may")
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")

@@ -4,6 +4,7 @@ It says what paces it, what it reads and what it writes; somebody else moves the
 them, with the same objects and the same encoded frames: `shared.live` at real time, `shared.lockstep` on simulated time.
 """
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -13,6 +14,7 @@ from typing import Any, Protocol, TypeVar, cast
 import numpy as np
 
 from shared import codec, topics
+from shared.lateness import BEAT, InputAges, Limited
 from shared.messages import Health, Message, Tick
 from shared.stopwatch import stopwatch_ns
 from shared.topics import Delivery, Topic
@@ -23,6 +25,8 @@ AnyTopic = Topic[Any]
 HEALTH_PERIOD_NS = 1_000_000_000
 QUEUE_LENGTH = 512  # frames of an EVERY topic that may wait; more are dropped and counted
 _SAMPLES = 4096  # timings kept per stage
+_BEAT_LASTS = 1.0  # periods after a beat at which simulated time waits for its end, ...
+_LATE_BEAT = 1.5  # ... and for the next one
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +38,14 @@ class Every:
 
     A service that `fetches` takes what has come when it looks, and nothing runs when something comes. A frame counts as having
     come at the look, so this is for those who look often at everything, and on whose reading of ages nothing hangs.
+
+    A service that beats `by_machine` waits by the machine's clock, so that it beats also while simulated time stands.
     """
 
     period_ns: int
     wait: Callable[[float], object] | None = None
     fetches: bool = False
+    by_machine: bool = False
 
     @classmethod
     def hz(cls, rate_hz: float) -> "Every":
@@ -123,8 +130,10 @@ class Inbox:
         stages: Stages,
         wanted: Callable[[AnyTopic], bool] = lambda _: True,
         decode: Decode = codec.decode,
+        ages: InputAges | None = None,
     ):
         self.now_ns = 0
+        self._ages = ages or InputAges({})
         self.refused = 0
         self.dropped = 0
         self.last_refusal = ""
@@ -159,14 +168,12 @@ class Inbox:
 
     def latest(self, topic: Topic[M]) -> M | None:
         """The newest good message of a topic, however old."""
-        self.drain(topic)
-        found = self._newest.get(topic.key)
+        found = self._use_newest(topic)
         return cast(M, found[0]) if found else None
 
     def fresh(self, topic: Topic[M], within_s: float | None = None) -> M | None:
         """The newest message, or None once it came longer ago than `within_s`, by default three of its periods."""
-        self.drain(topic)
-        found = self._newest.get(topic.key)
+        found = self._use_newest(topic)
         age_ns = topic.fresh_for_ns if within_s is None else within_s * 1e9
         if found is None or self.now_ns - found[1] > age_ns:
             return None
@@ -174,6 +181,22 @@ class Inbox:
 
     def drain(self, topic: Topic[M]) -> list[M]:
         """All messages that have come since the last look, in order."""
+        messages = self._decode_waiting(topic)
+        at_ns = self._newest[topic.key][1] if messages else 0
+        for message in messages:
+            self._ages.note(topic.key, self.now_ns - message.stamp_ns, at_ns - message.stamp_ns)
+        return messages
+
+    def _use_newest(self, topic: Topic[M]) -> tuple[Message, int] | None:
+        """The newest good message of a topic and when it came [ns]; a use of it."""
+        self._decode_waiting(topic)
+        found = self._newest.get(topic.key)
+        if found is not None:
+            self._ages.note(topic.key, self.now_ns - found[0].stamp_ns, found[1] - found[0].stamp_ns)
+        return found
+
+    def _decode_waiting(self, topic: Topic[M]) -> list[M]:
+        """Decode what waits of a topic, in order."""
         self._look(topic)
         queue = self._frames[topic.key]
         if not queue:
@@ -244,9 +267,14 @@ class Worker:
         ahead_s: Callable[[], float] = lambda: 0.0,
         astray: Callable[[], tuple[int, str]] = lambda: (0, ""),
         role: str = "robot",
+        hold: Callable[[int | None], object] = lambda _limit_ns: None,
     ):
         self.service = service
         self._health_topic = topics.HEALTH_OF[role]  # of the machine's role: others may not publish there
+        self._max_age_s = dict(service.max_age_s) if isinstance(service, Limited) else {}
+        self.ages = InputAges(self._max_age_s)
+        self._hold = hold  # states until when [ns] simulated time may go on without another step
+        self._missed_beats = 0
         self._ahead_s = ahead_s
         self._astray = astray  # frames that the link has dropped, for they were sent to others, and which was the last
         self._last_refusals = ("", "")  # of those, and of what did not decode
@@ -254,7 +282,7 @@ class Worker:
         self.reads = tuple(
             dict.fromkeys([*([] if isinstance(service.paced_by, Every) else [service.paced_by]), *service.reads])
         )
-        self.inbox = Inbox(self.reads, service.stages, wanted, decode)
+        self.inbox = Inbox(self.reads, service.stages, wanted, decode, self.ages)
         self._send = send
         self._clock = clock
         self._writes = set(service.writes)
@@ -264,7 +292,12 @@ class Worker:
 
     def tick(self) -> None:
         """One beat of a service paced by its own clock."""
-        self._step(Tick(self._clock()))
+        now_ns, pace = self._clock(), self.service.paced_by
+        if isinstance(pace, Every) and self._steps:
+            since_ns = now_ns - self._stepped_ns
+            self._missed_beats += max(0, round(since_ns / pace.period_ns) - 1)
+            self.ages.note(BEAT, since_ns)
+        self._step(Tick(now_ns))
 
     def arrived(self) -> None:
         """Steps for every pacing message that waits."""
@@ -276,6 +309,8 @@ class Worker:
 
     def _step(self, message: Message) -> None:
         began_ns = self.inbox.now_ns = self._clock()
+        if self._max_age_s:
+            self._hold(self._next_step_by(began_ns, _BEAT_LASTS))
         with self.service.stages(self.service.name):
             for made in self.service.step(message, self.inbox):
                 topic = topics.OF_TYPE.get(type(made))
@@ -284,14 +319,24 @@ class Worker:
                 self._send(topic, codec.encode(made, codec.Timing(began_ns, self._clock())), began_ns)
         self._steps += 1
         self._stepped_ns = began_ns
+        if self._max_age_s:
+            self._hold(self._next_step_by(began_ns, _LATE_BEAT))
+            self.ages.forget_uses()
         self.report_health(began_ns)
+
+    def _next_step_by(self, began_ns: int, periods: float) -> int | None:
+        """When [ns] inputs of this step are late, or a beat that is to come within some periods; None where nothing can be."""
+        left_ns = self.ages.left_ns()
+        if BEAT in self._max_age_s and isinstance(pace := self.service.paced_by, Every):
+            left_ns = min(periods * pace.period_ns, math.inf if left_ns is None else left_ns)
+        return None if left_ns is None else began_ns + round(left_ns)
 
     def report_health(self, now_ns: int) -> None:
         """Send how the service fares, if it is time."""
         if now_ns < self._health_due_ns:
             return
         self._health_due_ns = now_ns + HEALTH_PERIOD_NS
-        timings = self.service.stages.percentiles()
+        timings, ages = self.service.stages.percentiles(), self.ages.report()
         astray, last_astray = self._astray()
         refusals = (last_astray, self.inbox.last_refusal)
         newer = [words for words, before in zip(refusals, self._last_refusals, strict=True) if words != before]
@@ -308,6 +353,12 @@ class Worker:
             stage_p50_ms=np.array([p50 for p50, _ in timings.values()], dtype=np.float64),
             stage_p99_ms=np.array([p99 for _, p99 in timings.values()], dtype=np.float64),
             robot_ahead_s=self._ahead_s(),
+            inputs=tuple(age.what for age in ages),
+            input_age_s=np.array([age.age_s for age in ages], dtype=np.float64),
+            input_arrived_s=np.array([age.arrived_s for age in ages], dtype=np.float64),
+            input_limit_s=np.array([age.limit_s for age in ages], dtype=np.float64),
+            input_late=np.array([age.late for age in ages], dtype=np.float64),
+            missed_beats=self._missed_beats,
         )
         self._send(self._health_topic, codec.encode(health, codec.Timing(now_ns, self._clock())), now_ns)
 

@@ -33,6 +33,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--bridge is for services that this command starts; leave --connect out")
     if arguments.record_depth and not arguments.lockstep:
         raise InputError("--record-depth writes the frames of a lockstep run; add --lockstep")
+    if arguments.slow_down and (arguments.lockstep or arguments.connect):
+        raise InputError("--slow-down is for services that this command starts live; leave --lockstep and --connect out")
     if arguments.lockstep:
         return _run_lockstep(arguments)
     return _run_live(arguments)
@@ -69,7 +71,7 @@ def demo(arguments: argparse.Namespace) -> int:
     """`sextant demo`: a course over Zenoh, from a cold start: low steps, or a gap."""
     shown = DEMOS[arguments.course]
     arguments.scenario, arguments.robot, arguments.gait = shown.scenario, "", ""
-    arguments.lockstep, arguments.connect, arguments.json = False, None, False
+    arguments.lockstep, arguments.connect, arguments.json, arguments.slow_down = False, None, False, True
     say(textwrap.fill(f"{shown.before} {_TALKING}", _LINE))
     status = _run_live(arguments)
     if status == SUCCESS:
@@ -121,7 +123,9 @@ def _run_live(arguments: argparse.Namespace) -> int:
             complain("stopped by the operator")
             return INTERRUPTED
         source = str(Path(arguments.scenario).resolve()) if arguments.scenario.endswith(".toml") else arguments.scenario
-        outcome = live_run.run_live_scenario(scenario, source, arguments.seed, out, progress, interrupts, attach)
+        outcome = live_run.run_live_scenario(
+            scenario, source, arguments.seed, out, progress, interrupts, attach, slow_down=arguments.slow_down
+        )
     status = _tell(outcome.report, out, arguments.json)
     return INTERRUPTED if outcome.interrupted else status
 
@@ -135,6 +139,8 @@ def _tell(report: "Report", out: Path, as_json: bool) -> int:
         verdict = f"{'success' if report.success else 'failed'}: {report.reason}"
         walked = f"{report.distance_m:.2f} m in {report.duration_s:.1f} s, {report.speed_mps:.3f} m/s"
         say(f"{verdict}; {walked}, {report.steps} steps, {report.falls} falls")
+        if report.too_slow:
+            say(f"{report.too_slow}; use --lockstep or close programs")
         say(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
     return SUCCESS if report.success else FAILED
 

@@ -120,6 +120,15 @@ class StageTime:
 
 
 @dataclass(frozen=True, slots=True)
+class InputAges:
+    """How old an input of a service was at its uses [s]."""
+
+    max: float
+    limit: float  # beyond which it is of no use
+    late: float  # [1] share of the uses beyond the limit
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """One run, judged by the truth. Metrics of the walk are NaN when it took no step."""
 
@@ -154,13 +163,17 @@ class Report:
     passage: Passage = Passage()
     real_time_factor: float = _NAN  # simulated over elapsed time; timing, so not the same twice
     stages_ms: dict[str, StageTime] = field(default_factory=dict)  # timing too
+    too_slow: str = ""  # that the computer was too slow, in words; empty when it was not
+    late_s: float = 0.0  # [s] of the run for which services had inputs that were too old, through a slow computer or link
+    input_ages_s: dict[str, InputAges] = field(default_factory=dict)  # "service input", its topic key or "beat"
+    missed_beats: dict[str, int] = field(default_factory=dict)  # of each service with a clock of its own, left out
 
 
 def without_timing(report: Report) -> Report:
     """The part of a report that one seed determines."""
     sections = tuple(replace(section, planning_ms=_NAN) for section in report.passage.sections)
     passage = replace(report.passage, sections=sections)
-    return replace(report, passage=passage, real_time_factor=_NAN, stages_ms={})
+    return replace(report, passage=passage, real_time_factor=_NAN, stages_ms={}, too_slow="")
 
 
 def as_table(report: Report) -> dict[str, Any]:

@@ -11,20 +11,22 @@ from deploy.judging.scorer import Scorer
 from deploy.progress import Monitor
 from deploy.runs.operator import Operator
 from shared import topics
+from shared.lateness import SlowComputer
 from shared.robot import RobotProfile
 from shared.scenario import Scenario
 from shared.service import Service
 
+_LATE_S = 2.0  # [s] of late inputs in a run, from which a failure names them
 _LAST_LOOK_S = 6.0  # [s] simulated that the scorer has for its verdict once the operator is done
 
 
 class Attendance:
     """Commands, judges and watches one run, however the services are run."""
 
-    def __init__(self, profile: RobotProfile, scenario: Scenario, seed: int):
+    def __init__(self, profile: RobotProfile, scenario: Scenario, seed: int, live: bool = False, linked: bool = False):
         self.operator = Operator(profile, scenario)
         self.scorer = Scorer(profile, scenario, seed)
-        self.monitor = Monitor(scenario.goal.distance)
+        self.monitor = Monitor(scenario.goal.distance, SlowComputer(live, linked or scenario.link.exists))
         self._operator_done_s: float | None = None
 
     def services(self) -> Mapping[str, Service]:
@@ -47,17 +49,30 @@ class Attendance:
             return math.nan
         return float((len(t) - 1) / (topics.TRUTH.rate_hz * (t[-1] - t[0]))) if len(t) > 1 else math.nan
 
-    def judge(self, real_time_factor: float, ended_by: str = "", in_a_hurry: bool = False) -> Report:
+    def judge(self, real_time_factor: float, ended_by: str = "", in_a_hurry: bool = False, slowed_down: str = "") -> Report:
         """The verdict.
 
         Args:
             real_time_factor: Simulated over elapsed time.
             ended_by: What ended the run from outside, in words: it has failed then, for that reason.
             in_a_hurry: Leave out what takes long to judge.
+            slowed_down: That simulated time ran slower than real time, in words, or nothing.
         """
+        lateness = self.monitor.lateness
         stages = {name: StageTime(p50, p99) for name, (p50, p99) in self.monitor.stages_ms().items()}
         report = self.scorer.result(self.operator.reason, real_time_factor, stages, in_a_hurry)
-        return replace(report, success=False, reason=ended_by) if ended_by else report
+        report = replace(
+            report,
+            too_slow=slowed_down or lateness.words,
+            late_s=round(lateness.late_s, 3),
+            input_ages_s=lateness.ages(),
+            missed_beats=dict(sorted(lateness.missed_beats.items())),
+        )
+        if ended_by:
+            report = replace(report, success=False, reason=ended_by)
+        if not report.success and lateness.late_s >= _LATE_S:
+            report = replace(report, reason=f"{report.reason}; {lateness.words}")
+        return report
 
     def leave_behind(self, report: Report, out: Path, picture: bool = True) -> None:
         """Write report.json and, if asked for and where there is anything to see, pictures into a folder.

@@ -2,10 +2,12 @@
 
 import contextlib
 import os
+import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self, TextIO
 
@@ -13,21 +15,25 @@ from deploy import process_table
 from deploy.interrupts import Interrupts
 from deploy.judging.report import Report
 from deploy.launch.launcher import Launcher, free_port, host_router
-from deploy.process_table import ENVIRONMENT, Command
+from deploy.process_table import ENVIRONMENT, Command, Process
 from deploy.progress import Progress
 from deploy.runs.attendance import Attendance, about
 from services.console.recording.foxglove.translation import Foxglove
 from services.console.recording.live import LiveRecorder
 from services.console.recording.writer import Recorder
+from shared.clock import going_by, now_ns
 from shared.live import run_live
 from shared.profiles import load_profile
 from shared.scenario import Fault, Scenario
 from shared.service import Service
+from shared.simulated_time import SERVO_BUS, SimulatedTime
 from shared.transport import Endpoints, ZenohLink
 
 _LOOK_S = 0.1  # between two looks at the run
 _SHOW_S = 0.25  # between two views of it
-_START_S = 60.0  # within which the robot must have come up
+_START_S = 180.0  # within which the robot must have come up
+_SPEED_OVER_NS = 3_000_000_000  # the newest speed of simulated time is the mean over these seconds
+_REAL_TIME = 0.95  # [1] of real time, from which simulated time counts as real time
 _WARM_S = 10.0  # the warm-up takes less when everything is compiled already
 _WARM_UP = Command("warm-up", ("-m", "deploy.warm_up"), ENVIRONMENT)
 
@@ -49,6 +55,7 @@ def run_live_scenario(
     interrupts: Interrupts,
     attach: Endpoints | None = None,
     started: Callable[[Launcher], None] = lambda _: None,
+    slow_down: bool = False,
 ) -> Outcome:
     """Run a scenario over Zenoh to its end, leaving report.json, pictures, recording.mcap and services.log in `out`.
 
@@ -61,15 +68,22 @@ def run_live_scenario(
         interrupts: The operator's wish to end it; entered by the caller, in the main thread.
         attach: Where services that somebody else started are met; None starts them.
         started: Is given the launcher once all runs, for tests that break something.
+        slow_down: Let simulated time wait for services that this computer runs too late, in place of real time.
+
+    Raises:
+        ValueError: `slow_down` of services that somebody else started.
     """
+    if attach and slow_down:
+        raise ValueError("services that somebody else started go by their own time")
     out.mkdir(parents=True, exist_ok=True)
-    attendance = Attendance(load_profile(scenario.robot), scenario, seed)
+    attendance = Attendance(load_profile(scenario.robot), scenario, seed, live=True, linked=attach is not None)
     with contextlib.ExitStack() as stack:
         # 1. Host the router and start the services, each in its own process.
         log = stack.enter_context(Path(os.devnull if attach else out / "services.log").open("w", encoding="utf-8"))
         endpoints = attach or stack.enter_context(host_router())
         chosen = process_table.choices(scenario, source, seed, free_port())
         rows = () if attach else process_table.rows("all", simulated=True)
+        time_file = stack.enter_context(_shared_time(rows)) if slow_down else None
         # 2. Record, command, judge and watch from this process, each over a link of its own. They connect before the
         #    services start, so that the recording has the first word.
         profile = load_profile(scenario.robot)
@@ -77,19 +91,20 @@ def run_live_scenario(
         recording = stack.enter_context(_recording(recorder, endpoints))
         attendants = stack.enter_context(Attendants(attendance.services(), endpoints))
         process_table.new_robot(chosen)
-        launcher = Launcher(process_table.commands(rows, chosen, endpoints), hear=_log_to(log))
+        launcher = Launcher(process_table.commands(rows, chosen, endpoints, simulated_time=time_file), hear=_log_to(log))
         stack.callback(lambda: launcher.stop(interrupts.insisted))
         launcher.__enter__()
         started(launcher)
         # 3. Watch until something ends it, breaking what the scenario wants broken.
-        ended_by = _watch(attendance, attendants, launcher, Faults(scenario.faults_at(seed)), progress, interrupts)
+        speed = Speed()
+        ended_by = _watch(attendance, attendants, launcher, Faults(scenario.faults_at(seed)), progress, interrupts, speed)
         # 4. Stop everything.
         for name in launcher.stop(interrupts.insisted):
             progress.say(f"{name} did not end when asked and was killed")
     # 5. Judge it and write what it leaves behind.
     for problem in filter(None, (recording.problem, _loss(recording.dropped))):
         progress.say(f"warning: {problem}")
-    report = attendance.judge(attendance.kept_up(), ended_by, interrupts.asked())
+    report = attendance.judge(speed.mean() * attendance.kept_up(), ended_by, interrupts.asked(), speed.words())
     attendance.leave_behind(report, out, picture=not interrupts.asked())
     progress.finish()
     return Outcome(report, interrupts.asked())
@@ -184,7 +199,7 @@ class Faults:
 @contextlib.contextmanager
 def _recording(recorder: Recorder, endpoints: Endpoints) -> Iterator[LiveRecorder]:
     with LiveRecorder(recorder) as recording, ZenohLink(endpoints) as link:
-        recording.listen(link, time.monotonic_ns)
+        recording.listen(link, now_ns)
         yield recording
 
 
@@ -195,6 +210,7 @@ def _watch(
     faults: Faults,
     progress: Progress,
     interrupts: Interrupts,
+    speed: "Speed",
 ) -> str:
     """Watch a run; returns what ended it from outside, in words, or nothing."""
     began = shown = time.monotonic()
@@ -205,6 +221,8 @@ def _watch(
                 return str(ended)
         attendants.check()
         view = attendance.monitor.view
+        if view.up:
+            speed.update()
         if interrupts.asked():
             return "stopped by the operator"
         if not view.up and time.monotonic() - began > _START_S:
@@ -213,8 +231,58 @@ def _watch(
             progress.say(done)
         if time.monotonic() - shown >= _SHOW_S:
             shown = time.monotonic()
-            progress.update(view)
+            progress.update(replace(view, of_real_time=speed.newest()))
     return ""
+
+
+class Speed:
+    """How fast the time that services go by runs against real time."""
+
+    def __init__(self, clock: Callable[[], int] = now_ns, machine: Callable[[], int] = time.monotonic_ns):
+        """Measure nothing yet.
+
+        Args:
+            clock: [ns] that services go by.
+            machine: [ns] of real time.
+        """
+        self._clock, self._machine = clock, machine
+        self._looks: deque[tuple[int, int]] = deque()  # real and shared time [ns]; the first one stays
+        self._first: tuple[int, int] | None = None
+
+    def update(self) -> None:
+        """Take a look at both clocks."""
+        look = self._machine(), self._clock()
+        self._first = self._first or look
+        self._looks.append(look)
+        while look[0] - self._looks[0][0] > _SPEED_OVER_NS:
+            self._looks.popleft()
+
+    def mean(self) -> float:
+        """Share [1] of real time since the first look; 1 before there are two."""
+        return _rate(self._first, self._looks[-1]) if self._first else 1.0
+
+    def newest(self) -> float:
+        """The same over the newest seconds."""
+        return _rate(self._looks[0], self._looks[-1]) if self._looks else 1.0
+
+    def words(self) -> str:
+        """That time ran slower than real time, or nothing."""
+        mean = self.mean()
+        return f"simulated time ran at {mean:.2f} of real time: this computer is too slow" if mean < _REAL_TIME else ""
+
+
+def _rate(a: tuple[int, int], b: tuple[int, int]) -> float:
+    return (b[1] - a[1]) / (b[0] - a[0]) if b[0] > a[0] else 1.0
+
+
+@contextlib.contextmanager
+def _shared_time(rows: Sequence[Process]) -> Iterator[Path]:
+    """The file of a simulated time that this process and the ones it starts go by."""
+    with tempfile.TemporaryDirectory(prefix="sextant-") as folder:
+        path = Path(folder) / "simulated_time"
+        names = [SERVO_BUS, *(p.name for p in rows if p.side != "simulation")]
+        with going_by(SimulatedTime.create(path, names)):
+            yield path
 
 
 def _log_to(log: TextIO) -> Callable[[str, str], None]:

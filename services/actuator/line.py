@@ -13,14 +13,16 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from enum import StrEnum
-from typing import Protocol
+from typing import Any, Protocol
 
 import serial
 from serial.urlhandler import protocol_socket
 
 from services.actuator import usb_adapter
 from shared import dynamixel as dxl
+from shared.clock import now_ns
 from shared.dynamixel import Packet, PacketParser, ServoError
+from shared.simulated_time import REACTION_NS, SERVO_BUS, hold
 
 log = logging.getLogger(__name__)
 
@@ -61,6 +63,21 @@ class _Connection(protocol_socket.Serial):
     """A port over TCP that closes at once: pyserial's own sleeps for 0.3 s then, for which no control cycle can wait."""
 
     _socket: socket.socket | None
+
+    def read(self, size: int = 1) -> bytes:
+        """At most `size` bytes, fewer after the timeout, which is of simulated time where that is shared."""
+        until_ns = now_ns() + round((self.timeout or 0.0) * 1e9)
+        data: bytes = super().read(size)
+        while len(data) < size and now_ns() < until_ns:
+            data += super().read(size - len(data))
+        hold(SERVO_BUS, None)
+        return data
+
+    def write(self, data: Any, /) -> int | None:
+        """Send bytes; simulated time waits until the bus has received them."""
+        hold(SERVO_BUS, now_ns() + REACTION_NS)
+        sent: int | None = super().write(data)
+        return sent
 
     def close(self) -> None:
         """Close it, whether the other end is still there or not."""

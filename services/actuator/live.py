@@ -1,18 +1,16 @@
 """The actuator with the clocks of the robot's computer."""
 
-import time
-
 from services.actuator.config import Settings
 from services.actuator.service import Actuator
-from shared.clock import SuspendedTime
+from shared.clock import SuspendedTime, now_ns
 from shared.robot import RobotProfile
 
 
 def live_actuator(profile: RobotProfile, settings: Settings) -> Actuator:
-    """Make the actuator of a real robot, or of one that is simulated at real time.
+    """Make the actuator of a real robot, or of one that is simulated live.
 
     Raises:
         BusSetupError: Servos are missing or wrong, all named.
         BusGone: The port cannot be opened.
     """
-    return Actuator(profile, settings, None, time.monotonic_ns, suspended_ns=SuspendedTime())
+    return Actuator(profile, settings, None, now_ns, suspended_ns=SuspendedTime())

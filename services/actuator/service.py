@@ -30,6 +30,7 @@ from services.actuator.walker import Targets, Walker
 from shared import topics
 from shared.geometry import Array, apply, from_xyz_rpy
 from shared.kinematics import body_forward, body_inverse, nearest_reachable
+from shared.lateness import BEAT
 from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StopOrder, Tick
 from shared.robot import LEGS, RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
@@ -73,6 +74,7 @@ class Actuator:
             BusGone: The port cannot be opened.
         """
         self.paced_by = Every.hz(settings.rate_hz)
+        self.max_age_s = {BEAT: GAP_S, topics.STEP_PLAN.key: settings.plan_age_s}
         self.stages = Stages()
         self._profile = profile
         self._settings = settings

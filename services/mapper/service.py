@@ -39,6 +39,7 @@ _NEAR = 1.2  # of the camera's least range, up to which a line of sight without 
 _REACH = 0.30  # [m] between a foot and the map under it, beyond which pose and map have nothing to do with each other
 _TOUCH_SIGMA = 0.005  # [m] of the ground's height by a foot: joints, and a sphere that rests beside its lowest point
 _WORST_COVARIANCE = 1e4  # [m^2] and [rad^2] beyond which a pose is none
+_MAX_SCAN_AGE_S = 0.6  # [s] the map of an older scan is too old for a planner
 _LEVEL = 0.01  # [m] by which ground may leave a plane and still go on as it
 
 
@@ -53,6 +54,7 @@ class Mapper:
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Begin with an unknown world."""
         cv2.setNumThreads(1)  # the neighbours need the other cores, and one thread is deterministic
+        self.max_age_s = {topics.SCAN.key: _MAX_SCAN_AGE_S}
         self.stages = Stages()
         self._settings = settings
         self._profile = profile

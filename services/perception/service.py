@@ -31,6 +31,7 @@ _BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothi
 _SILENT_S = 0.5  # [s] without odometry from which nothing is known of what the ground does not show
 _MOVED = 0.01  # [m] or [rad] beyond which no two pictures are the same
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a frame that was overtaken may be late
+_MAX_FRAME_AGE_S = 0.3  # [s] the pose of an older frame is too old for a planner
 
 
 class Perception:
@@ -44,6 +45,7 @@ class Perception:
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Begin without a pose."""
         cv2.setNumThreads(1)  # the neighbours need the other cores, and one thread is deterministic
+        self.max_age_s = {topics.DEPTH.key: _MAX_FRAME_AGE_S}
         self.stages = Stages()
         self._settings = settings
         self._camera = profile.camera

@@ -42,6 +42,7 @@ _MEASURED_NS = 300_000_000  # [ns] of rest in which feet are measured that have 
 _DOUBT_NS = 1_000_000_000  # [ns] that a crossing goes by the legs alone
 _KEPT = 40  # plans remembered besides the newest
 _RENEW_NS = 35_000_000  # [ns] after which the running step is sent once more: the actuator goes on for 180 ms without a plan
+_MAX_STATE_AGE_S = 0.18  # [s] the plan that follows an older state of the legs comes when the actuator has given up waiting
 _NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] by which a command must differ to be another one
 _STILL = 1e-3  # [m/s] and [rad/s]
 _ASKED_AGE_S = 2.0  # by which what is asked may be older than now by its stamp, or ahead: else it is not of now
@@ -65,6 +66,9 @@ class Planner:
 
     def __init__(self, profile: RobotProfile, settings: Settings):
         """Begin with no plan."""
+        self.max_age_s = {topics.ACTUATOR_STATE.key: _MAX_STATE_AGE_S, topics.BODY_POSE.key: settings.pose_age_s}
+        if not settings.blind:
+            self.max_age_s[topics.TERRAIN.key] = settings.map_age_s
         self.stages = Stages()
         self._profile = profile
         self._settings = settings

@@ -26,13 +26,16 @@ from services.simulator.world import TIME_STEP_NS, Factors, World
 from shared import dynamixel as dxl
 from shared import topics
 from shared.bus_fault import BusFault
+from shared.clock import in_use
 from shared.config import ConfigError
 from shared.geometry import Array
 from shared.kinematics import body_inverse
+from shared.lateness import BEAT
 from shared.messages import CameraState, ColorImage, DepthImage, FaultCommand, GroundTruth, Imu, Message, Tick
 from shared.robot import RobotProfile
 from shared.scenario import Scenario, load_scenario
 from shared.service import AnyTopic, Every, Inbox, Stages
+from shared.simulated_time import SimulatedTime
 
 _MAX_LAG_NS = 1_000_000_000  # [ns] how far it may fall behind and catch up; goals written meanwhile take effect in their order
 _STALE_NS = 40_000_000  # [ns] by which a live simulation may be late before its servos fall silent
@@ -60,7 +63,10 @@ class Simulator:
         Raises:
             ConfigError: The scenario breaks a servo that the robot does not have.
         """
-        self.paced_by = Every(_BEAT_NS)
+        clock = in_use()
+        self._time = clock if isinstance(clock, SimulatedTime) else None  # that it grants to all
+        self.paced_by = Every(_BEAT_NS, by_machine=True)  # also while that time stands
+        self.max_age_s = {BEAT: _STALE_NS * 1e-9}
         self.stages = Stages()
         self._profile = profile
         self._settings = settings
@@ -156,6 +162,8 @@ class Simulator:
 
     def step(self, tick: Tick, inbox: Inbox) -> Iterator[Message]:
         """Let physics pass until now; make what falls due on the way."""
+        if self._time is not None:
+            self._time.grant()
         if self._origin_ns is None:
             self._origin_ns = tick.stamp_ns - self.world.time_ns
         for command in inbox.drain(topics.FAULT):

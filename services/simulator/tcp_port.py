@@ -4,11 +4,12 @@ import logging
 import select
 import socket
 import threading
-import time
 from collections.abc import Callable
 from types import TracebackType
 
 from services.simulator.wire import Outbox, Outlet, Reply, Wire
+from shared.clock import now_ns
+from shared.simulated_time import REACTION_NS, SERVO_BUS, hold
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +33,7 @@ class TcpBusServer:
         host: str = "127.0.0.1",
         port: int = 0,
         other_port: int = 0,
-        clock: Callable[[], int] = time.monotonic_ns,
+        clock: Callable[[], int] = now_ns,
         answering: Callable[[int], bool] = lambda _now_ns: True,
         turns_away: bool = False,
     ) -> None:
@@ -43,7 +44,7 @@ class TcpBusServer:
             host: Address to listen on.
             port: Port to listen on, 0 for a free one.
             other_port: Port to listen on when the bus is back under another name, and so to and fro.
-            clock: Bus time [ns]; it must run at real time, for answers are held back until it reaches them.
+            clock: Bus time [ns]; answers are held back until it reaches them. It is never faster than real time.
             answering: Whether the physics is up to date at a bus time [ns]; while it is not, the servos stay silent
                 rather than report where they were some time ago.
             turns_away: Hang up on whoever comes while somebody is connected; else they wait until that one has left.
@@ -130,6 +131,7 @@ class TcpBusServer:
         with client:
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             reason = self._talk(client)
+        hold(SERVO_BUS, None)
         log.info("servo bus client %s left: %s", peer, reason)
 
     def _talk(self, client: socket.socket) -> str:
@@ -153,6 +155,7 @@ class TcpBusServer:
                     with self.lock:
                         answers = self._bus.receive(data, self._clock())
                     outbox.put(answers if self._answering(self._clock()) else ())
+                    hold(SERVO_BUS, None if outbox.due_ns is None else outbox.due_ns + REACTION_NS)
                 for door in doors:
                     if door in ready:  # and the client is still there
                         other, peer = door.accept()

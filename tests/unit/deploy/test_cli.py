@@ -230,10 +230,10 @@ def test_a_live_run_and_the_demo_end_as_the_walk_does(
 ) -> None:
     from deploy.runs import live_run
 
-    asked: list[tuple[str, str, int]] = []
+    asked: list[tuple[str, str, int, bool]] = []
 
-    def walk(scenario: Scenario, source: str, seed: int, *_: object) -> live_run.Outcome:
-        asked.append((scenario.name, source, seed))
+    def walk(scenario: Scenario, source: str, seed: int, *_: object, slow_down: bool) -> live_run.Outcome:
+        asked.append((scenario.name, source, seed, slow_down))
         return live_run.Outcome(report(success), presses > 0)
 
     monkeypatch.setattr(live_run, "warm_up", lambda *_: "")
@@ -243,7 +243,31 @@ def test_a_live_run_and_the_demo_end_as_the_walk_does(
     assert cli.main(["demo", "gap", "--out", str(tmp_path)]) == status
     assert ("shows the crossing" in capsys.readouterr().out) == success
     assert cli.main(["run", "flat", "--seed", "5", "--out", str(tmp_path)]) == status
-    assert asked == [("steps", "steps", 3), ("passage1", "passage1", 3), ("flat", "flat", 5)]
+    assert cli.main(["run", "flat", "--slow-down", "--out", str(tmp_path)]) == status
+    demos = [("steps", "steps", 3, True), ("passage1", "passage1", 3, True)]
+    assert asked == [*demos, ("flat", "flat", 5, False), ("flat", "flat", 3, True)]
+
+
+@pytest.mark.parametrize("words", [["--lockstep"], ["--connect", "tcp/127.0.0.1:7447"]])
+def test_only_what_a_run_starts_live_slows_down(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", "flat", "--slow-down", *words]) == 2
+    assert "leave --lockstep and --connect out" in capsys.readouterr().err
+
+
+def test_a_run_on_a_slow_computer_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from deploy.runs import live_run
+
+    slow = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
+    monkeypatch.setattr(live_run, "warm_up", lambda *_: "")
+    monkeypatch.setattr(
+        live_run, "run_live_scenario", lambda *_, **__: live_run.Outcome(replace(report(True), too_slow=slow), False)
+    )
+    assert cli.main(["run", "flat", "--out", str(tmp_path)]) == 0
+    assert f"{slow}; use --lockstep or close programs" in capsys.readouterr().out
+    assert cli.main(["run", "flat", "--json", "--out", str(tmp_path)]) == 0
+    assert json.loads(capsys.readouterr().out)["too_slow"] == slow
 
 
 def test_a_demo_of_another_course_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -159,3 +159,13 @@ def test_one_heap_is_for_who_frees_what_many_hand_on_and_for_nobody_with_a_beat_
     made = process_table.commands(process_table.rows("all", True, page=True), Choices(), ENDPOINTS)
     assert [one.name for one in made if "MALLOC_ARENA_MAX" in one.environment] == ["recorder"]
     assert all(one.environment.items() >= process_table.ENVIRONMENT.items() for one in made)
+
+
+def test_only_a_simulated_run_shares_simulated_time() -> None:
+    file = Path("/a/time")
+    made = commands(rows("all", True), Choices(scenario="flat"), ENDPOINTS, simulated_time=file)
+    assert all(
+        ("--simulated-time", str(file)) == c.arguments[k : k + 2] for c in made if (k := c.arguments.index("--simulated-time"))
+    )
+    with pytest.raises(ValueError, match="needs a simulator"):
+        commands(rows("all", False), Choices(), ENDPOINTS, simulated_time=file)

@@ -1,13 +1,17 @@
 import io
-from dataclasses import replace
+import re
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from deploy.progress import Lines, Monitor, Terminal, View, block, progress_for
 from shared import codec, topics
+from shared.lateness import SlowComputer
+from shared.lockstep import Lockstep
 from shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus
 from shared.profiles import load_profile
-from shared.service import Worker
+from shared.service import Every, Worker
+from tests.support.scripted_service import Scripted
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")
@@ -168,3 +172,54 @@ def test_the_block_is_redrawn_in_place_and_what_is_said_stays_above() -> None:
     assert shown[1].strip().startswith("3.0 s")
     assert "[##########----------]" in shown[1]
     assert shown[2:] == ["  mapper      mapping", "  planner     stepping", "done"]
+
+
+@dataclass
+class Follower(Scripted):
+    """A service that cannot use poses older than 0.4 s."""
+
+    max_age_s: dict[str, float] = field(default_factory=lambda: {topics.BODY_POSE.key: 0.4})
+
+
+def watched(latency_s: float, computer: SlowComputer) -> Monitor:
+    """A monitor after 6 s of lockstep in which poses take some time to arrive."""
+    monitor = Monitor(2.5, computer)
+    poses = Scripted("perception", Every.hz(15), writes=(topics.BODY_POSE,), act=lambda tick, _: [pose(tick.stamp_ns, 0.0)])
+    follower = Follower("planner", Every.hz(25), (topics.BODY_POSE,), act=lambda _, box: (box.latest(topics.BODY_POSE), ())[1])
+    makers = {"perception": lambda: poses, "planner": lambda: follower, "monitor": lambda: monitor}
+    Lockstep(makers, latency_s={topics.BODY_POSE.key: latency_s}).run(6 * S)
+    return monitor
+
+
+def test_inputs_that_arrive_late_are_named_with_what_to_do() -> None:
+    monitor = watched(0.9, SlowComputer())
+    (warning,) = monitor.view.warnings
+    assert re.fullmatch(
+        r"this computer is too slow: poses are (0\.9\d|1\.0) s old, 0\.4 s allowed; use --lockstep or close programs", warning
+    )
+    lateness = monitor.lateness
+    assert 2.0 < lateness.late_s < 6.0
+    ages = lateness.ages()["planner perception/pose"]
+    assert (0.9 < ages.max < 1.1, ages.limit, ages.late) == (True, 0.4, 1.0)
+
+
+def test_inputs_that_arrive_in_time_are_measured_and_no_warning() -> None:
+    monitor = watched(0.05, SlowComputer())
+    assert monitor.view.warnings == ()
+    assert (monitor.lateness.late_s, monitor.lateness.words) == (0.0, "")
+    assert 0.05 < monitor.lateness.ages()["planner perception/pose"].max < 0.2
+
+
+def test_lockstep_blames_no_computer() -> None:
+    monitor = watched(0.9, SlowComputer(real_time=False))
+    assert monitor.view.warnings == ()
+    assert monitor.lateness.ages()["planner perception/pose"].late == 1.0, "it is measured all the same"
+
+
+def test_the_speed_of_simulated_time_is_shown_where_it_is_slow() -> None:
+    slow, real = (View(time_s=1.0, up=True, to_goal=1.0, of_real_time=share) for share in (0.4, 0.99))
+    assert "at 0.40 of real time" in block(slow)[0]
+    assert "of real time" not in block(real)[0]
+    stream = io.StringIO()
+    Lines(stream).update(slow)
+    assert "at 0.40 of real time" in stream.getvalue()

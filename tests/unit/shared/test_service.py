@@ -2,10 +2,12 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import pytest
 
 from shared import codec, topics
+from shared.lateness import BEAT
 from shared.messages import Health, Tick
 from shared.service import QUEUE_LENGTH, AnyTopic, Every, Inbox, Service, Stages, Worker
 from tests.support.scripted_service import Kept, Scripted, order, status, velocity
@@ -271,3 +273,74 @@ def test_a_service_steps_once_for_each_pacing_message() -> None:
         worker.inbox.receive(MODE, codec.encode(order(n)), 0)
     worker.arrived()
     assert [message.sequence for _, message in service.seen] == [0, 1, 2]
+
+
+# ---------------------------------------------------------------------------------------------------- lateness
+
+
+@dataclass
+class Needy(Scripted):
+    """A service that cannot use old inputs."""
+
+    max_age_s: dict[str, float] = field(default_factory=dict)
+
+
+class Desk:
+    """A worker whose clock a test moves, what it sends, and what it states to simulated time."""
+
+    def __init__(self, service: Service) -> None:
+        self.now_ns = 0
+        self.health: list[Health] = []
+        self.limits: list[int | None] = []
+        self.worker = Worker(service, self.send, lambda: self.now_ns, hold=self.limits.append)
+
+    def send(self, topic: AnyTopic, frame: bytes, _at_ns: int) -> None:
+        if topic.type is Health:
+            self.health.append(codec.decode(frame, Health)[0])
+
+
+def test_the_ages_of_inputs_go_out_with_the_health() -> None:
+    service = Needy("planner", Every.hz(10), (VELOCITY, MODE), act=lambda _, box: (box.fresh(VELOCITY), ())[1])
+    service.max_age_s = {VELOCITY.key: 0.2}
+    desk = Desk(service)
+    desk.worker.tick()
+    desk.worker.inbox.receive(VELOCITY, codec.encode(velocity(100 * MS)), 150 * MS)
+    for now_ns in range(200 * MS, 1100 * MS, 100 * MS):
+        desk.now_ns = now_ns
+        desk.worker.tick()
+    assert desk.health[0].inputs == ()
+    (told,) = desk.health[1:]
+    assert told.inputs == (VELOCITY.key,)
+    columns = (told.input_age_s, told.input_arrived_s, told.input_limit_s, told.input_late)
+    assert [float(column[0]) for column in columns] == pytest.approx([0.9, 0.05, 0.2, 7 / 9])
+    assert told.missed_beats == 1, "the one at 100 ms"
+
+
+def test_simulated_time_may_go_on_until_an_input_or_the_beat_would_be_late() -> None:
+    service = Needy("actuator", Every.hz(50), (VELOCITY,), act=lambda _, box: (box.latest(VELOCITY), ())[1])
+    service.max_age_s = {BEAT: 0.2, VELOCITY.key: 0.03}
+    desk = Desk(service)
+    desk.now_ns = 1000 * MS
+    desk.worker.tick()
+    assert desk.limits == [1020 * MS, 1030 * MS], "within a beat, and until the next one is late"
+    desk.worker.inbox.receive(VELOCITY, codec.encode(velocity(1010 * MS)), 1015 * MS)
+    desk.now_ns = 1020 * MS
+    desk.worker.tick()
+    assert desk.limits[2:] == [1040 * MS, 1028 * MS], "three fifths of the age that it may have"
+
+
+def test_a_service_without_limits_has_none_for_simulated_time() -> None:
+    desk = Desk(Scripted("operator", Every.hz(50), (VELOCITY,), act=lambda _, box: (box.latest(VELOCITY), ())[1]))
+    desk.worker.tick()
+    assert desk.limits == []
+
+
+def test_what_paces_a_service_is_an_input_too() -> None:
+    service = Needy("planner", MODE, act=lambda *_: ())
+    service.max_age_s = {MODE.key: 0.5}
+    desk = Desk(service)
+    desk.now_ns = 100 * MS
+    desk.worker.inbox.receive(MODE, codec.encode(order(1)), 90 * MS)
+    desk.worker.arrived()
+    assert desk.limits == [300 * MS, 300 * MS]
+    assert float(desk.health[0].input_age_s[0]) == pytest.approx(0.1)

@@ -1,13 +1,17 @@
+import json
 import threading
 from collections.abc import Iterable, Iterator
 
 import pytest
 
+from deploy.judging import report as reports
 from deploy.launch.launcher import host_router
-from deploy.runs.live_run import Attendants, Faults
+from deploy.runs.attendance import Attendance
+from deploy.runs.live_run import Attendants, Faults, Speed
 from shared import topics
 from shared.messages import Message, ModeCommand, Tick
-from shared.scenario import Fault
+from shared.profiles import load_profile
+from shared.scenario import Fault, load_scenario
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 PATIENCE_S = 20.0
@@ -100,3 +104,51 @@ def test_faults_happen_once_when_their_time_has_come() -> None:
     assert hand.acts == [("freeze", "planner"), ("kill", "mapper"), ("thaw", "planner")]
     assert len(told) == 3
     assert "kill mapper" in told[1]
+
+
+class Clock:
+    """A clock that a test moves [ns]."""
+
+    def __init__(self) -> None:
+        self.now_ns = 0
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+
+def test_the_speed_of_simulated_time_is_that_against_real_time() -> None:
+    simulated, real = Clock(), Clock()
+    speed = Speed(simulated, real)
+    assert (speed.mean(), speed.newest(), speed.words()) == (1.0, 1.0, "")
+    for share in (1.0, 0.25):
+        for _ in range(100):
+            speed.update()
+            real.now_ns += 100_000_000
+            simulated.now_ns += round(share * 100_000_000)
+    speed.update()
+    assert speed.mean() == pytest.approx(0.625)
+    assert speed.newest() == pytest.approx(0.25)
+    assert speed.words() == "simulated time ran at 0.62 of real time: this computer is too slow"
+
+
+SLOW = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
+
+
+@pytest.mark.parametrize(
+    ("late_s", "slowed_down", "reason", "too_slow"),
+    [
+        (0.0, "", "time limit", ""),
+        (1.0, "", "time limit", SLOW),  # a hiccup is no reason of a failure
+        (20.0, "", f"time limit; {SLOW}", SLOW),
+        (0.0, "simulated time ran at 0.40 of real time: this computer is too slow", "time limit", None),
+    ],
+)
+def test_a_run_that_failed_with_late_inputs_says_so(late_s: float, slowed_down: str, reason: str, too_slow: str | None) -> None:
+    attendance = Attendance(load_profile("phantomx_mk2"), load_scenario("flat"), 0, live=True)
+    attendance.monitor.lateness.late_s = late_s
+    attendance.monitor.lateness.words = SLOW if late_s else ""
+    report = attendance.judge(1.0, "time limit", slowed_down=slowed_down)
+    assert (report.success, report.reason) == (False, reason)
+    assert report.too_slow == (slowed_down if too_slow is None else too_slow)
+    assert report.late_s == late_s
+    assert not reports.check(json.loads(reports.to_json(report)))
