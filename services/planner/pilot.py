@@ -148,6 +148,11 @@ class Pilot:
         if self._errand is not None:
             self._errand.reason = reason
 
+    def pause(self) -> None:
+        """Leave out the time until the robot is led again: what held it up is no property of the ground."""
+        if self._errand is not None:
+            self._errand.progress.pause()
+
     def _watch(self, errand: _Errand, target: Array, body: Array, now_ns: int) -> None:
         """Where the robot does not get on the place ahead is one where it cannot go on."""
         assert errand.way is not None

@@ -66,5 +66,9 @@ class Progress:
             return ""
         return f"in {self.astray_s:.0f} s it came no nearer"
 
+    def pause(self) -> None:
+        """Leave out the time until the next update: without fresh data, or plans in time, a robot stands on any ground."""
+        self.now_ns = None
+
     def _begin(self, left: float, error: float) -> None:
         self.left, self.error, self.astray_s, self.changed = left, error, 0.0, False

@@ -1,6 +1,7 @@
 """The planner: Lotriet's state machine of resting and stepping, on the newest map and pose."""
 
 import math
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -40,6 +41,9 @@ _STATUS_PERIOD_NS = 100_000_000
 _TRY_AGAIN_NS = 2_000_000_000  # [ns] after every way of taking a step was refused
 _MEASURED_NS = 300_000_000  # [ns] of rest in which feet are measured that have met ground somewhere
 _DOUBT_NS = 1_000_000_000  # [ns] that a crossing goes by the legs alone
+_UNANSWERED_NS = 300_000_000  # [ns] from a plan to its answer by legs at rest, beyond which it came too late
+_GAP_NS = 500_000_000  # [ns] between two states of the legs, from which the planner was held up
+_POSES = 45  # remembered: 3 s
 _KEPT = 40  # plans remembered besides the newest
 _RENEW_NS = 35_000_000  # [ns] after which the running step is sent once more: the actuator goes on for 180 ms without a plan
 _MAX_STATE_AGE_S = 0.18  # [s] the plan that follows an older state of the legs comes when the actuator has given up waiting
@@ -83,6 +87,8 @@ class Planner:
         self._refusals = Refusals()
         self._asked: VelocityCommand | None = None  # what was commanded when they began
         self._looked_at: tuple[Stride, TerrainMap] | None = None  # for the last retargeting
+        self._poses: deque[BodyPose] = deque(maxlen=_POSES)  # the newest of the last seconds
+        self._stepped_ns = 0
         self._due_ns = 0
         self._renew_ns = 0
         self._step, self._begun_ns = -1, 0  # the running step, or the last, and when it was first heard of
@@ -100,9 +106,14 @@ class Planner:
 
     def step(self, state: ActuatorState, inbox: Inbox) -> Iterator[Message]:
         """Follow the legs; plan when it is time to."""
+        if state.stamp_ns - self._stepped_ns > _GAP_NS:
+            self._pilot.pause()
+        self._stepped_ns = state.stamp_ns
         self._follow(state)
         known = inbox.latest(topics.BODY_POSE)
         if known is not None:
+            if not self._poses or known is not self._poses[-1]:
+                self._poses.append(known)
             self._holes.update(state, known.T_world_odom)
         if state.stamp_ns >= self._due_ns:
             sent = self._plan(state, inbox)
@@ -232,8 +243,10 @@ class Planner:
             return self._hold("blocked", nonsense)
         if self._passage.ordered(goal):
             return self._across(goal, state, pose, terrain, inbox)
+        if self._is_unanswered(state):
+            self._pilot.pause()
         with self.stages("find a way"):
-            found = self._pilot.lead(goal, terrain, pose.T_world_body, body, state.stamp_ns)
+            found = self._pilot.lead(goal, terrain, self._looked_from(terrain, pose), body, state.stamp_ns)
         if isinstance(found, NoWay):
             return self._across(goal, state, pose, terrain, inbox, found.reason)
         if not found.commands:
@@ -242,6 +255,17 @@ class Planner:
         if sent is None:
             self._pilot.note(self._reason)
         return sent
+
+    def _is_unanswered(self, state: ActuatorState) -> bool:
+        """Whether legs at rest neither walk a plan of the next step nor refuse it for what it asks: plans come too late."""
+        sent = next((s for s in self._sent if s.plan.step == state.step + 1), None)
+        waits = sent is not None and state.phase >= 1.0 and not self._refusals.count
+        return waits and sent is not None and state.stamp_ns - sent.plan.stamp_ns > _UNANSWERED_NS
+
+    def _looked_from(self, terrain: Terrain, pose: BodyPose) -> Array:
+        """The body (4, 4) {world} when the newest scan of a map was taken, as far as poses are remembered."""
+        stamp_ns = terrain.map.stamp_ns
+        return min(self._poses, key=lambda known: abs(known.stamp_ns - stamp_ns), default=pose).T_world_body
 
     def _walk_by(self, found: Heading, state: ActuatorState, pose: BodyPose, terrain: Terrain) -> "_Sent | None":
         """The next step by the first command that can be walked, and what leads it, in words."""
@@ -425,7 +449,9 @@ class Planner:
         return _Sent(plan, stride, way)
 
     def _hold(self, state: State, reason: str, leg: int = -1) -> "_Sent | None":
-        """No plan, and why."""
+        """No plan, and why; time for which data or a command is missing does not count as standing still."""
+        if state in ("waiting", "resting"):
+            self._pilot.pause()
         self._state, self._reason, self._blocked_leg = state, reason, leg
         return None
 

@@ -71,3 +71,11 @@ def test_a_pause_is_no_standstill() -> None:
 def test_who_is_asked_to_walk_slowly_may() -> None:
     progress = Progress()
     assert not any(progress.update(t * S, np.array([0.005 * t, 0.0, 0.0]), 3.0 - 0.005 * t, 0.0, 0.005) for t in range(100))
+
+
+def test_time_without_data_is_not_time_without_progress() -> None:
+    progress, place = Progress(), np.zeros(3)
+    for second in range(60):
+        progress.pause()
+        assert progress.update(second * 10**9, place, 1.0, 0.0, 0.1) == ""
+    assert [bool(progress.update((60 + second) * 10**9, place, 1.0, 0.0, 0.1)) for second in range(4)] == [False] * 3 + [True]

@@ -10,6 +10,7 @@ import pytest
 
 from services.planner.config import Settings
 from services.planner.pilot import Heading
+from services.planner.route import NoWay
 from services.planner.service import Planner
 from services.planner.stride import SHARES, Blocked
 from services.planner.terrain import Terrain, flat_terrain
@@ -721,3 +722,75 @@ def test_on_mapped_ground_it_turns_on_the_spot() -> None:
     assert rig.pose is not None
     a_step = np.radians(Settings().max_turn_deg)
     assert yaw_of(rig.pose.T_world_body) == pytest.approx((40 * a_step + np.pi) % (2 * np.pi) - np.pi)
+
+
+def stands_before_a_goal(hold_up: Callable[["Rig", int], None]) -> str:
+    """The last reason of a planner with a goal on level ground whose robot never moves; `hold_up` delays each cycle."""
+    rig = Rig()
+    rig.command, rig.goal = None, GOAL
+    for cycle in range(500):
+        hold_up(rig, cycle)
+        rig.cycle()
+    hold_up(rig, 0)
+    return rig.status().reason
+
+
+GOAL = Goal(0, np.array([[1.0, 0.0]]), 0.03, 0.06, HEIGHT, 0.04)
+DATA = {"terrain": FLAT, "pose": Rig().pose}
+
+
+@pytest.mark.parametrize("name", DATA)
+def test_ground_is_not_closed_for_data_that_come_late(name: str) -> None:
+    def hold_up(rig: Rig, cycle: int) -> None:
+        setattr(rig, name, DATA[name] if cycle % 100 < 30 else None)  # for 1.4 s out of 2 s nothing comes
+
+    assert "stuck" not in stands_before_a_goal(hold_up)
+
+
+def test_ground_is_not_closed_for_plans_that_come_too_late_for_the_legs() -> None:
+    assert "stuck" not in stands_before_a_goal(lambda *_: None), "they neither walk a plan nor refuse it"
+
+
+def test_ground_is_not_closed_for_a_planner_that_is_held_up() -> None:
+    def hold_up(rig: Rig, cycle: int) -> None:
+        rig.now_ns += 2_000 * MS * (cycle % 25 == 0)
+
+    assert "stuck" not in stands_before_a_goal(hold_up)
+
+
+def test_ground_that_the_legs_refuse_is_closed() -> None:
+    def refuse(rig: Rig, _: int) -> None:
+        newest = max((m.stamp_ns for m in sent), default=-1)
+        rig.state = replace(rig.state, refused_ns=newest, refused="the foot would be out of reach")
+
+    rig, sent = Rig(), list[StepPlan]()
+    rig.command, rig.goal = None, GOAL
+    for cycle in range(1000):
+        refuse(rig, cycle)
+        sent += [m for m in rig.cycle() if isinstance(m, StepPlan)]
+    assert "stuck" in rig.planner.doing()
+
+
+def test_where_the_camera_looked_is_where_the_robot_was_when_the_map_was_made() -> None:
+    rig, seen = Rig(), list[tuple[int, float]]()
+    rig.command, rig.goal = None, GOAL
+
+    def lead(_goal: Goal, _terrain: Terrain, looked: Array, _body: Array, now_ns: int) -> NoWay:
+        seen.append((now_ns, float(looked[0, 3])))
+        return NoWay("looking")
+
+    rig.planner._pilot.lead = lead  # type: ignore[method-assign, assignment]
+    begun_ns = rig.now_ns + 20 * MS
+    for cycle in range(40):
+        assert rig.pose is not None
+        rig.pose = replace(rig.pose, T_world_body=standing(0.01 * cycle))
+        rig.now_ns += 20 * MS
+        pose = replace(rig.pose, stamp_ns=rig.now_ns)
+        map_ = replace(FLAT, stamp_ns=rig.now_ns - 200 * MS)
+        rig.inbox.now_ns = rig.now_ns
+        for message in (pose, map_, replace(GOAL, stamp_ns=rig.now_ns)):
+            rig.inbox.receive(topics.OF_TYPE[type(message)], codec.encode(message), rig.now_ns)
+        rig.state = replace(rig.state, stamp_ns=rig.now_ns)
+        list(rig.planner.step(rig.state, rig.inbox))
+    now_ns, x = seen[-1]
+    assert x == pytest.approx(0.01 * ((now_ns - begun_ns) // (20 * MS) - 10)), "0.2 s are ten cycles"
