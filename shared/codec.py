@@ -234,12 +234,23 @@ def _value_decoder(where: str, base: Any) -> _FieldDecoder:
                 raise DecodeError(f"{where}: one of {[str(b) for b in enum]} expected, found {value!r:.40}") from None
         if base is float and type(value) is int:
             return float(value)
+        if isinstance(value, str):
+            _check_length(where, value)
         return value
 
     def decode_texts(_frame: bytes, _arrays: int, value: Any) -> Any:
+        for text in value if isinstance(value, list) else ():
+            if isinstance(text, str):
+                _check_length(where, text)
         return tuple(value) if isinstance(value, list) else value
 
     return decode_texts if base is tuple else decode_value
+
+
+def _check_length(where: str, text: str) -> None:
+    """Refuse a text that no message may have; of the sender's own it would have been cut."""
+    if len(text) > MAX_TEXT:
+        raise DecodeError(f"{where}: a text of at most {MAX_TEXT} characters expected, found {len(text)}")
 
 
 def _array_decoder(where: str, dtype: np.dtype[Any], ndim: int) -> _FieldDecoder:

@@ -97,7 +97,11 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Base of all messages: what is checked is what the annotations say."""
+    """Base of all messages: what is checked is what the annotations say.
+
+    A text that is too long is cut: reasons quote names and reasons of others, and must not end the service that gives them. A
+    frame with such a text is refused (`shared.codec`).
+    """
 
     stamp_ns: int  # [ns] when the world was as described; copied through every stage
 
@@ -105,6 +109,9 @@ class Message:
         lengths: dict[str, int] = {}
         for name, check in _checks(type(self)):
             problem = check(getattr(self, name), lengths)
+            if problem and (fitted := _fitted(getattr(self, name))) is not None:
+                object.__setattr__(self, name, fitted)
+                problem = check(fitted, lengths)
             if problem:
                 raise ValueError(f"{type(self).__name__}.{name}: {problem}")
 
@@ -574,6 +581,16 @@ def _check(kind: Any, detail: Any) -> Check:
     if kind in plain:
         return plain[kind]
     return lambda value, _: "" if isinstance(value, kind) else f"{kind.__name__} expected, found {value!r:.40}"
+
+
+def _fitted(value: Any) -> str | tuple[str, ...] | None:
+    """A text, or a tuple of texts, with what a message cannot carry left out; None for any other value."""
+    if isinstance(value, str):
+        text = value.encode("utf-8", "replace").decode("utf-8")
+        return text if len(text) <= MAX_TEXT else f"{text[: MAX_TEXT - 3]}..."
+    if isinstance(value, tuple) and all(isinstance(v, str) for v in value):
+        return tuple(_fitted(v) for v in value[:MAX_ITEMS])  # type: ignore[misc]
+    return None
 
 
 def _check_texts(value: Any, _: dict[str, int]) -> str:

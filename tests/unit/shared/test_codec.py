@@ -199,6 +199,15 @@ def test_a_depth_frame_costs_little_memory_to_decode() -> None:
     assert _peak(lambda: codec.decode(frame, m.DepthImage)) < 20_000  # of 614 kB
 
 
+@pytest.mark.parametrize("name", ["reason", "warnings"])
+def test_a_frame_with_a_text_that_is_too_long_is_refused_and_not_cut(name: str) -> None:
+    message = example(m.ActuatorState)
+    long = "x" * (m.MAX_TEXT + 1)
+    object.__setattr__(message, name, (long,) if name == "warnings" else long)
+    with pytest.raises(codec.DecodeError, match=f"{name}: a text of at most {m.MAX_TEXT} characters expected, found 2001"):
+        codec.decode(codec.encode(message), m.ActuatorState)
+
+
 def test_schemas_have_different_names() -> None:
     assert len({codec.schema_id(kind) for kind in KINDS}) == len(KINDS)
 

@@ -11,7 +11,7 @@ from shared import messages as m
 from shared import topics
 from shared.messages import Message
 
-KINDS = [topic.type for topic in topics.TOPICS]
+KINDS = list(topics.OF_TYPE)
 
 
 def example(kind: type[Message]) -> Message:
@@ -99,13 +99,13 @@ def test_truth_is_true_or_false(kind: type[Message], name: str, _: Any, value: o
 
 
 @pytest.mark.parametrize(("kind", "name", "_"), fields_with(str))
-@pytest.mark.parametrize("value", [0, None, b"text", "x" * (m.MAX_TEXT + 1), "half a pair \ud800"])
+@pytest.mark.parametrize("value", [0, None, b"text"])
 def test_texts_are_short_and_can_be_encoded(kind: type[Message], name: str, _: Any, value: object) -> None:
     refused(example(kind), name, value)
 
 
 @pytest.mark.parametrize(("kind", "name", "_"), fields_with(tuple))
-@pytest.mark.parametrize("value", [["text"], (1,), ("x" * (m.MAX_TEXT + 1),), ("",) * (m.MAX_ITEMS + 1), "text", ("\udfff",)])
+@pytest.mark.parametrize("value", [["text"], (1,), ("x", 1), "text"])
 def test_lists_are_tuples_of_texts(kind: type[Message], name: str, _: Any, value: object) -> None:
     refused(example(kind), name, value)
 
@@ -159,3 +159,14 @@ def test_a_goal_has_a_waypoint_and_not_too_many() -> None:
     for n in (0, m.MAX_WAYPOINTS + 1):
         assert f"found {n}" in refused(goal, "waypoints", np.zeros((n, 2)))
     dataclasses.replace(goal, waypoints=np.zeros((m.MAX_WAYPOINTS, 2)))  # type: ignore[call-arg]
+
+
+def test_a_text_that_no_frame_may_carry_is_cut_where_the_message_is_made() -> None:
+    """What a service quotes of others ends no service."""
+    status = m.PlannerStatus(0, "waiting", "x" * (m.MAX_TEXT + 1), 0, 0, -1)
+    assert status.reason == "x" * (m.MAX_TEXT - 3) + "..."
+    assert dataclasses.replace(status, reason="half a pair \ud800").reason == "half a pair ?"
+    long = ("y" * (m.MAX_TEXT + 1), *("z",) * m.MAX_ITEMS)
+    state = dataclasses.replace(example(m.ActuatorState), warnings=long)  # type: ignore[call-arg]
+    assert len(state.warnings) == m.MAX_ITEMS
+    assert max(map(len, state.warnings)) == m.MAX_TEXT
