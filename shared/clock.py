@@ -14,7 +14,8 @@ from contextlib import contextmanager
 _WINDOW_NS = 10_000_000_000  # over which the shortest way is looked for, and up to twice that: clocks drift by 0.1 ms in it
 _BRACKET_NS = 1_000_000  # widest bracket of a reading of the boot clock
 _READINGS = 3  # attempts of one call
-_REBOOT_NS = 10_000_000_000  # by which what is said of the robot's time goes back only where its clock began anew
+_REBOOT_NS = 10_000_000_000  # by which the robot's time jumps only where its clock began anew, or this machine was suspended
+_SURE_NS = 2_000_000_000  # for which all that comes has to agree on such a jump
 
 
 class ClockError(RuntimeError):
@@ -35,14 +36,19 @@ class RobotClock:
         self._ahead_ns: list[int] = []  # the most by which the robot's was ahead, in this window and the last
         self._window_ends_ns = 0
         self._newest_ns = 0  # that the robot has said
+        self._jump: tuple[int, int] | None = None  # another time that is claimed: ahead by [ns], first at [ns]
         self._told_ns = 0  # that this clock has told
         self._began_anew = False
 
     def heard(self, sent_ns: int) -> None:
-        """Something came just now that the robot sent at a time [ns] of its clock."""
+        """Something came just now that the robot sent at a time [ns] of its clock.
+
+        A time that is far from what is known is a claim, and believed once all that has come for a while agrees with it.
+        """
         with self._lock:
             own_ns = self._own()
-            self._began_anew |= sent_ns < self._newest_ns - _REBOOT_NS
+            if not self._believes(sent_ns, own_ns):
+                return
             self._newest_ns = max(self._newest_ns, sent_ns)
             ahead_ns = sent_ns - own_ns
             if not self._ahead_ns:
@@ -51,6 +57,22 @@ class RobotClock:
                 self._ahead_ns, self._window_ends_ns = [ahead_ns, self._ahead_ns[0]], own_ns + _WINDOW_NS
             else:
                 self._ahead_ns[0] = max(self._ahead_ns[0], ahead_ns)
+
+    def _believes(self, sent_ns: int, own_ns: int) -> bool:
+        """Whether a time counts; a jump back that is believed ends this clock, one ahead begins it anew."""
+        if not self._ahead_ns or sent_ns == self._newest_ns:
+            return True
+        back, ahead_ns = sent_ns < self._newest_ns - _REBOOT_NS, sent_ns - own_ns
+        if not back and ahead_ns <= max(self._ahead_ns) + _REBOOT_NS:
+            self._jump = None
+            return True
+        if self._jump is None or abs(ahead_ns - self._jump[0]) > _REBOOT_NS:
+            self._jump = ahead_ns, own_ns
+        if own_ns - self._jump[1] < _SURE_NS:
+            return False
+        self._began_anew |= back
+        self._ahead_ns, self._jump = [], None
+        return True
 
     @property
     def known(self) -> bool:

@@ -10,6 +10,9 @@ Sending copies an array once, into the frame; receiving does not copy: arrays ar
 as packed are the exception: [dtype, [length, ...], offset, bytes] names a Zstandard frame of their differences along the first
 axis, zigzag coded, low bytes before high ones, which unpacking turns into an array of its own. `schema` is a hash of the
 message's declaration, so two versions that disagree refuse each other by name instead of misreading.
+
+What a frame holds is a claim. Decoding refuses, beyond what a message checks by itself, poses that are no rotation and
+translation, and numbers so large that whatever is computed with them overflows.
 """
 
 import hashlib
@@ -37,6 +40,8 @@ _HEADER = [str, int, int, list]
 _FEW = 256  # bytes: up to there an array is not worth making
 _TRUTH_VALUES = b"\0\1"
 _MAX_UNPACKED = 1 << 24  # [bytes] of a packed array
+MAX_NUMBER = 1e12  # size of a number from a frame, where it must be finite: products of such numbers are finite, too
+_RIGID = 1e-4  # by which the rotation of a pose from a frame may be none
 _compress, _decompress = zstandard.ZstdCompressor(level=1).compress, zstandard.ZstdDecompressor().decompress
 
 
@@ -114,9 +119,13 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
     arrays = start + (-start % _ALIGNMENT)
     decoded = [field.decode(frame, arrays, value) for field, value in zip(layout.fields, values, strict=True)]
     try:
-        return kind(*decoded), Timing(began_ns, sent_ns)
+        message = kind(*decoded)
     except ValueError as error:
         raise DecodeError(str(error)) from None
+    for where, check, index in layout.claims:
+        if problem := check(decoded[index]):
+            raise DecodeError(f"{where}: {problem}")
+    return message, Timing(began_ns, sent_ns)
 
 
 def label(frame: bytes) -> Label:
@@ -147,6 +156,7 @@ class _Layout:
 
     schema_id: str
     fields: tuple[_Field, ...]
+    claims: tuple[tuple[str, Callable[[Any], str], int], ...]  # name of a field, what is wrong with its value, its number
 
 
 _LAYOUTS: dict[type[Message], _Layout] = {}
@@ -158,8 +168,39 @@ def _layout(kind: type[Message]) -> _Layout:
         fields = schema(kind)
         declaration = repr([(name, str(base), str(detail)) for name, base, detail in fields])
         name = f"{kind.__name__}:{hashlib.blake2s(declaration.encode(), digest_size=4).hexdigest()}"
-        known = _LAYOUTS[kind] = _Layout(name, tuple(_field(kind, *field) for field in fields))
+        checks = [(f"{kind.__name__}.{field[0]}", _claim_check(*field[1:]), k) for k, field in enumerate(fields)]
+        claims = tuple((where, check, k) for where, check, k in checks if check is not None)
+        known = _LAYOUTS[kind] = _Layout(name, tuple(_field(kind, *field) for field in fields), claims)
     return known
+
+
+def _claim_check(base: Any, detail: Any) -> Callable[[Any], str] | None:
+    """What says how a value of a frame cannot be meant, beyond what its message checks; None where everything may be."""
+    if base is float:
+        return lambda value: "" if abs(value) <= MAX_NUMBER else f"a number of at most {MAX_NUMBER:g} expected, found {value:g}"
+    if base is np.ndarray and detail[0].kind == "f" and detail[1].finite:
+        return _pose_problem if detail[1].shape == (4, 4) else _size_problem
+    return None
+
+
+def _size_problem(value: NDArray[Any]) -> str:
+    # A small sum of squares proves it at a third of the cost; a large one proves nothing.
+    if np.vdot(value, value) <= MAX_NUMBER**2 or not (largest := float(np.abs(value).max(initial=0.0))) > MAX_NUMBER:
+        return ""
+    return f"numbers of at most {MAX_NUMBER:g} expected, found {largest:g}"
+
+
+def _pose_problem(value: NDArray[Any]) -> str:
+    """As plain floats: a pose comes every few milliseconds."""
+    x, y, z, last = value.tolist()
+    (a, b, c, _), (d, e, f, _), (g, h, i, _) = x, y, z
+    off = (a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0)
+    skew = (a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)
+    det = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    if not (max(map(abs, off + skew)) <= _RIGID and det > 0.0 and last == [0.0, 0.0, 0.0, 1.0]):
+        return "a pose expected, a rotation and a translation (4, 4)"
+    far = max(abs(x[3]), abs(y[3]), abs(z[3]))
+    return f"numbers of at most {MAX_NUMBER:g} expected, found {far:g}" if far > MAX_NUMBER else ""
 
 
 def _field(kind: type[Message], name: str, base: Any, detail: Any) -> _Field:

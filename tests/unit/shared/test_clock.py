@@ -67,9 +67,35 @@ def test_a_robot_that_was_switched_off_is_another_time() -> None:
     robot.heard(5000 * SEC)
     robot.heard(4995 * SEC)  # only late
     robot()
-    robot.heard(3 * SEC)
+    off_ns = own.now_ns
     with pytest.raises(ClockError, match="began anew"):
-        robot()
+        while own.now_ns < off_ns + 4 * SEC:
+            robot()
+            robot.heard(own.now_ns - 997 * SEC)
+            own.now_ns += 40 * MS
+    assert own.now_ns > off_ns + 2 * SEC, "before that it was a claim"
+
+
+@pytest.mark.parametrize("claim_ns", [0, -(1 << 62), 1 << 62, 5000 * SEC + 3600 * SEC])
+def test_a_claim_of_another_time_is_not_believed_while_the_robot_says_what_time_it_is(claim_ns: int) -> None:
+    own = Own(1000 * SEC)
+    robot = RobotClock(own)
+    for _ in range(500):
+        robot.heard(own.now_ns + 4000 * SEC)
+        robot.heard(claim_ns)
+        robot.heard(claim_ns + own.now_ns)
+        assert robot() == own.now_ns + 4000 * SEC
+        own.now_ns += 40 * MS
+
+
+def test_a_machine_that_was_suspended_finds_the_robot_ahead() -> None:
+    own = Own(1000 * SEC)
+    robot = RobotClock(own)
+    for lost_s in (0, 3600):
+        for _ in range(60):
+            robot.heard(own.now_ns + (4000 + lost_s) * SEC)
+            own.now_ns += 40 * MS
+        assert robot() == own.now_ns + (4000 + lost_s) * SEC
 
 
 def test_a_process_goes_by_its_machines_clock_unless_it_is_told_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:

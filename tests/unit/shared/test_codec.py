@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from shared import codec, topics
 from shared import messages as m
+from shared.geometry import from_xyz_rpy
 from shared.messages import Message
 
 KINDS = list(topics.OF_TYPE)
@@ -29,8 +30,16 @@ def field_values(base: Any, detail: Any, lengths: dict[str, int]) -> st.SearchSt
         dtype, dims = detail
         shape = tuple(n if isinstance(n, int) else lengths[n] for n in dims.shape)
         elements = None if dims.most is None else st.integers(0, dims.most)
-        if dtype.kind == "f":
-            elements = st.floats(width=8 * dtype.itemsize, allow_nan=not dims.finite, allow_infinity=not dims.finite)
+        if dims.shape == (4, 4):
+            return hnp.arrays(np.float64, 3, elements=st.floats(-codec.MAX_NUMBER, codec.MAX_NUMBER)).map(
+                lambda xyz: from_xyz_rpy(tuple(xyz), np.array([0.1, -0.2, 3.0]))
+            )
+        if dtype.kind == "f" and dims.finite:
+            elements = (
+                st.floats(-1e12, 1e12, width=8 * dtype.itemsize) if dtype.itemsize == 8 else st.floats(-1.0, 1.0, width=32)
+            )
+        elif dtype.kind == "f":
+            elements = st.floats(width=8 * dtype.itemsize, allow_nan=True, allow_infinity=True)
         return hnp.arrays(dtype, shape, elements=elements, fill=None if elements is None else st.just(dtype.type(0)))
     if base is tuple:
         return st.lists(texts, max_size=4).map(tuple)
@@ -40,7 +49,7 @@ def field_values(base: Any, detail: Any, lengths: dict[str, int]) -> st.SearchSt
         return st.sampled_from(detail)
     plain: dict[Any, st.SearchStrategy[Any]] = {
         int: int64,
-        float: st.floats(allow_nan=False, allow_infinity=False),
+        float: st.floats(-codec.MAX_NUMBER, codec.MAX_NUMBER),
         bool: st.booleans(),
         str: texts,
     }
@@ -62,7 +71,8 @@ def example(kind: type[Message]) -> Message:
     for name, base, detail in m.schema(kind):
         if base is np.ndarray:
             free = min(3, (detail[1].lengths or (0, 3))[1])
-            values[name] = np.ones([n if isinstance(n, int) else free for n in detail[1].shape], detail[0])
+            ones = np.ones([n if isinstance(n, int) else free for n in detail[1].shape], detail[0])
+            values[name] = np.eye(4) if detail[1].shape == (4, 4) else ones
         elif base is tuple:
             values[name] = ("text",)
         elif isinstance(base, type) and issubclass(base, StrEnum):
@@ -197,6 +207,44 @@ def test_a_depth_frame_costs_little_memory_to_decode() -> None:
     frame = codec.encode(m.DepthImage(1, np.ones((480, 640), np.uint16)))
     codec.decode(frame, m.DepthImage)
     assert _peak(lambda: codec.decode(frame, m.DepthImage)) < 20_000  # of 614 kB
+
+
+def pose_of(change: Any) -> Any:
+    """A pose, something of which is changed."""
+    T = np.eye(4)
+    change(T)
+    return T
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda T: T.fill(0.0),
+        lambda T: T.__setitem__((0, 0), -1.0),  # a mirror
+        lambda T: T.__setitem__((slice(3), slice(3)), 1.001 * np.eye(3)),
+        lambda T: T.__setitem__((3, 0), 1e-3),
+        lambda T: T.__setitem__((0, 1), 0.01),
+        lambda T: T.fill(1.7e308),
+    ],
+)
+def test_a_pose_in_a_frame_is_a_rotation_and_a_translation(change: Any) -> None:
+    frame = codec.encode(dataclasses.replace(example(m.Odometry), T_odom_body=pose_of(change)))  # type: ignore[call-arg]
+    assert refusal(frame, m.Odometry).startswith("Odometry.T_odom_body: a pose expected")
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes"),
+    [
+        (m.Odometry, {"travelled": 1.1e12}),
+        (m.Odometry, {"T_odom_body": pose_of(lambda T: T.__setitem__((0, 3), -1.1e12))}),
+        (m.BodyPose, {"covariance": np.full((6, 6), 1e300)}),
+        (m.PassagePlan, {"edges": np.full((1, 2, 3), 1e30, np.float32)}),
+    ],
+)
+def test_a_number_in_a_frame_is_small_enough_to_compute_with(kind: type[Message], changes: dict[str, Any]) -> None:
+    frame = codec.encode(dataclasses.replace(example(kind), **changes))
+    assert f"at most {codec.MAX_NUMBER:g} expected" in refusal(frame, kind)
+    codec.decode(codec.encode(dataclasses.replace(example(m.BodyPose), covariance=np.full((6, 6), 1e12))), m.BodyPose)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("name", ["reason", "warnings"])

@@ -79,7 +79,7 @@ def test_what_goes_out_is_stamped_and_numbered_by_the_robots_clock_also_after_it
     assert all(0 <= desk.now + hour - m.stamp_ns <= 61 * 20 * MS for m in desk.said)
     assert orders[0].sequence > hour
     desk.ahead = 0
-    desk.drive(20)
+    desk.drive(102)  # two seconds, in which that is a claim, and a moment
     assert desk.words[-1].startswith("the robot's clock began anew"), "the Twists that come now move nothing"
     assert not desk.lead.leading
     desk.rest(30)

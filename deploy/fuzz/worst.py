@@ -1,0 +1,156 @@
+"""Well-formed messages with extreme values: what somebody may publish whose certificate is good and whose words are not.
+
+A message is made of an example, one to three of whose fields are replaced. So it passes the schema, and reaches the code that
+has to judge what it means.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+from random import Random
+from typing import Any
+
+import numpy as np
+
+from deploy.fuzz import made
+from shared import codec
+from shared.messages import MAX_ITEMS, MAX_TEXT, Dims, Message, schema
+from shared.service import AnyTopic
+
+_LARGEST = (1 << 63) - 1
+_INTS = (0, 1, -1, 2, 255, 1 << 31, 10**9, 1 << 62, _LARGEST, -_LARGEST)
+_AGES_NS = tuple(round(s * 1e9) for s in (0.0, 0.0, 0.0, -0.4, 0.1, 1.9, 3.0, -1.9, -3.0, -60.0, 60.0, -86400.0, 86400.0))
+_FLOATS = (0.0, -0.0, 5e-324, 1e-9, -1e-9, 0.5, -0.5, 1.0, -1.0, math.pi, 1e3, -1e3, 1e6, -1e9, 1e12, -1e12)
+_WILD = (1e19, 1e30, 3e38)  # where numbers need not be finite
+_TEXTS = (
+    "",
+    "x" * MAX_TEXT,
+    "\U0001f9ed" * 400,
+    "operator",
+    "console 1 at robot:8080",
+    "router of viewer",
+    "actuator",
+    "\x1b[31m\r\n\t\0<script>",
+    "../../etc/passwd",
+    " ",
+)
+_FREE_LENGTHS = (0, 1, 2, 7, 64, 400, 3000)
+_FIELDS = (1, 1, 1, 2, 3)  # that are replaced
+_TRIES = 20  # for a message that is well formed and not too large
+
+
+def worst(topic: AnyTopic, examples: Sequence[Message], now_ns: int, rng: Random) -> Message:
+    """A well-formed message of a topic, some of whose fields have extreme values.
+
+    Args:
+        topic: Whose message it is.
+        examples: Good messages of the topic; without one, one is made from the declaration.
+        now_ns: [ns] the robot's time, near which some stamps are.
+        rng: What is drawn from.
+    """
+    for _ in range(_TRIES):
+        example = rng.choice(examples) if examples else codec.decode(made.frame(topic.type, rng), topic.type)[0]
+        fields = schema(topic.type)
+        chosen = {name for name, _, _ in rng.sample(fields, min(len(fields), rng.choice(_FIELDS)))}
+        lengths: dict[str, int] = {}
+        values = {name: _value(base, detail, lengths, now_ns, rng) for name, base, detail in fields if name in chosen}
+        values |= {
+            name: _value(base, detail, lengths, now_ns, rng)
+            for name, base, detail in fields
+            if name not in chosen and base is np.ndarray and set(detail[1].shape) & lengths.keys()
+        }  # their lengths have to agree
+        if "stamp_ns" not in chosen and rng.random() < 0.8:
+            values["stamp_ns"] = now_ns
+        try:
+            message = replace(example, **values)
+        except ValueError:
+            continue
+        try:
+            codec.decode(codec.encode(message), topic.type, topic.max_bytes)
+        except codec.DecodeError:
+            continue
+        return message
+    return replace(example, stamp_ns=now_ns)
+
+
+def _value(base: Any, detail: Any, lengths: dict[str, int], now_ns: int, rng: Random) -> Any:
+    if base is np.ndarray:
+        dtype, dims = detail
+        return _array(dtype, dims, lengths, rng)
+    if base is tuple:
+        return tuple(rng.choices(_TEXTS, k=rng.choice((0, 1, 20, MAX_ITEMS))))
+    if isinstance(base, type) and issubclass(base, StrEnum):
+        return rng.choice(list(base))
+    if isinstance(detail, tuple):
+        return rng.choice(detail)
+    if base is bool:
+        return rng.random() < 0.5
+    if base is int:
+        return max(-_LARGEST, min(rng.choice((now_ns + rng.choice(_AGES_NS), rng.choice(_INTS))), _LARGEST))
+    return rng.choice(_TEXTS) if base is str else rng.choice(_FLOATS)
+
+
+def _array(dtype: np.dtype[Any], dims: Dims, lengths: dict[str, int], rng: Random) -> Any:
+    least, most = dims.lengths or (0, max(_FREE_LENGTHS))
+    fits = [n for n in _FREE_LENGTHS if least <= n <= most] or [least]
+    shape = [n if isinstance(n, int) else lengths.setdefault(n, rng.choice(fits)) for n in dims.shape]
+    if shape == [4, 4]:
+        return _pose(rng)
+    if shape == [6, 6]:
+        return _covariance(rng)
+    return _filled(shape, dtype, dims, rng)
+
+
+def _filled(shape: list[int], dtype: np.dtype[Any], dims: Dims, rng: Random) -> Any:
+    if dtype.kind == "b":
+        return np.full(shape, rng.random() < 0.5) if rng.random() < 0.7 else _drawn(rng).random(shape) < 0.5
+    if dtype.kind in "iu":
+        limits = np.iinfo(dtype)
+        most = limits.max if dims.most is None else dims.most
+        if rng.random() < 0.3:
+            return _drawn(rng).integers(max(limits.min, -most), most, shape, dtype, endpoint=True)
+        return np.full(shape, rng.choice((0, 1, most, limits.min)), dtype)
+    largest = float(np.finfo(dtype).max)
+    values = [f for f in _FLOATS if abs(f) <= largest] + ([] if dims.finite else [*_WILD, math.nan, math.inf, -math.inf])
+    if rng.random() < 0.3:
+        return (_drawn(rng).normal(size=shape) * min(abs(rng.choice(_FLOATS)), 1e6)).astype(dtype)
+    filled = np.full(shape, rng.choice(values), dtype)
+    if filled.size and rng.random() < 0.3:
+        filled.flat[rng.randrange(filled.size)] = rng.choice(values)
+    return filled
+
+
+def _pose(rng: Random) -> Any:
+    """(4, 4): far away, on its side or upside down, or barely a pose."""
+    T = np.eye(4)
+    match rng.randrange(4):
+        case 0:
+            T[:3, 3] = rng.choice(_FLOATS)
+        case 1:
+            T[rng.randrange(3), 3] = rng.choice((0.05, -0.05, 1.0, 1e3, -1e3, 1e9))
+        case 2:
+            angle, (i, j) = rng.choice((0.02, 0.3, math.pi / 2, math.pi)), rng.choice(((0, 1), (1, 2), (2, 0)))
+            T[[i, j], [i, j]], T[i, j], T[j, i] = math.cos(angle), -math.sin(angle), math.sin(angle)
+        case _:
+            T[:3, :3] *= 1.0 + 4e-5 * rng.choice((-1.0, 1.0))  # as far from a rotation as frames may be
+    return T
+
+
+def _covariance(rng: Random) -> Any:
+    """(6, 6): of nothing, negative, huge, lopsided, or of mixed signs."""
+    match rng.randrange(5):
+        case 0:
+            return np.zeros((6, 6))
+        case 1:
+            return np.eye(6) * rng.choice(_FLOATS)
+        case 2:
+            return np.full((6, 6), rng.choice(_FLOATS))
+        case 3:
+            return np.triu(np.full((6, 6), rng.choice((1e-6, 1.0, 1e12))))
+        case _:
+            return np.diag([rng.choice(_FLOATS) for _ in range(6)])
+
+
+def _drawn(rng: Random) -> np.random.Generator:
+    return np.random.default_rng(rng.randrange(1 << 32))
