@@ -87,7 +87,8 @@ class Order:
         if now >= self._due_ns and (self._robot.known or self._what in STOPS):
             self._due_ns = now + _REPEAT_NS
             yield from self._words_of_it(self._robot())
-        self._see(state, now - self._begun_ns)
+        if not self._robot.in_doubt:
+            self._see(state, now - self._begun_ns)
 
     def _words_of_it(self, stamp_ns: int) -> Iterator[Message]:
         """The order, by each key that may carry it."""

@@ -15,6 +15,11 @@ class RobotTime:
         """Whether the robot has been heard."""
         return self._clock.known
 
+    @property
+    def in_doubt(self) -> bool:
+        """Whether the newest stamp is of another time, and not believed yet."""
+        return self._clock.in_doubt
+
     def see(self, now_ns: int, stamp_ns: int | None) -> str:
         """Take in this machine's time, and a stamp of the robot's that has come by then.
 

@@ -75,6 +75,11 @@ class RobotClock:
         return True
 
     @property
+    def in_doubt(self) -> bool:
+        """Whether the newest time that came is another one, and not believed yet."""
+        return self._jump is not None
+
+    @property
     def known(self) -> bool:
         """Whether the robot has been heard."""
         return bool(self._ahead_ns)
