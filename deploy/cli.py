@@ -43,6 +43,8 @@ from deploy.commands.trials import table, trials
 from deploy.commands.up import up
 from deploy.commands.video import video
 from deploy.commands.walks import DEMOS, demo, run
+from deploy.output import OutputError, discard_output, flushed_output, prepare_streams
+from shared.files import OUT_OF_ROOM, cause
 
 _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "shared.transport": "TransportError",
@@ -50,6 +52,7 @@ _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "shared.lockstep": "ServiceFailedError",
     "shared.access": "AccessError",
     "services.console.recording.layout": "RecordingError",
+    "shared.files": "WriteError",
     "deploy.video.story": "StoryError",
     "deploy.video.files": "FileError",
     "deploy.launch.fleet": "FleetError",
@@ -60,23 +63,42 @@ _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "services.actuator.line": "BusGone",
     "services.actuator.gentle": "ServoSilentError",
 }
-_OF_THE_MACHINE = ("TransportError", "BusGone", "ServoSilentError", "ServiceFailedError")  # and not the caller's mistakes
+_OF_THE_MACHINE = (
+    "TransportError",
+    "BusGone",
+    "ServoSilentError",
+    "ServiceFailedError",
+    "WriteError",
+)  # and not the caller's mistakes
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status."""
-    arguments = parse(sys.argv[1:] if argv is None else argv)
+    prepare_streams()
+    name = "sextant"
     try:
-        return int(arguments.command(arguments))
+        with flushed_output():
+            arguments = parse(sys.argv[1:] if argv is None else argv)
+            name = f"sextant {arguments.name}"
+            return int(arguments.command(arguments))
     except KeyboardInterrupt:
         complain("stopped by the operator")
         return INTERRUPTED
-    except BrokenPipeError:  # whoever read our output has had enough; nothing more can be said, also not on the way out
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # the reader has had enough
+        discard_output()
+        return FAILED
+    except OutputError as error:
+        discard_output()
+        complain(f"{name}: {error}")
         return FAILED
     except _refusals() as error:
-        complain(f"sextant {arguments.name}: {error}")
+        complain(f"{name}: {error}")
         return FAILED if type(error).__name__ in _OF_THE_MACHINE else WRONG_INPUT
+    except OSError as error:
+        if error.errno not in OUT_OF_ROOM:
+            raise
+        complain(f"{name}: {error.filename or 'a temporary file'} cannot be written: {cause(error)}")
+        return FAILED
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:

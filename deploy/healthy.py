@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from deploy.launch.ports import port_taken
+from shared import files
 
 _CREDENTIALS = struct.Struct("3i")  # Linux' struct ucred: process, user, group
 _PATIENCE_S = 5.0  # where WATCHDOG_USEC says nothing
@@ -49,7 +50,7 @@ def silence(environment: Mapping[str, str], end_hung: bool = False) -> str:
     heard = path.with_name(f"{path.name}.heard")  # holds the id of the process that gave the last sign
     pid = _next_sign(path, patience_s)
     if pid:
-        heard.write_text(f"{pid}\n", encoding="ascii")
+        files.write_text(heard, f"{pid}\n")
         return ""
     known = int(heard.read_text(encoding="ascii")) if heard.exists() else 0
     if not known:

@@ -1,5 +1,6 @@
 """What a run is doing, gathered from the wire and shown in the terminal; with cli.py the only place that writes to stdout."""
 
+import contextlib
 import math
 import shutil
 from collections import deque
@@ -213,11 +214,24 @@ class Silent:
         """Nothing."""
 
 
+class _Output:
+    """A stream that may fail: what is shown of a run never ends it."""
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+
+    def write(self, text: str) -> None:
+        """Write a text at once, or nothing."""
+        with contextlib.suppress(OSError):
+            self._stream.write(text)
+            self._stream.flush()
+
+
 class Lines:
     """Plain lines, for logs and pipes: now and then the state, and each warning once."""
 
     def __init__(self, stream: TextIO):
-        self._stream = stream
+        self._stream = _Output(stream)
         self._next_s = 0.0
         self._warned: set[str] = set()
 
@@ -236,7 +250,6 @@ class Lines:
     def say(self, text: str) -> None:
         """One line."""
         self._stream.write(text + "\n")
-        self._stream.flush()
 
     def finish(self) -> None:
         """Nothing is left open."""
@@ -246,7 +259,7 @@ class Terminal:
     """A block of lines at the bottom of a terminal, redrawn in place."""
 
     def __init__(self, stream: TextIO):
-        self._stream = stream
+        self._stream = _Output(stream)
         self._height = 0
 
     def update(self, view: View) -> None:
@@ -255,14 +268,12 @@ class Terminal:
         self._erase()
         lines = [line if len(line) < width else line[: width - 2] + "…" for line in block(view)]
         self._stream.write("".join(f"{line}\n" for line in lines))
-        self._stream.flush()
         self._height = len(lines)
 
     def say(self, text: str) -> None:
         """A line above the block."""
         self._erase()
         self._stream.write(text + "\n")
-        self._stream.flush()
 
     def finish(self) -> None:
         """Let the last block stand."""

@@ -15,7 +15,7 @@ from deploy.pictures.terrain_mesh import terrain_mesh
 from deploy.progress import Progress
 from services.console.diary import Diary
 from services.console.recording.reader import Recording
-from shared import topics
+from shared import files, topics
 from shared.kinematics import leg_points
 from shared.messages import ActuatorState, BodyPose, PlannerStatus, Preview, Scan, StepPlan, TerrainMap
 from shared.profiles import load_profile
@@ -33,7 +33,19 @@ def export(source: Path, target: Path, progress: Progress) -> int:
 
     Raises:
         RecordingError: `source` is no recording, or of another version.
+        WriteError: `target` cannot be written.
     """
+    drawn = 0
+
+    def write(path: Path) -> None:
+        nonlocal drawn
+        drawn = _write(source, path, progress)
+
+    files.write_by_name(target, write)
+    return drawn
+
+
+def _write(source: Path, target: Path, progress: Progress) -> int:
     recording = Recording(source)
     export: _Export | None = None
     drawn = 0
@@ -46,6 +58,7 @@ def export(source: Path, target: Path, progress: Progress) -> int:
         if heard % _SHOW_MESSAGES == 0:
             progress.say(f"{heard} messages read")
     stream.flush()
+    stream.disconnect()
     return drawn
 
 

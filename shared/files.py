@@ -13,6 +13,7 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import BinaryIO
 
+_USUAL_MODE = 0o666  # less the user's mask
 _CAUSES = {
     errno.ENOSPC: "the disk is full; make room",
     errno.EDQUOT: "this user's share of the disk is full; make room",
@@ -26,13 +27,27 @@ _CAUSES = {
     errno.EIO: "the disk fails; write to another one",
 }
 
+OUT_OF_ROOM = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS))
+
 
 class WriteError(OSError):
     """A file that cannot be written: which, why, and what to do."""
 
-    def __init__(self, path: Path, error: OSError):
-        super().__init__(f"{path} cannot be written: {_CAUSES.get(error.errno or 0) or error.strerror or error}")
-        self.errno = error.errno
+    def __init__(self, path: Path, error: OSError, kept: str = ""):
+        self._of = path, OSError(error.errno, error.strerror or str(error)), kept
+        super().__init__(error.errno, cause(error))
+        self._sentence = f"{path} cannot be written: {cause(error)}" + (f"; {kept}" if kept else "")
+
+    def __str__(self) -> str:
+        return self._sentence
+
+    def __reduce__(self) -> tuple[type["WriteError"], tuple[Path, OSError, str]]:
+        return WriteError, self._of
+
+
+def cause(error: OSError) -> str:
+    """Why something cannot be written, and what to do."""
+    return _CAUSES.get(error.errno or 0) or error.strerror or str(error)
 
 
 @contextlib.contextmanager
@@ -47,7 +62,16 @@ def explained(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def replacing(path: Path, durable: bool = False, mode: int = 0o666) -> Iterator[BinaryIO]:
+def reported(tell: Callable[[str], object]) -> Iterator[None]:
+    """Have a WriteError told as a warning, where work goes on without the file."""
+    try:
+        yield
+    except WriteError as error:
+        tell(f"warning: {error}")
+
+
+@contextlib.contextmanager
+def replacing(path: Path, durable: bool = False, mode: int = _USUAL_MODE) -> Iterator[BinaryIO]:
     """Open a file to be written; it takes its place when the block ends, and is removed if the block fails.
 
     Args:
@@ -73,7 +97,7 @@ def replacing(path: Path, durable: bool = False, mode: int = 0o666) -> Iterator[
             raise
 
 
-def write_bytes(path: Path, data: bytes, durable: bool = False, mode: int = 0o666) -> None:
+def write_bytes(path: Path, data: bytes, durable: bool = False, mode: int = _USUAL_MODE) -> None:
     """Write a file whole or not at all.
 
     Raises:
@@ -83,7 +107,7 @@ def write_bytes(path: Path, data: bytes, durable: bool = False, mode: int = 0o66
         file.write(data)
 
 
-def write_text(path: Path, text: str, durable: bool = False, mode: int = 0o666) -> None:
+def write_text(path: Path, text: str, durable: bool = False, mode: int = _USUAL_MODE) -> None:
     """Write a text in UTF-8 whole or not at all.
 
     Raises:
@@ -107,8 +131,18 @@ def write_by_name(path: Path, write: Callable[[Path], object]) -> None:
             part.unlink(missing_ok=True)
 
 
-def append_line(path: Path, line: str, durable: bool = False) -> None:
-    """Append a line, with its line break, to a file; one that cannot be written leaves the file as it was.
+def make_folder(path: Path) -> None:
+    """Make a folder, and those it is in, where it is missing.
+
+    Raises:
+        WriteError: It cannot be made.
+    """
+    with explained(path):
+        path.mkdir(parents=True, exist_ok=True)
+
+
+def append_text(path: Path, text: str, durable: bool = False) -> None:
+    """Append a text in UTF-8 to a file, made where it is missing; the file stays as it was where that fails.
 
     Raises:
         WriteError: It cannot be written.
@@ -116,7 +150,7 @@ def append_line(path: Path, line: str, durable: bool = False) -> None:
     with explained(path), path.open("ab", buffering=0) as file:
         before = file.seek(0, os.SEEK_END)
         try:
-            rest = memoryview(line.encode())
+            rest = memoryview(text.encode())
             while rest:
                 rest = rest[file.write(rest) :]
             if durable:
@@ -153,6 +187,8 @@ def _locked(part: Path, mode: int) -> Iterator[BufferedWriter]:
             if not _is(part, descriptor):
                 continue  # another process has just renamed or removed it
             os.ftruncate(descriptor, 0)
+            if mode != _USUAL_MODE:
+                os.fchmod(descriptor, mode)  # whoever made it
             yield file
             return
 

@@ -17,6 +17,7 @@ from deploy.launch.fleet import Base, Fleet, Member, Page
 from deploy.launch.launcher import free_port
 from deploy.progress import Progress
 from deploy.runs.lockstep_run import run_lockstep
+from shared import files
 from shared.scenario import load_scenario
 
 SEED = 1003
@@ -263,7 +264,7 @@ def draw(path: Path, loads: Sequence[Load]) -> None:
         late.text(robots[0], MOST_SCAN_MS * 1.02, words, color="#b3261e")
         late.set(xlabel="robots", ylabel="ms, the worst robot's", title="What a robot notices", xticks=robots, ylim=(0, None))
         late.legend(frameon=False, fontsize=9, loc="upper left")
-        figure.savefig(path)
+        files.write_by_name(path, figure.savefig)
 
 
 def to_json(loads: Sequence[Load]) -> str:

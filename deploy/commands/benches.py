@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say, warm_up
+from shared import files
 
 
 def bench_accuracy(arguments: argparse.Namespace) -> int:
@@ -192,6 +193,8 @@ def bench_start(arguments: argparse.Namespace) -> int:
 
 
 def _tell_bench(words: str, text: str, path: Path, as_json: bool) -> int:
-    path.write_text(text, encoding="utf-8")
-    say(text.rstrip() if as_json else f"{words}\nwritten to {path}")
+    say(text.rstrip() if as_json else words)
+    files.write_text(path, text, durable=True)
+    if not as_json:
+        say(f"written to {path}")
     return SUCCESS

@@ -9,6 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from deploy.output import complain as complain
+from deploy.output import say as say
+
 if TYPE_CHECKING:
     from deploy.progress import Progress
     from shared.scenario import Link, Scenario
@@ -20,18 +23,6 @@ SUCCESS, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 class InputError(ValueError):
     """What the caller of a command got wrong, and what would be right."""
-
-
-def say(text: str) -> None:
-    """Print a line of the result."""
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
-
-
-def complain(text: str) -> None:
-    """Print a line of what went wrong."""
-    sys.stderr.write(text + "\n")
-    sys.stderr.flush()
 
 
 def met(arguments: argparse.Namespace) -> "Endpoints":

@@ -1,7 +1,6 @@
 """`sextant doctor` and `compose`: what is on this machine, and in containers."""
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,5 +39,6 @@ def compose(arguments: argparse.Namespace) -> int:
     """`sextant compose`: compose.yaml of a local launch, or of what runs beside a robot."""
     from deploy.launch.compose import compose_yaml, offboard_yaml
 
-    sys.stdout.write(offboard_yaml() if arguments.offboard else compose_yaml(arguments.scenario, arguments.seed))
+    text = offboard_yaml() if arguments.offboard else compose_yaml(arguments.scenario, arguments.seed)
+    say(text.rstrip("\n"))
     return SUCCESS

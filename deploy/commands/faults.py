@@ -2,9 +2,9 @@
 
 import argparse
 import difflib
-import sys
 
 from deploy.commands.common import FAILED, SUCCESS, InputError, open_progress, out_folder, say, warm_up
+from shared import files
 
 _PHASES, _LIVE_PHASES = 300, 30
 
@@ -38,11 +38,9 @@ def faults(arguments: argparse.Namespace) -> int:
         warm_up(progress)
     found = run_faults(cases, phases, jobs, out, progress.say)
     table = tables.rows(found)
-    (out / "faults.json").write_text(tables.to_json(table), encoding="utf-8")
-    (out / "faults.md").write_text(tables.markdown(table) + "\n", encoding="utf-8")
-    if arguments.json:
-        sys.stdout.write(tables.to_json(table))
-    else:
-        say(tables.markdown(table))
+    say(tables.to_json(table).rstrip("\n") if arguments.json else tables.markdown(table))
+    files.write_text(out / "faults.json", tables.to_json(table), durable=True)
+    files.write_text(out / "faults.md", tables.markdown(table) + "\n")
+    if not arguments.json:
         say(f"written to {out}: faults.md, faults.json, {FILE}")
     return SUCCESS if all(row.passed for row in table) else FAILED

@@ -2,11 +2,11 @@
 
 import argparse
 import difflib
-import sys
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say
+from shared import files
 
 _PARTS = 20  # that are shared out
 
@@ -39,19 +39,18 @@ def fuzz(arguments: argparse.Namespace) -> int:
             runs.append(run)
             progress.say(f"{len(runs)} of {parts} parts of {arguments.messages:,} messages: {len(run.findings)} faults")
     except BrokenProcessPool:
-        files = [str(file) for file in newest if file.exists()]
-        complain(f"sextant fuzz: a process died of a message, which is in one of these: {', '.join(files)}")
+        left = [str(file) for file in newest if file.exists()]
+        complain(f"sextant fuzz: a process died of a message, which is in one of these: {', '.join(left)}")
         return FAILED
     found = tables.table(runs)
     for file in newest:
         file.unlink()
     for number, finding in enumerate(found.findings):
-        (out / f"finding-{number}.bin").write_bytes(finding.data)
-    (out / "fuzz.json").write_text(tables.to_json(found) + "\n", encoding="utf-8")
-    if arguments.json:
-        sys.stdout.write(tables.to_json(found) + "\n")
-    else:
-        say(f"{tables.markdown(found)}\nwritten to {out / 'fuzz.json'}")
+        files.write_bytes(out / f"finding-{number}.bin", finding.data)
+    say(tables.to_json(found) if arguments.json else tables.markdown(found))
+    files.write_text(out / "fuzz.json", tables.to_json(found) + "\n", durable=True)
+    if not arguments.json:
+        say(f"written to {out / 'fuzz.json'}")
     return SUCCESS if found.passed else FAILED
 
 

@@ -22,7 +22,7 @@ def new(arguments: argparse.Namespace) -> int:
         addresses = {"robot": arguments.robot_address, SITE: arguments.site_address}
         made: tuple[Held, ...] = authority.new(folder, addresses, arguments.days)
     except OSError as error:
-        raise InputError(f"cannot write {folder}: {error.strerror}; name another folder") from None
+        raise InputError(f"cannot write {folder}: {error.strerror}") from None
     say(f"{folder / 'ca'}: the authority; keep it where nobody else is, it is needed by no machine that runs")
     for one in made:
         say(f"{one.file.parent}: for {_what(one.role)}; until {one.ends:%Y-%m-%d}")

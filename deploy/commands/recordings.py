@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deploy.commands.common import FAILED, SUCCESS, WRONG_INPUT, InputError, complain, met, open_progress, out_folder, say
+from shared import files
 
 if TYPE_CHECKING:
     from services.console.recording.live import LiveRecorder, Sink
@@ -121,12 +122,12 @@ def recover(arguments: argparse.Namespace) -> int:
     from services.console.recording.reader import files_of, is_recovered, is_whole, recovered
     from services.console.recording.recovery import recover as rescue
 
-    files = files_of(Path(arguments.recording))
-    if not files:
+    paths = files_of(Path(arguments.recording))
+    if not paths:
         raise InputError(f"{arguments.recording}: no recordings in this folder")
     status = SUCCESS
-    for path in files:
-        if is_recovered(path, files):
+    for path in paths:
+        if is_recovered(path, paths):
             continue
         target = recovered(path)
         if target.exists() and is_whole(target):
@@ -170,8 +171,10 @@ def replay(arguments: argparse.Namespace) -> int:
         table = sequence.replay_folder(source, out, progress)
         words = sequence.in_words(table)
     text = json.dumps(table, indent=1)
-    (out / "replay.json").write_text(text + "\n", encoding="utf-8")
-    say(text if arguments.json else f"{words}\nwritten to {out}")
+    say(text if arguments.json else words)
+    files.write_text(out / "replay.json", text + "\n", durable=True)
+    if not arguments.json:
+        say(f"written to {out}")
     problem = table["evidence"]["problem"]
     if problem:
         complain(f"sextant replay: {problem}")

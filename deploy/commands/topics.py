@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -39,7 +38,7 @@ def docs(arguments: argparse.Namespace) -> int:
         text = page()
     except ImportError as error:
         raise InputError(f"{error}; who reads and writes is asked of all services: pip install 'sextant[all]'") from None
-    sys.stdout.write(text)
+    say(text.rstrip("\n"))
     return SUCCESS
 
 

@@ -1,10 +1,10 @@
 """`sextant trials`: many seeds of one scenario or of all, and the tables of what was kept."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from deploy.commands.common import SUCCESS, InputError, as_asked, asked_scenario, open_progress, out_folder, say
+from shared import files
 
 
 def trials(arguments: argparse.Namespace) -> int:
@@ -21,11 +21,10 @@ def trials(arguments: argparse.Namespace) -> int:
     if arguments.blind:
         progress.say("the same without a map")
         baseline = batches.run_trials(scenario, arguments.seeds, arguments.jobs, out, blind=True, say=progress.say)
-    (out / "trials.json").write_text(batches.to_json(seeing, baseline), encoding="utf-8")
-    if arguments.json:
-        sys.stdout.write(batches.to_json(seeing, baseline))
-    else:
-        say(batches.words(seeing, baseline))
+    text = batches.to_json(seeing, baseline)
+    say(text.rstrip("\n") if arguments.json else batches.words(seeing, baseline))
+    files.write_text(out / "trials.json", text, durable=True)
+    if not arguments.json:
         say(f"written to {out}: trials.json, trials.jsonl")
     return SUCCESS
 
@@ -44,13 +43,11 @@ def _campaign(arguments: argparse.Namespace) -> int:
     courses = {"all": tables.WALKED, "passages": tables.PASSAGES, "troubles": tables.TROUBLED}[arguments.scenario]
     table = "passages" if passages else "walks"
     found = run_campaign(courses, arguments.seeds, arguments.jobs, out, arguments.blind, asked, hear, table=table)
+    say(tables.to_json(found).rstrip("\n") if arguments.json else tables.markdown(found, table))
+    if passages and not arguments.json:
+        say(sections(kept.read(out / "campaign.jsonl")))
     tables.write(found, out, table)
-    if arguments.json:
-        sys.stdout.write(tables.to_json(found))
-    else:
-        say(tables.markdown(found, table))
-        if passages:
-            say(sections(kept.read(out / "campaign.jsonl")))
+    if not arguments.json:
         say(f"written to {out}: table.md, campaign.json, campaign.jsonl, and a folder per terrain")
     return SUCCESS
 
@@ -60,13 +57,13 @@ def table(arguments: argparse.Namespace) -> int:
     from deploy.trials import campaign_table as tables
     from deploy.trials import kept, passage_table
 
-    files = kept.files([Path(place) for place in arguments.kept])
-    runs = [run for path in files for run in kept.read(path)]
+    paths = kept.files([Path(place) for place in arguments.kept])
+    runs = [run for path in paths for run in kept.read(path)]
     if not runs:
-        raise InputError(f"no finished run in {', '.join(map(str, files))}")
+        raise InputError(f"no finished run in {', '.join(map(str, paths))}")
     if arguments.of == "sections" and not arguments.json:
-        sys.stdout.write(passage_table.markdown(runs))
+        say(passage_table.markdown(runs).rstrip("\n"))
         return SUCCESS
     found = tables.of_runs(runs)
-    sys.stdout.write(tables.to_json(found) if arguments.json else tables.markdown(found, arguments.of))
+    say((tables.to_json(found) if arguments.json else tables.markdown(found, arguments.of)).rstrip("\n"))
     return SUCCESS

@@ -1,7 +1,6 @@
 """`sextant run` and `sextant demo`: one walk, over Zenoh or in lockstep."""
 
 import argparse
-import sys
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,10 +130,10 @@ def _run_live(arguments: argparse.Namespace) -> int:
 
 
 def _tell(report: "Report", out: Path, as_json: bool) -> int:
-    from deploy.judging.report import to_json
+    from deploy.judging.report import FILE, to_json
 
     if as_json:
-        sys.stdout.write(to_json(report))
+        say(to_json(report).rstrip("\n"))
     else:
         verdict = f"{'success' if report.success else 'failed'}: {report.reason}"
         walked = f"{report.distance_m:.2f} m in {report.duration_s:.1f} s, {report.speed_mps:.3f} m/s"
@@ -142,7 +141,7 @@ def _tell(report: "Report", out: Path, as_json: bool) -> int:
         if report.too_slow:
             say(f"{report.too_slow}; use --lockstep or close programs")
         say(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
-    return SUCCESS if report.success else FAILED
+    return SUCCESS if report.success and (out / FILE).exists() else FAILED
 
 
 def _attach(arguments: argparse.Namespace) -> "Endpoints | None":

@@ -19,6 +19,7 @@ from deploy.faults.watched import SCENARIO, in_walks
 from deploy.trials import kept
 from deploy.trials.batch import fingerprint, refuse_another_program
 from deploy.workers import share_out
+from shared import files
 from shared.input_file import FileError, parse_json, read_bytes
 
 FILE = "faults.jsonl"
@@ -64,7 +65,7 @@ def run_faults(
         ChangedError: The program has changed since this process began.
     """
     refuse_another_program()
-    out.mkdir(parents=True, exist_ok=True)
+    files.make_folder(out)
     path, mark = out / FILE, fingerprint(SCENARIO)
     kept.mend(path)
     done = {(one.fault, one.number): one for one in read(path, mark)}
@@ -74,15 +75,16 @@ def run_faults(
     if left < wanted:
         say(f"{wanted - left} of {wanted} injections are done already; see {path}")
     commit = provenance.commit()
-    with path.open("a", encoding="utf-8") as lines:
-        for found in share_out(run or inject, tasks, min(jobs, len(tasks)), in_order=False):
-            for one in (replace(one, commit=commit) for one in found):
-                done[one.fault, one.number] = one
-                entry = {"fingerprint": mark, "time": provenance.now(), "scenario": SCENARIO.name, **_plain(asdict(one))}
-                lines.write(json.dumps(entry, ensure_ascii=False, separators=(",", ":")) + "\n")
-            lines.flush()
-            left -= len(found)
-            say(f"[{wanted - left}/{wanted}] {found[0].fault}, {len(found)} phases")
+    for found in share_out(run or inject, tasks, min(jobs, len(tasks)), in_order=False):
+        lines = []
+        for one in (replace(one, commit=commit) for one in found):
+            done[one.fault, one.number] = one
+            entry = {"fingerprint": mark, "time": provenance.now(), "scenario": SCENARIO.name, **_plain(asdict(one))}
+            lines.append(json.dumps(entry, ensure_ascii=False, separators=(",", ":")) + "\n")
+        with files.reported(say):
+            files.append_text(path, "".join(lines), durable=True)
+        left -= len(found)
+        say(f"[{wanted - left}/{wanted}] {found[0].fault}, {len(found)} phases")
     names = [case.name for case in cases]
     return [done[name, number] for name in names for number in range(phases)]
 

@@ -10,8 +10,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
+from shared import files
+
 _NAN = float("nan")
 _DIGITS = 6
+FILE = "report.json"
 ARRIVED = "goal reached"  # the reason of a run that is a success by arriving
 
 
@@ -189,11 +192,13 @@ def to_json(report: Report) -> str:
 
 
 def write(report: Report, folder: Path) -> None:
-    """Write `report.json` into a folder, making it where it is missing; a half-written file is never seen."""
-    folder.mkdir(parents=True, exist_ok=True)
-    part = folder / "report.json.part"
-    part.write_text(to_json(report), encoding="utf-8")
-    part.replace(folder / "report.json")
+    """Write `report.json` into a folder, made where it is missing; a half-written file is never seen.
+
+    Raises:
+        WriteError: It cannot be written.
+    """
+    files.make_folder(folder)
+    files.write_text(folder / FILE, to_json(report), durable=True)
 
 
 def check(table: object, kind: type = Report) -> list[str]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deploy.process_table import Command
+from shared import files
 
 TARGET = "sextant.target"
 DEVICE_GROUPS = (
@@ -111,12 +112,12 @@ def install(made: Mapping[str, str], folder: Path) -> list[Path]:
             f"{', '.join(str(folder / name) for name in foreign)}: not as `sextant service install` left it; move it away, and "
             "put changes of your own into a drop-in (`systemctl edit`)"
         )
-    folder.mkdir(parents=True, exist_ok=True)
+    files.make_folder(folder)
     for path in installed(folder):
         if path.name not in made:
             path.unlink()
     for name, text in made.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        files.write_text(folder / name, text, durable=True)
     return [folder / name for name in made]
 
 

@@ -1,7 +1,7 @@
 """Makes the certificates of a robot: an authority of its own, and one certificate for each role that it signs."""
 
 import ipaddress
-import os
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -14,6 +14,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from shared import files
 from shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROLE, ROLES, ROUTER, AccessError
 from shared.input_file import FileError, read_bytes
 
@@ -78,7 +79,7 @@ class Authority:
     def write(self, folder: Path) -> None:
         """Write the authority: its certificate, and the private key that signs others."""
         folder.mkdir(parents=True, mode=0o700)
-        (folder / AUTHORITY).write_bytes(self.certificate.public_bytes(Encoding.PEM))
+        files.write_bytes(folder / AUTHORITY, self.certificate.public_bytes(Encoding.PEM), durable=True)
         _write_private(folder / KEY, _pem_of(self._key))
 
     def issue(self, folder: Path, role: str, addresses: Sequence[str] = HERE, ends: datetime | None = None) -> None:
@@ -93,9 +94,9 @@ class Authority:
         folder.mkdir(parents=True, mode=0o700)
         ends = ends or self.ends
         key, certificate = self._signed(role, addresses, ends)
-        (folder / AUTHORITY).write_bytes(self.certificate.public_bytes(Encoding.PEM))
-        (folder / CERTIFICATE).write_bytes(certificate)
-        (folder / ROLE).write_text(f'role = "{role}"\nends = {ends:%Y-%m-%dT%H:%M:%SZ}\n', encoding="utf-8")
+        files.write_bytes(folder / AUTHORITY, self.certificate.public_bytes(Encoding.PEM), durable=True)
+        files.write_bytes(folder / CERTIFICATE, certificate, durable=True)
+        files.write_text(folder / ROLE, f'role = "{role}"\nends = {ends:%Y-%m-%dT%H:%M:%SZ}\n', durable=True)
         _write_private(folder / KEY, key)
         _write_proxy_keys(folder / PROXY, (ends - datetime.now(UTC)) / timedelta(days=1))
 
@@ -130,14 +131,21 @@ def new(folder: Path, addresses: Mapping[str, Sequence[str]] | None = None, days
 
     Raises:
         AccessError: There are keys already.
+        WriteError: They cannot be written; none is left behind.
     """
     there = [name for name in (OF_AUTHORITY, *(role.name for role in ROLES)) if (folder / name).exists()]
     if there:
         raise AccessError(f"{folder} has {', '.join(there)} already: keys are not overwritten; name another folder")
     authority = Authority(days)
-    authority.write(folder / OF_AUTHORITY)
-    for role in ROLES:
-        authority.issue(folder / role.name, role.name, (*HERE, *(addresses or {}).get(role.name, ())))
+    try:
+        with files.explained(folder):
+            authority.write(folder / OF_AUTHORITY)
+            for role in ROLES:
+                authority.issue(folder / role.name, role.name, (*HERE, *(addresses or {}).get(role.name, ())))
+    except files.WriteError:
+        for name in (OF_AUTHORITY, *(role.name for role in ROLES)):  # half a set of keys would keep the next from being made
+            shutil.rmtree(folder / name, ignore_errors=True)
+        raise
     return tuple(held(folder))
 
 
@@ -192,7 +200,7 @@ def _write_proxy_keys(folder: Path, days: float) -> None:
     """
     folder.mkdir(mode=0o700)
     authority = Authority(days)
-    (folder / AUTHORITY).write_bytes(authority.certificate.public_bytes(Encoding.PEM))
+    files.write_bytes(folder / AUTHORITY, authority.certificate.public_bytes(Encoding.PEM), durable=True)
     for name in (ROUTER, *(role.name for role in ROLES)):
         key, certificate = authority._signed(name, HERE, authority.ends)
         _write_private(folder / f"{name}.pem", certificate + key)
@@ -204,5 +212,4 @@ def _pem_of(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 def _write_private(file: Path, pem: bytes) -> None:
     """Write a file that its owner alone may read, from the first byte on."""
-    with os.fdopen(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as out:
-        out.write(pem)
+    files.write_bytes(file, pem, durable=True, mode=0o600)

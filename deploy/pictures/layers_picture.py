@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.pictures.walk_picture import LEG_COLORS
+from shared import files
 from shared.geometry import Array
 from shared.messages import TerrainMap
 
@@ -34,8 +35,8 @@ def draw(path: Path, terrain: TerrainMap, T_world_way: Array | None = None) -> b
     figure = figure_of(terrain, T_world_way)
     if figure is None:
         return False
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    files.make_folder(path.parent)
+    files.write_by_name(path, figure.savefig)
     return True
 
 

@@ -24,6 +24,7 @@ from deploy.pictures.summary import (
     verdict,
 )
 from deploy.pictures.walk_picture import LEG_COLORS
+from shared import files
 from shared.geometry import Array, apply, rotation_z, transform
 from shared.messages import UNKNOWN, PassageMap
 from shared.robot import LEGS, RobotProfile
@@ -48,8 +49,8 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         trace: How it went, with sections that were planned.
     """
     figure = figure_of(report, trace)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    files.make_folder(path.parent)
+    files.write_by_name(path, figure.savefig)
 
 
 def figure_of(report: Report, trace: Trace) -> Any:

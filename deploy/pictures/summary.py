@@ -20,6 +20,7 @@ from deploy.pictures.history_picture import ESTIMATE, TRUE
 from deploy.pictures.layers_picture import UNSEEN, ground_colors
 from deploy.pictures.relief import shaded
 from deploy.pictures.walk_picture import LEG_COLORS
+from shared import files
 from shared.geometry import apply
 from shared.robot import LEGS
 
@@ -49,8 +50,8 @@ def draw(path: Path, report: Report, trace: Trace) -> None:
         trace: How it went; may be empty.
     """
     figure = figure_of(report, trace)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    files.make_folder(path.parent)
+    files.write_by_name(path, figure.savefig)
 
 
 def figure_of(report: Report, trace: Trace, truth: bool = True) -> Any:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from deploy.judging.report import Report
 from deploy.judging.trace import Trace
 from deploy.pictures.thesis_figures import TESTS, Measured, Published, side_by_side
+from shared import files
 from shared.robot import LEGS
 
 LEG_COLORS = ("#d55e00", "#0072b2", "#56b4e9", "#332288", "#cc79a7", "#e69f00")  # told apart by most colour-blind eyes
@@ -53,8 +54,8 @@ def draw(path: Path, report: Report, trace: Trace) -> bool:
         draw_from_aside(aside, trace)
         if published is not None:
             _as_published(height, tilt, below[0], trace, published)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
+        files.make_folder(path.parent)
+        files.write_by_name(path, figure.savefig)
     return True
 
 

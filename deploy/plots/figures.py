@@ -5,6 +5,7 @@ A figure is a row of the table `FIGURES`: what it shows in words, and who draws 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -16,6 +17,7 @@ from deploy.pictures import layers_picture, passage_picture, summary, walk_pictu
 from deploy.pictures.walk_picture import LEG_COLORS
 from deploy.plots.numbers import comparison
 from deploy.plots.recorded import RecordedRun
+from shared import files
 from shared.geometry import Array
 from shared.robot import JOINTS, LEGS
 
@@ -59,9 +61,9 @@ def draw(name: str, runs: Runs, path: Path) -> bool:
         figure = None if misfit(name, len(runs)) else FIGURES[name].draw(runs)
         if figure is None:
             return False
-        path.parent.mkdir(parents=True, exist_ok=True)
+        files.make_folder(path.parent)
         undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(path.suffix[1:])
-        figure.savefig(path, metadata=undated)
+        files.write_by_name(path, partial(figure.savefig, metadata=undated))
     return True
 
 

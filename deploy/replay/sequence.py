@@ -25,7 +25,7 @@ from services.perception.config import Settings as PerceptionSettings
 from services.perception.motion import constant_velocity
 from services.perception.service import Perception
 from services.perception.trajectory import relative_size, trajectory_error
-from shared import topics
+from shared import files, topics
 from shared.camera import DepthSensor
 from shared.geometry import Array, inverse, log_so3, transform
 from shared.lockstep import Lockstep, ServiceFailedError
@@ -189,10 +189,11 @@ def replay_folder(
         truth = TrueComparison(error.rms, extent, relative_size(p_estimate, p_true))
     found = Evidence(tuple(pictures), _registered_range(profile, registration), truth)
     # 4. Leave trajectory and map behind.
-    tum.write_trajectory(out / "trajectory.txt", tum.Trajectory(stamps_ns, T_estimate))
-    if terrain is not None:
-        _draw(out / "map.png", terrain, T_estimate)
-        layers_picture.draw(out / "layers.png", terrain, T_estimate)
+    with files.reported(progress.say):
+        tum.write_trajectory(out / "trajectory.txt", tum.Trajectory(stamps_ns, T_estimate))
+        if terrain is not None:
+            _draw(out / "map.png", terrain, T_estimate)
+            layers_picture.draw(out / "layers.png", terrain, T_estimate)
     return {
         "source": folder.name,
         "frames": len(sequence),
@@ -334,4 +335,4 @@ def _draw(path: Path, terrain: TerrainMap, T: Array) -> None:
     if colored.any():
         words = f"heights {low:.2f} to {high:.2f} m in the ground's colours, cell {terrain.resolution * 100:.0f} cm"
     cv2.putText(picture, words, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
-    cv2.imwrite(str(path), picture)
+    files.write_bytes(path, cv2.imencode(path.suffix, picture)[1].tobytes())

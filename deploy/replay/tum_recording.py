@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from deploy.runs.lockstep_run import assemble
 from services.perception import tum
 from shared import codec, topics
+from shared.files import WriteError
 from shared.geometry import Array, interpolate
 from shared.messages import DepthImage, GroundTruth
 from shared.profiles import load_profile
@@ -54,7 +55,18 @@ class DepthRecorder:
         self.close()
 
     def tap(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """See one frame of the run; all but the camera's and the truth's are passed over."""
+        """See one frame of the run; all but the camera's and the truth's are passed over.
+
+        Raises:
+            WriteError: It cannot be written; the recording has ended.
+        """
+        try:
+            self._take(topic, frame)
+        except WriteError:
+            self._waiting.clear()
+            raise
+
+    def _take(self, topic: AnyTopic, frame: bytes) -> None:
         if topic is topics.DEPTH:
             image = codec.decode(frame, DepthImage, topics.DEPTH.max_bytes)[0]
             self._waiting.append((image.stamp_ns, image.depth))
@@ -63,10 +75,13 @@ class DepthRecorder:
             self._pose_waiting(truth.stamp_ns, truth.T_world_body)
 
     def close(self) -> None:
-        """Write what waits and finish the text files; safe to call twice."""
+        """Write the frames that wait; safe to call twice.
+
+        Raises:
+            WriteError: They cannot be written.
+        """
         while self._waiting:
             self._writer.add(*self._waiting.popleft())
-        self._writer.close()
 
     def _pose_waiting(self, stamp_ns: int, T_world_body: Array) -> None:
         """Write the pictures up to a moment of truth, their poses between it and the one before."""

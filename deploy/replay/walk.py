@@ -20,7 +20,7 @@ from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.planner.config import Settings as PlannerSettings
 from services.planner.service import Planner
-from shared import codec, topics
+from shared import codec, files, topics
 from shared.lockstep import Lockstep
 from shared.messages import ActuatorState, Message, StepPlan, TerrainMap
 from shared.profiles import load_profile
@@ -86,7 +86,8 @@ def replay_recording(
     # 3. Compare what came of it.
     maps, plans = replay.compared_maps(), compared_plans(replay.recorded_plans, replay.plans)
     if replay.maps:
-        layers_picture.draw(out / "layers.png", replay.maps[max(replay.maps)])
+        with files.reported(progress.say):
+            layers_picture.draw(out / "layers.png", replay.maps[max(replay.maps)])
     table = {
         "source": path.name,
         "about": {key: value for key, value in recording.about.items() if key != "frame_layout"},

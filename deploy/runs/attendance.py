@@ -10,12 +10,15 @@ from deploy.judging.report import Report, StageTime
 from deploy.judging.scorer import Scorer
 from deploy.progress import Monitor
 from deploy.runs.operator import Operator
-from shared import topics
+from shared import files, topics
+from shared.files import WriteError
 from shared.lateness import SlowComputer
 from shared.robot import RobotProfile
 from shared.scenario import Scenario
 from shared.service import Service
 
+RECORDING = "recording.mcap"
+PICTURES = ("summary.png", "passage.png", "walk.png")
 _LATE_S = 2.0  # [s] of late inputs in a run, from which a failure names them
 _LAST_LOOK_S = 6.0  # [s] simulated that the scorer has for its verdict once the operator is done
 
@@ -74,14 +77,23 @@ class Attendance:
             report = replace(report, reason=f"{report.reason}; {lateness.words}")
         return report
 
-    def leave_behind(self, report: Report, out: Path, picture: bool = True) -> None:
+    def leave_behind(self, report: Report, out: Path, picture: bool = True) -> list[str]:
         """Write report.json and, if asked for and where there is anything to see, pictures into a folder.
 
         They are summary.png; walk.png of a robot that walked; and passage.png of one that planned its way over a passage.
+
+        Returns:
+            Why files are missing that could not be written, a sentence each.
         """
-        reports.write(report, out)
-        if not picture:
-            return
+        problems: list[str] = []
+        for write in (reports.write, *((self._draw,) if picture else ())):
+            try:
+                write(report, out)
+            except WriteError as error:
+                problems.append(str(error))
+        return problems
+
+    def _draw(self, report: Report, out: Path) -> None:
         from deploy.pictures import passage_picture, walk_picture
         from deploy.pictures import summary as summaries  # takes a second to import, which an interrupted run does not have
 
@@ -89,10 +101,23 @@ class Attendance:
             trace = self.scorer.trace
         except ValueError:  # the run ended before the simulator said a word
             return
-        summaries.draw(out / "summary.png", report, trace)
+        summary, passage, walk = (out / name for name in PICTURES)
+        summaries.draw(summary, report, trace)
         if trace.sections:
-            passage_picture.draw(out / "passage.png", report, trace)
-        walk_picture.draw(out / "walk.png", report, trace)
+            passage_picture.draw(passage, report, trace)
+        walk_picture.draw(walk, report, trace)
+
+
+def clear(out: Path) -> None:
+    """Make a folder ready for a run: the verdict and pictures of an earlier one do not belong to it.
+
+    Raises:
+        WriteError: The folder cannot be made, or its files cannot be removed.
+    """
+    files.make_folder(out)
+    for name in (reports.FILE, *PICTURES):
+        with files.explained(out / name):
+            (out / name).unlink(missing_ok=True)
 
 
 def about(scenario: Scenario, seed: int, way: str) -> dict[str, str]:

@@ -8,8 +8,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from io import FileIO
 from pathlib import Path
-from typing import Self, TextIO
+from typing import Self
 
 from deploy import process_table
 from deploy.interrupts import Interrupts
@@ -17,18 +18,21 @@ from deploy.judging.report import Report
 from deploy.launch.launcher import Launcher, free_port, host_router
 from deploy.process_table import ENVIRONMENT, Command, Process
 from deploy.progress import Progress
-from deploy.runs.attendance import Attendance, about
+from deploy.runs.attendance import RECORDING, Attendance, about, clear
 from services.console.recording.foxglove.translation import Foxglove
-from services.console.recording.live import LiveRecorder
-from services.console.recording.writer import Recorder
+from services.console.recording.live import LiveRecorder, Sink
+from services.console.recording.writer import Recorder, Unwritable
 from shared.clock import going_by, now_ns
+from shared.files import WriteError
 from shared.live import run_live
 from shared.profiles import load_profile
+from shared.robot import RobotProfile
 from shared.scenario import Fault, Scenario
 from shared.service import Service
 from shared.simulated_time import SERVO_BUS, SimulatedTime
 from shared.transport import Endpoints, ZenohLink
 
+_LOG = "services.log"
 _LOOK_S = 0.1  # between two looks at the run
 _SHOW_S = 0.25  # between two views of it
 _START_S = 180.0  # within which the robot must have come up
@@ -75,11 +79,11 @@ def run_live_scenario(
     """
     if attach and slow_down:
         raise ValueError("services that somebody else started go by their own time")
-    out.mkdir(parents=True, exist_ok=True)
+    clear(out)
     attendance = Attendance(load_profile(scenario.robot), scenario, seed, live=True, linked=attach is not None)
     with contextlib.ExitStack() as stack:
         # 1. Host the router and start the services, each in its own process.
-        log = stack.enter_context(Path(os.devnull if attach else out / "services.log").open("w", encoding="utf-8"))
+        log = stack.enter_context(contextlib.closing(ServiceLog(Path(os.devnull) if attach else out / _LOG)))
         endpoints = attach or stack.enter_context(host_router())
         chosen = process_table.choices(scenario, source, seed, free_port())
         rows = () if attach else process_table.rows("all", simulated=True)
@@ -87,11 +91,11 @@ def run_live_scenario(
         # 2. Record, command, judge and watch from this process, each over a link of its own. They connect before the
         #    services start, so that the recording has the first word.
         profile = load_profile(scenario.robot)
-        recorder = Recorder(out / "recording.mcap", about(scenario, seed, "live"), Foxglove(profile))
-        recording = stack.enter_context(_recording(recorder, endpoints))
+        sink = _sink(out / RECORDING, about(scenario, seed, "live"), profile)
+        recording = stack.enter_context(_recording(sink, endpoints))
         attendants = stack.enter_context(Attendants(attendance.services(), endpoints))
         process_table.new_robot(chosen)
-        launcher = Launcher(process_table.commands(rows, chosen, endpoints, simulated_time=time_file), hear=_log_to(log))
+        launcher = Launcher(process_table.commands(rows, chosen, endpoints, simulated_time=time_file), hear=log.hear)
         stack.callback(lambda: launcher.stop(interrupts.insisted))
         launcher.__enter__()
         started(launcher)
@@ -102,10 +106,10 @@ def run_live_scenario(
         for name in launcher.stop(interrupts.insisted):
             progress.say(f"{name} did not end when asked and was killed")
     # 5. Judge it and write what it leaves behind.
-    for problem in filter(None, (recording.problem, _loss(recording.dropped))):
-        progress.say(f"warning: {problem}")
     report = attendance.judge(speed.mean() * attendance.kept_up(), ended_by, interrupts.asked(), speed.words())
-    attendance.leave_behind(report, out, picture=not interrupts.asked())
+    unwritten = attendance.leave_behind(report, out, picture=not interrupts.asked())
+    for problem in filter(None, (recording.problem, _loss(recording.dropped), log.problem, *unwritten)):
+        progress.say(f"warning: {problem}")
     progress.finish()
     return Outcome(report, interrupts.asked())
 
@@ -197,8 +201,8 @@ class Faults:
 
 
 @contextlib.contextmanager
-def _recording(recorder: Recorder, endpoints: Endpoints) -> Iterator[LiveRecorder]:
-    with LiveRecorder(recorder) as recording, ZenohLink(endpoints) as link:
+def _recording(sink: Sink, endpoints: Endpoints) -> Iterator[LiveRecorder]:
+    with LiveRecorder(sink) as recording, ZenohLink(endpoints) as link:
         recording.listen(link, now_ns)
         yield recording
 
@@ -285,16 +289,47 @@ def _shared_time(rows: Sequence[Process]) -> Iterator[Path]:
             yield path
 
 
-def _log_to(log: TextIO) -> Callable[[str, str], None]:
-    lock = threading.Lock()
+def _sink(path: Path, said: Mapping[str, str], profile: RobotProfile) -> Sink:
+    """A recorder; what its file cannot hold ends the recording, not the run."""
+    try:
+        return Recorder(path, said, Foxglove(profile))
+    except WriteError as error:
+        return Unwritable(path, error)
 
-    def hear(_name: str, line: str) -> None:
-        with lock:
-            if not log.closed:
-                log.write(line + "\n")
-                log.flush()
 
-    return hear
+class ServiceLog:
+    """Writes the lines that services print into a file, from any thread; lines that cannot be written are dropped."""
+
+    def __init__(self, path: Path):
+        self.problem = ""  # why lines are missing, in a sentence
+        self._path, self._lock = path, threading.Lock()
+        self._file: FileIO | None = None
+        try:
+            self._file = path.open("wb", buffering=0)
+        except OSError as error:
+            self._fail(error)
+
+    def hear(self, _name: str, line: str) -> None:
+        """Write a line of a service."""
+        with self._lock:
+            if self._file is not None:
+                try:
+                    self._file.write(f"{line}\n".encode())
+                except OSError as error:
+                    self._fail(error)
+
+    def close(self) -> None:
+        """Close the file; lines that come later are dropped."""
+        with self._lock:
+            if self._file is not None:
+                self._file.close()
+                self._file = None
+
+    def _fail(self, error: OSError) -> None:
+        self.problem = str(WriteError(self._path, error))
+        if self._file is not None:
+            self._file.close()
+            self._file = None
 
 
 def _heard(doing: Mapping[str, str]) -> str:

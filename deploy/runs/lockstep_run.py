@@ -6,14 +6,14 @@ The same frames, too, but for depth frames that nobody would look at: where it c
 import contextlib
 import logging
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 from deploy.judging.report import Report
 from deploy.progress import Progress, Silent
-from deploy.runs.attendance import Attendance, about
+from deploy.runs.attendance import RECORDING, Attendance, about, clear
 from deploy.runs.pose_error import MODELS, Erring
 from deploy.runs.radio import Radio
 from services.actuator.config import Settings as ActuatorSettings
@@ -35,6 +35,8 @@ from services.planner.service import Planner
 from services.simulator.bus import MemoryPort
 from services.simulator.config import Settings as SimulatorSettings
 from services.simulator.service import Simulator
+from shared import files
+from shared.files import WriteError
 from shared.host import keep_memory, spare_collector
 from shared.lockstep import Lockstep, Outage, ServiceFailedError
 from shared.messages import Message
@@ -189,18 +191,25 @@ def run_lockstep(
     """
     progress = progress or Silent()
     profile = load_profile(scenario.robot)
+
+    def warn(problem: str) -> None:
+        progress.say(f"warning: {problem}")
+
     with contextlib.ExitStack() as stack:
         # 1. Assemble the services, and a recorder that hears all they say.
-        recorder = None
+        hear = list(taps)
         if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
-            saying = about(scenario, seed, "lockstep")
-            recorder = stack.enter_context(Recorder(out / "recording.mcap", saying, Foxglove(profile)))
-        hear = [*taps, *([recorder.write] if recorder else [])]
+            clear(out)
+            recorder = stack.enter_context(_recorder(out / RECORDING, about(scenario, seed, "lockstep"), profile, warn))
+            hear += [] if recorder is None else [recorder.write]
 
         def tell(topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-            for hears in hear:
-                hears(topic, frame, at_ns)
+            for hears in tuple(hear):
+                try:
+                    hears(topic, frame, at_ns)
+                except WriteError as error:  # ends what is written, not the walk
+                    hear.remove(hears)
+                    warn(f"a recording ended early: {error}")
 
         run = assemble(scenario, seed, profile, tell, every_frame=bool(taps))
         # 2. Let simulated time pass until the run is over.
@@ -210,9 +219,30 @@ def run_lockstep(
     # 3. Judge it and write what it leaves behind.
     report = run.attendance.judge(run.now_ns() * 1e-9 / elapsed, ended_by)
     if out is not None:
-        run.attendance.leave_behind(report, out)
+        for problem in run.attendance.leave_behind(report, out):
+            warn(problem)
     progress.finish()
     return report
+
+
+@contextlib.contextmanager
+def _recorder(
+    path: Path, said: Mapping[str, str], profile: RobotProfile, warn: Callable[[str], None]
+) -> Iterator[Recorder | None]:
+    """A recorder; None where its file cannot be written. What it cannot write at its end is only warned of."""
+    try:
+        recorder = Recorder(path, said, Foxglove(profile))
+    except WriteError as error:
+        warn(str(error))
+        yield None
+        return
+    try:
+        yield recorder
+    finally:
+        try:
+            recorder.close()
+        except WriteError as error:
+            warn(f"a recording ended early: {error}")
 
 
 def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> str:
@@ -232,7 +262,8 @@ def _run_to_the_end(run: LockstepRun, progress: Progress, out: Path | None) -> s
             text = "".join(traceback.format_exception(error.__cause__))
             _log.error("%s\n%s", error, text)
             if out is not None:
-                (out / CRASH).write_text(text, encoding="utf-8")
+                with contextlib.suppress(WriteError):  # it is in the log
+                    files.write_text(out / CRASH, text)
             return str(error)
         progress.update(run.attendance.monitor.view)
     return ""

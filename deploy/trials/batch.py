@@ -24,7 +24,7 @@ from deploy.trials import kept
 from deploy.trials.kept import Run
 from deploy.trials.statistics import Difference, Rate, difference, wilson
 from deploy.workers import share_out
-from shared import config
+from shared import config, files
 from shared.scenario import HeightMap, Scenario
 
 _PACKAGES = ("shared", "services", "deploy")
@@ -133,7 +133,7 @@ def run_trials(
         raise ValueError(f"at least one seed and one job expected, found {len(wanted)} seeds and {jobs} jobs")
     refuse_another_program()
     scenario = replace(scenario, walk=replace(scenario.walk, blind=scenario.walk.blind or blind))
-    out.mkdir(parents=True, exist_ok=True)
+    files.make_folder(out)
     path, mark = out / "trials.jsonl", fingerprint(scenario)
     done = _done(path, keep_in, mark, wanted)
     if done:
@@ -142,18 +142,17 @@ def run_trials(
     successes = sum(one.success for one in done.values())
     made_by, machine = provenance.commit(), provenance.machine()
     kept.mend(path)
-    with path.open("a", encoding="utf-8") as lines:
-        tasks = [(scenario, seed) for seed in left]
-        for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
-            marks = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "machine": machine}
-            entry = marks | {"report": reports.as_table(report)}
-            lines.write(json.dumps(entry, ensure_ascii=False) + "\n")
-            lines.flush()
-            done[report.seed] = Run.read(entry)
+    tasks = [(scenario, seed) for seed in left]
+    for report in share_out(run or _run_lockstep, tasks, min(jobs, len(left)), in_order=False):
+        marks = {"fingerprint": mark, "commit": made_by, "time": provenance.now(), "machine": machine}
+        entry = marks | {"report": reports.as_table(report)}
+        done[report.seed] = Run.read(entry)
+        with files.reported(say):
+            files.append_text(path, json.dumps(entry, ensure_ascii=False) + "\n", durable=True)
             if keep_in is not None:
                 kept.keep(keep_in, [done[report.seed]])
-            successes += report.success
-            say(_line(report, len(done), len(wanted), successes))
+        successes += report.success
+        say(_line(report, len(done), len(wanted), successes))
     return summarise([done[seed] for seed in wanted])
 
 

@@ -8,6 +8,7 @@ from deploy.judging.report import Report
 from deploy.trials import batch as batches
 from deploy.trials.batch import Runner
 from deploy.trials.campaign_table import Campaign, Entry, write
+from shared import files
 from shared.config import ConfigError
 from shared.scenario import HeightMap, Scenario, load_scenario
 
@@ -51,7 +52,7 @@ def run_campaign(
         table: Which table of them is written, of `deploy.trials.campaign_table.TABLES`.
     """
     wanted, keep_in = sorted(set(seeds)), out / "campaign.jsonl"
-    out.mkdir(parents=True, exist_ok=True)
+    files.make_folder(out)
     entries: list[Entry] = []
     left_out: list[str] = []
     for name in names:
@@ -70,9 +71,10 @@ def run_campaign(
             say(f"{name} without a map")
             runner = run or _Leaving(wanted[0], folder / f"seed-{wanted[0]}-blind")
             baseline = batches.run_trials(scenario, wanted, jobs, folder, blind=True, say=say, run=runner, keep_in=keep_in)
-        (folder / "trials.json").write_text(batches.to_json(seeing, baseline), encoding="utf-8")
         entries.append(Entry(seeing, baseline))
-        write(Campaign(tuple(entries), tuple(left_out)), out, table)
+        with files.reported(say):
+            files.write_text(folder / "trials.json", batches.to_json(seeing, baseline), durable=True)
+            write(Campaign(tuple(entries), tuple(left_out)), out, table)
     return Campaign(tuple(entries), tuple(left_out))
 
 

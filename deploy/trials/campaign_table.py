@@ -11,6 +11,7 @@ from deploy.trials import kept
 from deploy.trials.batch import Passages, Trials, in_words
 from deploy.trials.kept import Run
 from deploy.trials.statistics import Rate, wilson
+from shared import files
 
 # The courses of the public table, in its order, and what they are, in words.
 WALKED: Mapping[str, str] = {
@@ -139,8 +140,8 @@ def to_json(campaign: Campaign) -> str:
 
 def write(campaign: Campaign, out: Path, table: str = "walks") -> None:
     """Write table.md, which of TABLES is wanted, and campaign.json."""
-    (out / "table.md").write_text(markdown(campaign, table), encoding="utf-8")
-    (out / "campaign.json").write_text(to_json(campaign), encoding="utf-8")
+    files.write_text(out / "table.md", markdown(campaign, table))
+    files.write_text(out / "campaign.json", to_json(campaign), durable=True)
 
 
 def _reached(campaign: Campaign, entry: Entry) -> list[str]:

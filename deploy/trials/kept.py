@@ -14,6 +14,7 @@ from typing import Any, Self
 
 from deploy.judging import report as reports
 from deploy.judging.report import Passage
+from shared.files import append_text, explained
 from shared.input_file import FileError, parse_json, read_bytes
 
 
@@ -148,6 +149,7 @@ def mend(path: Path) -> None:
 
     Raises:
         KeptError: The file is not one of runs, so that nothing was done to it; or it cannot be read.
+        WriteError: It cannot be written.
     """
     *lines, tail = _lines(path)
     if not tail:
@@ -156,10 +158,10 @@ def mend(path: Path) -> None:
         if not _is_run(line):
             raise _no_run(path, number, line)
     if _is_run(tail):
-        with path.open("ab") as file:
-            file.write(b"\n")
+        append_text(path, "\n")
     elif tail.startswith(_BEGINS) or _BEGINS.startswith(tail):
-        os.truncate(path, sum(len(line) + 1 for line in lines))
+        with explained(path):
+            os.truncate(path, sum(len(line) + 1 for line in lines))
     else:
         raise _no_run(path, len(lines) + 1, tail)
 
@@ -169,11 +171,11 @@ def keep(path: Path, runs: Iterable[Run]) -> None:
 
     Raises:
         KeptError: What is there is not a file of runs, or cannot be read.
+        WriteError: They cannot be written; the file is as it was.
     """
     mend(path)
     lines = [json.dumps(run.line(), ensure_ascii=False, separators=(",", ":")) + "\n" for run in runs]
-    with path.open("a", encoding="utf-8") as file:
-        file.writelines(lines)
+    append_text(path, "".join(lines), durable=True)
 
 
 def newest(runs: Iterable[Run]) -> tuple[list[list[Run]], int]:

@@ -1,5 +1,6 @@
 """Moving pictures in files: video through OpenCV, animated pictures through Pillow, told apart by the file name's suffix."""
 
+import errno
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,16 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from shared.files import make_folder, write_by_name
+
 _VIDEOS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}  # encoders that OpenCV's wheels bring along
 _ANIMATED = (".webp", ".gif", ".png")
 SUFFIXES = (*_VIDEOS, *_ANIMATED)
 _WEBP: dict[str, Any] = {"quality": 72, "method": 4}
 _COLORS, _VIVID = 256, 80  # of a GIF; and from which difference of R, G, B on a colour is one that must not be lost
+_PROBE_BYTES = 1 << 16  # that there must be room for before anything is encoded
 _TOLD_BY = 5  # every how many pixels of the others its colours are chosen by
 
 
-class FileError(OSError):
-    """A file that cannot be written, in words."""
+class FileError(ValueError):
+    """A kind of file that nothing here can write, in words."""
 
 
 def write(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float, size: tuple[int, int]) -> int:
@@ -27,23 +31,17 @@ def write(path: Path, frames: Iterable[NDArray[np.uint8]], fps: float, size: tup
     A file that could not be finished is not left behind.
 
     Raises:
-        FileError: It cannot be written, or nothing here can write such a file.
+        WriteError: It cannot be written.
+        FileError: Nothing here can write such a file.
         ValueError: An unknown suffix.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ValueError(f"a name that ends in one of {', '.join(SUFFIXES)} expected, found {path.name!r}")
-    unfinished = path.with_name(f".{path.name}.unfinished{suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.touch()
-        counted = _Counted(frames)
-        (_write_video if suffix in _VIDEOS else _write_animated)(unfinished, suffix, counted, fps, size)
-        unfinished.replace(path)
-    except OSError as error:
-        raise FileError(f"{path} cannot be written: {error.strerror or error}; give another file with --out") from error
-    finally:
-        unfinished.unlink(missing_ok=True)
+    make_folder(path.parent)
+    counted = _Counted(frames)
+    encode = _write_video if suffix in _VIDEOS else _write_animated
+    write_by_name(path, lambda unfinished: encode(unfinished, suffix, counted, fps, size))
     return counted.count
 
 
@@ -60,7 +58,8 @@ class _Counted(Iterator[NDArray[np.uint8]]):
         return frame
 
 
-def _write_video(path: Path, suffix: str, frames: Iterable[NDArray[np.uint8]], fps: float, size: tuple[int, int]) -> None:
+def _write_video(path: Path, suffix: str, frames: _Counted, fps: float, size: tuple[int, int]) -> None:
+    path.write_bytes(bytes(_PROBE_BYTES))  # OpenCV does not say why it cannot open a file, nor that it lacks its end
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*_VIDEOS[suffix]), fps, size)
     try:
         if not writer.isOpened():
@@ -69,9 +68,20 @@ def _write_video(path: Path, suffix: str, frames: Iterable[NDArray[np.uint8]], f
             writer.write(np.ascontiguousarray(frame[..., ::-1]))
     finally:
         writer.release()
+    if _frames_in(path) < frames.count:
+        raise OSError(errno.ENOSPC, "it lacks pictures at the end")
 
 
-def _write_animated(path: Path, suffix: str, frames: Iterable[NDArray[np.uint8]], fps: float, size: tuple[int, int]) -> None:
+def _frames_in(path: Path) -> int:
+    """Pictures that a video file says it holds."""
+    video = cv2.VideoCapture(str(path))
+    try:
+        return round(video.get(cv2.CAP_PROP_FRAME_COUNT)) if video.isOpened() else 0
+    finally:
+        video.release()
+
+
+def _write_animated(path: Path, suffix: str, frames: _Counted, fps: float, size: tuple[int, int]) -> None:
     images = (Image.fromarray(frame) for frame in frames)
     if suffix == ".gif":
         images = (_few_colors(image) for image in images)

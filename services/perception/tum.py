@@ -12,18 +12,18 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shared import config, input_file, picture_file
+from shared import config, files, input_file, picture_file
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import interpolate, quaternion_from_rotation, rotation_from_quaternion, transform
 
 _USUAL = DepthSensor()
 _PAIRED_NS = 20_000_000  # [ns] between depth and colour that are taken for one, as in the benchmark's tools
+_DEPTH_FILE, _TRUTH_FILE = "depth.txt", "groundtruth.txt"
 _DEPTH_HEADER = "# timestamp filename\n"
 _TRUTH_HEADER = "# timestamp tx ty tz qx qy qz qw  (depth camera in world)\n"
 
@@ -239,22 +239,22 @@ class RecordingWriter:
 
         Raises:
             FileExistsError: The folder holds a depth.txt.
+            WriteError: It cannot be written.
         """
-        if (folder / "depth.txt").exists():
+        if (folder / _DEPTH_FILE).exists():
             raise FileExistsError(f"{folder} holds a recording already; choose another folder or remove it")
-        (folder / "depth").mkdir(parents=True, exist_ok=True)
-        (folder / "camera.toml").write_text(_camera_toml(camera), encoding="utf-8")
+        files.make_folder(folder / "depth")
+        files.write_text(folder / "camera.toml", _camera_toml(camera))
         self._folder, self._camera = folder, camera
         self._last_ns: int | None = None
-        self._depth = (folder / "depth.txt").open("w", encoding="utf-8")
-        self._truth: TextIO | None = None
-        self._depth.write(_DEPTH_HEADER)
+        self._has_truth = False
+        files.write_text(folder / _DEPTH_FILE, _DEPTH_HEADER)
 
     def __enter__(self) -> "RecordingWriter":
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self.close()
+        """Nothing is left open: every frame is complete when it has been added."""
 
     def add(self, stamp_ns: int, depth_raw: NDArray[np.uint16], T_world_camera: NDArray[np.float64] | None = None) -> None:
         """Append a frame and, where it is known, its true pose.
@@ -266,7 +266,7 @@ class RecordingWriter:
 
         Raises:
             ValueError: An image of another size or type, or a stamp not later than the last.
-            OSError: The image cannot be written.
+            WriteError: It cannot be written; the recording is as it was.
         """
         shape = (self._camera.intrinsics.height, self._camera.intrinsics.width)
         if depth_raw.dtype != np.uint16 or depth_raw.shape != shape:
@@ -274,29 +274,20 @@ class RecordingWriter:
         if self._last_ns is not None and stamp_ns // 1000 <= self._last_ns // 1000:
             raise ValueError(f"a stamp of at least 1 us after {self._last_ns} ns expected, found {stamp_ns} ns")
         stamp = _seconds(stamp_ns)
-        if not cv2.imwrite(str(self._folder / "depth" / f"{stamp}.png"), depth_raw):
-            raise OSError(f"{self._folder / 'depth' / stamp}.png cannot be written; is the disk full?")
-        self._depth.write(f"{stamp} depth/{stamp}.png\n")
-        self._last_ns = stamp_ns
+        files.write_bytes(self._folder / "depth" / f"{stamp}.png", cv2.imencode(".png", depth_raw)[1].tobytes())
         if T_world_camera is not None:
-            if self._truth is None:
-                self._truth = (self._folder / "groundtruth.txt").open("w", encoding="utf-8")
-                self._truth.write(_TRUTH_HEADER)
-            self._truth.write(_truth_line(stamp_ns, T_world_camera))
-
-    def close(self) -> None:
-        """Finish the text files."""
-        self._depth.close()
-        if self._truth is not None:
-            self._truth.close()
+            if not self._has_truth:
+                files.write_text(self._folder / _TRUTH_FILE, _TRUTH_HEADER)
+                self._has_truth = True
+            files.append_text(self._folder / _TRUTH_FILE, _truth_line(stamp_ns, T_world_camera))
+        files.append_text(self._folder / _DEPTH_FILE, f"{stamp} depth/{stamp}.png\n")
+        self._last_ns = stamp_ns
 
 
 def write_trajectory(path: Path, trajectory: Trajectory) -> None:
     """Write poses in the layout of groundtruth.txt."""
-    with path.open("w", encoding="utf-8") as file:
-        file.write(_TRUTH_HEADER)
-        for stamp_ns, T in zip(trajectory.stamps_ns, trajectory.T_world_camera, strict=True):
-            file.write(_truth_line(int(stamp_ns), T))
+    poses = zip(trajectory.stamps_ns, trajectory.T_world_camera, strict=True)
+    files.write_text(path, _TRUTH_HEADER + "".join(_truth_line(int(stamp_ns), T) for stamp_ns, T in poses))
 
 
 def _seconds(stamp_ns: int) -> str:

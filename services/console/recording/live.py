@@ -125,13 +125,13 @@ class LiveRecorder:
         except NoRoomError as error:
             self.problem = f"the recording ended early: {error}"  # and its last file is whole
         except OSError as error:
-            self.problem = f"the recording ended early: {self._sink.target}: {error}"
+            self.problem = f"the recording ended early: {error}"
             self._sink.abandon()
             return
         try:
             self._sink.close()
         except OSError as error:
-            self.problem = self.problem or f"the recording could not be finished: {self._sink.target}: {error}"
+            self.problem = self.problem or f"the recording could not be finished: {error}"
 
     def _sync(self) -> None:
         """The disk takes its time, in which the other thread goes on."""
@@ -139,7 +139,7 @@ class LiveRecorder:
             try:
                 self._sink.sync()
             except OSError as error:
-                self.problem = self.problem or f"the recording ended early: {self._sink.target}: {error}"
+                self.problem = self.problem or f"the recording ended early: {error}"
 
     def _write_what_waits(self) -> None:
         with self._lock:

@@ -1,8 +1,9 @@
 """One MCAP file: the frames of the wire as they are, and beside them what people's tools draw."""
 
+import contextlib
 import os
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -12,12 +13,14 @@ from google.protobuf.message import Message as ProtoMessage
 from mcap.writer import CompressionType, Writer
 
 from services.console.recording.layout import ENCODING, FRAME_LAYOUT, METADATA, describe
-from shared import topics
+from shared import files, topics
 from shared.service import AnyTopic
 
 # What is lost at most when the process dies: the chunk that is being filled.
 _CHUNK_BYTES = 256 << 10
 _FLUSH_NS = 500_000_000  # from one chunk to the next at most
+
+RESERVE_BYTES = 4 << 20  # of the disk, for what a run leaves behind beside its recording
 
 # Pictures would be nine tenths of a file, and asking for colour makes the simulator render it.
 LEFT_OUT: frozenset[AnyTopic] = frozenset({topics.DEPTH, topics.COLOR})
@@ -62,7 +65,7 @@ class Recorder:
             thinned_ns: Topic -> time [ns] that passes between two recorded frames.
 
         Raises:
-            OSError: The file cannot be written.
+            WriteError: The file cannot be written.
         """
         self.path = path
         self.skipped = frozenset(left_out)
@@ -74,15 +77,13 @@ class Recorder:
         self._schemas: dict[str, int] = {}  # of translations, by name
         self._counts: dict[int, int] = {}
         self._closing = threading.Lock()
-        self._file = path.open("wb")
-        try:
+        with files.explained(path):
+            self._file = path.open("wb")
+        with self._writing():
             self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
             self._writer.start(profile="", library="sextant")
             self._writer.add_metadata(METADATA, {**about, "frame_layout": FRAME_LAYOUT})
             self._file.flush()
-        except OSError:
-            self.abandon()
-            raise
         self._flush_due_ns = 0
 
     def __enter__(self) -> Self:
@@ -97,24 +98,39 @@ class Recorder:
         return str(self.path)
 
     def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        """Append a frame with the time [ns] at which it was sent or came."""
+        """Append a frame with the time [ns] at which it was sent or came.
+
+        Raises:
+            WriteError: It could not be written; the recording has ended.
+        """
         if topic in self.skipped:
             return
         apart_ns = self._thinned_ns.get(topic, 0)
         if topic.key in self._newest_ns and at_ns - self._newest_ns[topic.key] < apart_ns:
             return
         self._newest_ns[topic.key] = at_ns
-        self._add(self._channel(topic), frame, at_ns)
-        for name, message in self._translator.translate(topic, frame, at_ns):
-            self._add(self._translated(name, message), message.SerializeToString(deterministic=True), at_ns)
+        with self._writing():
+            self._add(self._channel(topic), frame, at_ns)
+            for name, message in self._translator.translate(topic, frame, at_ns):
+                self._add(self._translated(name, message), message.SerializeToString(deterministic=True), at_ns)
         if at_ns >= self._flush_due_ns:
             self._flush_due_ns = at_ns + _FLUSH_NS
             self.flush()
 
     def flush(self) -> None:
-        """Hand all that was written over to the system: what then becomes of this process is nothing to it."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        self.size = self._file.tell()
+        """Hand all that was written over to the system: what then becomes of this process is nothing to it.
+
+        Raises:
+            WriteError: It could not be written, or the disk is nearly full; the recording has ended.
+        """
+        with self._writing():
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            self.size = self._file.tell()
+        disk = os.fstatvfs(self._file.fileno())
+        if disk.f_bavail * disk.f_frsize < RESERVE_BYTES:
+            self.close()
+            words = f"less than {RESERVE_BYTES >> 20} MB of the disk are free, which the report needs; make room"
+            raise files.WriteError(self.path, OSError(words), f"its first {self.size / 1e6:.1f} MB are whole")
 
     def sync(self) -> None:
         """Wait until what was flushed is on the disk; from any thread, holding nobody else up."""
@@ -123,21 +139,19 @@ class Recorder:
                 return
             descriptor = os.dup(self._file.fileno())
         try:
-            os.fdatasync(descriptor)
+            with files.explained(self.path):
+                os.fdatasync(descriptor)
         finally:
             os.close(descriptor)
 
     def close(self) -> None:
         """Finish the file; safe to call twice."""
         if not self._file.closed:
-            try:
+            with self._writing():
                 self._writer.finish()  # type: ignore[no-untyped-call]
                 self.size = self._file.tell()
                 with self._closing:
                     self._file.close()
-            except OSError:
-                self.abandon()
-                raise
 
     def abandon(self) -> None:
         """Close the file as it is: it can be read as far as it goes."""
@@ -146,6 +160,15 @@ class Recorder:
                 self._file.close()
         except OSError:
             return  # what could not be written is lost, which whoever abandons it knows
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.abandon()
+            kept = f"its first {self.size / 1e6:.1f} MB are kept" if self.size else ""
+            raise files.WriteError(self.path, error, kept) from error
 
     def _add(self, channel: int, data: bytes, at_ns: int) -> None:
         count = self._counts[channel] = self._counts.get(channel, -1) + 1
@@ -165,6 +188,33 @@ class Recorder:
                 self._schemas[kind.full_name] = self._writer.register_schema(kind.full_name, "protobuf", declared)
             self._channels[name] = self._writer.register_channel(name, "protobuf", self._schemas[kind.full_name])
         return self._channels[name]
+
+
+class Unwritable:
+    """Stands in for a recorder whose file cannot be made: the first frame raises why."""
+
+    size = 0
+    skipped = frozenset(LEFT_OUT)
+
+    def __init__(self, path: Path, error: files.WriteError):
+        self.target, self._error = str(path), error
+
+    def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        """Raise why the file cannot be made."""
+        raise self._error
+
+    def flush(self) -> None:
+        """Raise why the file cannot be made."""
+        raise self._error
+
+    def sync(self) -> None:
+        """Nothing is there to be brought to the disk."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def abandon(self) -> None:
+        """Nothing is open."""
 
 
 def declaration(file: Any) -> FileDescriptorSet:

@@ -12,7 +12,7 @@ import pytest
 
 from deploy import cli
 from deploy.commands.common import out_folder
-from deploy.judging.report import Report
+from deploy.judging.report import Report, write
 from deploy.process_table import Command
 from deploy.trials import batch
 from shared.messages import GaitName
@@ -209,7 +209,11 @@ def test_a_run_ends_in_0_only_on_success(
 ) -> None:
     from deploy.runs import lockstep_run
 
-    monkeypatch.setattr(lockstep_run, "run_lockstep", lambda _scenario, seed, *_: report(success, seed))
+    def walk(_scenario: Scenario, seed: int, out: Path, *_: object) -> Report:
+        write(report(success, seed), out)
+        return report(success, seed)
+
+    monkeypatch.setattr(lockstep_run, "run_lockstep", walk)
     assert cli.main(["run", "flat", "--lockstep", "--seed", "9", "--out", str(tmp_path)]) == status
     assert report(success).reason in capsys.readouterr().out
     assert cli.main(["run", "flat", "--lockstep", "--seed", "9", "--out", str(tmp_path), "--json"]) == status
@@ -232,7 +236,8 @@ def test_a_live_run_and_the_demo_end_as_the_walk_does(
 
     asked: list[tuple[str, str, int, bool]] = []
 
-    def walk(scenario: Scenario, source: str, seed: int, *_: object, slow_down: bool) -> live_run.Outcome:
+    def walk(scenario: Scenario, source: str, seed: int, out: Path, *_: object, slow_down: bool) -> live_run.Outcome:
+        write(report(success), out)
         asked.append((scenario.name, source, seed, slow_down))
         return live_run.Outcome(report(success), presses > 0)
 

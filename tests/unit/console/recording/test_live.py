@@ -1,3 +1,4 @@
+import errno
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ from services.console.recording.reader import read
 from services.console.recording.rotation import NoRoomError, Rotation
 from services.console.recording.writer import Recorder
 from shared import codec, topics
+from shared.files import WriteError
 from shared.service import AnyTopic
 from tests.support.recorded import frames, some_messages
 
@@ -53,21 +55,21 @@ class FullDisk(Recorder):
     """Its disk is full."""
 
     def write(self, topic: AnyTopic, frame: bytes, at_ns: int) -> None:
-        raise OSError(28, "No space left on device")
+        raise WriteError(self.path, OSError(errno.ENOSPC, "No space left on device"))
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_walk(tmp_path: Path) -> None:
     live = LiveRecorder(FullDisk(tmp_path / "r", ABOUT))
     with live:
         feed(live)
-    assert "No space left" in live.problem
+    assert "the disk is full; make room" in live.problem
     assert str(tmp_path / "r") in live.problem
     feed(live)  # nobody is held up, and nothing piles up
     assert live.taken == 80
 
 
 def test_a_device_that_takes_nothing_is_said_where_it_is_opened(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(WriteError, match=r"/dev/full cannot be written: the disk is full; make room$"):
         recorder(Path("/dev/full"))
 
 
