@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from deploy.fuzz import made
+from deploy.fuzz import made, recordings
 from deploy.fuzz.broken import broken, odd, odd_table
 from deploy.ros2 import cdr
 from deploy.ros2.bridge import TWIST, TWIST_STAMPED, read_twist
@@ -38,7 +38,7 @@ class Target:
 
 
 def targets(rng: Random) -> tuple[Target, ...]:
-    """All of them: the topics, the servo bus, the microcontroller's wire from both ends, ROS 2, the operator's page."""
+    """All of them: the topics, the servo bus, the microcontroller's wire from both ends, ROS 2, the page, recordings."""
     return (
         *(_of_topic(topic, rng) for topic in topics.TOPICS),
         Target("servo bus", tuple(_packets()), _broken_behind(0), _take_packets),
@@ -47,6 +47,7 @@ def targets(rng: Random) -> tuple[Target, ...]:
         *(_of_twist(kind) for kind in (TWIST, TWIST_STAMPED)),
         Target("page, request", tuple(text.encode() for text in _asked()), _odd_request, _take_request),
         _of_socket(),
+        Target("recording", recordings.examples(rng), recordings.twisted, recordings.Taker().take),
     )
 
 

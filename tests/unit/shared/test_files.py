@@ -169,6 +169,7 @@ APART = {
     "deploy/bench/link.py": "a folder that is removed at the end",
     "deploy/bench/soak.py": "a folder that is removed at the end",
     "deploy/fuzz/fuzzing.py": "the newest message, for when it ends the process",
+    "deploy/fuzz/recordings.py": "a folder that is removed at the end",
     "deploy/output.py": "nowhere",
     "deploy/runs/live_run.py": "a log, line by line",
     "deploy/video/files.py": "by the name that `write_by_name` gives",
@@ -180,7 +181,7 @@ APART = {
     "shared/files.py": "this is where",
 }
 WRITES = re.compile(
-    r"""\bopen\([^)\n]*["'][wax]b?\+?["']|["']w\+b["']|os\.fdopen\(|(?<!files)\.write_(?:text|bytes)\(|savefig\(|imwrite\(|np\.save"""
+    r"""\bopen\([^)\n]*["'][wax]b?\+?["']|["']w\+b["']|fdopen\([^)\n]*["']w|(?<!files)\.write_(?:text|bytes)\(|savefig\(|imwrite\(|np\.save"""
 )
 
 
