@@ -179,6 +179,7 @@ APART = {
     "services/actuator/usb_adapter.py": "the kernel's own files",
     "services/console/recording/writer.py": "as it comes; readable as far as it goes",
     "shared/files.py": "this is where",
+    "shared/simulated_time.py": "memory that processes share",
 }
 WRITES = re.compile(
     r"""\bopen\([^)\n]*["'][wax]b?\+?["']|["']w\+b["']|fdopen\([^)\n]*["']w|(?<!files)\.write_(?:text|bytes)\(|savefig\(|imwrite\(|np\.save"""
