@@ -265,6 +265,7 @@ def test_a_run_on_a_slow_computer_says_so(
     from deploy.runs import live_run
 
     slow = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
+    write(report(True), tmp_path)
     monkeypatch.setattr(live_run, "warm_up", lambda *_: "")
     monkeypatch.setattr(
         live_run, "run_live_scenario", lambda *_, **__: live_run.Outcome(replace(report(True), too_slow=slow), False)
