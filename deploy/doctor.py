@@ -11,10 +11,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 
-from deploy import servo_checks
+from deploy import rehearsal, servo_checks
 from deploy.checks import Check, Level
 from shared.config import ConfigError
 
@@ -30,13 +31,14 @@ _PYTHON = (3, 11)
 _CORES = 2
 _DISK_WARN, _DISK_FAIL = 2 << 30, 200 << 20  # [bytes]
 _ROUND_TRIPS = 50
-_CYCLE_HZ, _CYCLES, _MISSED_MS = 50.0, 200, 25.0  # of the actuator
+_CYCLE_HZ, _CYCLES, _MISSED_MS = 50.0, 100, 25.0  # of the actuator
+_FULL = 0.75  # [1] share of the cores that a walk may need: other programs and Zenoh need some, too
 _SLOW_MS = 5.0  # a loopback round trip takes well under a millisecond
 
 
 def examine(port: str | None = None, robot: str = "phantomx_mk2", camera: str = "") -> list[Check]:
     """Check everything; a servo port only when one is given, the camera of the robot's profile or another one."""
-    checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), cycle(), disk(Path())]
+    checks = [python(), *wheels(), zenoh_round_trip(), numba_cache(), cores(), cycle(robot), chain(), disk(Path())]
     checks.append(depth_camera(robot, camera))
     return [*checks, *servo_checks.examine(port, robot)]
 
@@ -136,25 +138,67 @@ def cores(count: int | None = None) -> Check:
     return Check("cores", Level.OK, f"{found} usable")
 
 
-def cycle(clock: Callable[[], int] = time.monotonic_ns, wait: Callable[[float], object] = time.sleep) -> Check:
-    """Whether this machine keeps the time of a control loop, as it is loaded now: the actuator's cycle, without its work."""
+def cycle(
+    robot: str = "phantomx_mk2",
+    clock: Callable[[], int] = time.monotonic_ns,
+    wait: Callable[[float], object] = time.sleep,
+    actuator: Callable[[str], AbstractContextManager[Callable[[], object]]] = rehearsal.bench_actuator,
+) -> Check:
+    """Whether this machine keeps the time of a control loop, as it is loaded now: the actuator's, on an emulated servo bus."""
     from shared.host import go_first
     from shared.live import Beats
     from shared.service import Every
 
-    def beat() -> tuple[str, list[float]]:
-        refused, beats = go_first(), Beats(Every.hz(_CYCLE_HZ), clock)
-        return refused, sorted(1e-6 * beats.next(wait) for _ in range(_CYCLES))
+    def beat() -> tuple[str, list[float], list[float]]:
+        refused, every, work = go_first(), list[float](), list[float]()
+        with actuator(robot) as tick:
+            beats = Beats(Every.hz(_CYCLE_HZ), clock)
+            for _ in range(_CYCLES):
+                every.append(1e-6 * beats.next(wait))
+                began_ns = clock()
+                tick()
+                work.append(1e-6 * (clock() - began_ns))
+        return refused, sorted(every), sorted(work)
 
-    with ThreadPoolExecutor(1) as apart:  # priority is a thread's own
-        refused, took = apart.submit(beat).result()
-    p50, p99 = (took[round(share * (_CYCLES - 1))] for share in (0.50, 0.99))
-    missed = sum(ms > _MISSED_MS for ms in took)
-    words = f"of {1e3 / _CYCLE_HZ:g} ms takes {p50:.1f} ms (p50), {p99:.1f} (p99), {took[-1]:.1f} at most"
-    words += f"; {missed} of {_CYCLES} took more than {_MISSED_MS:g}" + (", without real-time priority" if refused else "")
-    if p99 <= _MISSED_MS:
-        return Check("control cycle", Level.OK, words)
-    return Check("control cycle", Level.WARN, words, refused or "end other programs, those of real-time priority first")
+    name = "control cycle"
+    try:
+        with ThreadPoolExecutor(1) as apart:  # priority is a thread's own
+            refused, every, work = apart.submit(beat).result()
+    except ImportError as error:
+        return Check(name, Level.WARN, f"not timed: {error}", "pip install -e '.[simulator]' brings an emulated servo bus")
+    except (ValueError, OSError) as error:
+        return Check(name, Level.WARN, f"not timed: {error}", "mend the profile, or name another with --robot")
+    p99 = round(0.99 * (_CYCLES - 1))
+    missed = sum(ms > _MISSED_MS for ms in every)
+    words = f"takes {work[p99]:.1f} of {1e3 / _CYCLE_HZ:g} ms with reading and writing an emulated bus; comes every "
+    words += f"{every[round(0.50 * (_CYCLES - 1))]:.1f} ms (p50), {every[p99]:.1f} (p99), {every[-1]:.1f} at most"
+    words += f"; {missed} of {_CYCLES} came after more than {_MISSED_MS:g}" + (
+        ", without real-time priority" if refused else ""
+    )
+    if every[p99] <= _MISSED_MS:
+        return Check(name, Level.OK, words)
+    return Check(name, Level.WARN, words, refused or "end other programs, those of real-time priority first")
+
+
+def chain(rehearse: Callable[[], list[rehearsal.StageLoad]] = rehearsal.rehearse) -> Check:
+    """Whether this machine keeps up with a walk, as it is loaded now: from the depth frame to the actuator's cycle."""
+    name = "walking"
+    try:
+        stages = rehearse()
+    except ImportError as error:
+        return Check(
+            name, Level.WARN, f"not timed: {error}", "pip install -e '.[simulator,perception,mapper]' brings what is timed"
+        )
+    cores_needed, usable = sum(stage.cores for stage in stages), rehearsal.usable_cores()
+    words = f"{', '.join(stage.words for stage in stages)}; together {cores_needed:.1f} of {usable} cores"
+    # The actuator has a priority that this process has not: its cycle is judged by a check of its own.
+    slow = [stage for stage in stages if stage.takes_ms > stage.within_ms and stage.service != "actuator"]
+    late = [rehearsal.STAGES[stage.service][0] for stage in slow]
+    if not late and cores_needed <= _FULL * usable:
+        return Check(name, Level.OK, words)
+    what = f" ({', '.join(late)})" if late else ""
+    advice = f"this computer is too slow to walk in real time as it is loaded now{what}; use --lockstep or close programs"
+    return Check(name, Level.WARN, words, advice)
 
 
 def disk(folder: Path, free: int | None = None) -> Check:

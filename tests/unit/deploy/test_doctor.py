@@ -1,14 +1,16 @@
 import importlib
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-from deploy import doctor
+from deploy import doctor, rehearsal
 from deploy.checks import Check, Level
+from deploy.rehearsal import StageLoad
 from shared import host
 
 
@@ -31,16 +33,24 @@ def test_frames_get_round_through_a_router_here() -> None:
     assert check.level is not Level.FAIL, check.found
 
 
-def clocked(late_ms: Callable[[int], float]) -> Check:
-    """The check of the cycle where the kth wait lasts longer by some time."""
+def clocked(late_ms: Callable[[int], float], work_ms: float = 9.0) -> Check:
+    """The check of the cycle where the kth wait lasts longer by some time, and the actuator works for a while."""
     now, waits = 0, 0
+
+    def work() -> None:
+        nonlocal now
+        now += round(1e6 * work_ms)
 
     def wait(seconds: float) -> None:
         nonlocal now, waits
         now += round(1e9 * seconds + 1e6 * late_ms(waits))
         waits += 1
 
-    return doctor.cycle(lambda: now, wait)
+    @contextmanager
+    def actuator(_robot: str) -> Iterator[Callable[[], None]]:
+        yield work
+
+    return doctor.cycle("phantomx_mk2", lambda: now, wait, actuator)
 
 
 @pytest.fixture(params=["", "real-time priority is refused; allow it"])
@@ -53,17 +63,90 @@ def test_a_machine_that_keeps_time_is_in_order(refused: str) -> None:
     check = clocked(lambda _: 0.0)
     assert (check.level, check.advice) == (Level.OK, "")
     without = ", without real-time priority" if refused else ""
-    assert check.found == f"of 20 ms takes 20.0 ms (p50), 20.0 (p99), 20.0 at most; 0 of 200 took more than 25{without}"
+    assert check.found == (
+        "takes 9.0 of 20 ms with reading and writing an emulated bus; comes every 20.0 ms (p50), 20.0 (p99), 20.0 at most; "
+        f"0 of 100 came after more than 25{without}"
+    )
 
 
 def test_a_cycle_that_is_late_now_and_then_is_told_and_no_failure(refused: str) -> None:
     once = clocked(lambda k: 9.0 if k == 50 else 0.0)
     assert once.level is Level.OK
-    assert once.found.startswith("of 20 ms takes 20.0 ms (p50), 20.0 (p99), 29.0 at most; 1 of 200 took more than 25")
+    assert "20.0 ms (p50), 20.0 (p99), 29.0 at most; 1 of 100 came after more than 25" in once.found
     often = clocked(lambda k: 9.0 if k % 20 == 0 else 0.0)
     assert often.level is Level.WARN
-    assert "20.0 ms (p50), 29.0 (p99), 29.0 at most; 10 of 200 took more than 25" in often.found
+    assert "20.0 ms (p50), 29.0 (p99), 29.0 at most; 5 of 100 came after more than 25" in often.found
     assert often.advice == (refused or "end other programs, those of real-time priority first")
+
+
+def test_the_cycle_that_is_timed_is_the_actuator_s_on_an_emulated_bus() -> None:
+    with rehearsal.bench_actuator("phantomx_mk2") as tick:
+        for _ in range(3):
+            tick()
+
+
+@pytest.mark.parametrize(("broken", "advice"), [(ImportError("no mujoco"), "pip install"), (ValueError("no robot"), "--robot")])
+def test_a_cycle_that_cannot_be_timed_says_why(broken: Exception, advice: str) -> None:
+    def actuator(_robot: str) -> AbstractContextManager[Callable[[], None]]:
+        raise broken
+
+    check = doctor.cycle("phantomx_mk2", actuator=actuator)
+    assert (check.level, check.found) == (Level.WARN, f"not timed: {broken}")
+    assert advice in check.advice
+
+
+def load(service: str, takes_ms: float, cores: float = 0.1) -> StageLoad:
+    return StageLoad(service, takes_ms, rehearsal.STAGES[service][1], cores)
+
+
+def test_a_machine_that_keeps_up_says_what_each_stage_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rehearsal, "usable_cores", lambda: 2)
+    check = doctor.chain(lambda: [load("perception", 12.04), load("mapper", 20.0), load("actuator", 31.0)])
+    assert (check.level, check.advice) == (Level.OK, "")
+    assert check.found == (
+        "frame to pose and scan takes 12.0 of 67 ms, scan to map takes 20.0 of 67 ms, actuator cycle takes 31.0 of 20 ms; "
+        "together 0.3 of 2 cores"
+    )
+
+
+@pytest.mark.parametrize(
+    ("stages", "words"),
+    [
+        (
+            [load("perception", 12.0), load("mapper", 160.0)],
+            "as it is loaded now (scan to map); use --lockstep or close programs",
+        ),
+        ([load("planner", 12.0, cores=1.6)], "as it is loaded now; use --lockstep or close programs"),
+    ],
+)
+def test_a_machine_that_does_not_keep_up_says_which_stage_is_too_slow(
+    stages: list[StageLoad], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rehearsal, "usable_cores", lambda: 2)
+    check = doctor.chain(lambda: stages)
+    assert check.level is Level.WARN
+    assert check.advice == f"this computer is too slow to walk in real time {words}"
+
+
+def test_a_chain_that_cannot_be_timed_says_why() -> None:
+    def rehearse() -> list[StageLoad]:
+        raise ImportError("no mujoco")
+
+    check = doctor.chain(rehearse)
+    assert (check.level, check.found) == (Level.WARN, "not timed: no mujoco")
+
+
+def test_the_chain_is_the_real_services_and_ends_after_its_time() -> None:
+    looks = iter(range(100))
+    found = {stage.service: stage for stage in rehearsal.rehearse(4.0, lambda: float(next(looks)))}
+    assert found.keys() == rehearsal.STAGES.keys()
+    assert all(stage.takes_ms > 0.0 and stage.cores > 0.0 for stage in found.values())
+    assert next(looks) <= 7, "it ends when its seconds are over"
+
+
+def test_loads_are_by_the_simulated_time_in_which_they_came() -> None:
+    (found,) = rehearsal.loads({"mapper": [10.0] * 99 + [50.0], "planner": []}, 4.0)
+    assert (found.service, found.takes_ms, found.cores) == ("mapper", pytest.approx(10.4), pytest.approx(0.26))
 
 
 def test_a_missing_wheel_is_named_with_the_role_that_lacks_it(monkeypatch: pytest.MonkeyPatch) -> None:
