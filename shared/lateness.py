@@ -128,16 +128,16 @@ def ages_of(health: Health) -> tuple[InputAge, ...]:
 class SlowComputer:
     """Finds out from the reports of services whether a computer is too slow for them."""
 
-    def __init__(self, real_time: bool = True, linked: bool = False):
+    def __init__(self, real_time: bool = True, linked: bool = False, computer: str = "this computer"):
         """Begin without a report.
 
         Args:
             real_time: Whether services go by real time: in lockstep no computer is too slow.
-            linked: Whether a link between machines may be what is too slow.
+            linked: Whether a link between machines may be what is too slow; that may change.
+            computer: What it is called where it is named.
         """
-        causes = (("this computer",) if real_time else ()) + (("the link between the machines",) if linked else ())
-        self._cause = f"{' or '.join(causes)} is too slow" if causes else ""
-        self._real_time = real_time
+        self.linked = linked
+        self._real_time, self._computer = real_time, computer
         self._reports: deque[tuple[int, str, InputAge]] = deque()  # when [ns], service; late ones alone
         self._heard_ns: dict[str, int] = {}  # when the newest health of a service came
 
@@ -166,10 +166,11 @@ class SlowComputer:
                 worst[key] = age
         late = {key: age for key, age in worst.items() if counts[key] >= _REPORTS}
         slow = ((age.what == BEAT and self._real_time) or age.arrived_s > _ALREADY * age.limit_s for age in late.values())
-        if not (self._cause and any(slow)):
+        causes = ((self._computer,) if self._real_time else ()) + (("the link between the machines",) if self.linked else ())
+        if not (causes and any(slow)):
             return ""
         order = sorted(late.items(), key=lambda item: (item[1].what == BEAT, -item[1].age_s / item[1].limit_s))
-        return f"{self._cause}: {'; '.join(age.words(service) for (service, _), age in order[:_SHOWN])}"
+        return f"{' or '.join(causes)} is too slow: {'; '.join(age.words(service) for (service, _), age in order[:_SHOWN])}"
 
 
 def _seconds(duration_s: float) -> str:

@@ -30,6 +30,7 @@ class Diary:
         self._told: dict[str, str] = {}  # what was last noted, by subject
         self._warnings: frozenset[str] = frozenset()
         self._silent: set[str] = set()
+        self._slow = False  # whether the computer was, when that was noted last
         self._refusals: dict[str, str] = {}  # the last one noted, by service
 
     def note(self, at_ns: int, who: str, words: str, bad: bool = False) -> None:
@@ -67,6 +68,12 @@ class Diary:
         """See how the camera fares."""
         if state is not None:
             self._if_new(now_ns, "camera", "state", "pictures come" if state.ok else state.reason, not state.ok)
+
+    def computer(self, now_ns: int, too_slow: str) -> None:
+        """Note that the computer is too slow, or no longer is; the figures change all the time."""
+        if bool(too_slow) != self._slow:
+            self._slow = bool(too_slow)
+            self.note(now_ns, "console", too_slow or "the services keep up again", self._slow)
 
     def passage(self, now_ns: int, plan: PassagePlan) -> None:
         """A section of a passage was planned."""

@@ -16,6 +16,7 @@ from shared import topics
 from shared.access import refusal_here
 from shared.clock import now_ns
 from shared.health_table import HealthTable
+from shared.lateness import SlowComputer
 from shared.messages import ActuatorState, CameraState, Message, ModeCommand, PlannerStatus, StopOrder, TerrainMap, Tick
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Every, Inbox, Stages
@@ -71,6 +72,8 @@ class Console:
         self._legs: ActuatorState | None = None
         self._status: PlannerStatus | None = None
         self._health = HealthTable()
+        self._computer = SlowComputer(computer="the robot's computer")
+        self._too_slow = ""  # that it is, in words, or nothing
         self._told = self._glanced = ""  # the last state, and the last glance
         self._logged = 0  # entries of the diary that were sent
         self._news_due_ns = self._map_due_ns = 0
@@ -113,7 +116,7 @@ class Console:
         if now - self._told_ns >= _HEALTH_NS:
             self._told_ns = now
             if self._watched:
-                self._tell("health", view.health(self._health.named(), now))
+                self._tell("health", view.health(self._health.named(), now, self._too_slow))
         self.server.flush()
 
     # ---------------------------------------------------------------------------------------------------------- from pages
@@ -142,7 +145,7 @@ class Console:
         self._watched[page] = Watch()
         self._tell("hello", view.hello(self._profile, self._settings, self._desk.arrive(page, now)), page)
         self._tell("log", view.log(self._diary.entries, now), page)
-        self._tell("health", view.health(self._health.named(), now), page)
+        self._tell("health", view.health(self._health.named(), now, self._too_slow), page)
         self._told = ""  # the state, which goes to all that are there
         self._draw(page)
 
@@ -205,7 +208,12 @@ class Console:
     def _hear_news(self, now: int, inbox: Inbox) -> None:
         """What comes about now and then."""
         self._health.drain(inbox, now)
-        self._diary.services(now, self._health.named())
+        services = self._health.named()
+        self._diary.services(now, services)
+        self._computer.linked = any(health.robot_ahead_s for health, _ in services.values())
+        self._computer.update(services)
+        self._too_slow = self._computer.words(now)
+        self._diary.computer(now, self._too_slow)
         self._camera = inbox.latest(topics.CAMERA_STATE)
         self._diary.camera(now, self._camera)
         for plan in inbox.drain(topics.PASSAGE_PLAN):

@@ -158,10 +158,11 @@ def silent(services: Mapping[str, tuple[Health, int]], now_ns: int) -> list[str]
     return sorted(name for name, (_, at_ns) in services.items() if now_ns - at_ns > _SILENT_S * 1e9)
 
 
-def health(services: Mapping[str, tuple[Health, int]], now_ns: int) -> dict[str, Any]:
+def health(services: Mapping[str, tuple[Health, int]], now_ns: int, too_slow: str = "") -> dict[str, Any]:
     """How each service fares, and how long ago it last said so."""
     return {
         "type": "health",
+        "too_slow": f"{too_slow}; close programs there" if too_slow else "",
         "services": [
             {
                 "name": name,

@@ -75,3 +75,14 @@ def test_it_keeps_so_many_lines_and_counts_all() -> None:
     for k in range(2 * KEPT):
         diary.note(k, "console", str(k))
     assert (len(diary.entries), diary.count, diary.entries[-1].words) == (KEPT, 2 * KEPT, str(2 * KEPT - 1))
+
+
+def test_a_computer_that_is_too_slow_is_noted_once_and_when_it_is_over() -> None:
+    diary = Diary()
+    for age in ("", "maps are 1.6 s old", "maps are 1.7 s old", "", ""):
+        diary.computer(S, f"the robot's computer is too slow: {age}" if age else "")
+    assert said(diary) == [
+        "console: the robot's computer is too slow: maps are 1.6 s old",
+        "console: the services keep up again",
+    ]
+    assert [e.bad for e in diary.entries] == [True, False]

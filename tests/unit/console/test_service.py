@@ -338,6 +338,21 @@ def test_services_and_passages_are_told_of(rig: Rig) -> None:
     page.until("log", lambda _: any("no foothold for the left front leg" in line for line in page.log))
 
 
+def test_a_page_is_told_that_the_robot_s_computer_is_too_slow(rig: Rig) -> None:
+    def late(stamp_ns: int) -> Health:
+        nothing, late = np.zeros(0), [np.array([figure]) for figure in (1.6, 1.2, 0.8, 0.5)]
+        return Health(stamp_ns, "planner", "waiting", 1, 0, 0, "", (), nothing, nothing, 0.0, ("mapper/terrain",), *late)
+
+    page = rig.page()
+    assert page.until("health")["too_slow"] == ""
+    for second in range(3):
+        rig.hear(late(second))
+        rig.beat(1000.0)
+    told = page.until("health", lambda told: told["too_slow"])
+    assert told["too_slow"] == "the robot's computer is too slow: maps are 1.6 s old, 0.8 s allowed; close programs there"
+    page.until("log", lambda _: any("too slow: maps" in line for line in page.log))
+
+
 def test_a_page_records_and_is_shown_how_it_goes(rig: Rig) -> None:
     page = rig.page()
     page.until("hello")

@@ -65,6 +65,10 @@ def test_a_link_or_lockstep_is_told_apart() -> None:
     assert after(SlowComputer(real_time=False, linked=True), report, report) == said
     assert after(SlowComputer(linked=True), report, report) == f"this computer or {said}"
     assert after(SlowComputer(real_time=False), report, report) == "", "no computer is too slow for simulated time"
+    named = SlowComputer(computer="the robot's computer")
+    assert after(named, report, report).startswith("the robot's computer is too slow: maps")
+    named.linked = True
+    assert named.words(S).startswith("the robot's computer or the link between the machines is too slow: maps")
 
 
 @pytest.mark.parametrize(

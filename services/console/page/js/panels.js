@@ -128,7 +128,9 @@ export class Panels {
   }
 
   health(message) {
-    $("service-list").replaceChildren(...message.services.map((service) => {
+    const slow = message.too_slow ? [item(message.too_slow)] : [];
+    slow.forEach((line) => line.classList.add("silent", "slow"));
+    $("service-list").replaceChildren(...slow, ...message.services.map((service) => {
       const line = document.createElement("li");
       const name = document.createElement("b");
       name.textContent = `${service.name} `;
