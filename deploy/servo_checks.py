@@ -128,12 +128,12 @@ def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, Seen], bool
 
 def well(seen: "list[Seen]", profile: "RobotProfile") -> Iterator[Check]:
     """Voltage and temperature of servos that are in order, and what they report of themselves."""
-    from services.actuator.roll_call import LOW_VOLTAGE, WARM, error_of, named
+    from services.actuator.roll_call import WARM, error_of, named
     from shared import dynamixel as dxl
 
     if not seen:
         return
-    names, low = profile.servo_names, LOW_VOLTAGE[dxl.MODEL_NAMED[profile.servo.model].number]
+    names, low = profile.servo_names, profile.battery.warn_voltage
     volts, degrees = sorted(one.voltage for one in seen), [one.temperature for one in seen]
     advice = f"charge the battery: at least {low:g} V are expected" if volts[0] < low else ""
     yield Check("servo voltage", Level.WARN if advice else Level.OK, f"{volts[0]:.1f} to {volts[-1]:.1f} V", advice)

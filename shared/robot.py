@@ -127,10 +127,19 @@ class Body:
     size: tuple[float, float, float]  # [m] length, width, height
     mass: float  # [kg] everything but the legs
     leg_link_masses: tuple[float, float, float]  # [kg] coxa, femur, tibia link with the servos they carry
+    # [m] {body} of `mass`: where battery, computer and camera put it. A trunk hung by it, from two points, shows where it is.
+    centre_of_mass: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     checks = (
         *config.each("size", lambda edge: 0 < edge <= 10, "an edge of more than 0 and at most 10 m"),
         *config.each("mass leg_link_masses", lambda mass: 0 < mass <= 1000, "a mass of more than 0 and at most 1000 kg"),
+        config.together(
+            "size centre_of_mass",
+            lambda size, centre: (
+                all(2 * abs(c) <= edge for c, edge in zip(centre[:2], size[:2], strict=True)) and abs(centre[2]) <= max(size)
+            ),
+            "a centre of mass over or under the trunk, in metres from its middle",
+        ),
     )
 
     def __post_init__(self) -> None:
@@ -170,7 +179,7 @@ class Stance:
     # What goes with the robot's size, too; these are a PhantomX's.
     search_radius: float = 0.06  # [m] around the nominal foothold in which another is looked for
     foot_distance: float = 0.06  # [m] between feet, at least
-    support_margin: float = 0.02  # [m] of the body's centre inside each support polygon, at least
+    support_margin: float = 0.02  # [m] of the centre of mass inside each support polygon, at least
     max_climb: float = 0.03  # [m] of the body's height in one step
     rough_lift: float = 0.04  # [m] clearance at least, where the ground under a swing is uneven
     max_lift: float = 0.11  # [m] over both ends of a swing that a leg can lift its foot

@@ -17,6 +17,7 @@ from shared import dynamixel as dxl
 from shared.geometry import Array
 from shared.messages import Mode
 from shared.robot import RobotProfile
+from shared.stability import centre_of_mass
 
 _MARGIN_S = 3.0  # [s] over which the stability margin is looked at
 _STILL_S = 0.2  # [s] for which a robot that is at rest has been so
@@ -180,7 +181,9 @@ def _margin(truth: Truth, begin_s: float, profile: RobotProfile) -> float:
     rows = (truth.t >= begin_s) & (truth.t <= begin_s + _MARGIN_S)
     if not rows.any():
         return nan
-    margin = stability_margin(truth.feet[rows, :, :2], carrying(truth, profile)[rows], truth.body[rows, :2, 3])
+    body = truth.body[rows]
+    centre = body[:, :3, 3] + (body[:, :3, :3] @ centre_of_mass(profile, truth.q[rows])[..., None])[..., 0]
+    margin = stability_margin(truth.feet[rows, :, :2], carrying(truth, profile)[rows], centre[:, :2])
     return float(np.nanmin(margin)) if np.isfinite(margin).any() else nan
 
 

@@ -16,7 +16,7 @@ from services.planner.passage.roadmap import PassageStep, Stance
 from shared.geometry import Array, apply
 from shared.kinematics import body_inverse, joint_torques, leg_nearest_reachable, leg_points
 from shared.robot import GRAVITY, JOINTS, LEGS, RobotProfile
-from shared.stability import support_margin
+from shared.stability import resting_centre_of_mass, support_margin
 
 _TIMES = 31  # instants of a step
 _ALONG = np.linspace(0.0, 1.0, 13)  # places along a link at which its distance to others is taken
@@ -121,9 +121,10 @@ class _Check:
         yield from self._joints(q, swing, planned)
         yield from self._places(local, swing, planned)
         standing = feet[0][~swing]
-        margin = min(support_margin(standing[:, :2], body[:2]) for body in bodies)
+        centre = resting_centre_of_mass(profile)
+        margin = min(support_margin(standing[:, :2], (body + centre)[:2]) for body in bodies)
         if margin < demands.margin - _ROUNDING:
-            yield f"the body {margin * 1e3:.0f} mm inside its standing feet"
+            yield f"the centre of mass {margin * 1e3:.0f} mm inside its standing feet"
         yield from self._torques(q, local, swing)
         yield from self._trunk(bodies)
         if np.isnan(q).any():

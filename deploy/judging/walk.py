@@ -16,6 +16,7 @@ from shared.geometry import Array, apply
 from shared.kinematics import leg_points
 from shared.messages import Mode
 from shared.robot import RobotProfile
+from shared.stability import centre_of_mass
 
 Flags = NDArray[np.bool_]
 
@@ -73,10 +74,12 @@ class Walk:
 
     @cached_property
     def margin(self) -> Array:
-        """Distance (n,) [m] of the body's centre to the edge of what supports it, negative outside; NaN where nothing does."""
+        """Distance (n,) [m] of the centre of mass to the edge of what supports it, negative outside; NaN where nothing does."""
         if not self._heard.states:
             return np.full(len(self.t_ns), np.nan)
-        return stability_margin(self.feet[..., :2], self.carrying, self.p[:, :2])
+        q = np.array([m.q for m in self._heard.truth]).reshape(-1, 6, 3)
+        offset = (self.T[:, :3, :3] @ centre_of_mass(self._profile, q)[..., None])[..., 0]
+        return stability_margin(self.feet[..., :2], self.carrying, (self.p + offset)[:, :2])
 
     @cached_property
     def in_the_way(self) -> Flags:

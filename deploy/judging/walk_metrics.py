@@ -61,29 +61,29 @@ def touchdowns(contact: Flags, swing: Flags) -> NDArray[np.intp]:
     return np.array(sorted(found), dtype=np.intp).reshape(-1, 2)
 
 
-def stability_margin(feet: Array, carrying: Flags, body: Array) -> Array:
-    """Distance (n,) [m] of the projected body centre to the nearest edge of the support polygon, negative outside.
+def stability_margin(feet: Array, carrying: Flags, centre: Array) -> Array:
+    """Distance (n,) [m] of the projected centre of mass to the nearest edge of the support polygon, negative outside.
 
     With two feet it is less the distance to the line through them, with one to that foot; NaN with none.
 
     Args:
         feet: (n, legs, 2) [m] foot centres on the ground plane.
         carrying: (n, legs) which of them span the polygon.
-        body: (n, 2) [m] body centre on the same plane.
+        centre: (n, 2) [m] centre of mass on the same plane.
     """
     legs = feet.shape[1]
     first, second = np.nonzero(~np.eye(legs, dtype=bool))
     edge = feet[:, second] - feet[:, first]  # (n, pairs, 2)
     length = np.linalg.norm(edge, axis=-1)
     normal = np.stack([-edge[..., 1], edge[..., 0]], axis=-1) / np.maximum(length, 1e-12)[..., None]  # to the left
-    of_body = np.einsum("npk,npk->np", normal, body[:, None] - feet[:, first])
+    of_body = np.einsum("npk,npk->np", normal, centre[:, None] - feet[:, first])
     is_edge = carrying[:, first] & carrying[:, second] & (length > 1e-9)
     for leg in range(legs):  # an edge of the hull has all carrying feet on its left
         of_foot = np.einsum("npk,npk->np", normal, feet[:, None, leg] - feet[:, first])
         is_edge &= ~carrying[:, None, leg] | (of_foot > -1e-9)
     margin = np.where(is_edge, of_body, np.inf).min(axis=1)
     count = carrying.sum(axis=1)
-    alone = -np.linalg.norm(np.where(carrying[..., None], feet - body[:, None], 0.0), axis=-1).sum(axis=1)
+    alone = -np.linalg.norm(np.where(carrying[..., None], feet - centre[:, None], 0.0), axis=-1).sum(axis=1)
     return np.where(count >= 2, margin, np.where(count == 1, alone, np.nan))
 
 

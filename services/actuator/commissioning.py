@@ -159,7 +159,7 @@ def verdict(
             words = f"servo {seen.servo_id} talks at {rate} baud, {BAUD_RATE} expected{reset}"
             wrong[-seen.servo_id - 1] = Problem(words, "`sextant servos set-id` sets its rate")
     for i, seen in heard.items():
-        if seen.voice is Voice.CLEAR and i not in wrong and (words := ailing(seen)):
+        if seen.voice is Voice.CLEAR and i not in wrong and (words := ailing(seen, profile.battery.warn_voltage)):
             wrong[i] = Problem(f"{named(i, names)} {words}", "see to it before anything moves")
     return [*nobody, *wrong.values(), *hampered((seen for i, seen in heard.items() if i in names), profile)]
 

@@ -95,6 +95,7 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
     seen = look(bus, servo_id, listen=False)
     if seen is None or seen.voice is not Voice.CLEAR:
         raise silent(bus, servo_id, "it was looked at after its move")
+    least_v = profile.battery.warn_voltage
     asked, moved, left = sign * np.degrees(np.array([up * sign * _STEP_TICKS, there - start, back - start]) * dxl.TICK_RAD)
     return Moved(
         name=profile.servo_names[servo_id],
@@ -105,7 +106,7 @@ def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: in
         load=max(load, load_back),
         voltage=seen.voltage,
         temperature=seen.temperature,
-        problem=_problem(float(asked), float(moved), float(left), max(load, load_back)) or ailing(seen),
+        problem=_problem(float(asked), float(moved), float(left), max(load, load_back)) or ailing(seen, least_v),
     )
 
 

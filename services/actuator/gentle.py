@@ -28,8 +28,9 @@ def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
     """Whether every servo is there, well and without torque, so that legs may be moved; the operator is told why not."""
     seen = call(bus, profile.servo_names)
     wrong = problems(profile.servo_names, seen, dxl.MODEL_NAMED[profile.servo.model])
+    low = profile.battery.warn_voltage
     told = [f"{words}: {advice}" for words, advice in wrong.values()]
-    told += [f"{named(i, bus.names)} {words}" for i, one in seen.items() if i not in wrong and (words := ailing(one))]
+    told += [f"{named(i, bus.names)} {words}" for i, one in seen.items() if i not in wrong and (words := ailing(one, low))]
     if told:
         operator.say("the servos are not ready, nothing is moved:\n  " + "\n  ".join(told))
         return False

@@ -12,7 +12,7 @@ from shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
 from shared.kinematics import body_forward, body_inverse, nearest_reachable, within_limits
 from shared.messages import StepPlan
 from shared.robot import JOINTS, LEGS, RobotProfile
-from shared.stability import support_margin
+from shared.stability import resting_centre_of_mass, support_margin
 
 FURTHEST = 1e6  # [m] from the origin of {world}
 MAX_TRAVEL = 0.20  # [m] of the body in one step
@@ -42,7 +42,7 @@ class PlanCheck:
             handover_s: [s] of a step in which the feet of its legs are not in the air.
         """
         self.epoch = epoch
-        self._profile = profile
+        self._profile, self._centre = profile, resting_centre_of_mass(profile)
         self._handover_s = handover_s
         self._plan_age_ns = round(plan_age_s * 1e9)
         self._last_stamp_ns = -1
@@ -107,10 +107,10 @@ class PlanCheck:
         if len(standing) < 3:
             return f"only {len(standing)} legs would stand, three are needed"
         for where, body in (("at the start", T_odom_body), ("at the end", T_odom_world @ plan.body_goal)):
-            margin = support_margin(standing[:, :2], body[:2, 3])
+            margin = support_margin(standing[:, :2], apply(body, self._centre)[:2])
             if margin < MIN_MARGIN:
                 inside = f"{margin * 1e3:.0f} mm inside its standing feet {where}"
-                return f"the body would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
+                return f"the centre of mass would be {inside}, {MIN_MARGIN * 1e3:.0f} mm needed"
         return ""
 
     def _too_fast(self, plan: StepPlan, T_odom_body: Array, feet: Array, air_s: Array | None) -> str:

@@ -96,7 +96,6 @@ _BY_VOICE = {
     Voice.MUTE: f"its status return level is 0: {SET_ID}",
     Voice.ECHO: "--echo here, and --set actuator.echo=true for the actuator",
 }
-LOW_VOLTAGE = {dxl.AX_12A.number: 10.5, dxl.RX_64.number: 14.0}  # [V] 3.5 V a cell of three, of four
 WARM = 10.0  # [deg C] below its limit a servo is too warm to begin with
 
 
@@ -247,9 +246,14 @@ def amiss(seen: Seen, model: ServoModel, reach: tuple[int, int]) -> list[Setting
     return [setting for wrong, setting in settings if wrong]
 
 
-def ailing(seen: Seen) -> str:
-    """What a servo says of its voltage, heat and load that is out of order, in words; nothing where all is well."""
-    low, limit, error = LOW_VOLTAGE.get(seen[dxl.MODEL_NUMBER], 0.0), seen[dxl.TEMPERATURE_LIMIT], error_of(seen)
+def ailing(seen: Seen, low: float) -> str:
+    """Describe what a servo reports of its voltage, heat and load that is out of order; empty where all is well.
+
+    Args:
+        seen: The servo.
+        low: [V] least voltage, by the profile's battery.
+    """
+    limit, error = seen[dxl.TEMPERATURE_LIMIT], error_of(seen)
     return "; ".join(
         words
         for words, wrong in (

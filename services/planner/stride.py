@@ -17,7 +17,7 @@ from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotati
 from shared.kinematics import body_inverse, leg_inverse, within_limits
 from shared.messages import VelocityCommand
 from shared.robot import LEGS, RobotProfile
-from shared.stability import support_margin
+from shared.stability import resting_centre_of_mass, support_margin
 
 SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
 _WIDTHS = (1.0, 1.5)  # of the search for footholds: the wider where the narrower leaves no step
@@ -359,12 +359,13 @@ class StridePlanner:
         return f"{LEGS[bad[0]]} leg: would be stretched beyond its limits at the end of the step" if len(bad) else ""
 
     def _unstable(self, feet: Array, T_world_body: Array, when: str) -> str:
-        margin = support_margin(feet[:, :2], T_world_body[:2, 3])
+        centre = apply(T_world_body, resting_centre_of_mass(self._profile))
+        margin = support_margin(feet[:, :2], centre[:2])
         least = self._profile.stance.support_margin
         if margin >= least:
             return ""
         needed = f"{least * 100:.1f} cm needed"
-        return f"the body would be {margin * 100:.1f} cm inside its three feet {when}, {needed}"
+        return f"the centre of mass would be {margin * 100:.1f} cm inside its three feet {when}, {needed}"
 
     def _clearance(self, feet: Array, touchdown: Array, lift: float, terrain: Terrain) -> Array:
         """Clearance (6,) [m] over both ends: over what lies between them, too, and more where the ground is rough."""

@@ -60,9 +60,9 @@ class Supply:
 
 
 AX_12A_MOTOR = Motor()
-RX_64_MOTOR = Motor(stall_torque=5.3, stall_current=2.6, standby_current=0.05)  # at 18.5 V
-# What the RX-64 asks for and what its voltage limits leave room for (12 to 19 V): 18.5 V from a converter. Assumed.
-RX_64_SUPPLY = Supply(full_voltage=18.5, empty_voltage=18.5)
+# At 14.8 V. The e-manual has 5.3 N m and 2.6 A at 18.5 V; both are in proportion to the voltage, as those of a DC motor are.
+RX_64_MOTOR = Motor(stall_torque=4.24, stall_current=2.08, standby_current=0.05)
+RX_64_SUPPLY = Supply(full_voltage=14.8, empty_voltage=14.8)  # a bench supply: Lotriet 2024, section 3.1
 _ELECTRICS = {"AX-12A": (AX_12A_MOTOR, Supply()), "RX-64": (RX_64_MOTOR, RX_64_SUPPLY)}
 
 # For so long [ns] from a physics step joints are taken to go on as they do: in lockstep a cycle reads as far ahead of it.

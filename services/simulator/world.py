@@ -354,7 +354,10 @@ def _add_robot(spec: Any, profile: RobotProfile, factors: Factors, friction: lis
     body = spec.worldbody.add_body(name="body")
     body.add_freejoint(name="body")
     half = np.array(profile.body.size) / 2
-    body.add_geom(name="trunk", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, mass=profile.body.mass, **solid)
+    body.add_geom(name="trunk", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, **solid)
+    # A uniform box as large as the trunk, its middle where the profile has the centre of mass.
+    body.explicitinertial, body.mass, body.ipos = True, profile.body.mass, profile.body.centre_of_mass
+    body.inertia = profile.body.mass / 3.0 * (np.sum(half**2) - half**2)
     links = (profile.links.coxa, profile.links.femur, profile.links.tibia)
     up = [0.0, -1.0, 0.0]  # turning about -y lifts what lies along x
     for leg, (name, T) in enumerate(zip((part.name for part in profile.legs), profile.T_body_coxa, strict=True)):

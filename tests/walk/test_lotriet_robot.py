@@ -18,7 +18,8 @@ def test_it_walks_the_tests_of_the_thesis(name: str) -> None:
         run.run(run.now_ns() + _LOOK_NS)
     report = run.attendance.judge(1.0, in_a_hurry=True)
     assert report.success, report.reason
-    assert report.min_stability_margin_m >= 0.05  # no foot was taken to stand that hung in the air
+    assert report.torque_nm.rms_worst_joint < load_profile(scenario.robot).servo.stall_torque / 3.0
+    assert report.min_stability_margin_m >= 0.04  # no foot was taken to stand that hung in the air
     measured, published = Measured.of(run.attendance.scorer.trace), TESTS[name]
     assert abs(measured.height_error_m) < abs(published.height_error_m or 0.0)
     assert measured.off_command_deg < (published.tilt_deg or 0.0)

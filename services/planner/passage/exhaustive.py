@@ -5,7 +5,7 @@ about its first and last good place along the strip and its middle. Ground that 
 may be wherever its leg reaches from where the body is, and may always be set anew. The **body** goes by the roadmap's lattice
 and its cone.
 
-**Tests** kept are those of reach, of places, of distance between feet and of support: the body's centre lies inside the line
+**Tests** kept are those of reach, of places, of distance between feet and of support: the centre of mass lies inside the line
 through two feet by so much only if both are that far out in the direction across that line, so each foothold has a set of
 directions, and a stance holds if those of every two feet beside each other meet. Left out is what could only refuse more:
 torque, legs beside each other, trunk, shanks and swings over the ground. So few configurations are left that all can be looked
@@ -179,7 +179,8 @@ def _window(profile: RobotProfile, settings: PassageSettings, corner: Array, low
     lattice = rules.lattice * np.stack(np.meshgrid(*[np.arange(-k, k + 1)] * 2, indexing="ij"), axis=-1)
     off = lattice + corner - rules.lattice * np.floor(corner / rules.lattice + 1e-9)
     window = np.zeros((6, len(levels), *off.shape[:2], _WORDS), dtype=np.uint64)
-    bits, found = _directions(off, rules.margin), np.zeros(off.shape[0] * off.shape[1], dtype=np.int64)
+    centre = np.array([rules.centre_x, rules.centre_y])
+    bits, found = _directions(off - centre, rules.margin), np.zeros(off.shape[0] * off.shape[1], dtype=np.int64)
     for leg, (n, level) in product(range(6), enumerate(levels)):
         z = np.full(off.shape[:2], level + rules.foot_radius - rules.height)
         search.landings(legs, leg, np.ascontiguousarray(np.dstack([off, z]).reshape(-1, 3)), found)

@@ -69,7 +69,9 @@ class Rules(NamedTuple):
     easy_torque: float  # [N m] that it may give for hours
     height: float  # [m] of the body over the floor
     climb: float  # [m] of the body in a step
-    margin: float  # [m] of the body's centre inside its standing feet
+    centre_x: float  # [m] of the centre of mass from the body's middle
+    centre_y: float
+    margin: float  # [m] of the centre of mass inside its standing feet
     feet_apart: float
     legs_apart: float
     body_clear: float
@@ -238,11 +240,12 @@ def _foot(tree: Tree, ground: Ground, rules: Rules, code: int, leg: int) -> tupl
 
 
 @compiled
-def _support(feet: Array, swing: int, bx: float, by: float) -> float:
-    """How far [m] a body's centre is inside the feet (6, 3) that stand, by the edges from leg to leg around the body.
+def _support(rules: Rules, feet: Array, swing: int, body_x: float, body_y: float) -> float:
+    """How far [m] the centre of mass is inside the feet (6, 3) that stand, by the edges from leg to leg around the body.
 
     Where a foot stands inside the hull of the others that is less than its distance from the hull, never more.
     """
+    x, y = body_x + rules.centre_x, body_y + rules.centre_y
     least = np.inf
     for a in range(6):
         if a == swing:
@@ -255,7 +258,7 @@ def _support(feet: Array, swing: int, bx: float, by: float) -> float:
         length = math.sqrt(ex * ex + ey * ey)
         if length < 1e-6:
             return -np.inf
-        least = min(least, (ey * (bx - feet[a, 0]) - ex * (by - feet[a, 1])) / length)
+        least = min(least, (ey * (x - feet[a, 0]) - ex * (y - feet[a, 1])) / length)
     return least
 
 
@@ -740,7 +743,7 @@ def judge(
     """
     table, codes = legs.table, np.zeros(6, np.int32)
     verdict[:], lifts[:] = OK, 0.0
-    begin = _support(feet, leg, b0[0], b0[1])
+    begin = _support(rules, feet, leg, b0[0], b0[1])
     strained, _, _ = _stands(table, rules, codes, feet, leg, b0[0], b0[1], b0[2], True)
     for m in range(len(bodies)):
         b1 = bodies[m]
@@ -748,7 +751,7 @@ def judge(
         if test == OK:
             mid = 0.5 * (b0 + b1)
             test, _, _ = _stands(table, rules, codes, feet, leg, mid[0], mid[1], mid[2], False)
-        if begin < rules.margin or (strained != TORQUE and _support(feet, leg, b1[0], b1[1]) < rules.margin):
+        if begin < rules.margin or (strained != TORQUE and _support(rules, feet, leg, b1[0], b1[1]) < rules.margin):
             test = MARGIN
         elif strained == TORQUE:
             test = TORQUE
@@ -990,7 +993,7 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
     feet, after = work[:6], work[6:12]
     codes = tree.foot[node]
     b0 = tree.body[node]
-    begin = _support(feet, leg, b0[0], b0[1])
+    begin = _support(rules, feet, leg, b0[0], b0[1])
     if begin < rules.margin:
         _fail(tree, far, MARGIN, leg)
         return True
@@ -1017,7 +1020,7 @@ def _expand_for(tree: Tree, ground: Ground, legs: Legs, rules: Rules, node: int,
         if known or abs(body[1]) > rules.drift + max(abs(tree.body[0, 1]) - rules.drift, 0.0):
             continue
         # 1. The body's motion, over the legs that stand.
-        margin = min(begin, _support(feet, leg, body[0], body[1]))
+        margin = min(begin, _support(rules, feet, leg, body[0], body[1]))
         if margin < rules.margin:
             _fail(tree, far, MARGIN, leg)
             continue
@@ -1179,7 +1182,7 @@ def faults(legs: Legs, rules: Rules, strict: int, feet: Array, body: Array, foun
             legs.table, strict, leg, feet[leg, 0] - body[0], feet[leg, 1] - body[1], feet[leg, 2] - body[2]
         )
         found[leg] = test
-    found[6] = OK if _support(feet, ALL_STAND, body[0], body[1]) >= rules.margin else MARGIN
+    found[6] = OK if _support(rules, feet, ALL_STAND, body[0], body[1]) >= rules.margin else MARGIN
 
 
 @compiled

@@ -9,6 +9,7 @@ from services.planner.passage.settings import PassageSettings
 from shared.geometry import Array
 from shared.kinematics import body_inverse, within_limits
 from shared.robot import GRAVITY, RobotProfile
+from shared.stability import resting_centre_of_mass
 
 ORDER = (4, 3, 5, 2, 0, 1)  # rear to front, sides alternating
 _EASY = 1.0 / 3.0  # of stall: what a servo gives for hours (facts of the AX-12A; RX-64 is taken alike)
@@ -43,6 +44,7 @@ def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
     """Lengths and limits of the tests."""
     links, stance, body = profile.links, profile.stance, profile.body
     size = links.femur + links.tibia
+    centre = resting_centre_of_mass(profile)
     return Rules(
         foot_radius=profile.foot.radius,
         half_length=body.size[0] / 2,
@@ -53,6 +55,8 @@ def rules_of(profile: RobotProfile, settings: PassageSettings) -> Rules:
         easy_torque=_EASY * profile.servo.stall_torque,
         height=settings.body_height or stance.body_height,
         climb=0.5 * stance.max_climb,
+        centre_x=float(centre[0]),
+        centre_y=float(centre[1]),
         margin=settings.margin,
         feet_apart=stance.foot_distance,
         legs_apart=settings.legs_apart,

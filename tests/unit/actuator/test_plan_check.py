@@ -15,7 +15,7 @@ from shared.geometry import Array, apply, from_xyz_rpy, inverse
 from shared.kinematics import body_inverse, within_limits
 from shared.messages import StepPlan
 from shared.profiles import load_profile
-from shared.stability import support_margin
+from shared.stability import resting_centre_of_mass, support_margin
 
 Flags = NDArray[np.bool_]
 
@@ -100,7 +100,7 @@ FOUR = np.array([True, True, True, True, False, False])
         ({"clearance": np.full(6, 0.2)}, "clearances of 0 to 0.12 m expected, found 0.200 to 0.200 m"),
         ({"clearance": np.full(6, -0.01)}, "clearances of 0 to 0.12 m expected, found -0.010 to -0.010 m"),
         ({"swing": FOUR}, "only 2 legs would stand, three are needed"),
-        ({"body_goal": goal(0.15)}, "the body would be -28 mm inside its standing feet at the end, 5 mm needed"),
+        ({"body_goal": goal(0.15)}, "the centre of mass would be -28 mm inside its standing feet at the end, 5 mm needed"),
         ({"touchdown": FAR}, "the touchdown of the left front leg is out of reach of its coxa"),
         (
             {"body_goal": goal(z=0.215), "touchdown": apply(goal(z=0.215), REST)},
@@ -171,9 +171,10 @@ def test_the_world_may_be_a_thousand_kilometres_wide_and_no_more() -> None:
 
 def test_a_body_that_is_nowhere_near_its_feet_is_told_by_how_much() -> None:
     found = PlanCheck(PROFILE, AGE).unwalkable(plan(), START, FEET + np.array([0.0, 1.5, 0.0]))
-    margin = support_margin((FEET + np.array([0.0, 1.5, 0.0]))[~TRIPOD][:, :2], START[:2, 3])
+    centre = apply(START, resting_centre_of_mass(PROFILE))[:2]
+    margin = support_margin((FEET + np.array([0.0, 1.5, 0.0]))[~TRIPOD][:, :2], centre)
     assert margin < -1.0
-    assert found == f"the body would be {margin * 1e3:.0f} mm inside its standing feet at the start, 5 mm needed"
+    assert found == f"the centre of mass would be {margin * 1e3:.0f} mm inside its standing feet at the start, 5 mm needed"
 
 
 def test_the_time_in_which_feet_are_on_the_ground_is_none_to_swing_in() -> None:
@@ -267,7 +268,14 @@ def test_in_mid_step_a_standing_foot_may_have_moved_a_little_beyond_its_leg(shor
 def test_a_body_outside_its_standing_feet_at_the_start_is_refused() -> None:
     outside = from_xyz_rpy((0.2, 0.0, 0.1), np.zeros(3))
     words = PlanCheck(PROFILE, AGE).unwalkable(plan(body_goal=outside), outside, FEET)
-    assert words == "the body would be -72 mm inside its standing feet at the start, 5 mm needed"
+    assert words == "the centre of mass would be -72 mm inside its standing feet at the start, 5 mm needed"
+
+
+@pytest.mark.parametrize(("centre", "refused"), [(0.0, False), (0.04, False), (0.24, True)])
+def test_support_is_that_of_the_centre_of_mass(centre: float, refused: bool) -> None:
+    profile = replace(PROFILE, body=replace(PROFILE.body, size=(0.5, 0.12, 0.04), centre_of_mass=(centre, 0.0, 0.0)))
+    words = PlanCheck(profile, AGE).unwalkable(plan(), START, FEET)
+    assert words.startswith("the centre of mass would be -") == refused
 
 
 def test_a_plan_is_accepted_once_and_only_forward() -> None:

@@ -1,12 +1,16 @@
 """The support margin against geometry done another way."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from shared.geometry import Array
-from shared.stability import support_margin
+from shared.kinematics import body_inverse
+from shared.profiles import load_profile, profile_names
+from shared.stability import centre_of_mass, resting_centre_of_mass, support_margin
 
 SQUARE = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
 
@@ -80,3 +84,12 @@ def test_feet_in_one_place_carry_nothing() -> None:
 def test_two_feet_are_a_mistake() -> None:
     with pytest.raises(ValueError, match="at least three standing feet expected, found 2"):
         support_margin(SQUARE[:2], np.zeros(2))
+
+
+@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.05, -0.03, 0.02)])
+def test_at_rest_the_centre_of_mass_is_where_the_support_tests_have_it(name: str, place: tuple[float, float, float]) -> None:
+    profile = load_profile(name)
+    profile = replace(profile, body=replace(profile.body, centre_of_mass=place))
+    true = centre_of_mass(profile, body_inverse(profile, profile.rest_feet()))
+    np.testing.assert_allclose(resting_centre_of_mass(profile)[:2], true[:2], atol=1e-3)

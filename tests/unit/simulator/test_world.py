@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from shared.geometry import Array, apply, from_xyz_rpy
 from shared.profiles import load_profile
 from shared.robot import RobotProfile
 from shared.scenario import Goal, Pillars, Plane, Rubble, Scenario, Slope, Variation, load_scenario
+from shared.stability import centre_of_mass
 
 NO_BOXES = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 FLAT = Terrain(NO_BOXES, plane=0.0)
@@ -48,6 +51,17 @@ def random_angles(rng: np.random.Generator) -> Array:
 
 def tilt(world: World) -> float:
     return float(np.arccos(np.clip(world.T_world_body[2, 2], -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.03, -0.02, 0.05)])
+def test_the_model_has_the_centre_of_mass_of_the_profile(centre: tuple[float, float, float]) -> None:
+    profile = replace(PROFILE, body=replace(PROFILE.body, centre_of_mass=centre))
+    rng, world = np.random.default_rng(1), World(profile, ABYSS)
+    assert world.model.body_subtreemass[0] == pytest.approx(profile.body.total_mass)
+    for _ in range(10):
+        q, T = random_angles(rng), from_xyz_rpy(rng.normal(size=3), rng.uniform(-1, 1, 3))
+        world.place(q, T)
+        np.testing.assert_allclose(world.data.subtree_com[0], apply(T, centre_of_mass(profile, q)), atol=2e-3)
 
 
 def test_the_model_has_the_kinematics_of_the_profile() -> None:
