@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shared import config
+from shared import config, topics
+
+_MOST_PIXELS = min(topics.cells_that_fit(topics.DEPTH), topics.cells_that_fit(topics.COLOR))
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +28,11 @@ class Intrinsics:
     checks = (
         *config.each("width height", lambda pixels: 1 <= pixels <= 4096, "1 to 4096 pixels"),
         *config.each("fx fy", lambda length: 1 <= length <= 1e5, "a focal length of 1 to 100000 pixels"),
+        config.together(
+            "width height",
+            lambda width, height: width * height <= _MOST_PIXELS,
+            f"at most {_MOST_PIXELS} pixels in all, which a message of {topics.DEPTH.key} has room for",
+        ),
         *config.each("cx cy", lambda centre: abs(centre) <= 1e5, "at most 100000 pixels either way"),
     )
 

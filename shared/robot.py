@@ -304,6 +304,7 @@ class RobotProfile:
 
     checks = (
         *config.each("name", lambda name: name.strip() != "", "a name"),
+        *config.each("name", lambda name: len(name) <= 100, "a name of at most 100 characters"),
         *config.each("horn_offsets_deg", lambda offset: abs(offset) <= 360, "-360 to 360 deg"),
         config.Check(("legs",), _out_of_order),
         config.Check(("legs",), _ids_given_twice),

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from shared import config
+from shared import config, topics
 from shared.bus_fault import BusFault
 from shared.messages import GaitName
 from shared.mover import Mover
@@ -556,6 +556,8 @@ class MapOptions:
     def __post_init__(self) -> None:
         _expect(self.cells >= 8 and (self.cells_y == 0 or self.cells_y >= 8), "at least 8 cells", (self.cells, self.cells_y))
         _expect(0.001 <= self.resolution <= 1.0, "a resolution of 0.001 to 1 m", self.resolution)
+        cells, most = self.cells * (self.cells_y or self.cells), topics.cells_that_fit(topics.TERRAIN)
+        _expect(cells <= most, f"at most {most} cells in all, which a message of {topics.TERRAIN.key} has room for,", cells)
 
     @property
     def scan_resolution(self) -> float:
@@ -656,6 +658,7 @@ class Scenario:
     def __post_init__(self) -> None:
         # Folders of runs are named by it.
         plain = re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9 _.+-]*", self.name) is not None and ".." not in self.name
+        _expect(len(self.name) <= 100, "a name of at most 100 characters", len(self.name))
         _expect(plain, "a name of letters, digits, spaces, dots, dashes, plus signs and underscores", repr(self.name))
         if not self.terrain:
             raise ValueError('at least one terrain primitive expected, found none; add [[terrain]] with kind = "plane"')

@@ -5,11 +5,14 @@ The defaults are the 99th percentiles of live runs on two cores, the median of f
 under stages_ms); of what such a run does not carry (colour, IMU) or does not time (health), that of its like.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
+
+import numpy as np
 
 from shared import messages as m
 
@@ -119,5 +122,16 @@ TOPICS: tuple[Topic[Any], ...] = (
     *HEALTH_OF.values(),
     *PRESENCE_OF.values(),
 )
+_HEADER_BYTES = 2048  # of a message that is mostly an array, at most
+
+
+def cells_that_fit(topic: Topic[Any]) -> int:
+    """Cells of a map, or pixels of a picture, that a message of a topic has room for with all of its layers."""
+    arrays = [detail for _, base, detail in m.schema(topic.type) if base is np.ndarray]
+    layers = [(dtype, dims.shape) for dtype, dims in arrays if dims.shape[:2] in (("nx", "ny"), ("h", "w"))]
+    per_cell = sum(dtype.itemsize * math.prod(shape[2:]) for dtype, shape in layers)
+    return int((topic.max_bytes - _HEADER_BYTES) // per_cell)
+
+
 OF_TYPE = {topic.type: topic for topic in reversed(TOPICS)}  # the robot's, where each role has a key
 RENAMED: Mapping[str, str] = MappingProxyType({"health": HEALTH.key, "machine/presence": PRESENCE.key})  # old key -> key

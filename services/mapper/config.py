@@ -1,6 +1,9 @@
 """Settings of the mapper."""
 
+import math
 from dataclasses import dataclass
+
+from shared import topics
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +30,13 @@ class Settings:
     def __post_init__(self) -> None:
         if self.cells < 8 or (self.cells_y != 0 and self.cells_y < 8):
             raise ValueError(f"at least 8 cells along x, and along y or 0, expected, found {self.cells} and {self.cells_y}")
+        for what, cells, topic in (
+            ("cells of the map", math.prod(self.shape), topics.TERRAIN),
+            ("passage_cells", self.passage_cells, topics.PASSAGE),
+        ):
+            most = topics.cells_that_fit(topic)
+            if cells > most:
+                raise ValueError(f"at most {most} {what}, which a message of {topic.key} has room for, expected, found {cells}")
         if not 0.001 <= self.resolution <= 1.0:
             raise ValueError(f"resolution from 0.001 to 1 m expected, found {self.resolution}")
         if self.publish_every < 1 or self.passage_every < 1:

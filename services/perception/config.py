@@ -37,7 +37,7 @@ class Settings:
             "scan_resolution": (0.005, 1.0),
             "scan_range": (self.scan_resolution, 30.0),
             "scan_ceiling": (0.0, 30.0),
-            "scan_points": (1, 20_000),
+            "scan_points": (1, 16_000),  # which a message of perception/scan has room for
             "odometry_drift": (0.0, 10.0),
             "odometry_turn": (0.0, 10.0),
             "odometry_floor": (1e-6, 1.0),

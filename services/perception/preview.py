@@ -1,5 +1,7 @@
 """Small pictures of what the camera sees, for people to look at. Pure."""
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ def preview(stamp_ns: int, depth: NDArray[np.uint16], sensor: DepthSensor, rgb: 
         sensor: Its scale and range.
         rgb: (h, w, 3), or none.
     """
-    every = max(1, max(depth.shape) // _WIDTH)
+    every = math.ceil(max(depth.shape) / _WIDTH)
     small = depth[::every, ::every]
     near, far = sensor.min_range, sensor.max_range
     away = np.clip((small / np.float32(sensor.depth_scale) - near) / (far - near), 0.0, 1.0)

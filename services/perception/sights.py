@@ -1,11 +1,14 @@
 """Lines of sight that meet nothing within the map: by them things that stood there and are gone are cleared."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import Array
 
+_MOST = 2000  # lines of a picture, which a message has room for beside the scan
 _APART = 16  # [px] between lines of sight in a picture; the next picture's lie between them
 _STRIDE = 7  # prime to it: by how much they move on, so that after a while every pixel has had its turn
 _BLOCK = 8  # [px] between the pixels by which a part of the picture is called empty
@@ -50,7 +53,8 @@ def free_sights(
     free = (z >= sensor.min_range) & (z <= sensor.max_range) & (z > end)
     if believe_empty:
         free |= (z == 0) & _empty(depth_raw)[np.ix_(rows // _BLOCK, columns // _BLOCK)]
-    return np.column_stack([p + end[free] * along[free] for p, along in zip(T_world_camera[:3, 3], ray, strict=True)])
+    found = np.column_stack([p + end[free] * along[free] for p, along in zip(T_world_camera[:3, 3], ray, strict=True)])
+    return found[:: max(math.ceil(len(found) / _MOST), 1)]
 
 
 def _empty(depth_raw: NDArray[np.uint16]) -> NDArray[np.bool_]:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from services.perception.preview import preview
+from shared import codec, topics
 from shared.camera import DepthSensor
 from shared.messages import MAX_PREVIEW
 
@@ -28,3 +29,11 @@ def test_a_frame_of_any_size_is_a_picture(size: tuple[int, int], colored: bool) 
 def test_colour_that_is_empty_is_none() -> None:
     made = preview(0, np.ones((4, 4), dtype=np.uint16), SENSOR, np.zeros((0, 0, 3), dtype=np.uint8))
     assert made.color_jpeg.size == 0
+
+
+@pytest.mark.parametrize("shape", [(424, 512), (639, 639), (480, 639), (1440, 1440), (1, 4096)])
+def test_whatever_the_camera_sees_its_picture_fits(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(0)
+    depth = np.where(rng.random(shape) < 0.6, 0, rng.integers(300, 4000, shape)).astype(np.uint16)
+    shown = preview(1, depth, DepthSensor(), rng.integers(0, 256, (*shape, 3)).astype(np.uint8))
+    assert len(codec.encode(shown)) <= topics.PREVIEW.max_bytes

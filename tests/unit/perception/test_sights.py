@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from services.perception.sights import free_sights
+from shared.camera import DepthSensor, Intrinsics
 
 WALL = np.array([[1.2, -0.3, 0.0, 1.3, 0.3, 0.1]])
 
@@ -44,3 +45,9 @@ def test_pixels_without_return_count_only_where_all_above_them_is_empty_and_when
     near = np.zeros_like(depth)
     near[: h // 2] = world.depth_image(T)[: h // 2]  # the ground at its feet is too near, and no abyss
     assert len(sights(world, near, T, max_range=range_, believe_empty=True)) == len(sights(world, near, T, max_range=range_))
+
+
+def test_a_picture_of_any_size_gives_no_more_sights_than_a_message_has_room_for() -> None:
+    pixels = Intrinsics(1440, 1440, 800.0, 800.0, 720.0, 720.0)
+    seen = free_sights(np.full((1440, 1440), 2000, dtype=np.uint16), pixels, DepthSensor(), np.eye(4), max_range=0.9)
+    assert 900 < len(seen) <= 2000

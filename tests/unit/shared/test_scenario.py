@@ -151,6 +151,8 @@ def test_an_unknown_name_lists_the_known() -> None:
         ({"time_limit_s": 0}, "a time limit greater than 0 s"),
         ({"time_limit_s": 1e12}, "time_limit_s: at most 86400 s either way expected"),
         ({"map": {"cells": 10**12}}, r"map\.cells: at most 2048 cells either way expected"),
+        ({"map": {"cells": 1024}}, "map: at most 441397 cells in all, which a message of mapper/terrain has room for"),
+        ({"name": "a" * 101}, "a name of at most 100 characters expected"),
         ({"terrain": [RUBBLE | {"count": 10**12}]}, r"terrain\[0\]\.count: a count from 1 to 500 expected"),
         ({"terrain": [RUBBLE | {"x": [0, 1e300]}]}, r"terrain\[0\]\.x\[1\]: at most 1000 m either way expected"),
         ({"terrain": [PILLARS | {"xy": [[0, 1e300]]}]}, r"terrain\[0\]\.xy: places within 1000 m expected"),

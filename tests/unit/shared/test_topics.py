@@ -78,3 +78,24 @@ def _smallest(kind: type[messages.Message]) -> messages.Message:
         else:
             values[name] = base()
     return kind(**values)
+
+
+@pytest.mark.parametrize("topic", [topics.TERRAIN, topics.PASSAGE, topics.DEPTH, topics.COLOR], ids=lambda topic: topic.key)
+def test_the_largest_map_and_picture_that_a_configuration_may_ask_for_fit_into_their_message(topic: Topic[Any]) -> None:
+    rows = 500
+    columns = topics.cells_that_fit(topic) // rows
+    rng, values = np.random.default_rng(0), {}
+    for name, base, detail in messages.schema(topic.type):
+        if base is np.ndarray:
+            dtype, dims = detail
+            shape = (rows, columns, *dims.shape[2:]) if len(dims.shape) >= 2 and isinstance(dims.shape[0], str) else dims.shape
+            most = dims.most or 1
+            noise = rng.integers(0, 2 if dtype.kind == "b" else most + 1 if dims.most else 120, shape)
+            if dims.packed:
+                noise = rng.integers(np.iinfo(dtype).min, np.iinfo(dtype).max, shape)
+            values[name] = np.eye(4) if shape == (4, 4) else noise.astype(dtype)
+        else:
+            values[name] = "x" * messages.MAX_TEXT if base is str else 1 if base is int else 0.5
+    frame = codec.encode(topic.type(**values))
+    assert 0.9 * topic.max_bytes < len(frame) <= topic.max_bytes
+    codec.decode(frame, topic.type, topic.max_bytes)
