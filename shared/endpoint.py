@@ -3,8 +3,11 @@
 import errno
 import socket
 from collections.abc import Iterable
+from typing import Any
 
 _CONNECT_S = 3.0
+_USUAL = "7447 for tcp, 7448 for tls"
+_PROTOCOLS = ("tcp", "tls", "udp", "quic", "ws")  # of Zenoh; Sextant itself needs the first two
 _UNKNOWN = "check its name, or give its IP address"
 
 
@@ -18,9 +21,9 @@ def place(endpoint: str) -> tuple[str, int]:
     address = rest.partition("?")[0].partition("#")[0]
     host, colon, port = address.rpartition(":")
     if not (protocol and slash and host and colon and port.isdecimal() and int(port) < 1 << 16):
-        given = address or endpoint
-        missing = "" if colon else f"; the port is missing: {protocol if slash else 'tcp'}/{given}:7447?"
-        raise ValueError(f"PROTOCOL/HOST:PORT expected, e.g. tls/robot.local:7448, found {endpoint!r}{missing}")
+        missing = bool(protocol and slash and address) and not (colon and port)
+        hint = f"; the port is missing: usually {_USUAL}" if missing else ""
+        raise ValueError(f"PROTOCOL/HOST:PORT expected, e.g. tls/robot.local:7448, found {endpoint!r}{hint}")
     return host.strip("[]"), int(port)
 
 
@@ -31,7 +34,40 @@ def fault(endpoints: Iterable[str]) -> str:
             place(endpoint)
         except ValueError as error:
             return str(error)
+        if (protocol := endpoint.partition("/")[0]) not in _PROTOCOLS:
+            return f"the endpoint {endpoint!r} begins with {protocol!r}: tcp, or tls with certificates, expected"
     return ""
+
+
+def resolved(endpoint: str) -> tuple[socket.AddressFamily, Any]:
+    """Return the family and address of an endpoint, as `socket.connect` and `bind` take it.
+
+    Raises:
+        socket.gaierror: Its host is not known.
+    """
+    host, port = place(endpoint)
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except UnicodeError:  # no host can have this name
+        raise socket.gaierror(socket.EAI_NONAME, "not a host name") from None
+    return family, address
+
+
+def connected(endpoint: str) -> socket.socket:
+    """Connect to an endpoint.
+
+    Raises:
+        OSError: It cannot be reached (`cannot_connect`).
+    """
+    family, address = resolved(endpoint)
+    link = socket.socket(family)
+    try:
+        link.settimeout(_CONNECT_S)
+        link.connect(address)
+    except OSError:
+        link.close()
+        raise
+    return link
 
 
 def cannot_connect(endpoint: str, error: OSError) -> str:
@@ -53,9 +89,8 @@ def cannot_connect(endpoint: str, error: OSError) -> str:
 
 def obstacle(endpoint: str) -> str:
     """Return why no connection to an endpoint can be made, or an empty text; takes a few seconds at most."""
-    host, port = place(endpoint)
     try:
-        socket.create_connection((host, port), _CONNECT_S).close()
+        connected(endpoint).close()
     except OSError as error:
         return cannot_connect(endpoint, error)
     return ""
@@ -63,9 +98,8 @@ def obstacle(endpoint: str) -> str:
 
 def unknown_host(endpoint: str) -> str:
     """Return that the host of an endpoint is not known, or an empty text."""
-    host, port = place(endpoint)
     try:
-        socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        resolved(endpoint)
     except socket.gaierror as error:
         return cannot_connect(endpoint, error)
     return ""
@@ -90,12 +124,25 @@ def cannot_listen(endpoint: str, error: OSError) -> str:
 
 def occupied(endpoint: str) -> str:
     """Return why an endpoint cannot be listened on, or an empty text."""
-    host, port = place(endpoint)
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # closed connections that linger do not count
-            probe.bind(address)
+        listener(endpoint).close()
     except OSError as error:
         return cannot_listen(endpoint, error)
     return ""
+
+
+def listener(endpoint: str) -> socket.socket:
+    """Return a socket that is bound to an endpoint.
+
+    Raises:
+        OSError: It cannot be listened on (`cannot_listen`).
+    """
+    family, address = resolved(endpoint)
+    bound = socket.socket(family)
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # closed connections that linger do not count
+        bound.bind(address)
+    except OSError:
+        bound.close()
+        raise
+    return bound

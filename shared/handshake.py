@@ -1,12 +1,10 @@
 """Whether a listener lets a certificate in, found out by a handshake: Zenoh itself only says that it cannot connect."""
 
-import socket
 import ssl
 
 from shared.access import AUTHORITY, CERTIFICATE, KEY, Keys
-from shared.endpoint import cannot_connect, place
+from shared.endpoint import cannot_connect, connected, place
 
-_CONNECT_S = 3.0
 _VERDICT_S = 0.25  # after its own handshake is done a client hears within a round trip that its certificate was refused
 
 _ALERTS = (  # what a listener sends, and what it means
@@ -31,9 +29,9 @@ def refusal(endpoint: str, keys: Keys) -> str:
 
 def verdict(endpoint: str, context: ssl.SSLContext, patience_s: float = _VERDICT_S) -> str:
     """Why a handshake fails, in words, or nothing where no refusal comes within a time [s]."""
-    host, port = place(endpoint)
+    host, _ = place(endpoint)
     try:
-        plain = socket.create_connection((host, port), _CONNECT_S)
+        plain = connected(endpoint)
     except OSError as error:
         return cannot_connect(endpoint, error)
     try:

@@ -10,6 +10,7 @@ for longer than the lease may come under keys of others once it goes on (seen wi
 
 import json
 import logging
+import re
 import signal
 import threading
 import time
@@ -22,6 +23,7 @@ from typing import Any, Self
 import zenoh
 
 from shared.access import Keys
+from shared.endpoint import fault, obstacle, occupied, unknown_host
 from shared.handshake import refusal
 from shared.topics import Delivery, Lane, Topic
 
@@ -32,6 +34,7 @@ GIVEN_UP_S = 0.75e-3 * LEASE_MS  # ... or sooner: its signs of life are a quarte
 # three frames on a busy machine lost one in 500: the sending thread had not had its turn within the millisecond of grace.
 QUEUE_SIZES = {"real_time": 16, "data": 8}
 _RX_BYTES = 1 << 20  # read at once: a map comes in 14 pieces of 64 kB, Zenoh's own choice
+_CONNECT_MS = 10_000  # in which what is connected to may still start
 # A router that is cut off from another tries again soon: SYNs of the kernel's own wait for seconds.
 _ATTEMPT_MS, _RETRY_MS = 500, 100
 # Connections that have not opened a session yet. With Zenoh's defaults, 100 for 10 s, 100 silent ones keep all others out.
@@ -39,6 +42,8 @@ _ACCEPT_PENDING, _ACCEPT_MS = 8192, 4000
 _SEND_BUFFER = 64 * 1024  # [bytes] of bulk over a radio: what waits in the kernel is late already
 _LOOK_S = 0.05  # between two looks of a router at the time
 _KEPT = 256  # frames of an EVERY topic that may wait to be taken
+
+_SOURCE = re.compile(r" at /\S+\.rs:\d+\.?")  # that Zenoh adds to its errors
 
 _log = logging.getLogger(__name__)
 
@@ -58,6 +63,8 @@ class Endpoints:
     loopback: bool = False  # scout and listen on this machine alone
 
     def __post_init__(self) -> None:
+        if wrong := fault(self.connect):
+            raise ValueError(wrong)
         if not self.scouting and not self.connect:
             raise ValueError("with scouting off an endpoint to connect to is needed, e.g. tcp/127.0.0.1:7447")
         secure = [endpoint for endpoint in self.connect if endpoint.startswith("tls/")]
@@ -89,7 +96,7 @@ def _config(
 ) -> dict[str, Any]:
     config: dict[str, Any] = {
         "mode": mode,
-        "connect": {"endpoints": list(connect), "timeout_ms": 10_000, "exit_on_failure": True},
+        "connect": {"endpoints": list(connect), "timeout_ms": _CONNECT_MS, "exit_on_failure": True},
         "listen": {"endpoints": list(listen)},
         "scouting": {"multicast": {"enabled": scouting}, "gossip": {"enabled": scouting}},
         "transport": {
@@ -141,13 +148,38 @@ class TransportError(RuntimeError):
 
 
 def _open(config: Mapping[str, Any]) -> zenoh.Session:
+    """Open a session.
+
+    Raises:
+        TransportError: Why it could not be opened, and what to do.
+    """
+    connect, listen = config["connect"]["endpoints"], config["listen"]["endpoints"]
+    if wrong := fault((*connect, *listen)):
+        raise TransportError(wrong)
+    if connect and config["connect"]["exit_on_failure"] and all(unknown := [unknown_host(one) for one in connect]):
+        raise TransportError("; ".join(unknown))  # at once: waiting does not help
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as error:
-        raise TransportError(
-            f"could not open Zenoh as {config['mode']} (connect {config['connect']['endpoints']}, "
-            f"listen {config['listen']['endpoints']}): {error}. Is the router running, and is the port free to listen on?"
-        ) from None
+        raise TransportError(_cause(connect, listen) or f"Zenoh could not be opened: {without_source(str(error))}") from None
+
+
+def _cause(connect: Sequence[str], listen: Sequence[str]) -> str:
+    """Why endpoints cannot be listened on or connected to, as far as the system says."""
+    if taken := [*filter(None, map(occupied, listen))]:
+        return "; ".join(taken)
+    if not connect:
+        return ""
+    missing = [*filter(None, map(obstacle, connect))]
+    return "; ".join(missing) or (
+        f"{', '.join(connect)} takes the connection, but does not answer as a router of Sextant; is another program there, or "
+        "does it ask for certificates (tls/HOST:7448 with --keys DIR)?"
+    )
+
+
+def without_source(text: str) -> str:
+    """Return a text of Zenoh without the places in its source code."""
+    return _SOURCE.sub("", text).strip()
 
 
 def _close(sessions: list[zenoh.Session], pumps: Sequence["_Pump"] = ()) -> None:

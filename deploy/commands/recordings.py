@@ -9,6 +9,8 @@ from deploy.commands.common import FAILED, SUCCESS, WRONG_INPUT, InputError, com
 from shared import files
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from services.console.recording.live import LiveRecorder, Sink
 
 _LOOK_S = 0.2
@@ -29,12 +31,16 @@ def record(arguments: argparse.Namespace) -> int:
     now = datetime.now().astimezone()
     folder = Path(arguments.out or Path(settings.folder) / now.strftime("%Y%m%d-%H%M%S"))
     about = {"robot": profile.name, "run": "live", "began": now.isoformat(timespec="seconds")}
-    try:
-        rotation = open_rotation(folder, profile, settings, about)
-    except OSError as error:
-        raise InputError(f"nothing can be recorded to {folder}: {error}; give another folder with --out") from None
-    say(f"recording to {folder}; Ctrl-C ends it")
-    recording = _listen(arguments, rotation, arguments.seconds)
+
+    def opened() -> "Sink":
+        try:
+            rotation = open_rotation(folder, profile, settings, about)
+        except OSError as error:
+            raise InputError(f"nothing can be recorded to {folder}: {error}; give another folder with --out") from None
+        say(f"recording to {folder}; Ctrl-C ends it")
+        return rotation
+
+    recording = _listen(arguments, opened, arguments.seconds)
     if recording.problem:
         complain(f"sextant record: {recording.problem}")
         return FAILED
@@ -46,6 +52,7 @@ def record(arguments: argparse.Namespace) -> int:
 def foxglove(arguments: argparse.Namespace) -> int:
     """`sextant foxglove`: what is said, live for Foxglove and Lichtblick, until Ctrl-C."""
     from shared.profiles import load_profile
+    from shared.transport import TransportError
 
     try:
         from deploy.foxglove_server import FoxgloveServer
@@ -58,13 +65,17 @@ def foxglove(arguments: argparse.Namespace) -> int:
         complain(f"sextant foxglove: {error}")
         return FAILED
     say(f"open {server.target} in Foxglove or Lichtblick (Open connection, Foxglove WebSocket); Ctrl-C ends it")
-    recording = _listen(arguments, server)
+    try:
+        recording = _listen(arguments, lambda: server)
+    except TransportError:
+        server.abandon()
+        raise
     say(f"sent {recording.taken} messages" + (f", {recording.dropped} dropped" if recording.dropped else ""))
     return SUCCESS
 
 
-def _listen(arguments: argparse.Namespace, sink: "Sink", seconds: float | None = None) -> "LiveRecorder":
-    """Have a sink take all that is said, until Ctrl-C or for some seconds [s], and close it."""
+def _listen(arguments: argparse.Namespace, opened: "Callable[[], Sink]", seconds: float | None = None) -> "LiveRecorder":
+    """Record all topics, until Ctrl-C or for some seconds [s], into a sink that is opened when the robot has been met."""
     import time
 
     from deploy.interrupts import Interrupts
@@ -72,7 +83,7 @@ def _listen(arguments: argparse.Namespace, sink: "Sink", seconds: float | None =
     from shared.transport import ZenohLink
 
     endpoints = met(arguments)
-    with Interrupts() as interrupts, ZenohLink(endpoints) as link, LiveRecorder(sink) as recording:
+    with Interrupts() as interrupts, ZenohLink(endpoints) as link, LiveRecorder(opened()) as recording:
         recording.listen(link, time.monotonic_ns)
         began = shown = time.monotonic()
         while not interrupts.asked() and not recording.problem:

@@ -14,6 +14,7 @@ from deploy.network.gate import Gate
 from deploy.network.meeting import Meeting
 from deploy.process_table import Choices, Process, Role
 from deploy.provenance import version
+from shared.endpoint import occupied
 from shared.transport import Endpoints, Router, TransportError, ZenohLink
 
 _LOOK_S = 0.05  # between two looks for other machines, before anything is started
@@ -127,6 +128,8 @@ def _host(gated: Gate, stack: contextlib.ExitStack, hear: Callable[[str, str], N
     if not gated.guarded:
         stack.enter_context(Router(gated.listen, gated.upstream))
         return None
+    if taken := [*filter(None, map(occupied, gated.listen))]:
+        raise TransportError("; ".join(taken))
     launcher = stack.enter_context(Launcher((process_table.router_command(gated.own, gated.words()),), hear=hear))
     while not port_taken(int(gated.own.rpartition(":")[2])):
         for ended in launcher.wait(0.05):

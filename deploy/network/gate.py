@@ -9,6 +9,7 @@ from typing import Any
 
 from shared import access, topics
 from shared.access import AccessError, Keys
+from shared.endpoint import fault, obstacle
 from shared.handshake import refusal
 
 SECURE_ENDPOINT = "tls/0.0.0.0:7448"
@@ -37,6 +38,8 @@ class Gate:
     upstream: tuple[str, ...] = ()  # endpoints of other machines' routers that this one is chained to
 
     def __post_init__(self) -> None:
+        if wrong := fault((*self.listen, *self.upstream)):
+            raise AccessError(wrong)
         elsewhere = access.plain_elsewhere(self.listen)
         secure = [endpoint for endpoint in self.listen if endpoint.startswith("tls/")]
         chained = access.plain_elsewhere(self.upstream)
@@ -111,7 +114,7 @@ class Gate:
     def knock(self) -> str:
         """Why another machine's router does not let this one in, in words, or nothing."""
         keys = Keys.load(self.keys) if self.keys is not None else None
-        refused = (refusal(one, keys) for one in self.upstream if keys is not None and one.startswith("tls/"))
+        refused = (refusal(one, keys) if keys and one.startswith("tls/") else obstacle(one) for one in self.upstream)
         return "; ".join(filter(None, refused))
 
     def misplaced(self, processes: Sequence[str]) -> str:

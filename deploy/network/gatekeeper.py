@@ -12,7 +12,7 @@ import numpy as np
 from deploy.network.refusals import Refusals
 from shared import codec, topics
 from shared.messages import Health
-from shared.transport import Endpoints, ZenohLink
+from shared.transport import Endpoints, ZenohLink, without_source
 
 _PERIOD_NS = 1_000_000_000
 _SOON_NS = 200_000_000  # between two words where there is news
@@ -90,7 +90,7 @@ class Gatekeeper:
     def look(self, now_ns: int) -> str:
         """See what was refused; a line for the terminal where it is of a new kind, or nothing."""
         for line in self.refusals.read(self._take()):
-            self._out.write(line + "\n")
+            self._out.write(without_source(line) + "\n")
         for kind, number in self._refused().items():
             self.refusals.add(kind, number)
         total = self.refusals.count.total()

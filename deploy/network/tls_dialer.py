@@ -15,7 +15,7 @@ from typing import Self
 
 from deploy.network.tls_relay import Target, TlsRelay
 from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
-from shared.endpoint import place
+from shared.endpoint import place, resolved
 from shared.transport import LEASE_MS
 
 _HERE = "127.0.0.1"
@@ -38,7 +38,8 @@ class TlsDialer:
         Raises:
             AccessError: The folder of keys has no certificates for it.
         """
-        self._place, self._relay = place(endpoint), TlsRelay("tls dialer's relay")
+        self._endpoint, self._host = endpoint, place(endpoint)[0]
+        self._relay = TlsRelay("tls dialer's relay")
         self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         self._context.load_verify_locations(keys.folder / AUTHORITY)
         self._context.load_cert_chain(keys.folder / CERTIFICATE, keys.folder / KEY)
@@ -73,13 +74,12 @@ class TlsDialer:
                 continue
             near.setblocking(False)
             near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            host, port = self._place
             try:
-                family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+                family, address = resolved(self._endpoint)
             except socket.gaierror:  # `deploy.network.knocking` says so
                 near.close()
                 continue
-            target = Target(address, family, host, self._context, _ATTEMPT_S, PATIENCE_S, LEASE_MS * 1e-3)
+            target = Target(address, family, self._host, self._context, _ATTEMPT_S, PATIENCE_S, LEASE_MS * 1e-3)
             self._relay.carry(near, target, self._answer)
 
     def _answer(self, role: str) -> ssl.SSLContext:

@@ -24,7 +24,7 @@ from typing import Self
 from deploy.network.admission import HandshakeLimit, Limits, Pending, source_of
 from deploy.network.tls_relay import Target, TlsRelay, common_name
 from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
-from shared.endpoint import cannot_listen, place
+from shared.endpoint import cannot_listen, listener
 from shared.transport import TransportError
 
 _HERE = "127.0.0.1"
@@ -105,8 +105,8 @@ class TlsProxy:
         with contextlib.ExitStack() as stack:
             self._selector = stack.enter_context(selectors.DefaultSelector())
             for endpoint in self._endpoints:
-                listener = stack.enter_context(_listener(endpoint))
-                self._selector.register(listener, selectors.EVENT_READ)
+                bound = stack.enter_context(_listener(endpoint))
+                self._selector.register(bound, selectors.EVENT_READ)
             stack.enter_context(self._relay)
             self._thread.start()
             self._stack = stack.pop_all()
@@ -146,10 +146,10 @@ class TlsProxy:
         """
         return self._limit.is_verified(client.source), isinstance(client.socket, ssl.SSLSocket), client.number
 
-    def _accept(self, listener: socket.socket) -> None:
+    def _accept(self, bound: socket.socket) -> None:
         for _ in range(_ACCEPTS):
             try:
-                connection, address = listener.accept()
+                connection, address = bound.accept()
             except BlockingIOError:
                 return
             except OSError as error:
@@ -258,21 +258,17 @@ def _listener(endpoint: str) -> socket.socket:
     Raises:
         TransportError: The address cannot be listened on.
     """
-    host, port = place(endpoint)
     try:
-        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        listener = socket.socket(family, kind, protocol)
+        bound = listener(endpoint)
     except OSError as error:
         raise TransportError(cannot_listen(endpoint, error)) from None
     try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(_BACKLOG)
-    except OSError as error:
-        listener.close()
+        bound.listen(_BACKLOG)
+    except OSError as error:  # another program was quicker
+        bound.close()
         raise TransportError(cannot_listen(endpoint, error)) from None
-    listener.setblocking(False)
-    return listener
+    bound.setblocking(False)
+    return bound
 
 
 def _target(keys: Keys, role: str, port: int) -> Target:

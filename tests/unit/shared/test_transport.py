@@ -305,12 +305,14 @@ def test_only_what_is_asked_for_is_opened() -> None:
 
 
 def test_an_endpoint_that_is_none_is_named() -> None:
-    with pytest.raises(TransportError, match=r"nonsense.*Is the router running"), ZenohLink(Endpoints(("nonsense",))):
+    with pytest.raises(ValueError, match=r"PROTOCOL/HOST:PORT expected.*'nonsense'"):
+        Endpoints(("nonsense",))
+    with pytest.raises(TransportError, match=r"PROTOCOL/HOST:PORT expected.*'nonsense'"), ForeignLink(("nonsense",)):
         pass
 
 
 def test_a_port_that_is_taken_is_named(endpoint: str) -> None:
-    with pytest.raises(TransportError, match=f"listen .*{endpoint}.*is the port free"), Router((endpoint,)):
+    with pytest.raises(TransportError, match=f"cannot listen on {endpoint}: another program has port"), Router((endpoint,)):
         pass
 
 
@@ -321,15 +323,23 @@ def test_a_namespace_that_is_none_is_refused(endpoint: str, namespace: str) -> N
 
 
 def test_a_router_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = transport._config
-
-    def impatient(**options: Any) -> dict[str, Any]:
-        return config(**options) | {"connect": {"endpoints": list(options["connect"]), "timeout_ms": 50}}
-
-    monkeypatch.setattr(transport, "_config", impatient)
+    monkeypatch.setattr(transport, "_CONNECT_MS", 50)
     address = free_endpoint()
-    with pytest.raises(TransportError, match=f"could not open Zenoh as client.*{address}"), ZenohLink(Endpoints((address,))):
+    with pytest.raises(TransportError, match=f"{address} cannot be reached: nothing listens"), ZenohLink(Endpoints((address,))):
         pass
+
+
+def test_what_is_no_router_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "_CONNECT_MS", 200)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        address = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        with pytest.raises(TransportError, match=f"{address} takes the connection, but does not answer as a router of Sextant"):
+            ForeignLink((address,)).__enter__()
+
+
+def test_the_places_in_zenohs_source_are_left_out() -> None:
+    said = "Unable to connect to [tcp/1.2.3.4:1]. Timeout! at /root/.cargo/git/x/zenoh/src/orchestrator.rs:388.. Then more"
+    assert transport.without_source(said) == "Unable to connect to [tcp/1.2.3.4:1]. Timeout!. Then more"
 
 
 def test_what_is_collected_waits_until_it_is_fetched(endpoint: str) -> None:
