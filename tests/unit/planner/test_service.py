@@ -438,6 +438,25 @@ def test_where_the_ground_forbids_shorter_steps_the_other_legs_are_asked(make_te
     assert any((p.swing != first.swing).any() for p in plans)
 
 
+def test_a_robot_that_stands_blocked_gathers_its_feet_and_then_goes_on() -> None:
+    rig = Rig()
+    rig.command = VelocityCommand(0, np.array([0.11, 0.0]), 0.0, HEIGHT, 0.04)
+    behind = 1e-3 * np.array([[-47, 16], [-66, 0], [11, 1], [-38, 2], [12, 1], [-41, -1]])
+    rig.state = replace(rig.state, feet=REST + np.column_stack([behind, np.zeros(6)]))
+    (plan,) = rig.plans()
+    np.testing.assert_allclose(plan.body_goal[:2, 3], 0.0, atol=1e-9)
+    status = rig.status()
+    assert status.state == "blocked", "the step does not lead on"
+    assert status.reason.startswith("feet back under the body: ")
+    assert "stretched" in status.reason
+    rig.begin(plan)
+    rig.cycle()
+    rig.finish(plan)
+    (onward,) = rig.plans()
+    assert onward.body_goal[0, 3] > 0.01
+    assert rig.status().state == "stepping"
+
+
 def test_on_the_way_to_a_goal_too_a_refused_step_is_not_asked_for_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first command is one that the ground forbids; by the second every way is tried, though both are asked each time."""
     rig = Rig()
