@@ -39,6 +39,7 @@ _EXPLAINED = 0.85  # of a misfit, below which another pose fits better
 _ALONG_FLOOR = [0, 1, 5]  # x, y and yaw
 _SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] by which legs may slip between two frames
 _TRUSTING = 2  # iterations in which matches far off are believed after a slip
+_SAME_AWAY = np.array([0.04, 0.04, 0.04, 0.05, 0.05, 0.05])  # [m] and [rad] within which two searches agree
 _LOST_SIGMA = 0.03  # [m] and [rad] by which a place that was searched for is known
 
 
@@ -119,6 +120,7 @@ class Registration:
         self._usual_rmse = self._acceptance.max_rmse  # [m]
         self._lately = _Fit()
         self._failures = 0  # in a row
+        self._away: NDArray[np.float64] | None = None  # (6,) twist to where the last search would have a doubted frame
         self._doubtful = 0  # frames in a row, failed ones included
         self._believed = 0  # frames for which doubt is put aside: the ground has changed, not the place
 
@@ -171,9 +173,12 @@ class Registration:
         # 2. Where that is in doubt, the map says whether there is a better one.
         doubted = self._is_doubted(found.T) if not reason else True
         self._doubtful = self._doubtful + 1 if doubted else 0
+        self._away = self._away if doubted else None
         if self._is_time_to_search():
             better = self._search(T_world_camera_prior if reason else found.T)
-            if isinstance(better, _Aligned):
+            if isinstance(better, _Aligned) and not reason and not self._is_confirmed(error_twist(better.T, found.T)):
+                pass  # the next search decides: a person who walks by is somewhere else by then, a robot carried off is not
+            elif isinstance(better, _Aligned):
                 found, reason, doubted, self._doubtful = better, "", False, 0
             elif reason:
                 reason = f"{reason}; {better.reason}"
@@ -214,6 +219,11 @@ class Registration:
     def _is_doubted(self, T: NDArray[np.float64]) -> bool:
         self._believed = max(0, self._believed - 1)
         return self._believed == 0 and self._anchor.misfit(self._frame.points, T) > self._acceptance.max_misfit
+
+    def _is_confirmed(self, away: NDArray[np.float64]) -> bool:
+        """Whether two searches in a row, while frames register but are doubted, lead as far away (6,) in the same direction."""
+        before, self._away = self._away, away
+        return before is not None and bool((np.abs(away - before) < _SAME_AWAY).all())
 
     def _is_time_to_search(self) -> bool:
         since = self._doubtful - self._acceptance.doubt

@@ -233,11 +233,33 @@ def test_a_robot_that_was_carried_off_finds_itself_again(world):
     expected = world.camera_pose(0.55)
     T = world.camera_pose(0.35, 0.2, np.radians(15.0))  # put down elsewhere: the legs know nothing of it
     depth = world.depth_image(T, world.scenes["pillars"], rng)
-    for i in range(5):
+    for i in range(12):
         found = registration.update(depth, i, expected, WIDE)
         expected = found.T_world_camera
     assert found.ok
     assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
+
+
+def test_a_place_that_only_one_search_finds_is_not_believed_where_frames_register(world, monkeypatch):
+    """As a person who walks by suits one place now and another one half a second later."""
+    registration = Registration(world.intrinsics, world.sensor)
+    rng = np.random.default_rng(3)
+    T = world.camera_pose(0.55)
+    for x in np.arange(0.0, 0.6, 0.05):
+        T = world.camera_pose(x)
+        registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
+    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: 1.0)  # all is in doubt
+    away = {"x": 0.0}
+
+    def search(self, T_expected):
+        away["x"] += 0.1
+        return _Aligned(moved(T_expected, np.array([away["x"], 0.0, 0.0, 0.0, 0.0, 0.0])), WIDE, np.zeros((0, 6)), self._match)
+
+    monkeypatch.setattr(Registration, "_search", search)
+    registration._match = registration._align(T, np.linalg.inv(WIDE)).match
+    for i in range(40):
+        found = registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, WIDE)
+        assert np.abs(error_twist(found.T_world_camera, T)).max() < 0.005
 
 
 @pytest.mark.parametrize(("away", "taken"), [((0.03, 0.02, 0.02), True), ((0.5, -0.3, 0.4), False)])
