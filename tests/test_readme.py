@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from deploy import cli
-from deploy.bench import fleet, link
+from deploy.bench import fleet, link, strangers
 from deploy.faults import table as fault_table
 from deploy.fuzz import table as fuzz_table
 from deploy.trials import kept, passage_table
@@ -189,6 +189,14 @@ def test_the_table_of_the_walks_over_radios_is_that_which_the_command_prints() -
     text = (ROOT / "docs" / "two_machines.md").read_text(encoding="utf-8")
     printed = link.walks_in_words(link.walks_from_json((ROOT / "docs" / "link_walks.json").read_text(encoding="utf-8")))
     assert printed in text, "sextant bench link prints another table"
+
+
+def test_the_table_of_strangers_is_that_which_the_command_prints() -> None:
+    text = (ROOT / "docs" / "access.md").read_text(encoding="utf-8")
+    found = strangers.from_json((ROOT / "docs" / "strangers.json").read_text(encoding="utf-8"))
+    assert strangers.in_words(found) in text, "sextant bench strangers prints another table"
+    assert len(found.back_s) == 100
+    assert found.late == 0
 
 
 def test_the_table_of_the_fleet_is_that_which_the_command_prints() -> None:

@@ -321,16 +321,16 @@ def _restarts(folder: Path, restarts: int, silent: int, say: Callable[[str], obj
 def in_words(found: Found) -> str:
     """A table."""
     rows = [
-        _row(f"the radio's return: the base is back, {found.rate_hz:.0f} strangers/s", found.back_s, f"{BACK_S:.1f}"),
-        _row("a handshake without the radio, likewise", found.handshake_s, ""),
-        _row("an actuator is killed: the next is heard", found.alone_s, ""),
-        _row(f"likewise, {found.silent} silent connections at each endpoint", found.joined_s, ""),
+        _row(f"the radio's return, {found.rate_hz:.0f} strangers a second: the base is back", found.back_s, f"{BACK_S:.1f}"),
+        _row("connecting without the radio meanwhile: handshake done", found.handshake_s, ""),
+        _row("the end of an actuator: state of the next", found.alone_s, ""),
+        _row(f"the same with {found.silent} silent connections at each endpoint", found.joined_s, ""),
     ]
     kinds = ", ".join(f"{number} {kind}" for kind, number in found.strangers.items())
     rate = sum(found.strangers.values()) / found.strangers_s if found.strangers_s else 0.0
     return "\n".join(
         [
-            "| from | times | p50, s | p90, s | worst, s | wanted, s |",
+            "| time from | n | p50, s | p90, s | worst, s | wanted, s |",
             "|---|---|---|---|---|---|",
             *filter(None, rows),
             "",

@@ -16,13 +16,14 @@ C = TypeVar("C", bound=Hashable)
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Bounds for connections without a verified certificate."""
+    """Bounds for connections, without a verified certificate but for the last one."""
 
     handshakes_hz: float = 20.0  # of one address, on average
     handshakes_burst: int = 50  # of one address, at once
     pending: int = 1024  # connections
     timeout_s: float = 3.0  # [s] from accepting a connection to its verified certificate
     addresses: int = 4096  # remembered, of each kind
+    verified: int = 64  # connections of one role, whose certificates are verified
 
 
 def source_of(host: str) -> str:

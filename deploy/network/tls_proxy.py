@@ -51,6 +51,7 @@ HUNG_UP = "a client that hung up"
 TOO_MANY = "too many handshakes from one address"
 TOO_SLOW = "a client that did not finish its handshake"
 CROWDED = "a client that made room for others"
+CROWDED_ROLE = "too many clients of one role"
 UNKNOWN_ROLE = "a certificate of no known role"
 
 
@@ -82,7 +83,7 @@ class TlsProxy:
         Raises:
             AccessError: The folder of keys has no certificates for it.
         """
-        limits = limits or Limits()
+        self._limits = limits = limits or Limits()
         self._endpoints, self._refuse = tuple(listen), refuse
         self._context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         self._context.verify_mode = ssl.CERT_REQUIRED
@@ -210,6 +211,9 @@ class TlsProxy:
         target = self._to_router.get(common_name(secured))
         if target is None:
             self._drop(client, UNKNOWN_ROLE)
+            return
+        if self._relay.count(target) >= self._limits.verified:
+            self._drop(client, CROWDED_ROLE)
             return
         self._pending.remove(client)
         self._limit.verify(client.source)

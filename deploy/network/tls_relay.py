@@ -111,6 +111,10 @@ class TlsRelay:
         self._new.append(_Carried(_End(near, ready=answer is None), far, target, answer, ends_s, until_s, now_s, now_s))
         self._wake()
 
+    def count(self, target: Target) -> int:
+        """Return how many connections to a target are carried; from any thread."""
+        return sum(one.target is target for one in (*self._carried, *self._new))
+
     def _wake(self) -> None:
         with contextlib.suppress(BlockingIOError):  # enough of them are on their way
             self._waking.send(b"w")

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.live
 def test_a_base_and_an_actuator_are_let_in_among_strangers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["bench", "strangers", "--cuts", "2", "--rate", "200", "--restarts", "1", "--silent", "500", "--out", str(tmp_path)]
     assert cli.main(words) in (0, 1), "1 where a base was late, which is up to the machine"
-    assert "| from | times |" in capsys.readouterr().out
+    assert "| time from | n |" in capsys.readouterr().out
     found = strangers.from_json((tmp_path / "strangers.json").read_text(encoding="utf-8"))
     assert len(found.back_s) == 2, "it was back each time"
     assert len(found.alone_s) == len(found.joined_s) == 1

@@ -201,6 +201,16 @@ def test_an_address_of_strangers_is_limited_and_one_of_a_verified_client_is_not(
                 assert read(link, 16).decode().strip() == "base"
 
 
+def test_verified_clients_of_a_role_are_bounded_and_keep_no_other_role_out(keys: Path) -> None:
+    with proxy(keys, Limits(verified=3)) as at, ExitStack() as stack:
+        for _ in range(3):
+            assert read(stack.enter_context(at.enter("viewer")), 16)
+        with at.enter("viewer") as link, pytest.raises((ConnectionResetError, AssertionError)):
+            read(link, 16)
+        assert at.refused == {tls_proxy.CROWDED_ROLE: 1}
+        assert read(stack.enter_context(at.enter("base")), 16)
+
+
 def test_a_connection_ends_with_its_certificate(keys: Path, tmp_path: Path) -> None:
     authority = Authority(days=1)
     authority.issue(tmp_path / "robot", "robot")
