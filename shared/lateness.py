@@ -15,6 +15,8 @@ import numpy as np
 from shared.messages import Health
 
 BEAT = "beat"  # the time from one beat of a service's own clock to the next
+STALL = "stall"  # the time for which a live service waited for a message that did not come, at most
+MAX_STALL_S = 0.5  # [s] it looks up every 0.2 s, unless the computer does not let it
 _OLDEST_S = 1e3  # [s] beyond which an age says only that a stamp is wrong
 _LATE_SHARE = 0.1  # [1] of the uses in one report, from which the input counts as late in it
 _KEPT_NS = 4_500_000_000  # [ns] of reports that are looked at
@@ -30,7 +32,7 @@ _NAMES = {
     "mapper/terrain": "maps",
     "planner/step": "step plans",
 }
-_INPUTS = frozenset({BEAT, *_NAMES})
+_INPUTS = frozenset({BEAT, STALL, *_NAMES})
 
 
 @runtime_checkable
@@ -47,7 +49,7 @@ class Limited(Protocol):
 class InputAge:
     """How old one input of a service was at its uses within about a second."""
 
-    what: str  # topic key, or BEAT
+    what: str  # topic key, BEAT or STALL
     age_s: float  # [s] the worst
     arrived_s: float  # [s] the worst when it arrived
     limit_s: float  # [s]
@@ -56,6 +58,8 @@ class InputAge:
     def words(self, service: str) -> str:
         """The worst age beside the limit."""
         figures = f"{_seconds(self.age_s)} s", f"{_seconds(self.limit_s)} s allowed"
+        if self.what == STALL:
+            return f"the {service} process stood still for {figures[0]}, {figures[1]}"
         if self.what == BEAT:
             return f"the {service} cycle takes {figures[0]}, {figures[1]}"
         return f"{_NAMES[self.what]} are {figures[0]} old, {figures[1]}"
@@ -68,7 +72,7 @@ class InputAges:
         """Measure the inputs that have a limit.
 
         Args:
-            max_age_s: Topic key, or BEAT -> age [s].
+            max_age_s: Topic key, BEAT or STALL -> age [s].
         """
         self._limit_ns = {what: round(limit_s * 1e9) for what, limit_s in max_age_s.items()}
         self._uses: dict[str, list[int]] = {}  # worst age [ns], worst at arrival [ns], uses, late uses
@@ -85,7 +89,7 @@ class InputAges:
         limit_ns = self._limit_ns.get(what)
         if limit_ns is None:
             return
-        if what != BEAT:
+        if what not in (BEAT, STALL):
             self._left_ns[what] = _COMFORT * limit_ns - age_ns
         worst = self._uses.setdefault(what, [0, 0, 0, 0])
         worst[0] = max(worst[0], age_ns)
@@ -165,11 +169,13 @@ class SlowComputer:
             if key not in worst or age.age_s > worst[key].age_s:
                 worst[key] = age
         late = {key: age for key, age in worst.items() if counts[key] >= _REPORTS}
-        slow = ((age.what == BEAT and self._real_time) or age.arrived_s > _ALREADY * age.limit_s for age in late.values())
+        slow = (
+            (age.what in (BEAT, STALL) and self._real_time) or age.arrived_s > _ALREADY * age.limit_s for age in late.values()
+        )
         causes = ((self._computer,) if self._real_time else ()) + (("the link between the machines",) if self.linked else ())
         if not (causes and any(slow)):
             return ""
-        order = sorted(late.items(), key=lambda item: (item[1].what == BEAT, -item[1].age_s / item[1].limit_s))
+        order = sorted(late.items(), key=lambda item: (item[1].what in (BEAT, STALL), -item[1].age_s / item[1].limit_s))
         return f"{' or '.join(causes)} is too slow: {'; '.join(age.words(service) for (service, _), age in order[:_SHOWN])}"
 
 

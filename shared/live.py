@@ -7,6 +7,7 @@ from functools import partial
 from typing import Protocol, runtime_checkable
 
 from shared.clock import now_ns
+from shared.lateness import STALL
 from shared.service import AnyTopic, Every, Service, Worker
 from shared.simulated_time import hold
 
@@ -101,9 +102,13 @@ def run_live(
         if beats is not None:
             service.stages.add("cycle", beats.next(wait) * 1e-6)
             worker.tick()
-        elif arrived.wait(_LOOK_S):
-            arrived.clear()
-            worker.arrived()
+        else:
+            began_ns = clock()
+            came = arrived.wait(_LOOK_S)
+            worker.ages.note(STALL, clock() - began_ns)
+            if came:
+                arrived.clear()
+                worker.arrived()
         worker.report_health(clock())  # also while nothing comes in, or nothing that decodes
 
 

@@ -499,7 +499,7 @@ class Health(Message):
     stage_p50_ms: Annotated[NDArray[np.float64], Dims("stage")]
     stage_p99_ms: Annotated[NDArray[np.float64], Dims("stage")]
     robot_ahead_s: float = 0.0  # [s] the robot's clock is ahead of its machine's; 0 on the robot
-    # Inputs with a limit on their age, by topic key, or "beat"; see `shared.lateness`. Each since the last report:
+    # Inputs with a limit on their age, by topic key, "beat" or "stall"; see `shared.lateness`. Each since the last report:
     inputs: tuple[str, ...] = ()
     input_age_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(default_factory=lambda: _NO_INPUTS)  # worst
     input_arrived_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(

@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar, cast
 import numpy as np
 
 from shared import codec, topics
-from shared.lateness import BEAT, InputAges, Limited
+from shared.lateness import BEAT, MAX_STALL_S, STALL, InputAges, Limited
 from shared.messages import Health, Message, Tick
 from shared.stopwatch import stopwatch_ns
 from shared.topics import Delivery, Topic
@@ -272,7 +272,7 @@ class Worker:
         self.service = service
         self._health_topic = topics.HEALTH_OF[role]  # of the machine's role: others may not publish there
         self._max_age_s = dict(service.max_age_s) if isinstance(service, Limited) else {}
-        self.ages = InputAges(self._max_age_s)
+        self.ages = InputAges({**self._max_age_s, STALL: MAX_STALL_S} if self._max_age_s else {})
         self._hold = hold  # states until when [ns] simulated time may go on without another step
         self._missed_beats = 0
         self._ahead_s = ahead_s

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from shared import topics
-from shared.lateness import BEAT, InputAge, InputAges, SlowComputer, ages_of
+from shared.lateness import BEAT, STALL, InputAge, InputAges, SlowComputer, ages_of
 from shared.messages import Health
 
 MS = 1_000_000
@@ -89,6 +89,12 @@ def test_a_cycle_that_comes_late_names_the_computer_behind_the_inputs() -> None:
     report = health("planner", InputAge(BEAT, 2.0, 2.0, 0.2, 0.5), maps(arrived_s=0.1))
     words = after(SlowComputer(), report, report)
     assert words == "this computer is too slow: maps are 1.6 s old, 0.8 s allowed; the planner cycle takes 2.0 s, 0.2 s allowed"
+
+
+def test_a_process_that_stood_still_names_the_computer() -> None:
+    report = health("mapper", InputAge(STALL, 1.5, 1.5, 0.5, 0.2))
+    words = "this computer is too slow: the mapper process stood still for 1.5 s, 0.5 s allowed"
+    assert after(SlowComputer(), report, report) == words
 
 
 def test_it_is_over_some_seconds_after_the_last_late_input() -> None:

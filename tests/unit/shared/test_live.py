@@ -1,14 +1,17 @@
 """A service in a process of its own at real time."""
 
 import threading
+import time
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared import codec, topics
+from shared import clock, codec, topics
+from shared.lateness import STALL
 from shared.live import Beats, run_live
 from shared.messages import Health, Message, PlannerStatus
 from shared.service import AnyTopic, Every, Inbox, Service
@@ -201,3 +204,53 @@ def test_live_an_error_in_a_step_ends_the_run(wire: Wire) -> None:
 
     with pytest.raises(RuntimeError, match="broken"):
         run_live(Scripted("planner", Every.hz(1000), act=fail), wire, threading.Event())
+
+
+def test_live_a_beat_waits_for_time_that_is_slower_than_the_machine_s(wire: Wire) -> None:
+    """Of a clock at a tenth of real time; what waits says meanwhile that it lives."""
+    begun_ns, lives = time.monotonic_ns(), list[int]()
+    service = Scripted("operator", Every.hz(20), writes=(VELOCITY,), act=lambda t, _: [velocity(t.stamp_ns)])
+    stop = threading.Event()
+
+    def alive(now_ns: int) -> None:
+        lives.append(now_ns)
+        if len(service.seen) == 2:
+            stop.set()
+
+    with clock.going_by(lambda: begun_ns + (time.monotonic_ns() - begun_ns) // 10):
+        run_live(service, wire, stop, alive)
+    first, second = (tick.stamp_ns for _, tick in service.seen[:2])
+    assert second - first >= 49 * MS
+    assert len(lives) > 4, "0.5 s of real time pass between two beats"
+
+
+def test_live_a_service_beats_by_the_machine_while_the_time_stands(wire: Wire) -> None:
+    stop = threading.Event()
+    service = Scripted("simulator", Every(4 * MS, by_machine=True), act=lambda *_: stop.set() or () if service.seen[3:] else ())
+    with clock.going_by(lambda: 42):
+        run_live(service, wire, stop)
+    assert [tick.stamp_ns for _, tick in service.seen] == [42] * 4
+
+
+def test_live_how_long_a_service_waited_for_nothing_goes_out_with_its_health(wire: Wire) -> None:
+    stop = threading.Event()
+    service = Limited("planner", MODE)
+    wire.expect = lambda topic: topic is HEALTH and bool(stalls())
+
+    def stalls() -> list[float]:
+        healths = [codec.decode(frame, Health)[0] for topic, frame in wire.sent if topic is HEALTH]
+        return [float(h.input_age_s[h.inputs.index(STALL)]) for h in healths if STALL in h.inputs]
+
+    thread = threading.Thread(target=run_live, args=(service, wire, stop), daemon=True)
+    thread.start()
+    assert wire.came.wait(PATIENCE_S)
+    stop.set()
+    thread.join(PATIENCE_S)
+    assert stalls()[0] >= 0.19, "nothing came within a look"
+
+
+@dataclass
+class Limited(Scripted):
+    """A service that cannot use old orders."""
+
+    max_age_s: dict[str, float] = field(default_factory=lambda: {MODE.key: 1.0})
