@@ -46,7 +46,9 @@ _GAP_NS = 500_000_000  # [ns] between two states of the legs, from which the pla
 _POSES = 45  # remembered: 3 s
 _KEPT = 40  # plans remembered besides the newest
 _RENEW_NS = 35_000_000  # [ns] after which the running step is sent once more: the actuator goes on for 180 ms without a plan
-_MAX_STATE_AGE_S = 0.45  # [s] the plan that follows from an older state of the legs reaches them when it is too old to be walked
+_MAX_STATE_AGE_S = (
+    0.45  # [s] the plan that follows from an older state of the legs reaches them when it is too old to be walked
+)
 _NEW_COURSE = (0.02, 0.02, 0.1, 0.005, 0.005)  # [m/s, m/s, rad/s, m, m] by which a command must differ to be another one
 _STILL = 1e-3  # [m/s] and [rad/s]
 _ASKED_AGE_S = 2.0  # by which what is asked may be older than now by its stamp, or ahead: else it is not of now

@@ -1,0 +1,26 @@
+"""A link that delivers too late: the walk names it, and no ground is blamed."""
+
+from dataclasses import replace
+
+from deploy.runs.lockstep_run import run_lockstep
+from shared.scenario import Goal, Link, load_scenario
+
+
+def test_a_goal_on_level_ground_behind_a_late_link_names_the_link() -> None:
+    scenario = replace(load_scenario("flat"), goal=Goal(1.0, route=True), link=Link(delay_ms=700.0), time_limit_s=14.0)
+    report = run_lockstep(scenario, 1000)
+    assert not report.success
+    assert "stuck" not in report.reason
+    assert "the link between the machines is too slow: " in report.reason
+    assert report.reason.endswith(report.too_slow)
+    assert report.late_s > 2.0
+    pose = report.input_ages_s["planner perception/pose"]
+    assert pose.max > 0.7 > pose.limit
+    assert pose.late > 0.9
+
+
+def test_a_walk_without_a_link_blames_neither_computer_nor_ground() -> None:
+    report = run_lockstep(replace(load_scenario("flat"), goal=Goal(0.2)), 1000)
+    assert report.success, report.reason
+    assert (report.too_slow, report.late_s) == ("", 0.0)
+    assert all(ages.late == 0.0 for ages in report.input_ages_s.values())
