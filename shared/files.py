@@ -156,7 +156,8 @@ def append_text(path: Path, text: str, durable: bool = False) -> None:
             if durable:
                 os.fsync(file.fileno())
         except OSError:
-            file.truncate(before)
+            with contextlib.suppress(OSError):
+                file.truncate(before)
             raise
 
 

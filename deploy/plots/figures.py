@@ -28,6 +28,7 @@ _LIMIT = "#b3261e"
 _WIDTH, _DPI = 12.0, 100  # [in], and of pixels
 WINDOW_S = 4.0  # [s] of which the worst, or the mean, is drawn where every moment would be too much
 _ASIDE = 0.92 * _WIDTH  # [in] that a panel is wide
+_SHORTEST_S = 1e-3  # of an axis of time: a run may have a single moment
 _TICKS = 6  # at most: were there more where there is more room, the layout would find no rest
 _LEGEND = 0.7  # [in] below the maps
 _ROOM = 0.3  # [m] around a walk in a map
@@ -402,7 +403,8 @@ def _in_time(figure: Any, axes: Any, runs: Runs, label: str) -> Any:
     axes.set_ylabel(label)
     axes.locator_params(axis="y", nbins=_TICKS)
     axes.grid(alpha=0.25)
-    axes.set_xlim(-0.5 if stepped else 0.0, max(float(run.trace.t[-1]) - run.begin for run in runs if len(run.trace.t)))
+    last = max(float(run.trace.t[-1]) - run.begin for run in runs if len(run.trace.t))
+    axes.set_xlim(-0.5 if stepped else 0.0, max(last, _SHORTEST_S))
     if len(runs) == 1:
         axes.set_title(_title(runs[0]), size=12)
     else:

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from services.console.recording.live import LiveRecorder
-from services.console.recording.reader import read
+from services.console.recording.reader import is_whole, read
 from services.console.recording.rotation import NoRoomError, Rotation
-from services.console.recording.writer import Recorder
+from services.console.recording.writer import Recorder, Unwritable
 from shared import codec, topics
 from shared.files import WriteError
 from shared.service import AnyTopic
@@ -136,3 +136,20 @@ def test_what_came_is_handed_to_the_system_while_the_recording_goes_on(tmp_path:
         live.take(topic, frame, at_ns)
         assert flushed.wait(10.0)
         assert len(list(read(tmp_path / "r"))) == 1, "it can be read without having been finished"
+
+
+def test_a_recording_that_cannot_begin_says_why_and_takes_nothing(tmp_path: Path) -> None:
+    error = WriteError(tmp_path / "r.mcap", OSError(errno.EROFS, "Read-only file system"))
+    live = LiveRecorder(Unwritable(tmp_path / "r.mcap", error))
+    with live:
+        feed(live)
+    assert "r.mcap cannot be written: the disk is read-only" in live.problem
+
+
+def test_a_disk_that_is_nearly_full_ends_a_recording_with_a_whole_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.console.recording.writer.RESERVE_BYTES", 1 << 60)
+    live = LiveRecorder(recorder(tmp_path / "r.mcap"))
+    with live:
+        feed(live)
+    assert "of the disk are free, which the report needs; make room" in live.problem
+    assert is_whole(tmp_path / "r.mcap")

@@ -1,3 +1,6 @@
+import resource
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +13,7 @@ from services.console.recording.layout import RecordingError
 from services.console.recording.reader import Recording, newest_ns
 from services.console.recording.recovery import recover
 from services.console.recording.writer import Recorder
+from shared.files import partial
 from tests.support.recorded import frames, some_messages
 
 WRITTEN = frames(some_messages(n=200))
@@ -122,3 +126,51 @@ def test_the_command_says_what_is_in_a_file(whole: Path, capsys: pytest.CaptureF
     assert "1 file" in said
     assert "scenario: steps" in said
     assert "operator/velocity    VelocityCommand                 200    1.0 Hz" in said
+
+
+def recover_within(folder: Path, most_bytes: int) -> subprocess.CompletedProcess[str]:
+    """Run `sextant recover` where a file may have so many bytes."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
+
+    return subprocess.run(
+        [sys.executable, "-B", "-m", "deploy.cli", "recover", str(folder)],
+        preexec_fn=limit,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_a_recovery_that_does_not_fit_leaves_the_source_as_what_is_read(whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "r.mcap").write_bytes(whole.read_bytes()[:-50])
+    ended = recover_within(tmp_path, 4000)
+    assert ended.returncode == 1
+    assert ended.stderr == (
+        f"sextant recover: {tmp_path / 'r.recovered.mcap'} cannot be written: a file of this size is not allowed here; "
+        "raise the limit (`ulimit -f`)\n"
+    )
+    assert [path.name for path in tmp_path.iterdir()] == ["r.mcap"]
+    assert read(tmp_path) == EXPECTED
+    assert cli.main(["recover", str(tmp_path)]) == 0
+    assert read(tmp_path) == EXPECTED
+
+
+def test_a_recovery_that_was_killed_is_done_again(whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "r.mcap").write_bytes(whole.read_bytes()[:-50])
+    partial(tmp_path / "r.recovered.mcap").write_bytes(whole.read_bytes()[:500])  # as a killed process leaves it
+    assert [path.name for path in Recording(tmp_path).files] == ["r.mcap"]
+    assert cli.main(["recover", str(tmp_path)]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["r.mcap", "r.recovered.mcap"]
+    assert read(tmp_path) == EXPECTED
+
+
+def test_one_file_of_a_folder_that_cannot_be_recovered_does_not_keep_the_others(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.mcap").write_text("no recording")
+    (tmp_path / "b.mcap").write_bytes(whole.read_bytes()[:-50])
+    assert cli.main(["recover", str(tmp_path)]) == 2
+    assert "a.mcap: not an MCAP file" in capsys.readouterr().err
+    assert (tmp_path / "b.recovered.mcap").exists()

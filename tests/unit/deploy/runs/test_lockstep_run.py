@@ -1,3 +1,4 @@
+import errno
 import hashlib
 import json
 import re
@@ -10,10 +11,13 @@ from pathlib import Path
 import pytest
 
 from deploy.judging.report import without_timing
+from deploy.progress import Silent
+from deploy.runs.attendance import Attendance, clear
 from deploy.runs.lockstep_run import CRASH, assemble, run_lockstep
 from deploy.trials.batch import run_trials
 from services.console.recording.reader import Recording
 from shared import topics
+from shared.files import WriteError
 from shared.profiles import load_profile
 from shared.scenario import Fault, Goal, Plane, Scenario
 from shared.service import AnyTopic
@@ -142,6 +146,7 @@ def torn():
     return stopwatch[0]
 
 time.perf_counter_ns = torn
+import errno
 import hashlib
 from tests.unit.deploy.runs.test_lockstep_run import FLAT, S, frames
 print(hashlib.blake2s(repr(frames(3, 3 * S)).encode()).hexdigest())
@@ -152,3 +157,44 @@ def test_no_service_reads_a_clock_of_the_machine_and_none_decides_by_the_stopwat
     done = subprocess.run([sys.executable, "-c", NO_MACHINE_CLOCK], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split()[-1] == hashlib.blake2s(repr(frames(3, 3 * S)).encode()).hexdigest()
+
+
+class Told(Silent):
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
+
+def test_a_disk_that_is_full_ends_the_recording_and_the_walk_is_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.console.recording.writer.RESERVE_BYTES", 1 << 60)
+    told = Told()
+
+    def tap(topic: AnyTopic, frame: bytes, at_ns: int) -> None:
+        raise WriteError(Path("depth.txt"), OSError(errno.ENOSPC, "No space left on device"))
+
+    report = run_lockstep(FLAT, 3, tmp_path, told, [tap])
+    assert json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["reason"] == report.reason
+    assert (tmp_path / "summary.png").exists()
+    depth, recording = told.said
+    assert depth == "warning: a recording ended early: depth.txt cannot be written: the disk is full; make room"
+    assert f"{tmp_path / 'recording.mcap'} cannot be written: less than" in recording
+    assert "MB are whole" in recording
+    kept = Recording(tmp_path / "recording.mcap")
+    assert list(kept.frames())
+    assert kept.complete, "what was written before is a whole file"
+
+
+def test_a_folder_never_pairs_a_run_with_the_verdict_of_an_earlier_one(tmp_path: Path) -> None:
+    for name in ("report.json", "walk.png", "notes.txt"):
+        (tmp_path / name).write_text("of an earlier run")
+    clear(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_files_that_cannot_be_written_are_named_and_the_others_are_there(tmp_path: Path) -> None:
+    (tmp_path / "report.json").mkdir()
+    attendance = Attendance(PROFILE, FLAT, 3)
+    (problem,) = attendance.leave_behind(attendance.judge(1.0, "ended"), tmp_path)
+    assert problem == f"{tmp_path / 'report.json'} cannot be written: a folder has its name; write to another one"

@@ -210,3 +210,19 @@ def test_processes_run_one_thread_each(tmp_path, monkeypatch):
     assert sorted(t["seed"] for t in done) == [0, 1, 2, 3]
     assert {t["steps"] for t in done} == {1}
     assert str(os.getpid()) not in {t["reason"] for t in done}
+
+
+def test_a_full_disk_ends_no_batch(tmp_path):
+    told = []
+
+    def run(scenario, seed):
+        if seed == 1:
+            (tmp_path / "trials.jsonl").rename(tmp_path / "kept.jsonl")
+            (tmp_path / "trials.jsonl").symlink_to("/dev/full")
+        return _report(scenario, seed)
+
+    trials = batch.run_trials(SCENARIO, range(4), 1, tmp_path, say=told.append, run=run)
+    assert trials.success.n == 4
+    assert len((tmp_path / "kept.jsonl").read_text(encoding="utf-8").splitlines()) == 1
+    warnings = [line for line in told if line.startswith("warning: ")]
+    assert warnings == 3 * [f"warning: {tmp_path / 'trials.jsonl'} cannot be written: the disk is full; make room"]
