@@ -54,4 +54,4 @@ def _filled(path: Path, data: bytes, descr: str, shape: list[int], fortran: bool
 def _type_name(descr: bytes) -> str:
     if descr == b"[":
         return "records"
-    return "pickled objects" if b"O" in descr else f"type {descr.decode('latin-1')}"
+    return "pickled objects" if b"O" in descr else f"type {descr[1:-1].decode('latin-1')!r}"

@@ -180,16 +180,16 @@ def assignments(settings: object) -> list[str]:
         value = getattr(settings, field.name)
         default = field.default_factory() if callable(field.default_factory) else field.default
         if value != default and value is not None:
-            out += ["--set", f"{field.name}={_toml(config.as_table(value))}"]
+            out += ["--set", f"{field.name}={toml_value(config.as_table(value))}"]
     return out
 
 
-def _toml(value: object) -> str:
+def toml_value(value: object) -> str:
     """A plain value in TOML's notation, on one line."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_toml(str(key))} = {_toml(item)}" for key, item in value.items()) + "}"
+        return "{" + ", ".join(f"{toml_value(str(key))} = {toml_value(item)}" for key, item in value.items()) + "}"
     if isinstance(value, list):
-        return "[" + ", ".join(map(_toml, value)) + "]"
+        return "[" + ", ".join(map(toml_value, value)) + "]"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):  # JSON's escapes are TOML's, but for DEL

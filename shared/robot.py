@@ -35,7 +35,7 @@ class LegLinks:
     femur: float
     tibia: float
 
-    checks = (*config.each("coxa femur tibia", lambda length: 0 < length <= 10, "a length of more than 0 and at most 10 m"),)
+    checks = (*config.each("coxa femur tibia", lambda length: 0.001 <= length <= 10, "a length of 0.001 to 10 m"),)
 
     def __post_init__(self) -> None:
         config.verify(self)

@@ -703,7 +703,7 @@ def load_scenario(name_or_path: str) -> Scenario:
     known = scenario_names()
     if name_or_path not in known:
         ways = f"{hint(name_or_path, known)}; or give a path that ends in .toml"
-        raise config.ConfigError("scenario", [f"no scenario {name_or_path!r}; {ways}"])
+        raise config.ConfigError("scenario", [f"no scenario {name_or_path[:60]!r}; {ways}"])
     with resources.as_file(resources.files("shared.scenarios") / f"{name_or_path}.toml") as path:
         return _with_folder(config.load(path, Scenario), path.parent)
 

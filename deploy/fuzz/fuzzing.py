@@ -1,22 +1,26 @@
 """Broken messages by the million, and what became of them."""
 
+import contextlib
 import ctypes
 import gc
 import logging
 import mmap
 import os
+import resource
 import struct
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
 from deploy.fuzz.broken import broken
-from deploy.fuzz.targets import Target, targets
+from deploy.fuzz.target import Target
+from deploy.fuzz.targets import targets
 
 GROWTH_MB = 5.0  # that memory may grow by
+MOST_CPU_S, MOST_MB = 30.0, 400.0  # of processor time and memory that one message may take
 _WARM = 0.1  # share of the messages after which memory is looked at first: by then all is compiled and cached
 _ROUND = 500  # messages for a target at a time
 _TWISTED = 0.5  # share of them whose structure is whole
@@ -70,9 +74,23 @@ def fuzz(messages: int, seed: int, only: Sequence[str], newest: Path) -> Found:
     """
     logging.disable(logging.WARNING)  # they say what they refuse
     try:
-        return _fuzz(messages, Random(seed), only, newest)
+        with _stderr_closed():
+            return _fuzz(messages, Random(seed), only, newest)
     finally:
         logging.disable(logging.NOTSET)
+
+
+@contextlib.contextmanager
+def _stderr_closed() -> Iterator[None]:
+    """Drop what libraries in C write to stderr about broken files."""
+    before, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, 2)
+    try:
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
+        os.close(nothing)
 
 
 def _fuzz(messages: int, rng: Random, only: Sequence[str], newest: Path) -> Found:
@@ -120,12 +138,16 @@ def _round(target: Target, count: int, outcome: Outcome, kept: mmap.mmap, rng: R
         else:
             data = broken(data, target.examples, rng)
         kept[: len(head) + _KEPT.size + len(data)] = head + _KEPT.pack(len(data)) + data
-        began = time.perf_counter()
+        began, began_cpu, before_mb = time.perf_counter(), time.process_time(), _peak_mb()
         try:
             outcome.taken += target.take(data)
         except Exception as error:  # noqa: BLE001 - whatever it is, it is what is looked for
             findings.append(Finding(target.name, _words(error), data))
         outcome.slowest_s = max(outcome.slowest_s, time.perf_counter() - began)
+        if time.process_time() - began_cpu > MOST_CPU_S:
+            findings.append(Finding(target.name, f"it took more than {MOST_CPU_S:g} s of processor time", data))
+        if _peak_mb() - before_mb > MOST_MB:
+            findings.append(Finding(target.name, f"it took more than {MOST_MB:g} MB of memory", data))
     outcome.messages += count
     return findings
 
@@ -133,6 +155,11 @@ def _round(target: Target, count: int, outcome: Outcome, kept: mmap.mmap, rng: R
 def _words(error: Exception) -> str:
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__} in {Path(last.filename).name}, {last.name}, line {last.lineno}: {error!s:.200}"
+
+
+def _peak_mb() -> float:
+    """The most memory that this process has had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 * 1e-6
 
 
 def _memory_mb() -> float:

@@ -17,6 +17,7 @@ from mcap.writer import CompressionType, Writer
 
 from deploy.fuzz import made
 from deploy.fuzz.broken import broken
+from deploy.fuzz.target import Folder
 from services.console.recording.contents import as_table, contents, in_words
 from services.console.recording.layout import RecordingError
 from services.console.recording.reader import Recording, is_whole
@@ -29,7 +30,6 @@ _EXAMPLES = 8
 _FRAMES = 12  # of an example
 _APART_NS = 40_000_000
 _LONGEST = 1 << 18  # [bytes] of a recording
-_MEMORY_DISK = Path("/dev/shm")  # where waiting for the disk takes no time; elsewhere a usual folder serves
 _MOST_MEMORY = 4 * LARGEST_BYTES  # [bytes] that reading a file may take
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQI")  # start, end, size, checksum
@@ -69,9 +69,9 @@ class Taker:
     """Reads a recording in every way that the program reads one, from a folder of its own."""
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(dir=_MEMORY_DISK if _MEMORY_DISK.is_dir() else None)
-        self._file = Path(self._folder.name) / "recording.mcap"
-        self._target = Path(self._folder.name) / "recording.recovered.mcap"
+        self._folder = Folder()
+        self._file = self._folder.path / "recording.mcap"
+        self._target = self._folder.path / "recording.recovered.mcap"
 
     def take(self, data: bytes) -> bool:
         """Whether there are messages in it; what is whole of it is the same before and after recovery."""

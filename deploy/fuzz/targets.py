@@ -4,12 +4,13 @@ import asyncio
 import json
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from random import Random
 from typing import Any
 
 from deploy.fuzz import made, recordings
 from deploy.fuzz.broken import broken, odd, odd_table
+from deploy.fuzz.file_targets import file_targets
+from deploy.fuzz.target import Target
 from deploy.ros2 import cdr
 from deploy.ros2.bridge import TWIST, TWIST_STAMPED, read_twist
 from services.console import requests
@@ -27,18 +28,8 @@ _PREFIX = struct.Struct("<I")
 _ALIGNMENT = 8
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
-    """One of them."""
-
-    name: str
-    examples: tuple[bytes, ...]
-    twisted: Callable[[bytes, Random], bytes]  # an example whose structure is whole, and in it something odd
-    take: Callable[[bytes], bool]  # whether it took it for good; raises only what is a fault
-
-
 def targets(rng: Random) -> tuple[Target, ...]:
-    """All of them: the topics, the servo bus, the microcontroller's wire from both ends, ROS 2, the page, recordings."""
+    """All of them: topics, servo bus, the microcontroller's wire from both ends, ROS 2, the page, recordings, files."""
     return (
         *(_of_topic(topic, rng) for topic in topics.TOPICS),
         Target("servo bus", tuple(_packets()), _broken_behind(0), _take_packets),
@@ -48,6 +39,7 @@ def targets(rng: Random) -> tuple[Target, ...]:
         Target("page, request", tuple(text.encode() for text in _asked()), _odd_request, _take_request),
         _of_socket(),
         Target("recording", recordings.examples(rng), recordings.twisted, recordings.Taker().take),
+        *file_targets(),
     )
 
 

@@ -67,8 +67,9 @@ class Authority:
         """The authority that `write` has written to a folder."""
         made = cls.__new__(cls)
         made.certificate = _certificate(folder / AUTHORITY)
+        pem = _read(folder / KEY)
         try:
-            key = load_pem_private_key(_read(folder / KEY), password=None)
+            key = load_pem_private_key(pem, password=None)
         except (ValueError, TypeError, UnsupportedAlgorithm):
             raise AccessError(f"{folder / KEY}: a private key in PEM without a password expected") from None
         if not isinstance(key, ec.EllipticCurvePrivateKey):
@@ -167,12 +168,13 @@ def held(folder: Path) -> Iterator[Held]:
 
 
 def _certificate(path: Path) -> x509.Certificate:
+    pem = _read(path)
     try:
-        return x509.load_pem_x509_certificate(_read(path))
-    except ValueError as error:
-        if isinstance(error, AccessError):
-            raise
-        raise AccessError(f"{path}: a certificate in PEM expected") from None
+        certificate = x509.load_pem_x509_certificate(pem)
+        _ = certificate.subject, certificate.not_valid_after_utc  # which are parsed only now
+    except (ValueError, x509.InvalidVersion):
+        raise AccessError(f"{path}: a certificate in PEM expected, found none or a damaged one") from None
+    return certificate
 
 
 def _read(path: Path) -> bytes:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from shared import config, files, input_file, picture_file
 from shared.camera import DepthSensor, Intrinsics
 from shared.geometry import interpolate, quaternion_from_rotation, rotation_from_quaternion, transform
+from shared.input_file import FileError
 
 _USUAL = DepthSensor()
 _PAIRED_NS = 20_000_000  # [ns] between depth and colour that are taken for one, as in the benchmark's tools
@@ -126,19 +127,18 @@ class Recording:
         """Raw depth image (h, w).
 
         Raises:
-            FileNotFoundError: The image is not there.
-            ValueError: It is no 16-bit grey image of the camera's size.
+            FileError: It is missing, or is no 16-bit grey image of the camera's size.
         """
         path = self.folder / self.files[index]
         if not path.exists():
-            raise FileNotFoundError(f"{path} is missing, though depth.txt of the recording names it")
+            raise FileError(path, "no such file, though depth.txt of the recording names it")
         return np.asarray(picture_file.read_grey(path, bits=(16,), size=self._size), dtype=np.uint16)
 
     def color(self, index: int) -> NDArray[np.uint8] | None:
         """Colour image (h, w, 3), R, G, B, nearest in time to a depth image; None where none was taken near it.
 
         Raises:
-            ValueError: It is no colour image of the camera's size.
+            FileError: It is no colour image of the camera's size.
         """
         if self.colors is None:
             return None
@@ -163,11 +163,11 @@ def read_recording(folder: Path) -> Recording:
     """Open a recording.
 
     Raises:
-        FileNotFoundError: The folder, its depth.txt or its camera.toml is not there.
-        ValueError: A file is malformed; the message names the line.
+        FileError: The folder or a file is missing or malformed; it names the line.
+        ConfigError: What is wrong in camera.toml.
     """
     if not folder.is_dir():
-        raise FileNotFoundError(f"{folder} is no folder; a recording with depth.txt and camera.toml expected")
+        raise FileError(folder, "a folder with depth.txt and camera.toml expected, found none")
     camera = read_camera(folder / "camera.toml")
     stamps, files = read_images(folder / "depth.txt")
     truth_path = folder / "groundtruth.txt"
@@ -180,12 +180,11 @@ def read_images(path: Path) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     """Stamps (n,) [ns], ascending, and files of the pictures that a depth.txt or rgb.txt names.
 
     Raises:
-        FileNotFoundError: It is not there.
-        ValueError: A line is malformed, or there is none.
+        FileError: It is missing, a line is malformed, or there is none.
     """
     rows = _rows(path, 2)
     if not rows:
-        raise ValueError(f"{path}: at least one `timestamp filename` line expected, found none")
+        raise FileError(path, "at least one `timestamp filename` line expected, found none")
     return _stamps(path, rows), tuple(fields[1] for _, fields in rows)
 
 
@@ -193,11 +192,11 @@ def read_camera(path: Path) -> Camera:
     """Read a camera.toml.
 
     Raises:
-        FileNotFoundError: It is not there.
+        FileError: It is missing.
         ConfigError: It is no TOML, lacks a key, or has one that is unknown or wrong.
     """
     if not path.exists():
-        raise FileNotFoundError(f"{path} is missing; it gives width, height, fx, fy, cx, cy and depth_scale")
+        raise FileError(path, "no such file; it gives width, height, fx, fy, cx, cy and depth_scale")
     found = config.load(path, _CameraFile)
     return Camera(
         Intrinsics(found.width, found.height, found.fx, found.fy, found.cx, found.cy),
@@ -213,17 +212,16 @@ def read_trajectory(path: Path) -> Trajectory:
     """Read poses in the layout of groundtruth.txt.
 
     Raises:
-        FileNotFoundError: It is not there.
-        ValueError: A line is malformed, or there is none.
+        FileError: It is missing, a line is malformed, or there is none.
     """
     rows = _rows(path, 8)
     if not rows:
-        raise ValueError(f"{path}: at least one `timestamp tx ty tz qx qy qz qw` line expected, found none")
+        raise FileError(path, "at least one `timestamp tx ty tz qx qy qz qw` line expected, found none")
     values = np.empty((len(rows), 7))
     for n, (line, fields) in enumerate(rows):
         values[n] = [_float(path, line, field) for field in fields[1:]]
         if abs(np.linalg.norm(values[n, 3:]) - 1.0) > 1e-2:
-            raise ValueError(f"{path}:{line}: a unit quaternion qx qy qz qw expected, found {' '.join(fields[4:])}")
+            raise FileError(path, f"a unit quaternion qx qy qz qw expected, found {' '.join(fields[4:])[:80]!r}", line)
     return Trajectory(_stamps(path, rows), transform(rotation_from_quaternion(values[:, [6, 3, 4, 5]]), values[:, :3]))
 
 
@@ -321,12 +319,12 @@ def _camera_toml(camera: Camera) -> str:
 def _rows(path: Path, columns: int) -> list[tuple[int, list[str]]]:
     """Line numbers and fields of all lines that are not comments."""
     if not path.exists():
-        raise FileNotFoundError(f"{path} is missing; the TUM RGB-D layout has one line of {columns} fields a frame")
+        raise FileError(path, f"no such file; the TUM RGB-D layout has one line of {columns} fields a frame")
     rows = []
     for number, line in enumerate(input_file.read_text(path).splitlines(), start=1):
         fields = line.split("#", 1)[0].split()
         if fields and len(fields) != columns:
-            raise ValueError(f"{path}:{number}: {columns} fields expected, found {len(fields)}: {line.strip()!r}")
+            raise FileError(path, f"{columns} fields expected, found {len(fields)}: {line.strip()[:80]!r}", number)
         if fields:
             rows.append((number, fields))
     return rows
@@ -337,13 +335,13 @@ def _stamps(path: Path, rows: list[tuple[int, list[str]]]) -> NDArray[np.int64]:
     for n, (line, fields) in enumerate(rows):
         seconds = _float(path, line, fields[0])
         if not 0.0 <= seconds < 9e9:
-            raise ValueError(f"{path}:{line}: a time in seconds from 0 to 9e9 expected, found {fields[0]}")
+            raise FileError(path, f"a time in seconds from 0 to 9e9 expected, found {fields[0][:80]}", line)
         whole, _, fraction = fields[0].partition(".")
         # Exactly, where the text is plain: a double holds the seconds since 1970 to a quarter of a microsecond only.
-        plain = whole.isdecimal() and (fraction.isdecimal() or not fraction)
+        plain = whole.isdecimal() and len(whole) < 20 and (fraction.isdecimal() or not fraction)
         stamps[n] = int(whole) * 10**9 + int(f"{fraction:0<9}"[:9]) if plain else round(seconds * 1e9)
         if n and stamps[n] <= stamps[n - 1]:
-            raise ValueError(f"{path}:{line}: times that ascend expected, found {fields[0]} after {rows[n - 1][1][0]}")
+            raise FileError(path, f"times that ascend expected, found {fields[0][:40]} after {rows[n - 1][1][0][:40]}", line)
     return stamps
 
 
@@ -351,7 +349,7 @@ def _float(path: Path, line: int, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise ValueError(f"{path}:{line}: a number expected, found {text!r}") from None
+        raise FileError(path, f"a number expected, found {text[:80]!r}", line) from None
     if not math.isfinite(value):
-        raise ValueError(f"{path}:{line}: a finite number expected, found {text!r}")
+        raise FileError(path, f"a finite number expected, found {text[:80]!r}", line)
     return value

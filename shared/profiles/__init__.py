@@ -24,15 +24,16 @@ def load_profile(name_or_path: str) -> RobotProfile:
     """
     if name_or_path.endswith(".toml"):
         return config.build(_table(Path(name_or_path)), RobotProfile, name_or_path, also=(_STANDS,))
-    with resources.as_file(_shipped(name_or_path)) as path:
+    with resources.as_file(_shipped(name_or_path, "robot")) as path:
         return config.load(path, RobotProfile)
 
 
-def _shipped(name: str) -> Traversable:
-    """Where a profile that comes with Sextant is kept."""
+def _shipped(name: str, asked_by: str) -> Traversable:
+    """Where a profile that comes with Sextant is kept; what asked for it is named where there is none."""
     known = profile_names()
     if name not in known:
-        raise config.ConfigError("robot", [f"no profile {name!r}; {hint(name, known)}; or give a path that ends in .toml"])
+        ways = f"{hint(name, known)}; or give a path that ends in .toml"
+        raise config.ConfigError(asked_by, [f"no profile {name[:60]!r}; {ways}"])
     return resources.files("shared.profiles") / f"{name}.toml"
 
 
@@ -46,7 +47,7 @@ def _table(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]:
         raise config.ConfigError(str(path), [f"extends: the name or path of a profile expected, found {base!r}"])
     chain = (*extended_by, path.resolve())
     if not base.endswith(".toml"):
-        with resources.as_file(_shipped(base)) as shipped:
+        with resources.as_file(_shipped(base, f"{path}: extends")) as shipped:
             return _over(config.read(shipped), table)
     if (path.parent / base).resolve() in chain:
         raise config.ConfigError(str(path), [f"extends: another profile expected, found {base!r}, which extends this one"])
@@ -73,6 +74,8 @@ def _beyond_reach(
         size = LegLinks(links.coxa, links.femur, links.tibia)
         down, (front, middle, rear) = foot.radius - stance.body_height, stance.foot_radius_from_coxa
     except AttributeError:  # told already
+        return
+    if not all(isinstance(horn, float) for horn in horns_deg):  # told already
         return
     unreached, unturned = [], []
     for leg, out in zip(legs, (front, front, middle, rear, rear, middle), strict=False):

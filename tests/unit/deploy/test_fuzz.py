@@ -11,7 +11,8 @@ import pytest
 from deploy import cli
 from deploy.fuzz import fuzzing, table
 from deploy.fuzz.broken import broken, odd
-from deploy.fuzz.targets import Target, targets
+from deploy.fuzz.target import Target
+from deploy.fuzz.targets import targets
 from shared.topics import TOPICS
 
 MESSAGES = 500  # for each

@@ -131,7 +131,7 @@ MISTAKES = [
     ("run flat --lockstep --out notes.txt", "cannot make the folder notes.txt"),
     ("fleet fleet.toml", "robots.alpha.conect: unknown key; did you mean 'connect'?"),
     ("fleet fleat.toml", "fleat.toml: no such file"),
-    ("replay depth", "gone.png is missing"),
+    ("replay depth", "gone.png: no such file"),
     ("replay bent", "camera.toml: k1: 0 (distortion"),
     ("replay unsorted", "depth.txt:2: times that ascend expected"),
     ("replay notes.txt", "notes.txt"),

@@ -17,6 +17,7 @@ from services.perception.tum import (
 )
 from shared.camera import Intrinsics
 from shared.geometry import from_xyz_rpy
+from shared.input_file import FileError
 
 CAMERA = Camera(Intrinsics(32, 24, 30.0, 31.0, 15.5, 11.5), 1000.0, 15.0, np.array([0.0, 0.0, -1.0]))
 
@@ -90,16 +91,16 @@ def test_trajectories_survive_the_round_trip(tmp_path):
 @pytest.mark.parametrize("name", ["depth.txt", "camera.toml"])
 def test_a_missing_file_is_named(recorded, name):
     (recorded[0] / name).unlink()
-    with pytest.raises(FileNotFoundError, match=name):
+    with pytest.raises(FileError, match=name):
         read_recording(recorded[0])
 
 
 def test_a_missing_folder_and_image_are_named(recorded, tmp_path):
-    with pytest.raises(FileNotFoundError, match="nowhere"):
+    with pytest.raises(FileError, match="nowhere"):
         read_recording(tmp_path / "nowhere")
     recording = read_recording(recorded[0])
     (recorded[0] / recording.files[2]).unlink()
-    with pytest.raises(FileNotFoundError, match=r"depth\.txt of the recording names it"):
+    with pytest.raises(FileError, match=r"depth\.txt of the recording names it"):
         recording.depth(2)
 
 

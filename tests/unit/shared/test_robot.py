@@ -137,7 +137,7 @@ LEG = PROFILE.legs[0]
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: LegLinks(0.05, 0.0, 0.1), "femur: a length of more than 0 and"),
+        (lambda: LegLinks(0.05, 0.0, 0.1), "femur: a length of 0.001 to 10 m"),
         (lambda: replace(LEG, name="middle"), "name: one of left front"),
         (lambda: replace(LEG, servo_signs=(1, 0, 1)), r"servo_signs\[1\]: a servo sign of 1 or -1"),
         (
@@ -212,7 +212,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "servo.model": ("AX-18", "servo.model: one of 'AX-12A', 'RX-64' expected, found 'AX-18'"),
     "servo.compliance_slope": (0, "servo.compliance_slope: a compliance slope from 1 to 254 expected, found 0"),
     "servo.armature": ("little", "servo.armature: a number expected, found 'little'"),
-    "links.femur": (0.0, "links.femur: a length of more than 0 and at most 10 m expected, found 0.0"),
+    "links.femur": (0.0, "links.femur: a length of 0.001 to 10 m expected, found 0.0"),
     "links.tibia": (None, "links.tibia: missing"),
     "links.shin": (0.1, "links.shin: unknown key"),
     "body.size[2]": (-0.1, r"body.size[2]: an edge of more than 0 and at most 10 m expected, found -0.1"),
@@ -253,6 +253,12 @@ def test_as_many_mistakes_as_are_made_are_told_each_with_its_place(made: set[str
     assert len(told) == len(made), told
     for path in made:
         assert sum(problem.startswith(MISTAKES[path][1]) for problem in told) == 1, (path, told)
+
+
+def test_a_horn_offset_that_is_no_number_is_told_alone(tmp_path: Path) -> None:
+    (tmp_path / "my.toml").write_text('extends = "phantomx_mk2"\nhorn_offsets_deg = [0.0, "", 0.0]\n')
+    with pytest.raises(config.ConfigError, match=r"horn_offsets_deg\[1\]: a number expected, found ''"):
+        load_profile(str(tmp_path / "my.toml"))
 
 
 def test_a_stance_out_of_reach_is_told_beside_other_mistakes(tmp_path: Path) -> None:

@@ -103,13 +103,13 @@ def test_an_unplugged_device_is_said_at_once_and_found_again(kit) -> None:  # ty
 
 
 def test_a_profile_without_a_camera_and_a_folder_that_is_none_are_named(kit, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    for device, words in (("none", "names no camera"), (str(tmp_path), "camera.toml is missing")):
+    for device, words in (("none", "names no camera"), (str(tmp_path), "camera.toml: no such file")):
         service = CameraService(kit.profile, Settings(device=device), None, kit.clock)
         (state,) = of(run(service, kit, 0.05), CameraState)
         assert words in state.reason
     with pytest.raises(CameraError, match="names no camera"):
         open_camera("none", kit.profile, Settings(), kit.clock)
-    with pytest.raises(CameraError, match=r"camera\.toml is missing"):
+    with pytest.raises(CameraError, match=r"camera\.toml: no such file"):
         find(str(tmp_path), kit.profile)
 
 
