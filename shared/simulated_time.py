@@ -50,6 +50,7 @@ class SimulatedTime:
             size = len(self._map)
             self._map.close()
             raise ValueError(f"{path}: a file of {_SIZE} bytes expected for simulated time, found {size}")
+        self.path = path
         self._words = memoryview(self._map).cast("q")
         self._machine = machine
         names = bytes(self._map[8 * _WORDS :])

@@ -125,11 +125,12 @@ def _run_live(arguments: argparse.Namespace) -> int:
         outcome = live_run.run_live_scenario(
             scenario, source, arguments.seed, out, progress, interrupts, attach, slow_down=arguments.slow_down
         )
-    status = _tell(outcome.report, out, arguments.json)
+    lockstep = f"use `sextant run {scenario.name} --lockstep`" if arguments.name == "demo" else "use --lockstep"
+    status = _tell(outcome.report, out, arguments.json, f"{lockstep} or close programs")
     return INTERRUPTED if outcome.interrupted else status
 
 
-def _tell(report: "Report", out: Path, as_json: bool) -> int:
+def _tell(report: "Report", out: Path, as_json: bool, remedy: str = "use --lockstep or close programs") -> int:
     from deploy.judging.report import FILE, to_json
 
     if as_json:
@@ -139,7 +140,7 @@ def _tell(report: "Report", out: Path, as_json: bool) -> int:
         walked = f"{report.distance_m:.2f} m in {report.duration_s:.1f} s, {report.speed_mps:.3f} m/s"
         say(f"{verdict}; {walked}, {report.steps} steps, {report.falls} falls")
         if report.too_slow:
-            say(f"{report.too_slow}; use --lockstep or close programs")
+            say(f"{report.too_slow}; {remedy}")
         say(f"written to {out}: {', '.join(sorted(path.name for path in out.iterdir() if path.is_file()))}")
     return SUCCESS if report.success and (out / FILE).exists() else FAILED
 

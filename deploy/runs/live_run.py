@@ -37,6 +37,7 @@ _LOOK_S = 0.1  # between two looks at the run
 _SHOW_S = 0.25  # between two views of it
 _START_S = 180.0  # within which the robot must have come up
 _SPEED_OVER_NS = 3_000_000_000  # the newest speed of simulated time is the mean over these seconds
+_NAMED = 2  # services that simulated time waited for, in the sentence about it
 _REAL_TIME = 0.95  # [1] of real time, from which simulated time counts as real time
 _WARM_S = 10.0  # the warm-up takes less when everything is compiled already
 _WARM_UP = Command("warm-up", ("-m", "deploy.warm_up"), ENVIRONMENT)
@@ -87,7 +88,8 @@ def run_live_scenario(
         endpoints = attach or stack.enter_context(host_router())
         chosen = process_table.choices(scenario, source, seed, free_port())
         rows = () if attach else process_table.rows("all", simulated=True)
-        time_file = stack.enter_context(_shared_time(rows)) if slow_down else None
+        simulated_time = stack.enter_context(_shared_time(rows)) if slow_down else None
+        time_file = simulated_time.path if simulated_time else None
         # 2. Record, command, judge and watch from this process, each over a link of its own. They connect before the
         #    services start, so that the recording has the first word.
         profile = load_profile(scenario.robot)
@@ -102,11 +104,12 @@ def run_live_scenario(
         # 3. Watch until something ends it, breaking what the scenario wants broken.
         speed = Speed()
         ended_by = _watch(attendance, attendants, launcher, Faults(scenario.faults_at(seed)), progress, interrupts, speed)
+        slowed_down = speed.words(simulated_time.waited_s() if simulated_time else {})
         # 4. Stop everything.
         for name in launcher.stop(interrupts.insisted):
             progress.say(f"{name} did not end when asked and was killed")
     # 5. Judge it and write what it leaves behind.
-    report = attendance.judge(speed.mean() * attendance.kept_up(), ended_by, interrupts.asked(), speed.words())
+    report = attendance.judge(speed.mean() * attendance.kept_up(), ended_by, interrupts.asked(), slowed_down)
     unwritten = attendance.leave_behind(report, out, picture=not interrupts.asked())
     for problem in filter(None, (recording.problem, _loss(recording.dropped), log.problem, *unwritten)):
         progress.say(f"warning: {problem}")
@@ -269,10 +272,18 @@ class Speed:
         """The same over the newest seconds."""
         return _rate(self._looks[0], self._looks[-1]) if self._looks else 1.0
 
-    def words(self) -> str:
-        """That time ran slower than real time, or nothing."""
+    def words(self, waited_s: Mapping[str, float]) -> str:
+        """That time ran slower than real time, or nothing.
+
+        Args:
+            waited_s: Service -> real time [s] for which it has waited lest inputs or cycles of that one come late.
+        """
         mean = self.mean()
-        return f"simulated time ran at {mean:.2f} of real time: this computer is too slow" if mean < _REAL_TIME else ""
+        if mean >= _REAL_TIME:
+            return ""
+        longest = sorted(((s, name) for name, s in waited_s.items() if s >= 0.5), reverse=True)[:_NAMED]
+        waits = f", held for inputs or cycles of {', '.join(f'{name} ({s:.0f} s)' for s, name in longest)}" if longest else ""
+        return f"simulated time ran at {mean:.2f} of real time{waits}: this computer is too slow"
 
 
 def _rate(a: tuple[int, int], b: tuple[int, int]) -> float:
@@ -280,13 +291,14 @@ def _rate(a: tuple[int, int], b: tuple[int, int]) -> float:
 
 
 @contextlib.contextmanager
-def _shared_time(rows: Sequence[Process]) -> Iterator[Path]:
-    """The file of a simulated time that this process and the ones it starts go by."""
+def _shared_time(rows: Sequence[Process]) -> Iterator[SimulatedTime]:
+    """A simulated time that this process and the ones it starts go by."""
     with tempfile.TemporaryDirectory(prefix="sextant-") as folder:
         path = Path(folder) / "simulated_time"
         names = [SERVO_BUS, *(p.name for p in rows if p.side != "simulation")]
-        with going_by(SimulatedTime.create(path, names)):
-            yield path
+        simulated_time = SimulatedTime.create(path, names)
+        with going_by(simulated_time):
+            yield simulated_time
 
 
 def _sink(path: Path, said: Mapping[str, str], profile: RobotProfile) -> Sink:

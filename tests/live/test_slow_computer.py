@@ -71,7 +71,7 @@ def test_simulated_time_waits_for_a_service_that_is_late(tmp_path: Path) -> None
         assert command.status() == 0, command.text()
         command.gone()
         assert "success: goal reached" in command.text()
-        assert said(command, "simulated time ran at 0.", "of real time: this computer is too slow")()
+        assert said(command, "simulated time ran at 0.", "of real time, held for", ": this computer is too slow")()
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     assert report["real_time_factor"] < 0.9
     assert report["too_slow"].startswith("simulated time ran at 0.")

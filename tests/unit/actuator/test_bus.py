@@ -4,8 +4,10 @@ import errno
 import math
 import os
 import re
+import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,8 +21,10 @@ from services.actuator.health import SILENT
 from services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
 from services.simulator.servos import ServoBank
 from services.simulator.tcp_port import TcpBusServer
+from shared import clock
 from shared import dynamixel as dxl
 from shared.dynamixel import Dropped, ServoError
+from shared.simulated_time import SERVO_BUS, SimulatedTime
 
 WILD = settings(deadline=None, derandomize=True, max_examples=50)
 
@@ -456,6 +460,32 @@ def test_over_tcp_as_on_a_serial_device() -> None:
         with pytest.raises(BusGone):
             driver.scan(range(1, 4))
         driver.close()
+
+
+def test_no_answer_is_lost_where_simulated_time_runs_by_fits_and_starts(tmp_path: Path) -> None:
+    """As on a busy computer, where the simulator stands still for longer than a servo may take to answer."""
+    time_ = SimulatedTime.create(tmp_path / "time", [SERVO_BUS])
+    bank, over = ServoBank((1, 2, 3)), threading.Event()
+
+    def simulate() -> None:
+        while not over.wait(0.004):
+            time_.grant()
+            over.wait(0.03)
+
+    with clock.going_by(time_), TcpBusServer(ServoBusEmulator(bank, BusTiming())) as server:
+        thread = threading.Thread(target=simulate)
+        thread.start()
+        try:
+            driver = ServoBus(open_port(server.url), (1, 2, 3), clock.now_ns)
+            begun_ns = clock.now_ns()
+            assert [driver.read(1, dxl.MODEL_NUMBER) for _ in range(20)] == [dxl.MODEL_NUMBER.default] * 20
+            assert driver.lost.total() == 0
+            assert clock.now_ns() - begun_ns < 400_000_000, "20 questions of some milliseconds each"
+            assert driver.ping(9) is None, "a servo that is not there does not stop time"
+            driver.close()
+        finally:
+            over.set()
+            thread.join()
 
 
 def test_a_port_that_is_not_there_is_named() -> None:

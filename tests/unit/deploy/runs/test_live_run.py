@@ -119,7 +119,7 @@ class Clock:
 def test_the_speed_of_simulated_time_is_that_against_real_time() -> None:
     simulated, real = Clock(), Clock()
     speed = Speed(simulated, real)
-    assert (speed.mean(), speed.newest(), speed.words()) == (1.0, 1.0, "")
+    assert (speed.mean(), speed.newest(), speed.words({})) == (1.0, 1.0, "")
     for share in (1.0, 0.25):
         for _ in range(100):
             speed.update()
@@ -128,7 +128,11 @@ def test_the_speed_of_simulated_time_is_that_against_real_time() -> None:
     speed.update()
     assert speed.mean() == pytest.approx(0.625)
     assert speed.newest() == pytest.approx(0.25)
-    assert speed.words() == "simulated time ran at 0.62 of real time: this computer is too slow"
+    assert speed.words({}) == "simulated time ran at 0.62 of real time: this computer is too slow"
+    waited_s = {"mapper": 31.4, "servo bus": 0.1, "planner": 2.0, "actuator": 12.0}
+    held = "held for inputs or cycles of mapper (31 s), actuator (12 s)"
+    words = f"simulated time ran at 0.62 of real time, {held}: this computer is too slow"
+    assert speed.words(waited_s) == words
 
 
 SLOW = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
