@@ -122,6 +122,8 @@ def decode(frame: bytes, kind: type[M], max_bytes: int = 1 << 26) -> tuple[M, Ti
         message = kind(*decoded)
     except ValueError as error:
         raise DecodeError(str(error)) from None
+    if problem := message.contradiction():
+        raise DecodeError(f"{kind.__name__}: {problem}")
     for where, check, index in layout.claims:
         if problem := check(decoded[index]):
             raise DecodeError(f"{where}: {problem}")

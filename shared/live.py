@@ -61,12 +61,14 @@ def run_live(
     alive: Callable[[int], object] = lambda _now_ns: None,
     ahead_s: Callable[[], float] = lambda: 0.0,
     role: str = "robot",
+    robot_time: bool = False,
 ) -> None:
     """Run one service in this process until `stop` is set; stamps are the robot's time (`shared.clock`).
 
     That is real time, but in a simulated run with `shared.simulated_time`, which waits for this service if it is late.
     `alive` is told this machine's monotonic time [ns] at least every 0.2 s, as long as no step hangs and no beat is rarer.
     `ahead_s` says by how much [s] the robot's clock is ahead of this machine's, `role` is that of this machine.
+    `robot_time`: whether this process goes by the robot's clock; messages that are stamped ahead of it are refused then.
     """
     clock = now_ns
     arrived = threading.Event()
@@ -78,7 +80,15 @@ def run_live(
         return link.astray, link.last_astray
 
     worker = Worker(
-        service, send, clock, link.wanted, ahead_s=ahead_s, astray=astray, role=role, hold=partial(hold, service.name)
+        service,
+        send,
+        clock,
+        link.wanted,
+        ahead_s=ahead_s,
+        astray=astray,
+        role=role,
+        hold=partial(hold, service.name),
+        robot_time=robot_time,
     )
     pace = service.paced_by
 

@@ -113,10 +113,10 @@ class Lockstep:
             name = outage.service
             self._schedule(outage.until_ns, -2, lambda: self._guarded(name, lambda: self._start(name)))
 
-    def say(self, message: Message) -> None:
-        """Send a message now, as somebody who is none of the services."""
+    def say(self, message: Message, topic: AnyTopic | None = None) -> None:
+        """Send a message now, as none of the services; `topic` is that of another role than the robot."""
         frame = codec.encode(message, codec.Timing(self.now_ns, self.now_ns))
-        self._send("", topics.OF_TYPE[type(message)], frame)
+        self._send("", topic or topics.OF_TYPE[type(message)], frame)
         self._show()
 
     def run(self, until_ns: int) -> None:
@@ -134,7 +134,12 @@ class Lockstep:
     def _start(self, name: str) -> None:
         service = self._makers[name]()
         worker = Worker(
-            service, lambda topic, frame, _: self._send(name, topic, frame), lambda: self.now_ns, self._wanted, self._decode
+            service,
+            lambda topic, frame, _: self._send(name, topic, frame),
+            lambda: self.now_ns,
+            self._wanted,
+            self._decode,
+            robot_time=True,
         )
         self._workers[name] = worker
         for topic in worker.reads:

@@ -105,6 +105,10 @@ class Message:
 
     stamp_ns: int  # [ns] when the world was as described; copied through every stage
 
+    def contradiction(self) -> str:
+        """How fields contradict each other, or empty; a frame with such a message is refused (`shared.codec`)."""
+        return ""
+
     def __post_init__(self) -> None:
         lengths: dict[str, int] = {}
         for name, check in _checks(type(self)):
@@ -427,7 +431,7 @@ class RecordCommand(Message):
     """What the operator wants of the recorder; console -> recorder."""
 
     record: bool
-    sequence: int  # counts up: an order counts once, however often it is repeated
+    sequence: int  # [ns] when it was given; counts up: an order counts once, however often it is repeated
 
 
 @dataclass(frozen=True, slots=True)
@@ -509,6 +513,13 @@ class Health(Message):
     input_late: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(
         default_factory=lambda: _NO_INPUTS
     )  # [1] share of the uses beyond the limit
+
+    def contradiction(self) -> str:
+        """Whether there is a number for each name."""
+        named = (len(self.stages), len(self.inputs))
+        numbers = (len(self.stage_p50_ms), len(self.input_age_s))
+        return "" if named == numbers else f"{named} numbers of stages and inputs expected, as there are names, found {numbers}"
+
     missed_beats: int = 0  # beats that its own clock left out since it started
 
 

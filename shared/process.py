@@ -106,7 +106,7 @@ def run(
             return 1
         try:  # a ValueError in here is a bug, and ends in a traceback
             role = arguments.role if keys is None else keys.role.name
-            run_live(service, link, told.event, watchdog.beat, ahead_s, role)
+            run_live(service, link, told.event, watchdog.beat, ahead_s, role, robot_time=True)
         except clock.ClockError as error:
             logging.error("%s", error)
             return 1

@@ -25,6 +25,7 @@ AnyTopic = Topic[Any]
 HEALTH_PERIOD_NS = 1_000_000_000
 QUEUE_LENGTH = 512  # frames of an EVERY topic that may wait; more are dropped and counted
 _SAMPLES = 4096  # timings kept per stage
+AHEAD_NS = 2_000_000_000  # [ns] by which a stamp may be ahead of the robot's time: a later one would make all that follow old
 _BEAT_LASTS = 1.0  # periods after a beat at which simulated time waits for its end, ...
 _LATE_BEAT = 1.5  # ... and for the next one
 
@@ -131,6 +132,7 @@ class Inbox:
         wanted: Callable[[AnyTopic], bool] = lambda _: True,
         decode: Decode = codec.decode,
         ages: InputAges | None = None,
+        robot_time: bool = False,
     ):
         self.now_ns = 0
         self._ages = ages or InputAges({})
@@ -140,6 +142,7 @@ class Inbox:
         self.wanted = wanted  # whether anybody listens to a topic: what nobody wants need not be made
         self._stages = stages
         self._decode = decode
+        self._robot_time = robot_time  # whether times of arrival are the robot's, as stamps are
         self._reads = {topic.key: topic for topic in reads}
         self._frames: dict[str, deque[tuple[bytes, int]]] = {}
         for topic in reads:
@@ -209,14 +212,20 @@ class Inbox:
             try:
                 message, timing = self._decode(frame, topic.type, topic.max_bytes)
             except codec.DecodeError as error:
-                self.refused += 1
-                self.last_refusal = f"{topic.key}: {error}"[:500]
+                self._refuse(topic, str(error))
+                continue
+            if self._robot_time and message.stamp_ns > at_ns + AHEAD_NS:
+                self._refuse(topic, f"stamped {(message.stamp_ns - at_ns) * 1e-9:.1f} s ahead of now")
                 continue
             if timing.began_ns > 0 and topic.key not in self._fetch:
                 self._stages.add(f"latency {topic.key}", (at_ns - timing.began_ns) * 1e-6)
             self._newest[topic.key] = (message, at_ns)
             messages.append(message)
         return messages
+
+    def _refuse(self, topic: AnyTopic, why: str) -> None:
+        self.refused += 1
+        self.last_refusal = f"{topic.key}: {why}"[:500]
 
     def _look(self, topic: AnyTopic) -> None:
         fetch = self._fetch.get(topic.key)
@@ -268,6 +277,7 @@ class Worker:
         astray: Callable[[], tuple[int, str]] = lambda: (0, ""),
         role: str = "robot",
         hold: Callable[[int | None], object] = lambda _limit_ns: None,
+        robot_time: bool = False,
     ):
         self.service = service
         self._health_topic = topics.HEALTH_OF[role]  # of the machine's role: others may not publish there
@@ -282,7 +292,7 @@ class Worker:
         self.reads = tuple(
             dict.fromkeys([*([] if isinstance(service.paced_by, Every) else [service.paced_by]), *service.reads])
         )
-        self.inbox = Inbox(self.reads, service.stages, wanted, decode, self.ages)
+        self.inbox = Inbox(self.reads, service.stages, wanted, decode, self.ages, robot_time)
         self._send = send
         self._clock = clock
         self._writes = set(service.writes)

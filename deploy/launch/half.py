@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from deploy import process_table
-from deploy.launch.launcher import Ended, Launcher, port_taken
+from deploy.launch.launcher import STAYED_UP_S, Ended, Launcher, port_taken
 from deploy.network.gate import Gate
 from deploy.network.meeting import Meeting
 from deploy.process_table import Choices, Process, Role
@@ -17,6 +17,7 @@ from deploy.provenance import version
 from shared.endpoint import occupied
 from shared.transport import Endpoints, Router, TransportError, ZenohLink
 
+_NEEDED = ("router", "actuator", "simulator")  # without which the others are of no use
 _LOOK_S = 0.05  # between two looks for other machines, before anything is started
 
 
@@ -51,6 +52,7 @@ class Half:
         self.commands = process_table.commands(rows, chosen, endpoints, extra, off, self._certificate_role)
         self._router: Launcher | None = None
         self._launcher: Launcher | None = None  # of the processes; none before other machines have been met
+        self._began_s = time.monotonic()  # when they were started
         self._held = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
@@ -89,9 +91,11 @@ class Half:
         """Do what is due, and wait up to a time [s] for a process to end; why this half has to end, in words, or nothing.
 
         What other machines publish keeps processes from being started where they are chained to; it ends none that runs.
+        Nor does a process that has stayed up for a while end the others when it fails: the actuator and its stop path go on.
         """
         self._meeting.beat()
         if self._launcher is None:
+            self._began_s = time.monotonic()
             if refused := self._meeting.start_refusal:
                 return refused
             if self._meeting.met:
@@ -103,7 +107,9 @@ class Half:
         for ended in [ended for launcher, wait in zip(children, waits, strict=True) for ended in launcher.wait(wait)]:
             self._say(str(ended))
             if not ended.restarted:
-                return _ended_for_good(ended)
+                if ended.name in _NEEDED or time.monotonic() - self._began_s < STAYED_UP_S:
+                    return _ended_for_good(ended)
+                self._say(f"{ended.name} does not stay up and is left out; the others go on")
         return ""
 
     def stop(self, insisted: Callable[[], bool]) -> None:

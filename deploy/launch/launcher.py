@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
@@ -21,6 +21,7 @@ from shared.transport import Endpoints, Router, TransportError
 
 GRACE_S = 1.0  # between SIGTERM and SIGKILL
 LAUNCHERS_GRACE_S = 6.0  # likewise for launchers as children: they have children of their own to end, and a router to close
+STAYED_UP_S = 60.0  # after which a process has stayed up, and all of its restarts are left again
 _REAP_S = 0.5  # a killed process is gone after this
 _READY_LOOK_S = 0.05  # between two looks at whether a process is ready
 _TAIL = 60  # lines kept of what a process said
@@ -82,6 +83,7 @@ class _Child:
     tail: deque[str]
     reader: threading.Thread
     restarts_left: int
+    began_s: float = field(default_factory=time.monotonic)
     reported: bool = False
     hung: str = ""  # in words, where it was ended for that
 
@@ -265,13 +267,15 @@ class Launcher:
             os.killpg(child.process.pid, signal.SIGKILL)
         child.reader.join(_REAP_S)
         status = child.process.returncode
-        again = child.restarts_left > 0 and status != 2  # 2: it was started wrongly, and would be again
+        stayed_up = time.monotonic() - child.began_s >= STAYED_UP_S
+        restarts_left = child.command.restarts if stayed_up else child.restarts_left
+        again = restarts_left > 0 and status != 2  # 2: it was started wrongly, and would be again
         ended = Ended(child.command.name, child.hung or how_it_ended(status), last_words(list(child.tail)), again)
         child.reported = True
         if self._pulses:
             self._pulses.forget(child.process.pid)
         if again:
-            self._children[child.command.name] = self._start(child.command, child.restarts_left - 1)
+            self._children[child.command.name] = self._start(child.command, restarts_left - 1)
         return ended
 
 

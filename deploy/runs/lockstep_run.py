@@ -142,10 +142,10 @@ class LockstepRun:
         assert self._lockstep is not None
         self._lockstep.lose(outage)
 
-    def say(self, message: Message) -> None:
-        """Send a message now, as somebody who is none of the services."""
+    def say(self, message: Message, topic: AnyTopic | None = None) -> None:
+        """Send a message now, as none of the services; `topic` is that of another role than the robot."""
         assert self._lockstep is not None
-        self._lockstep.say(message)
+        self._lockstep.say(message, topic)
 
 
 def assemble(

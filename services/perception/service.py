@@ -24,6 +24,7 @@ from shared.messages import BodyPose, ColorImage, DepthImage, Message, Preview, 
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
 
+_MOST_DOUBT_M, _MOST_DOUBT_RAD = 10.0, 3.0  # of a prior: whatever was travelled since the last frame
 _PREVIEW_NS = 180_000_000  # [ns] at least between two pictures for people
 _SAMPLED = 8  # every how many rows and columns are looked at to tell a frozen picture
 _EMPTY_EVERY = 3  # scans after which pixels without a return count as lines of sight: they are less to be relied upon
@@ -215,6 +216,7 @@ class Perception:
         level = settings.odometry_level
         if not motion.reliable:
             way, turn, level = way + 0.01, turn + 0.02, level + 0.01
+        way, turn = min(way, _MOST_DOUBT_M), min(turn, _MOST_DOUBT_RAD)  # what odometry says of itself is a claim
         sigma = np.array([way, way, level, level, level, turn])
         return self._T_world_odom @ motion.T_odom_body, np.diag(sigma**2)
 

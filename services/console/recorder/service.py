@@ -17,7 +17,7 @@ from shared import clock, topics
 from shared.live import Link
 from shared.messages import Message, RecordCommand, RecorderState, Tick
 from shared.robot import RobotProfile
-from shared.service import AnyTopic, Every, Inbox, Stages
+from shared.service import AHEAD_NS, AnyTopic, Every, Inbox, Stages
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -73,8 +73,8 @@ class RecorderService:
         yield self._state(tick.stamp_ns)
 
     def _obey(self, command: RecordCommand, now_ns: int) -> None:
-        if command.sequence <= self._sequence:
-            return  # a repetition, or one that was overtaken
+        if not self._sequence < command.sequence <= now_ns + AHEAD_NS:
+            return  # a repetition, one that was overtaken, or a number that would make all later orders old
         self._sequence = command.sequence
         if command.record and not self._wanted:
             self._begin(now_ns)

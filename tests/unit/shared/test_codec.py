@@ -63,14 +63,18 @@ def messages(draw: st.DrawFn, kind: type[Message]) -> Message:
     arrays = [detail[1] for _, base, detail in fields if base is np.ndarray]
     names = {n: dims.lengths or (0, 5) for dims in arrays for n in dims.shape if isinstance(n, str)}
     lengths = {n: draw(st.integers(least, min(most, 5)), label=n) for n, (least, most) in sorted(names.items())}
-    return kind(**{name: draw(field_values(base, detail, lengths)) for name, base, detail in fields})
+    values = {name: draw(field_values(base, detail, lengths)) for name, base, detail in fields}
+    if kind is m.Health:  # a name for each number
+        values["stages"] = tuple(map(str, range(lengths["stage"])))
+        values["inputs"] = tuple(map(str, range(lengths["input"])))
+    return kind(**values)
 
 
 def example(kind: type[Message]) -> Message:
     values: dict[str, Any] = {}
     for name, base, detail in m.schema(kind):
         if base is np.ndarray:
-            free = min(3, (detail[1].lengths or (0, 3))[1])
+            free = 1 if kind is m.Health else min(3, (detail[1].lengths or (0, 3))[1])
             ones = np.ones([n if isinstance(n, int) else free for n in detail[1].shape], detail[0])
             values[name] = np.eye(4) if detail[1].shape == (4, 4) else ones
         elif base is tuple:
@@ -245,6 +249,12 @@ def test_a_number_in_a_frame_is_small_enough_to_compute_with(kind: type[Message]
     frame = codec.encode(dataclasses.replace(example(kind), **changes))
     assert f"at most {codec.MAX_NUMBER:g} expected" in refusal(frame, kind)
     codec.decode(codec.encode(dataclasses.replace(example(m.BodyPose), covariance=np.full((6, 6), 1e12))), m.BodyPose)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize("name", ["stages", "inputs"])
+def test_a_frame_with_more_names_than_numbers_is_refused(name: str) -> None:
+    health = dataclasses.replace(example(m.Health), **{name: ("one", "two")})  # type: ignore[arg-type]
+    assert "as there are names" in refusal(codec.encode(health), m.Health)
 
 
 @pytest.mark.parametrize("name", ["reason", "warnings"])

@@ -8,7 +8,7 @@ import pytest
 
 from shared import codec, topics
 from shared.lateness import BEAT
-from shared.messages import Health, Tick
+from shared.messages import Health, ModeCommand, Tick
 from shared.service import QUEUE_LENGTH, AnyTopic, Every, Inbox, Service, Stages, Worker
 from tests.support.scripted_service import Kept, Scripted, order, status, velocity
 
@@ -344,3 +344,13 @@ def test_what_paces_a_service_is_an_input_too() -> None:
     desk.worker.arrived()
     assert desk.limits == [300 * MS, 300 * MS]
     assert float(desk.health[0].input_age_s[0]) == pytest.approx(0.1)
+
+
+def test_a_message_from_ahead_of_the_robots_time_is_refused_where_that_is_known() -> None:
+    for robot_time, expected in ((True, 1), (False, 2)):
+        inbox = Inbox((MODE,), Stages(), robot_time=robot_time)
+        for stamp_ns in (9_000_000_000, (1 << 63) - 1):
+            inbox.receive(MODE, codec.encode(ModeCommand(stamp_ns, "stop", 1)), 8_000_000_000)
+        assert len(inbox.drain(MODE)) == expected
+        assert inbox.refused == 2 - expected
+        assert robot_time == ("operator/mode: stamped 92233720" in inbox.last_refusal)

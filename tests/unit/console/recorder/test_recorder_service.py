@@ -139,3 +139,11 @@ def test_a_disk_that_fills_up_ends_the_recording_with_the_reason(tmp_path: Path,
 def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="expected, found"):
         Settings(**wrong)
+
+
+def test_an_order_from_far_ahead_bars_no_later_one(tmp_path: Path) -> None:
+    desk = Desk(tmp_path / "recordings")
+    with desk.recorder:
+        assert not desk.beat(True, (1 << 63) - 1).recording
+        assert desk.beat(True, desk.now_ns).recording
+        assert not desk.beat(False, desk.now_ns).recording

@@ -41,6 +41,7 @@ class FakeLauncher:
     """Starts nothing."""
 
     started: list[str] = []  # noqa: RUF012 - of all that were made
+    ended: list[Ended] = []  # noqa: RUF012 - to be reported
 
     def __init__(self, commands: Any, hear: Any):
         self.names = [command.name for command in commands]
@@ -54,7 +55,8 @@ class FakeLauncher:
             FakeLauncher.started.remove(name)
 
     def wait(self, timeout_s: float) -> list[Ended]:
-        return []
+        ended, FakeLauncher.ended = FakeLauncher.ended, []
+        return ended
 
 
 @pytest.fixture
@@ -71,6 +73,7 @@ def link(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeLink]:
     monkeypatch.setattr(half, "_host", lambda *_: None)
     monkeypatch.setattr(half.time, "monotonic_ns", clock)
     monkeypatch.setattr(half.time, "sleep", lambda _: None)
+    monkeypatch.setattr(half.time, "monotonic", lambda: now[0] * 1e-9)
     FakeLauncher.started.clear()
     yield made
     assert FakeLauncher.started == []
@@ -114,6 +117,19 @@ def test_a_base_does_not_start_what_another_has_started(link: FakeLink) -> None:
         claim(link, "base", "planner")
         assert "another-1 (onboard) has started planner already" in starting.beat(0.0)
         assert FakeLauncher.started == []
+
+
+def test_a_process_that_fails_later_on_leaves_the_actuator_and_its_stop_path(link: FakeLink) -> None:
+    with a_half("onboard", ()) as running:
+        FakeLauncher.ended = [Ended("perception", "exit status 1", "", restarted=False)]
+        assert "perception does not stay up" in running.beat(0.0), "it was never started rightly"
+    with a_half("onboard", ()) as running:
+        for _ in range(700):
+            assert running.beat(0.0) == ""
+        FakeLauncher.ended = [Ended("perception", "exit status 1", "", restarted=False)]
+        assert running.beat(0.0) == ""
+        FakeLauncher.ended = [Ended("actuator", "exit status 1", "", restarted=False)]
+        assert "actuator does not stay up" in running.beat(0.0)
 
 
 def test_a_console_cannot_keep_a_robot_from_starting(link: FakeLink) -> None:

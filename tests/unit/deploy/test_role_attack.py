@@ -1,0 +1,50 @@
+"""The attack by meaning: what is sent is well formed and extreme, and a robot in lockstep holds against it."""
+
+from random import Random
+
+import pytest
+
+from deploy.fuzz import role_attack
+from deploy.fuzz.role_attack import Row
+from deploy.fuzz.worst import worst
+from shared import codec
+from shared.access import ROLE_NAMED
+from shared.messages import schema
+from shared.service import AnyTopic
+from shared.topics import TOPICS
+
+NOW_NS = 10_000_000_000
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.key)
+def test_what_is_sent_passes_the_schema_and_differs_from_the_example(topic: AnyTopic) -> None:
+    rng = Random(topic.key)
+    made = [worst(topic, (), NOW_NS, rng) for _ in range(30)]
+    for message in made:
+        again, _ = codec.decode(codec.encode(message, codec.Timing(NOW_NS, NOW_NS)), topic.type, topic.max_bytes)
+        assert type(again) is topic.type
+    assert len({codec.encode(message) for message in made}) > 5 or len(schema(topic.type)) == 1
+
+
+def test_an_attacker_sends_what_its_role_may_and_nothing_else() -> None:
+    for role in role_attack.ROLE_NAMES:
+        attacker = role_attack.Attacker(role, 1)
+        assert {attacker.next(NOW_NS)[0].key for _ in range(300)} <= {topic.key for topic in ROLE_NAMED[role].puts}
+
+
+def test_a_row_passes_where_nothing_ended_nor_grew_and_torque_went_off_in_time() -> None:
+    good = Row("viewer", 10, 1.0, (), (31.0,))
+    assert good.passed
+    assert not Row("viewer", 10, 1.0, (), (61.0,)).passed
+    assert not Row("viewer", 10, 1.0, (), ()).passed, "it was never ordered"
+    assert not Row("viewer", 10, 1.0, (), (31.0,), ended=("planner ended",)).passed
+    assert not Row("viewer", 10, 1.0, (), (31.0,), growth_mb={"console": 50.0}).passed
+    assert "| `viewer` | 10 | 100 % |" in role_attack.in_words([good])
+    assert '"passed": true' in role_attack.to_json([good])
+
+
+@pytest.mark.parametrize("role", ["robot", "console"])
+def test_a_walk_in_lockstep_holds_against_a_role(role: str) -> None:
+    row = role_attack.in_lockstep(role, 150, 1)
+    assert row.ended == ()
+    assert row.passed, role_attack.in_words([row])
