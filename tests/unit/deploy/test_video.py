@@ -24,6 +24,7 @@ from services.console.recording.writer import Recorder
 from services.simulator.solids import Boxes
 from services.simulator.terrain import Terrain, Weak
 from shared import codec
+from shared.files import WriteError
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, transform
 from shared.kinematics import body_forward, body_inverse
 from shared.messages import (
@@ -446,6 +447,17 @@ def test_nothing_is_left_of_a_film_that_broke_off(tmp_path: Path) -> None:
         with pytest.raises(KeyboardInterrupt):
             files.write(tmp_path / f"walk{suffix}", breaks_off(), 10.0, (160, 96))  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".webm"])
+def test_a_film_that_lacks_its_end_is_said_and_not_left(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = [np.full((96, 160, 3), 10 * k, dtype=np.uint8) for k in range(12)]
+    assert files.write(tmp_path / f"whole{suffix}", frames, 10.0, (160, 96)) == 12
+    assert files._frames_in(tmp_path / f"whole{suffix}") == 12
+    monkeypatch.setattr(files, "_frames_in", lambda _: 11)  # as OpenCV leaves it on a full disk, without a word
+    with pytest.raises(WriteError, match="cannot be written: the disk is full"):
+        files.write(tmp_path / f"cut{suffix}", frames, 10.0, (160, 96))
+    assert [path.name for path in tmp_path.iterdir()] == [f"whole{suffix}"]
 
 
 def test_the_command_draws_a_run_and_says_what_came_of_it(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

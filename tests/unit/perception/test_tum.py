@@ -16,6 +16,7 @@ from services.perception.tum import (
     write_trajectory,
 )
 from shared.camera import Intrinsics
+from shared.files import WriteError
 from shared.geometry import from_xyz_rpy
 from shared.input_file import FileError
 
@@ -179,3 +180,14 @@ def test_the_writer_refuses_what_it_could_not_read_back(recorded, tmp_path):
         with pytest.raises(ValueError, match="uint16 depth image"):
             writer.add(5000, image.astype(np.float32), np.eye(4))
     assert len(read_recording(tmp_path / "other")) == 1
+
+
+def test_a_frame_that_cannot_be_written_leaves_the_recording_as_it_was(tmp_path):
+    with RecordingWriter(tmp_path / "run", CAMERA) as writer:
+        shape = (CAMERA.intrinsics.height, CAMERA.intrinsics.width)
+        writer.add(10**9, np.full(shape, 700, dtype=np.uint16), np.eye(4))
+        (tmp_path / "run" / "depth").rename(tmp_path / "gone")
+        with pytest.raises(WriteError, match="its folder is gone"):
+            writer.add(2 * 10**9, np.full(shape, 700, dtype=np.uint16), np.eye(4))
+    (tmp_path / "gone").rename(tmp_path / "run" / "depth")
+    assert len(read_recording(tmp_path / "run")) == 1

@@ -1,13 +1,14 @@
 import json
 import threading
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import pytest
 
 from deploy.judging import report as reports
 from deploy.launch.launcher import host_router
 from deploy.runs.attendance import Attendance
-from deploy.runs.live_run import Attendants, Faults, Speed
+from deploy.runs.live_run import Attendants, Faults, ServiceLog, Speed
 from shared import topics
 from shared.messages import Message, ModeCommand, Tick
 from shared.profiles import load_profile
@@ -156,3 +157,22 @@ def test_a_run_that_failed_with_late_inputs_says_so(late_s: float, slowed_down: 
     assert report.too_slow == (slowed_down if too_slow is None else too_slow)
     assert report.late_s == late_s
     assert not reports.check(json.loads(reports.to_json(report)))
+
+
+def test_lines_of_services_that_do_not_fit_are_dropped_and_that_is_said(tmp_path: Path) -> None:
+    (tmp_path / "services.log").symlink_to("/dev/full")
+    for path in (tmp_path / "services.log", tmp_path / "gone" / "services.log"):
+        log = ServiceLog(path)
+        log.hear("mapper", "mapper: mapping")
+        log.hear("mapper", "mapper: mapping still")
+        log.close()
+        log.hear("mapper", "mapper: too late")
+        assert log.problem.startswith(f"{path} cannot be written: ")
+
+
+def test_lines_of_services_are_kept_as_they_come(tmp_path: Path) -> None:
+    log = ServiceLog(tmp_path / "services.log")
+    log.hear("mapper", "mapper: käme")
+    assert (tmp_path / "services.log").read_text(encoding="utf-8") == "mapper: käme\n"
+    log.close()
+    assert log.problem == ""
