@@ -168,6 +168,7 @@ APART = {
     "deploy/bed/namespace.py": "the kernel's own files",
     "deploy/bench/link.py": "a folder that is removed at the end",
     "deploy/bench/soak.py": "a folder that is removed at the end",
+    "deploy/fuzz/file_targets.py": "a folder that is removed at the end",
     "deploy/fuzz/fuzzing.py": "the newest message, for when it ends the process",
     "deploy/fuzz/recordings.py": "a folder that is removed at the end",
     "deploy/output.py": "nowhere",
