@@ -43,7 +43,7 @@ _SEND_BUFFER = 64 * 1024  # [bytes] of bulk over a radio: what waits in the kern
 _LOOK_S = 0.05  # between two looks of a router at the time
 _KEPT = 256  # frames of an EVERY topic that may wait to be taken
 
-_SOURCE = re.compile(r" at /\S+\.rs:\d+\.?")  # that Zenoh adds to its errors
+_SOURCE = re.compile(r" at /\S+?\.rs:\d+(?::\d+)*[.:]?")  # that Zenoh adds to its errors
 
 _log = logging.getLogger(__name__)
 

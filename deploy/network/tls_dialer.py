@@ -22,6 +22,7 @@ _HERE = "127.0.0.1"
 _ATTEMPT_S = 0.5  # [s] of connecting and handshake
 PATIENCE_S = 5.0  # [s] after which the router is told that the other machine cannot be reached
 _LOOK_S = 0.1
+_END_S = 1.0
 _BUFFER = 1 << 16  # [bytes]
 
 
@@ -57,7 +58,7 @@ class TlsDialer:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._ended.set()
-        self._thread.join()
+        self._thread.join(_END_S)  # it may be asking for the address of a host, which takes its time
         self._listener.close()
         self._relay.__exit__(kind, error, trace)
 
@@ -79,6 +80,9 @@ class TlsDialer:
             except socket.gaierror:  # `deploy.network.knocking` says so
                 near.close()
                 continue
+            if self._ended.is_set():
+                near.close()
+                return
             target = Target(address, family, self._host, self._context, _ATTEMPT_S, PATIENCE_S, LEASE_MS * 1e-3)
             self._relay.carry(near, target, self._answer)
 

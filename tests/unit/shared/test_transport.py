@@ -329,6 +329,17 @@ def test_a_router_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) ->
         pass
 
 
+def test_silent_connections_keep_no_client_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(transport, "_CONNECT_MS", 3000)  # Zenoh's defaults: the first 100 keep all others out for 10 s
+    address = free_endpoint()
+    host, port = address.removeprefix("tcp/").split(":")
+    with Router((address,)), contextlib.ExitStack() as stack:
+        for _ in range(300):
+            stack.enter_context(socket.create_connection((host, int(port)), PATIENCE_S))
+        with ZenohLink(Endpoints((address,))) as link:
+            link.send(MODE, b"x")
+
+
 def test_what_is_no_router_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "_CONNECT_MS", 200)
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -340,6 +351,8 @@ def test_what_is_no_router_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_places_in_zenohs_source_are_left_out() -> None:
     said = "Unable to connect to [tcp/1.2.3.4:1]. Timeout! at /root/.cargo/git/x/zenoh/src/orchestrator.rs:388.. Then more"
     assert transport.without_source(said) == "Unable to connect to [tcp/1.2.3.4:1]. Timeout!. Then more"
+    said = "thread 'rx-0' panicked at /root/.cargo/git/checkouts/zenoh/src/keyexpr.rs:241:32:"
+    assert transport.without_source(said) == "thread 'rx-0' panicked"
 
 
 def test_what_is_collected_waits_until_it_is_fetched(endpoint: str) -> None:
