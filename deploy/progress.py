@@ -48,7 +48,8 @@ class RunLateness:
             computer: What tells whether one is too slow.
         """
         self.late_s = 0.0
-        self.words = ""  # that the computer was too slow, when it last was
+        self.words = ""  # that the computer was too slow, when it was worst
+        self._severity = (False, 0.0)
         self.missed_beats: dict[str, int] = {}
         self._computer = computer
         self._looked_ns: int | None = None
@@ -70,7 +71,8 @@ class RunLateness:
                 self._ages[f"{name} {age.what}"] = InputAges(max(before.max, age.age_s), age.limit_s, late), count + 1
         words = self._computer.words(now_ns)
         if words:
-            self.words = words
+            if self._computer.severity >= self._severity:
+                self.words, self._severity = words, self._computer.severity
             self.late_s += 0.0 if self._looked_ns is None else (now_ns - self._looked_ns) * 1e-9
         self._looked_ns = now_ns
         return words

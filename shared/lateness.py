@@ -32,7 +32,7 @@ _NAMES = {
     "mapper/terrain": "maps",
     "planner/step": "step plans",
 }
-_INPUTS = frozenset({BEAT, STALL, *_NAMES})
+_CHAIN = (*reversed(_NAMES), STALL, BEAT)  # from the plans back to the frames
 
 
 @runtime_checkable
@@ -126,7 +126,7 @@ def ages_of(health: Health) -> tuple[InputAge, ...]:
     columns = (health.input_age_s, health.input_arrived_s, health.input_limit_s, health.input_late)
     rows = np.stack(columns, axis=1).tolist()
     ages = (InputAge(what, *row) for what, row in zip(health.inputs, rows, strict=True))
-    return tuple(age for age in ages if age.what in _INPUTS and age.limit_s > 0.0)
+    return tuple(age for age in ages if age.what in _CHAIN and age.limit_s > 0.0)
 
 
 class SlowComputer:
@@ -141,6 +141,7 @@ class SlowComputer:
             computer: What it is called where it is named.
         """
         self.linked = linked
+        self.severity = (False, 0.0)  # of what was found last: whether inputs are late, and the worst age [1] of its limit
         self._real_time, self._computer = real_time, computer
         self._reports: deque[tuple[int, str, InputAge]] = deque()  # when [ns], service; late ones alone
         self._heard_ns: dict[str, int] = {}  # when the newest health of a service came
@@ -176,8 +177,12 @@ class SlowComputer:
         if not (causes and any(slow)):
             return ""
         order = sorted(late.items(), key=lambda item: (item[1].what in (BEAT, STALL), -item[1].age_s / item[1].limit_s))
-        return f"{' or '.join(causes)} is too slow: {'; '.join(age.words(service) for (service, _), age in order[:_SHOWN])}"
+        first = order[0][1]
+        self.severity = first.what not in (BEAT, STALL), first.age_s / first.limit_s
+        # In the order of the chain, so that the sentence stays the same while the figures change.
+        shown = sorted(order[:_SHOWN], key=lambda item: (_CHAIN.index(item[1].what), item[0]))
+        return f"{' or '.join(causes)} is too slow: {'; '.join(age.words(service) for (service, _), age in shown)}"
 
 
 def _seconds(duration_s: float) -> str:
-    return f"{duration_s:.1f}" if duration_s >= 1.0 else f"{duration_s:.2g}"
+    return f"{duration_s:.1f}" if duration_s >= 0.95 else f"{duration_s:.2g}"

@@ -223,3 +223,20 @@ def test_the_speed_of_simulated_time_is_shown_where_it_is_slow() -> None:
     stream = io.StringIO()
     Lines(stream).update(slow)
     assert "at 0.40 of real time" in stream.getvalue()
+
+
+def test_a_run_keeps_the_worst_of_what_was_late() -> None:
+    monitor = Monitor(2.5)
+
+    def late(at_s: float, age_s: float) -> Health:
+        figures = [np.array([figure]) for figure in (age_s, age_s, 0.8, 0.5)]
+        return replace(
+            health(round(at_s * S), "planner"),
+            inputs=("mapper/terrain",),
+            **dict(zip(("input_age_s", "input_arrived_s", "input_limit_s", "input_late"), figures, strict=True)),
+        )
+
+    for second, age_s in enumerate((1.0, 3.0, 3.0, 1.2, 1.2, 1.2, 1.2, 1.2)):
+        monitor.lateness.update({"planner": (late(second, age_s), second * S)}, second * S)
+    assert monitor.lateness.words == "this computer is too slow: maps are 3.0 s old, 0.8 s allowed"
+    assert monitor.lateness.late_s == 7.0

@@ -97,6 +97,15 @@ def test_a_process_that_stood_still_names_the_computer() -> None:
     assert after(SlowComputer(), report, report) == words
 
 
+def test_the_two_worst_inputs_are_named_in_the_order_of_the_chain() -> None:
+    scans, poses = InputAge(SCAN, 3.0, 3.0, 0.6, 0.5), InputAge(POSE, 0.5, 0.5, 0.4, 0.5)
+    words = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed; scans are 3.0 s old, 0.6 s allowed"
+    computer = SlowComputer()
+    report = health("planner", poses, scans, maps())
+    assert after(computer, report, report) == words
+    assert computer.severity == (True, pytest.approx(5.0))
+
+
 def test_it_is_over_some_seconds_after_the_last_late_input() -> None:
     computer, report = SlowComputer(), health("planner", maps())
     assert after(computer, report, report)
