@@ -316,7 +316,7 @@ class Actuator:
 
     def _waits(self) -> str:
         """Why no plan may be walked yet, in words, or nothing."""
-        if self._walker.searching.any():
+        if self._walker.searching.any() or self._walker.taking_back:
             return self._walker.trouble
         takes_up = self._walker.gentle or (self._walker.resting and self._limits.easing)
         return "the joints take up their work again, slowly" if takes_up else ""
@@ -382,6 +382,7 @@ class Actuator:
         self._posing = None
         if risen:
             self._stand_on(self._measured(), targets.feet)
+            self._walker.doubt(~self._contact.legs)  # on uneven ground some feet hang
             self._guard.risen()
         else:
             self._still = True

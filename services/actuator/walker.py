@@ -60,6 +60,7 @@ _NEARLY_BACK = 0.015  # [m] over where it stood, below which a foot that goes ba
 _SPAN = np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])  # what squares of m and rad count for in the length of a body's way: 0.14 m
 _PLACES = 11  # at which a body that has to stop may come to rest, from where it can to where it was going
 _LOW = 0.010  # [m] clearance of feet that go back to where they have just come from
+_HELD, _HELD_S = 0.05, 0.4  # [m] by which a foot in the air stays behind, and [s] for which, if something holds it
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +141,7 @@ class Walker:
         self._stopped: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # swung legs that met ground before their targets
         self._met = self._feet.copy()  # (6, 3) [m] {cmd} where
         self._proven: NDArray[np.bool_] = np.ones(6, dtype=bool)  # legs that have borne something since they came down
+        self._behind_s = np.zeros(6)  # [s] for which feet in the air have stayed behind
         self._short = np.zeros(6)  # [m] over their targets at which legs were stopped: by ground, or by what felt like it
         self._landed: NDArray[np.bool_] = np.zeros(6, dtype=bool)  # legs that have swung last
         self._surveyed = np.zeros(6)  # [m] by which they were found to stand higher than felt
@@ -211,6 +213,15 @@ class Walker:
         """(6,) [m] with which the feet of the running step were lifted; infinite while they can still be lifted higher."""
         lifted = self._plan is not None and self._flight is not None
         return self._plan.clearance if lifted and self._plan is not None else np.full(6, np.inf)
+
+    @property
+    def taking_back(self) -> bool:
+        """Whether a step of its own brings feet back to where they stood."""
+        return self._plan is not None and not self.planned and not self.gentle
+
+    def doubt(self, legs: NDArray[np.bool_]) -> None:
+        """Have legs (6,) prove that they stand before others are lifted."""
+        self._proven &= ~legs
 
     def drain_findings(self) -> list[Finding]:
         """What feet have found since this was last asked."""
@@ -432,6 +443,11 @@ class Walker:
         if self._elapsed <= begin:
             self._share[legs] = np.minimum(self._share[legs], 1.0 - self._elapsed / begin)
             return
+        if felt is not None and self._flight is not None and self.planned:
+            held = self._held(legs, felt, self._elapsed - before)
+            if held.any():
+                self._take_back(held, felt.feet)
+                return
         if self._flight is None:
             self._flight = _ARCS[self._settings.arc](self._feet[legs], targets[legs], plan.clearance[legs])
         since, until = self._progress(plan, before), self._progress(plan, self._elapsed)
@@ -453,6 +469,23 @@ class Walker:
             self._feet[free] = feet[free]
             self._ground[free] = targets[free, 2]
 
+    def _held(self, legs: NDArray[np.bool_], felt: Felt, dt: float) -> NDArray[np.bool_]:
+        """Which legs (6,) in the air something holds: their feet have stayed far behind for a while."""
+        behind = np.linalg.norm(self.feet_odom - felt.feet, axis=1) > _HELD
+        self._behind_s = np.where(legs & ~self._stopped & felt.known & behind, self._behind_s + dt, 0.0)
+        return self._behind_s > _HELD_S - 1e-9
+
+    def _take_back(self, held: NDArray[np.bool_], feet: Array) -> None:
+        """Bring all feet of the step back to where they stood: some (6,) are held on their way, now at (6, 3) [m] {odom}.
+
+        To go on would drag the robot over its standing feet, by all that the servos have.
+        """
+        back = self._way_back
+        assert back is not None
+        self._feet[held] = apply(inverse(self._T_odom_cmd), feet)[held]
+        self._begin(replace(back, step=self.step, T_world_odom=inverse(self._T_odom_cmd), clearance=np.full(6, _LOW)))
+        self.trouble = f"something holds the {_names(held)} foot on its way; the step is taken back"
+
     def _lift_off(self, plan: StepPlan) -> None:
         """Note how the robot stands before legs leave the ground: that is where it can go back to."""
         self._way_back = replace(
@@ -466,7 +499,7 @@ class Walker:
             stop=True,
         )
         self._proven[plan.swing] = False
-        self._short[plan.swing] = 0.0
+        self._short[plan.swing] = self._behind_s[plan.swing] = 0.0
         self._landed = plan.swing.copy()
         self._taking_back = plan.stamp_ns < 0
 

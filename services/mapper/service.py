@@ -34,6 +34,7 @@ _FROM_BODY = 1.0  # [m] from the body to the camera, beyond which pose and scan 
 _FROM_CAMERA = 1.0  # [m] from the camera to the origin of its scan, which is a corner of the cell that the camera is in
 _NARROWEST = 3  # cells of a passage, either way: fewer have no slope
 _BOX = 10  # cells of the box around a passage that lies askew, to those it may have
+_EVEN = 5  # feet that bear a robot which has been put down on even ground, at least
 _FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
 _NEAR = 1.2  # of the camera's least range, up to which a line of sight without a return says nothing
 _REACH = 0.30  # [m] between a foot and the map under it, beyond which pose and map have nothing to do with each other
@@ -332,10 +333,14 @@ class Mapper:
 
 
 def _stand(legs: ActuatorState) -> bool:
-    """Whether the feet show where the ground is: limp legs, or a robot that is being carried, do not."""
+    """Whether the feet show where the ground is: limp legs, or a robot that is being carried, do not.
+
+    Before its first step a robot of which feet hang stands on ground that is no plane.
+    """
     carrying = legs.contact & ~legs.swing
+    enough = _EVEN if legs.step == 0 and not legs.swing.any() else 3
     near = np.abs(legs.feet).max() < _FROM_BODY
-    return bool(legs.mode is not Mode.OFF and np.count_nonzero(carrying) >= 3 and near)
+    return bool(legs.mode is not Mode.OFF and np.count_nonzero(carrying) >= enough and near)
 
 
 def _no_passage(stamp_ns: int, request: PassageRequest, resolution: float, reason: str) -> PassageMap:

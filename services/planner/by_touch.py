@@ -12,13 +12,17 @@ import numpy as np
 
 from services.planner.body import leaning, slope_under
 from services.planner.config import Settings
+from services.planner.crossing import BESIDE
 from services.planner.stride import Blocked, Situation, Stride, StridePlanner
-from services.planner.terrain import Terrain, plane_of
+from services.planner.terrain import DEEP, Terrain, plane_of, plane_through
 from shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_of
 from shared.messages import VelocityCommand
 from shared.robot import RobotProfile
 
 _DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] below the plane at which a foot is sent, the first that its leg reaches
+_SEEN_FROM, _SEEN_TO, _SEEN_ASIDE = BESIDE, BESIDE + 0.35, 0.15  # [m] of the ground ahead that must be seen, by
+_SEEN = 0.4  # [1] share of it, and
+_LEVEL = 0.10  # [m] within which its middle height must lie of the plane of the feet
 _FOLLOWED = 0.3  # share of the way to the slope of the newest feet by which the body leans with them
 
 
@@ -46,6 +50,41 @@ class ByTouch:
         """The ground that feet (6, 3) [m] {world}, which all stand, let expect."""
         return plane_of(stamp_ns, feet - [0.0, 0.0, self._profile.foot.radius])
 
+    def underfoot(self, terrain: Terrain, feet: Array, put_down: Array, course: float) -> Terrain | None:
+        """The same ground with what is unseen where the robot was put down taken for the plane of its feet.
+
+        The camera sees nothing so near, wherever it looks.
+
+        Args:
+            terrain: The newest map.
+            feet: (6, 3) [m] {world} foot centres, all standing.
+            put_down: (2,) [m] {world} where the robot stood before its first step.
+            course: [rad] {world} where it is to walk.
+
+        Returns:
+            None where the ground ahead is not seen either, or lies elsewhere than the plane.
+        """
+        xy, height, slope = plane_through(feet - [0.0, 0.0, self._profile.foot.radius])
+        ahead = np.array([np.cos(course), np.sin(course)])
+        along, aside = np.meshgrid(np.arange(_SEEN_FROM, _SEEN_TO, 0.02), np.arange(-_SEEN_ASIDE, _SEEN_ASIDE + 1e-9, 0.02))
+        beyond = put_down + along[..., None] * ahead + aside[..., None] * np.array([-ahead[1], ahead[0]])
+        above = terrain.heights(beyond) - height - (beyond - xy) @ slope
+        if np.isfinite(above).mean() < _SEEN or abs(float(np.nanmedian(above))) > _LEVEL:
+            return None
+        m = terrain.map
+        x, y = (m.origin[k] + m.resolution * np.arange(m.elevation.shape[k]) for k in (0, 1))
+        near = np.hypot(x[:, None] - put_down[0], y - put_down[1]) < _SEEN_FROM
+        unseen = near & ~np.isfinite(m.elevation)
+        plane = height + slope[0] * (x[:, None] - xy[0]) + slope[1] * (y - xy[1])
+        filled = replace(
+            m,
+            elevation=np.where(unseen, plane, m.elevation).astype(np.float32),
+            score=np.where(unseen, 0.0, m.score).astype(np.float32),
+            evaluation=np.where(unseen, DEEP, m.evaluation).astype(np.int8),
+            assumed=m.assumed | unseen,
+        )
+        return replace(terrain, map=filled)
+
     def choose(
         self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
     ) -> tuple[Stride | Blocked, int]:
@@ -57,7 +96,7 @@ class ByTouch:
             refused: Ways that are not to be tried.
         """
         found, way = self._strides.choose(situations, terrain, refused)
-        if isinstance(found, Blocked):
+        if isinstance(found, Blocked) or not found.swing.any():
             return found, way
         begin = next(at for at in situations if (at.swing == found.swing).all())
         return self._lowered(self._along(found, begin)), way

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from services.planner.by_touch import ByTouch
 from services.planner.config import Settings
@@ -20,7 +21,7 @@ from services.planner.route import NoWay
 from services.planner.stride import Blocked, Situation, Stride, StridePlanner
 from services.planner.terrain import Terrain, plane_of
 from shared import topics
-from shared.geometry import Array, apply, inverse
+from shared.geometry import Array, apply, inverse, yaw_of
 from shared.messages import (
     ActuatorState,
     BodyPose,
@@ -95,7 +96,11 @@ class Planner:
         self._renew_ns = 0
         self._step, self._begun_ns = -1, 0  # the running step, or the last, and when it was first heard of
         self._sure_ns = 0  # when perception was last sure of where the robot is
-        self._moved_ns = 0  # when legs last moved, by touch
+        self._moved_ns = 0  # when legs last moved
+        self._taken_back: NDArray[np.bool_] = np.zeros(
+            6, dtype=np.bool_
+        )  # (6,) legs that have had to go back to where they stood
+        self._put_down: Array | None = None  # (2,) [m] {world} where the robot stood before its first step
         self._status_due_ns = 0
         self._state: State = "waiting"
         self._reason = "starting"
@@ -139,13 +144,19 @@ class Planner:
         """Notice which plan is walked, and which was refused."""
         if state.step != self._step:
             self._step, self._begun_ns = state.step, state.stamp_ns
+        if not _rests(state):
+            self._moved_ns = state.stamp_ns
         running = self._running
         if running is None or running.plan.stamp_ns != state.plan_ns:
             self._running = next((s for s in self._sent if s.plan.stamp_ns == state.plan_ns), None)
             # None: the actuator walks something else, or began anew.
+            if self._running is None and running is not None and state.plan_ns < 0 and state.step == running.plan.step:
+                self._taken_back = running.stride.swing.copy()
             if self._running is not None and (running is None or running.plan.step != self._running.plan.step):
                 self._due_ns = 0  # a new step: its touchdowns may be looked at at once
                 self._refusals.forget()
+                if not (self._taken_back & self._running.stride.swing).any():
+                    self._taken_back = np.zeros(6, dtype=np.bool_)
         refused = next((s for s in self._sent if s.plan.stamp_ns == state.refused_ns), None)
         if refused is not None:
             self._sent.remove(refused)
@@ -175,6 +186,8 @@ class Planner:
         if command is None and goal is None:
             return self._hold("resting", untimely or "no fresh velocity command, and no goal")
         self._sure_ns = state.stamp_ns if pose.ok else self._sure_ns
+        if state.step == 0 and _rests(state):
+            self._put_down = pose.T_world_body[:2, 3].copy()
         terrain = self._terrain(state, pose, inbox)
         if goal is not None and self._passage.crosses(goal):
             if state.stamp_ns - self._sure_ns > _DOUBT_NS:
@@ -206,11 +219,8 @@ class Planner:
         if known is None:
             return self._hold("waiting", "by touch: no pose from perception yet, so {world} is not known")
         pose = replace(known, stamp_ns=state.stamp_ns, T_world_body=known.T_world_odom @ state.T_odom_body)
-        if state.phase < 1.0:
-            self._moved_ns = state.stamp_ns
-            return None  # where its feet will meet ground is not known
         if state.stamp_ns - self._moved_ns < _MEASURED_NS:
-            return None
+            return None  # where feet in the air will meet ground is not known
         if _is_still(command):
             self._refusals.forget()
             return self._hold("resting", "by touch: no velocity is commanded")
@@ -343,6 +353,11 @@ class Planner:
             return self._hold("blocked", nonsense)
         with self.stages("plan step"):
             found, way = self._strides.choose(situations, terrain, self._refusals.of(number))
+        if isinstance(found, Blocked) and found.unseen and self._put_down is not None:
+            course = yaw_of(pose.T_world_body) + math.atan2(command.velocity[1], command.velocity[0])
+            ground = self._by_touch.underfoot(terrain, situations[0].feet, self._put_down, course)
+            if ground is not None:
+                return self._feel_out(state, pose, command, ground, number)
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
             return self._hold("blocked", found.reason + self._where_to_look(found, command), found.leg)
@@ -354,6 +369,7 @@ class Planner:
             slower = self._strides.short_of(command, found)
             instead = f"; instead of legs that cannot: {found.instead}" if found.instead else ""
             moved = f"{found.moved} of {found.swing.sum()} footholds moved from their nominal place"
+            moved = moved if found.swing.any() else "the body alone moves, to make room for a leg"
             self._reason = f"{moved}{shorter}{slower}{instead}"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (number, way))
 
@@ -367,6 +383,22 @@ class Planner:
             return None
         self._reason = f"feet back under the body: {self._reason}"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (0, way))
+
+    def _feel_out(
+        self, state: ActuatorState, pose: BodyPose, command: VelocityCommand, ground: Terrain, number: int
+    ) -> "_Sent | None":
+        """The next step by touch, out of where the robot was put down, onto ground that is seen."""
+        if state.stamp_ns - self._moved_ns < _MEASURED_NS:
+            return self._hold("stepping", "by touch where the ground is unseen; coming to rest")
+        situations = self._situations(state, pose, self._by_touch.asked(command))
+        with self.stages("plan step"):
+            found, way = self._by_touch.choose(situations, ground, self._refusals.of(number))
+        if isinstance(found, Blocked):
+            self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
+            return self._hold("blocked", f"by touch where the ground is unseen: {found.reason}", found.leg)
+        self._state, self._blocked_leg = "stepping", -1
+        self._reason = "by touch where the ground is unseen, until feet come to ground that is seen"
+        return self._send(state, pose.T_world_odom, found, state.step + 1, (number, way), stop=True)
 
     def _where_to_look(self, found: Blocked, command: VelocityCommand) -> str:
         """What to do first where the ground that is walked to was never in view, in words; a goal's pilot does it by itself."""
@@ -386,6 +418,7 @@ class Planner:
         rest = self._profile.rest_feet(command.body_height)
         along = directions(command.velocity, command.yaw_rate, rest)
         order = swing_order(GAITS[command.gait], along, apply(inverse(body), feet), rest)
+        order = sorted(order, key=lambda swing: bool((swing & self._taken_back).any()))  # others first
         return [Situation(body, feet, swing, command) for swing in order]
 
     def _standing(self, state: ActuatorState, pose: BodyPose) -> tuple[Array, Array] | None:
@@ -485,6 +518,11 @@ def _blamed_on_camera(inbox: Inbox) -> str:
     """What the camera says of itself, where it is what is missing."""
     camera = inbox.fresh(topics.CAMERA_STATE)
     return "" if camera is None or camera.ok else f", for the camera sends none: {camera.reason}"
+
+
+def _rests(state: ActuatorState) -> bool:
+    """Whether all legs stand: none swings, none looks for its ground."""
+    return state.phase >= 1.0 and state.mode is not Mode.WALK
 
 
 def _feet_in_world(state: ActuatorState, pose: BodyPose) -> Array:

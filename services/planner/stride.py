@@ -28,6 +28,8 @@ _DEARER_YET = 2.5  # where a foot goes higher than commanded, over uneven ground
 _STOOPS = np.arange(7) * 0.005  # [m] by which the body may be lower than commanded
 _LEANS = (0.0, 0.25, 0.5, 0.75, 1.0)  # share of the ground's slope by which it may lean
 _GATHERED = 0.02  # [m] by which a step on the spot must bring feet nearer to their resting places, all together
+_ASIDE, _AROUND = (0.02, 0.04, 0.06), np.arange(8) * np.pi / 4  # [m] and [rad] of a shift of the body that makes room for a leg
+_SHIFT_S = 1.0  # [s] that it takes
 _REACH_SPARE = np.array([0.0, 0.0, 0.005])  # [m] by which a standing foot may turn out to be lower than believed
 
 
@@ -73,6 +75,7 @@ class Blocked:
     reason: str
     leg: int = -1  # the leg it fails for, -1 for the whole robot
     unseen: bool = False  # for it the ground has not been seen
+    touching: bool = False  # it would run into the ground that it is to rise from, or pass
 
 
 class StridePlanner:
@@ -147,7 +150,8 @@ class StridePlanner:
 
         Feet go further from their places only where no legs find a step otherwise: what is gained on a ditch is lost on rubble,
         where long reaches take time. Only where that does not help either, a folded leg may push its foot against what stands
-        beside it. Ways are counted through the situations, and in each through the shares of the travel.
+        beside it; and before that the body alone shifts to where the leg has room. Ways are counted through the situations, and
+        in each through the shares of the travel; the last is that shift.
 
         Args:
             situations: What it may begin with, the legs most due first.
@@ -155,14 +159,34 @@ class StridePlanner:
             refused: Ways that are not to be tried.
         """
         first: Blocked | None = None
-        margins = (self._settings.sink_margin, -np.inf)
-        for foot_margin, width, (turn, at) in product(margins, _WIDTHS, enumerate(situations)):
-            ways = range(turn * len(SHARES), (turn + 1) * len(SHARES))
-            found = self.plan(at, terrain, {way - ways[0] for way in refused if way in ways}, width, foot_margin)
-            if isinstance(found, Stride):
-                return replace(found, instead=first.reason if first else ""), ways[SHARES.index(found.share)]
-            first = first or found
+        for foot_margin in (self._settings.sink_margin, -np.inf):
+            for width, (turn, at) in product(_WIDTHS, enumerate(situations)):
+                ways = range(turn * len(SHARES), (turn + 1) * len(SHARES))
+                found = self.plan(at, terrain, {way - ways[0] for way in refused if way in ways}, width, foot_margin)
+                if isinstance(found, Stride):
+                    return replace(found, instead=first.reason if first else ""), ways[SHARES.index(found.share)]
+                first = first or found
+            shift = len(situations) * len(SHARES)
+            if first is not None and first.touching and foot_margin > -np.inf and shift not in refused:
+                shifted = self._make_room(situations[0], first.leg, terrain)
+                if shifted is not None:
+                    return replace(shifted, instead=first.reason), shift
         return first or Blocked("every step was refused"), 0
+
+    def _make_room(self, at: Situation, leg: int, terrain: Terrain) -> Stride | None:
+        """The step of the body alone, the smallest and straightest away from a leg's foot, after which its legs can swing."""
+        body = at.T_world_body
+        away = np.arctan2(*(body[:2, 3] - at.feet[leg, :2])[::-1])
+        turns = _AROUND[np.argsort(np.abs((_AROUND + np.pi) % (2.0 * np.pi) - np.pi), kind="stable")]
+        for distance, turn in product(_ASIDE, turns):
+            moved = body.copy()
+            moved[:2, 3] += distance * np.array([np.cos(away + turn), np.sin(away + turn)])
+            if not self.reached(at.feet, moved).all() or self._unstable(at.feet, moved, ""):
+                continue
+            if isinstance(self.plan(replace(at, T_world_body=moved), terrain), Stride):
+                nobody, low = np.zeros(6, dtype=np.bool_), np.full(6, self._settings.path_margin)
+                return Stride(nobody, at.feet, at.feet[:, :2], low, moved, moved, at.feet, 0, 1.0, _SHIFT_S, GOOD)
+        return None
 
     def gather(
         self, situations: list[Situation], terrain: Terrain, refused: Set[int] = frozenset()
@@ -243,7 +267,7 @@ class StridePlanner:
         highest = self._profile.stance.max_lift
         lifted = cleared(way, clearance, settings.leg_margin, foot_margin, highest, self._profile, terrain)
         if isinstance(lifted, Touching):
-            return Blocked(lifted.reason, lifted.leg)
+            return Blocked(lifted.reason, lifted.leg, touching=True)
         clearance = lifted
         clearance = np.where(at.swing, clearance, settings.path_margin)
         dearer = np.where(clearance > at.command.lift, _DEARER_YET, _DEARER)

@@ -17,7 +17,7 @@ NONE, POOR, GOOD = 0.0, 1.0, 2.0  # a place as a foothold
 Layer = Literal["score", "evaluation"]
 
 _AROUND = np.array([[(i, j)] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])  # (8, 1, 2)
-_DEEP = -100  # [cells] of level ground without an end
+DEEP = -100  # [cells] of level ground without an end
 
 _RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest cells that make sense under a foot
 _FAR = 1e6  # [m] beyond it a cell's index is no longer exact
@@ -139,12 +139,17 @@ class Terrain:
 
 
 def plane_of(stamp_ns: int, ground: Array) -> Terrain:
-    """The plane, no steeper than `STEEPEST`, of places (n, 3) [m] {world} on which feet stand, n >= 3."""
+    """The plane of places (n, 3) [m] {world} on which feet stand, see `plane_through`."""
+    return plane_terrain(stamp_ns, *plane_through(ground))
+
+
+def plane_through(ground: Array) -> tuple[Array, float, Array]:
+    """The plane, no steeper than `STEEPEST`, of places (n, 3) [m] {world}, n >= 3: a place (2,), its height, the slope (2,)."""
     xy = ground[:, :2].mean(axis=0)
     A = np.column_stack([np.ones(len(ground)), ground[:, :2] - xy])
     height, *slope = np.linalg.lstsq(A, ground[:, 2], rcond=None)[0]
     steep = max(float(np.linalg.norm(slope)) / STEEPEST, 1.0)
-    return plane_terrain(stamp_ns, xy, float(height), np.array(slope) / steep)
+    return xy, float(height), np.array(slope) / steep
 
 
 def flat_terrain(stamp_ns: int, centre: Array, height: float, half_size: float = 1.0, resolution: float = 0.01) -> Terrain:
@@ -176,6 +181,6 @@ def plane_terrain(
         variance=np.zeros_like(layer),
         score=np.zeros_like(layer),
         assumed=np.ones((n, n), dtype=np.bool_),
-        evaluation=np.full((n, n), _DEEP, dtype=np.int8),
+        evaluation=np.full((n, n), DEEP, dtype=np.int8),
     )
     return Terrain(even)

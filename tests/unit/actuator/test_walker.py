@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from services.actuator.feeler import Felt
 from services.actuator.walker import Targets, Walker
 from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from shared.robot import LEGS
 from tests.support.walker_steps import (
     ALL,
     DT,
@@ -469,3 +470,60 @@ def test_the_stance_at_the_end_is_the_one_it_ends_in() -> None:
         cycle(walker)
     np.testing.assert_allclose(body, walker.body_ref, atol=1e-9)
     np.testing.assert_allclose(feet, walker.feet_odom, atol=1e-9)
+
+
+@pytest.mark.parametrize("leg", [0, 2, 4])
+def test_a_foot_that_something_holds_has_the_step_taken_back(leg: int) -> None:
+    """Its servo would go on pushing with all it has, and drag the robot over its standing feet."""
+    walker = new_walker()
+    stood = walker.feet_odom
+    walker.accept(plan_to(1, body_at(0.08), ahead=0.08, duration=2.0))
+    held, taken_back_at = stood[leg] + [0.0, 0.0, 0.02], 0.0
+    cycle(walker)
+    while not walker.resting:
+        feet = walker.feet_odom
+        if not taken_back_at and walker.flying[leg]:
+            feet[leg] = held
+        felt = Felt(~ALL, ALL, feet)
+        walker.update(DT, walker.body_ref, felt)
+        if walker.taking_back and not taken_back_at:
+            taken_back_at = walker.body_ref[0, 3]
+            assert walker.plan_ns < 0
+            assert np.linalg.norm(walker.feet_odom[leg] - held) < 0.01, "its target is no longer behind what holds it"
+    assert 0.0 < taken_back_at < 0.05
+    assert walker.trouble == f"something holds the {LEGS[leg]} foot on its way; the step is taken back"
+    np.testing.assert_allclose(walker.feet_odom, stood, atol=2e-3)
+    assert walker.body_ref[0, 3] == pytest.approx(0.0, abs=2e-3)
+    assert walker.step == 1
+
+
+@pytest.mark.parametrize(("behind", "for_s"), [(0.04, 9.0), (0.08, 0.3)])
+def test_feet_that_lag_a_little_or_for_a_moment_go_on(behind: float, for_s: float) -> None:
+    walker = new_walker()
+    walker.accept(plan_to(1, body_at(0.06), duration=2.0))
+    flown = 0.0
+    cycle(walker)
+    while not walker.resting:
+        feet = walker.feet_odom
+        flown += DT * walker.flying[0]
+        if flown < for_s and walker.flying[0]:
+            feet[0] -= [behind, 0.0, 0.0]
+        walker.update(DT, walker.body_ref, Felt(~ALL, ALL, feet))
+        assert not walker.taking_back
+    assert flown > 0.5
+    assert not walker.trouble
+
+
+def test_legs_in_doubt_prove_that_they_stand_before_others_are_lifted() -> None:
+    """On uneven ground a robot that rises stands on some of its feet."""
+    walker = new_walker()
+    hangs = np.arange(6) == 1
+    walker.doubt(hangs)
+    walker.accept(plan_to(1, body_at(0.03)))
+    for _ in range(60):
+        walker.update(DT, walker.body_ref, Felt(~ALL, ~hangs, walker.feet_odom))
+        if walker.searching.any():
+            break
+    np.testing.assert_array_equal(walker.searching, hangs)
+    assert walker.resting is False
+    assert "no ground under the right front foot" in walker.trouble

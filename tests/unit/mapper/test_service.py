@@ -459,3 +459,11 @@ def test_no_foothold_of_a_passage_is_in_a_puddle() -> None:
     beside = (np.abs(x - 0.85) < 0.07) & (np.abs(y + 0.15) < 0.07)
     assert (told[-1].evaluation[in_it] > 0).all()
     assert (told[-1].evaluation[beside] < 0).all()
+
+
+@pytest.mark.parametrize(("bear", "step", "assumed"), [(6, 0, True), (5, 0, True), (4, 0, False), (4, 3, True)])
+def test_where_feet_hang_before_the_first_step_no_plane_is_assumed(bear: int, step: int, assumed: bool) -> None:
+    rig = Rig()
+    rig.stand(at(), replace(legs(), contact=np.arange(6) < bear, step=step))
+    (map_,) = rig.scan(x=(0.8, 1.0))
+    assert map_.assumed.any() == assumed

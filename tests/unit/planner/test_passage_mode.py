@@ -110,7 +110,7 @@ def test_an_ordered_crossing_is_looked_at_from_where_the_robot_stands_if_the_map
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"waypoints": np.array([[1e300, 0.0]])}, "waypoints within 10000 m"),
+        ({"waypoints": np.array([[1e9, 0.0]])}, "waypoints within 10000 m"),
         ({"body_height": -0.1}, "a body height of"),
         ({"lift": 3.0}, "a lift of"),
         ({"speed": 0.0}, "speed greater than 0"),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from services.planner.config import Settings
 from services.planner.pilot import Heading
@@ -30,6 +31,7 @@ from shared.messages import (
 from shared.profiles import load_profile
 from shared.service import Inbox
 from tests.support.states import actuator_state
+from tests.unit.planner.conftest import terrain_of
 
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = 0.11
@@ -164,9 +166,9 @@ def garbled(map_: TerrainMap) -> dict[str, TerrainMap]:
         "found 0 m": replace(map_, resolution=0.0),
         "found -0.01 m": replace(map_, resolution=-0.01),
         "found 1e-300 m": replace(map_, resolution=1e-300),
-        "found 1e+300 m": replace(map_, resolution=1e300),
+        "found 1e+09 m": replace(map_, resolution=1e9),
         "found none": replace(map_, **{name: getattr(map_, name)[:0, :0] for name in cells}),
-        "an origin within": replace(map_, origin=np.full(2, 1e300)),
+        "an origin within": replace(map_, origin=np.full(2, 1e9)),
     }
 
 
@@ -813,3 +815,73 @@ def test_where_the_camera_looked_is_where_the_robot_was_when_the_map_was_made() 
         list(rig.planner.step(rig.state, rig.inbox))
     now_ns, x = seen[-1]
     assert x == pytest.approx(0.01 * ((now_ns - begun_ns) // (20 * MS) - 10)), "0.2 s are ten cycles"
+
+
+def blind_near(seen: Callable[[Array, Array], NDArray[np.bool_]]) -> TerrainMap:
+    """Level ground of which nothing is known but where it is seen."""
+
+    def height(x: Array, y: Array) -> Array:
+        return np.where(seen(x, y), 0.0, np.nan)
+
+    return terrain_of(height, height, half=2.0).map
+
+
+def test_out_of_where_it_was_put_down_it_walks_by_touch_onto_ground_that_is_seen() -> None:
+    rig = Rig()
+    rig.terrain = blind_near(lambda x, y: x > 0.5)
+    by_touch, legs_seen = 0, 0
+    for _ in range(40):
+        plan = rig.plans(40)[-1]
+        feels = (plan.touchdown[plan.swing, 2] < PROFILE.foot.radius - 0.01).all()
+        assert plan.stop == feels
+        on_seen = (plan.touchdown[plan.swing, 0] > 0.5).all()
+        by_touch, legs_seen = by_touch + feels, legs_seen + on_seen
+        if not feels:
+            assert on_seen, "no foot goes onto unseen ground but by touch"
+        rig.begin(plan)
+        rig.plans(5, phase=0.5)
+        rig.finish(replace(plan, touchdown=np.maximum(plan.touchdown, [-9.0, -9.0, PROFILE.foot.radius])))  # ground stops feet
+        assert rig.pose is not None
+        rig.pose = replace(rig.pose, T_world_body=rig.state.T_odom_body)
+        if rig.state.T_odom_body[0, 3] > 0.9:
+            break
+    assert by_touch > 4
+    assert rig.state.T_odom_body[0, 3] > 0.9
+    assert rig.status().state == "stepping"
+
+
+@pytest.mark.parametrize(
+    "seen", [lambda x, y: x < -9.0 + 0.0 * y, lambda x, y: x < -0.5 + 0.0 * y], ids=["nothing", "what lies behind"]
+)
+def test_without_ground_ahead_that_is_seen_it_does_not_set_out_by_touch(
+    seen: Callable[[Array, Array], NDArray[np.bool_]],
+) -> None:
+    rig = Rig()
+    rig.terrain = blind_near(seen)
+    assert rig.plans(40) == []
+    assert rig.status().state == "blocked"
+    assert "not seen" in rig.status().reason
+
+
+def test_a_planner_that_began_in_mid_course_does_not_set_out_by_touch() -> None:
+    rig = Rig()
+    rig.terrain = blind_near(lambda x, y: x > 0.5)
+    rig.state = replace(rig.state, step=7)
+    assert rig.plans(40) == []
+    assert "not seen" in rig.status().reason
+
+
+def test_after_a_step_that_the_legs_take_back_other_legs_step_first() -> None:
+    rig = Rig()
+    first = rig.plans(10)[-1]
+    rig.begin(first)
+    rig.plans(5, phase=0.4)
+    rig.plans(30, phase=0.5, plan_ns=-1, reason="something holds the left front foot on its way; the step is taken back")
+    rig.state = replace(rig.state, mode=Mode.HOLD, phase=1.0, swing=NOBODY)
+    again = rig.plans(10)[-1]
+    assert again.step == first.step + 1
+    np.testing.assert_array_equal(again.swing, ~first.swing)
+    rig.begin(again)
+    rig.plans(5, phase=0.4)
+    rig.finish(again)
+    np.testing.assert_array_equal(rig.plans(10)[-1].swing, first.swing)

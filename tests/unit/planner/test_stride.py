@@ -538,3 +538,32 @@ def test_a_foot_that_is_lifted_higher_gets_more_time(make_terrain: Maker) -> Non
     assert high.duration > low.duration
     way = np.linalg.norm((high.touchdown - high.start)[high.swing], axis=1).max() + 4 * 0.08
     assert way / (high.duration - SETTINGS.handover_s) == pytest.approx(PROFILE.stance.foot_speed)
+
+
+@pytest.mark.parametrize("off", [0.03, 0.04])
+def test_the_body_makes_room_for_a_folded_leg_before_its_foot_is_pushed_against_what_stands_there(
+    make_terrain: Maker, off: float
+) -> None:
+    """The left front foot stands near its coxa and right before a riser; the other legs' step is refused by the actuator."""
+    feet = standing().feet.copy()
+    feet[0, :2] -= [0.04, 0.03]
+    riser = float(feet[0, 0]) + off
+    block = make_terrain(
+        lambda x, y: np.where((x > riser) & (x < riser + 0.25) & (y > -0.05), 0.035, 0.0),
+        lambda x, y: np.where((np.abs(x - riser) < 0.02) & (y > -0.05), 9.0, 0.0),
+    )
+    situations = [standing(swing=legs, feet=feet) for legs in (TRIPOD, ~TRIPOD)]
+    others = frozenset(range(len(SHARES), 2 * len(SHARES)))
+    shift, way = PLANNER.choose(situations, block, others)
+    assert isinstance(shift, Stride)
+    assert not shift.swing.any()
+    assert "left front leg: its foot would be pushed against the ground" in shift.instead
+    assert within_limits(PROFILE, body_inverse(PROFILE, apply(inverse(shift.body_goal), feet))).all()
+    assert support_margin(feet[:, :2], shift.body_goal[:2, 3]) >= PROFILE.stance.support_margin
+    after, _ = PLANNER.choose([replace(at, T_world_body=shift.body_goal) for at in situations], block, others)
+    assert isinstance(after, Stride)
+    np.testing.assert_array_equal(after.swing, TRIPOD)
+    assert not after.instead, "nothing stands in the way of the legs that are due"
+    pushed, _ = PLANNER.choose(situations, block, others | {way})
+    assert isinstance(pushed, Stride)
+    assert pushed.swing[0], "the last resort, once the actuator refuses the shift as well"
