@@ -21,6 +21,7 @@ from deploy.commands.benches import (
     bench_page,
     bench_passage,
     bench_recording,
+    bench_roles,
     bench_servos,
     bench_size,
     bench_soak,
@@ -400,6 +401,13 @@ def _add_benches(add: Any, parser: argparse.ArgumentParser) -> None:
     words = "silent connections at each endpoint of the router meanwhile (default %(default)s)"
     one.add_argument("--silent", type=values.positive, default=500, metavar="N", help=words)
     one.add_argument("--seed", type=values.natural, default=0, help="random seed of the cuts (default %(default)s)")
+    _add_out_and_json(one)
+    words = "send well-formed messages with extreme values as each role while a robot walks; count what fails"
+    one = add("roles", bench_roles, words, group)
+    one.add_argument("--messages", type=values.positive, default=10_000, metavar="N", help="of each role (default %(default)s)")
+    one.add_argument("--only", action="append", default=[], metavar="ROLE", help="only this role; again for another")
+    one.add_argument("--lockstep", action="store_true", help="on simulated time, in this process")
+    one.add_argument("--seed", type=values.natural, default=1, help="random seed (default %(default)s)")
     _add_out_and_json(one)
     one = add("bus", bench_bus, "break the emulated servo bus in many ways: what the driver loses, doubts and believes", group)
     words = "asked in each case, at least (default %(default)s)"

@@ -74,6 +74,7 @@ RUN_BY = {
     "bench bus": "tests/unit/deploy/test_bench_bus.py::test_the_bus_command_leaves_its_table",
     "bench start": "tests/unit/deploy/test_bench_start.py::test_the_start_command_leaves_its_figures",
     "bench strangers": "tests/live/test_strangers.py::test_a_base_and_an_actuator_are_let_in_among_strangers",
+    "bench roles": "tests/unit/deploy/test_role_attack.py::test_the_roles_command_leaves_its_table",
     "bench access": "tests/live/test_access.py::test_the_access_command_leaves_its_table",
     "keys new": "tests/unit/deploy/network/test_gate.py::test_new_keys_are_for_their_owner_alone_and_are_not_overwritten",
     "bench servos": "tests/unit/deploy/test_bench_servos.py::test_the_servos_command_leaves_its_figures",

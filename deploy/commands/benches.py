@@ -79,6 +79,25 @@ def bench_strangers(arguments: argparse.Namespace) -> int:
     return FAILED if found.late else told
 
 
+def bench_roles(arguments: argparse.Namespace) -> int:
+    """`sextant bench roles`: extreme messages of each role, while a robot walks; success only if it holds against all."""
+    from deploy.fuzz import role_attack
+
+    out, progress = out_folder(arguments, "bench-roles"), open_progress(arguments.json)
+    roles = tuple(dict.fromkeys(arguments.only)) or role_attack.ROLE_NAMES
+    if unknown := [role for role in roles if role not in role_attack.ROLE_NAMES]:
+        raise InputError(f"--only: a role of {', '.join(role_attack.ROLE_NAMES)} expected, found {', '.join(unknown)}")
+    warm_up(progress)
+    if arguments.lockstep:
+        rows = tuple(role_attack.in_lockstep(role, arguments.messages, arguments.seed) for role in roles)
+    else:
+        from deploy.fuzz import live_role_attack
+
+        rows = live_role_attack.measure(roles, arguments.messages, arguments.seed, progress.say)
+    told = _tell_bench(role_attack.in_words(rows), role_attack.to_json(rows), out / "roles.json", arguments.json)
+    return told if all(row.passed for row in rows) else FAILED
+
+
 def bench_fleet(arguments: argparse.Namespace) -> int:
     """`sextant bench fleet`: how many robots one base carries."""
     from deploy.bench import fleet

@@ -12,6 +12,7 @@ from shared.service import Inbox
 
 Counted = TypeVar("Counted", ActuatorState, StepPlan)
 
+_MOST_STEPS = 1 << 40  # that are counted on: a larger number is no count
 _REFUSED_NS = 10_000_000_000  # [ns] that a robot must stand and say why, where that is right
 
 
@@ -48,7 +49,8 @@ class Heard:
         self.poses += inbox.drain(topics.BODY_POSE)
         for state in inbox.drain(topics.ACTUATOR_STATE):
             if state.step < self._newest_step:
-                self._steps_before += self._newest_step  # an actuator that began anew counts from zero
+                # An actuator that began anew counts from zero.
+                self._steps_before = min(self._steps_before + max(self._newest_step, 0), _MOST_STEPS)
             self._newest_step = state.step
             self.states.append(self._counted_on(state))
             if self.first_step_ns is None and state.mode is Mode.WALK:
@@ -63,7 +65,8 @@ class Heard:
             self._note(status)
 
     def _counted_on(self, message: Counted) -> Counted:
-        return replace(message, step=message.step + self._steps_before) if self._steps_before else message
+        step = message.step + self._steps_before
+        return replace(message, step=step) if self._steps_before and abs(step) < _MOST_STEPS else message
 
     def _note(self, status: PlannerStatus) -> None:
         self.statuses.append(status)

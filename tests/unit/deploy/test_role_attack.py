@@ -1,9 +1,12 @@
 """The attack by meaning: what is sent is well formed and extreme, and a robot in lockstep holds against it."""
 
+import json
+from pathlib import Path
 from random import Random
 
 import pytest
 
+from deploy import cli
 from deploy.fuzz import role_attack
 from deploy.fuzz.role_attack import Row
 from deploy.fuzz.worst import worst
@@ -43,8 +46,18 @@ def test_a_row_passes_where_nothing_ended_nor_grew_and_torque_went_off_in_time()
     assert '"passed": true' in role_attack.to_json([good])
 
 
-@pytest.mark.parametrize("role", ["robot", "console"])
-def test_a_walk_in_lockstep_holds_against_a_role(role: str) -> None:
-    row = role_attack.in_lockstep(role, 150, 1)
+def test_a_walk_in_lockstep_holds_against_a_robot_s_certificate() -> None:
+    row = role_attack.in_lockstep("robot", 150, 1)
     assert row.ended == ()
     assert row.passed, role_attack.in_words([row])
+
+
+def test_the_roles_command_leaves_its_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--messages", "100", "--only", "console", "--out", str(tmp_path)]
+    assert cli.main(["bench", "roles", "--lockstep", *words]) == 0
+    assert "| `console` | 100 |" in capsys.readouterr().out
+    (row,) = json.loads((tmp_path / "roles.json").read_text())
+    assert row["passed"]
+    assert max(row["off_ms"]) <= 60.0
+    assert cli.main(["bench", "roles", "--only", "king", "--out", str(tmp_path)]) == 2
+    assert "a role of robot, base, console, viewer, site expected, found king" in capsys.readouterr().err

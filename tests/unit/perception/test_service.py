@@ -192,6 +192,16 @@ def test_on_odometry_alone_the_doubt_grows(world) -> None:  # type: ignore[no-un
     assert (np.diff(spreads) > 0).all()
 
 
+@pytest.mark.parametrize("travelled", [1e3, 1e12, -1e12])
+def test_however_far_the_legs_claim_to_have_come_the_next_frame_is_registered(world, travelled: float) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    rig.frame(body_at(0.0))
+    rig.travelled += travelled
+    pose = pose_of(rig.frame(body_at(0.01)))
+    assert pose.ok
+    np.testing.assert_allclose(pose.T_world_body[:3, 3], body_at(0.01)[:3, 3], atol=0.02)
+
+
 def test_a_camera_that_shows_nothing_clears_no_ground(world) -> None:  # type: ignore[no-untyped-def]
     rig, dark = Rig(world, "flat"), np.zeros((240, 320), dtype=np.uint16)
     for _ in range(5):

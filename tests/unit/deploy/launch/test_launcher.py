@@ -88,6 +88,15 @@ def test_a_dead_child_is_named_with_its_last_words_and_started_again_as_often_as
         assert launcher.poll() == [], "an ending is told once"
 
 
+def test_a_process_that_stayed_up_has_all_of_its_restarts_again(ear: Ear, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(launcher_module, "STAYED_UP_S", 0.0)
+    with Launcher([command("a", "crash", "no more ground", restarts=1)], ear) as launcher:
+        for _ in range(3):
+            os.kill(int(ear.wait_for("a", "ready")), signal.SIGUSR1)
+            (ended,) = launcher.wait(PATIENCE_S)
+            assert ended.restarted
+
+
 def test_what_was_started_wrongly_is_not_started_again(ear: Ear) -> None:
     with Launcher([command("a", "refuse", "no port given", restarts=5)], ear) as launcher:
         assert launcher.wait(PATIENCE_S) == [Ended("a", "exit status 2", "no port given", restarted=False)]

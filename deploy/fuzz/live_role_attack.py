@@ -1,0 +1,195 @@
+"""The attack by meaning on a live robot: its processes behind its guarded router, the attacker with a certificate over TLS."""
+
+import contextlib
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from deploy.bench.soak import own_mb
+from deploy.faults import tap
+from deploy.faults.wire import Recorder
+from deploy.fuzz.role_attack import OFF_HOLDER, PERIOD_S, ROLE_NAMES, Attacker, Leader, Row, kinds, off_delay_s
+from deploy.launch import tapped_robot
+from deploy.launch.launcher import Launcher, free_port
+from deploy.launch.tapped_robot import Page, Places
+from deploy.network.authority import Authority
+from deploy.network.gate import Gate
+from services.actuator.latch import Latch
+from shared import codec, topics
+from shared.access import Keys
+from shared.live import run_live
+from shared.messages import ActuatorState, GroundTruth, Mode, StopOrder
+from shared.profiles import load_profile
+from shared.service import AnyTopic
+from shared.transport import Endpoints, ZenohLink
+
+_NAMESPACE = "attacked"
+_GROUND = "flat"
+_UP_S, _BACK_S = 120.0, 60.0  # [s] for the first walk, and for one after torque was off
+_LEARN_S = 3.0  # of walking, of which examples are kept
+_WALKS_M, _WALKS_S = 0.01, 1.5  # [m] that a walking robot moves in a time [s]
+_OFFS = 3  # orders to turn torque off, in each attack
+_OFF_PATIENCE_S = 3.0
+_LOOK_S = 0.05
+
+
+class _Robot:
+    """The processes of a robot, its page and recorder included, its bus, and where it truly is; a context manager."""
+
+    def __init__(self, folder: Path, seed: int):
+        authority = Authority(days=1)
+        for role in ROLE_NAMES:
+            authority.issue(folder / role, role)
+        self._folder, self._secure = folder, f"tls/127.0.0.1:{free_port()}"
+        self._places = Places.free(_NAMESPACE)
+        self._latch = Latch.of_port(self._places.servos)
+        gate = Gate((*self._places.robot.connect, self._secure), _NAMESPACE, folder / "robot")
+        page = Page(free_port(), str(folder / "recordings"))
+        commands = tapped_robot.commands(self._places, seed, _GROUND, page, gate=gate)
+        self._launcher = Launcher(commands, hear=self._hear_line)
+        self.names = [command.name for command in commands]
+        profile = load_profile("phantomx_mk2")
+        self.recorder = Recorder(profile)
+        self.ids = profile.servo_ids.ravel().tolist()
+        self.ended: list[str] = []
+        self.reasons: Counter[str] = Counter()
+        self.looks = self.walked = 0  # looks at whether it walks, and those at which it did
+        self._track: list[tuple[float, float, float]] = []  # [s, m, m]
+        self._over = threading.Event()
+
+    def __enter__(self) -> Self:
+        self._latch.open()
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._latch.open)
+            stack.enter_context(self._launcher)
+            self.link = stack.enter_context(ZenohLink(self._places.robot))
+            self.link.subscribe(topics.TRUTH, self._hear_truth)
+            self.link.subscribe(topics.ACTUATOR_STATE, self._hear_state)
+            leading = threading.Thread(target=run_live, args=(Leader(), self.link, self._over), name="leader")
+            leading.start()
+            stack.callback(leading.join)
+            stack.callback(self._over.set)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def link_of(self, role: str) -> ZenohLink:
+        """A link of somebody who has the certificate of a role."""
+        return ZenohLink(Endpoints((self._secure,), namespace=_NAMESPACE, keys=Keys.load(self._folder / role)))
+
+    def walks(self) -> bool:
+        """Whether it moves, by the truth."""
+        track = self._track[-200:]
+        recent = [(x, y) for t, x, y in track if t > time.monotonic() - _WALKS_S]
+        return len(recent) > 1 and float(np.hypot(*np.subtract(recent[-1], recent[0]))) > _WALKS_M
+
+    def look(self, seconds: float) -> None:
+        """Let time pass, and note which processes have ended."""
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            self.ended += [str(ended)[:200] for ended in self._launcher.wait(_LOOK_S)]
+            self.looks, self.walked = self.looks + 1, self.walked + self.walks()
+
+    def until_it_walks(self, within_s: float) -> bool:
+        """Whether it walks within a time."""
+        limit = time.monotonic() + within_s
+        while not self.walks():
+            if time.monotonic() > limit:
+                return False
+            self.look(_LOOK_S)
+        return True
+
+    def memory_mb(self) -> dict[str, float]:
+        """Of each process [MB]."""
+        return {name: own_mb(self._launcher.pid(name)) for name in self.names if name in self._launcher.names()}
+
+    def off(self, bystander: ZenohLink) -> float:
+        """Have a bystander order torque off; time [ms] until it is, infinite where that is late by seconds."""
+        self.recorder.switches.clear()
+        now_ns = time.monotonic_ns()
+        order = StopOrder(now_ns, "off", now_ns, OFF_HOLDER)
+        bystander.send(topics.STOP, codec.encode(order, codec.Timing(now_ns, now_ns)))
+        limit = time.monotonic() + _OFF_PATIENCE_S
+        while (delay_s := off_delay_s(self.recorder, now_ns * 1e-9, self.ids)) is None and time.monotonic() < limit:
+            self.look(_LOOK_S)
+        return float("inf") if delay_s is None else round(1e3 * delay_s, 1)
+
+    def _hear_line(self, name: str, line: str) -> None:
+        if name == "tap" and line.startswith("sent "):
+            match tap.understood(line):
+                case tap.Sent(at_ns, data):
+                    self.recorder.heard(data, at_ns)
+
+    def _hear_truth(self, _topic: AnyTopic, frame: bytes) -> None:
+        truth, _ = codec.decode(frame, GroundTruth)
+        self._track.append((time.monotonic(), float(truth.T_world_body[0, 3]), float(truth.T_world_body[1, 3])))
+        del self._track[:-400]
+
+    def _hear_state(self, _topic: AnyTopic, frame: bytes) -> None:
+        with contextlib.suppress(codec.DecodeError):
+            state, _ = codec.decode(frame, ActuatorState)
+            if state.mode is not Mode.WALK:
+                self.reasons[f"{state.mode}: {state.reason}"] += 1
+
+
+def measure(roles: Sequence[str], messages: int, seed: int, say: Callable[[str], object] = lambda _: None) -> tuple[Row, ...]:
+    """Attack a robot with each role in turn, a robot of its own each time.
+
+    Raises:
+        TimeoutError: A robot does not walk before it is attacked.
+    """
+    rows = []
+    for role in roles:
+        with tempfile.TemporaryDirectory() as name, _Robot(Path(name), seed) as robot:
+            rows.append(_attack(robot, role, messages, seed))
+        say(f"{role}: {rows[-1].messages} messages, {'pass' if rows[-1].passed else 'FAIL'}")
+    return tuple(rows)
+
+
+def _attack(robot: _Robot, role: str, messages: int, seed: int) -> Row:
+    attacker, sent = Attacker(role, seed), [0]
+    with robot.link_of(role) as link, robot.link_of("viewer") as bystander:
+        # 1. A walk, of whose messages examples are kept.
+        endings = [robot.link.subscribe(topic, attacker.learn) for topic in attacker.topics]
+        if not robot.until_it_walks(_UP_S):
+            raise TimeoutError(f"a walk expected before the attack of {role}: {kinds(robot.reasons)}; {robot.ended}")
+        robot.look(_LEARN_S)
+        for end in endings:
+            end()
+        robot.ended.clear()
+        robot.reasons.clear()
+        robot.looks = robot.walked = 0
+        before = robot.memory_mb()
+        # 2. The attack, torque being ordered off now and then.
+        attacking = threading.Thread(target=_send, args=(attacker, link, messages, sent), name="attack")
+        attacking.start()
+        offs: list[float] = []
+        while attacking.is_alive():
+            robot.look(_LOOK_S)
+            if len(offs) < _OFFS and sent[0] >= (len(offs) + 1) * messages // (_OFFS + 1):
+                offs.append(robot.off(bystander))
+        attacking.join()
+        # 3. What is left of it.
+        back = robot.until_it_walks(_BACK_S)
+        after = robot.memory_mb()
+    growth = {name: round(mb - before[name], 1) for name, mb in after.items() if name in before and np.isfinite(mb)}
+    ended = (*robot.ended, *(() if back else (f"it does not walk {_BACK_S:.0f} s after the attack",)))
+    return Row(role, sent[0], round(robot.walked / max(robot.looks, 1), 3), kinds(robot.reasons), tuple(offs), ended, growth)
+
+
+def _send(attacker: Attacker, link: ZenohLink, messages: int, sent: list[int]) -> None:
+    due = time.monotonic()
+    for _ in range(messages):
+        topic, frame = attacker.next(time.monotonic_ns())
+        link.send(topic, frame)
+        sent[0] += 1
+        due = max(due + PERIOD_S, time.monotonic() - PERIOD_S)
+        time.sleep(max(0.0, due - time.monotonic()))
