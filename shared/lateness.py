@@ -23,6 +23,7 @@ _KEPT_NS = 4_500_000_000  # [ns] of reports that are looked at
 _REPORTS = 2  # of those in which the same input must be late: one may be a restart
 _ALREADY = 0.75  # [1] share of the limit that an input's age had when it arrived, from which its producers are too slow
 _COMFORT = 0.6  # [1] share of its limit to which an input may age before simulated time waits, where it does
+_WAITED_FOR_NS = {"actuator/state": 100_000_000}  # [ns] likewise, where less: legs walk on for 180 ms without another plan
 _SHOWN = 2  # late inputs that are named at once
 _NAMES = {
     "camera/depth": "depth frames",
@@ -90,7 +91,7 @@ class InputAges:
         if limit_ns is None:
             return
         if what not in (BEAT, STALL):
-            self._left_ns[what] = _COMFORT * limit_ns - age_ns
+            self._left_ns[what] = min(_COMFORT * limit_ns, _WAITED_FOR_NS.get(what, limit_ns)) - age_ns
         worst = self._uses.setdefault(what, [0, 0, 0, 0])
         worst[0] = max(worst[0], age_ns)
         worst[1] = max(worst[1], age_ns if arrived_ns is None else arrived_ns)
@@ -110,8 +111,8 @@ class InputAges:
         found = tuple(
             InputAge(
                 what,
-                min(age_ns * 1e-9, _OLDEST_S),
-                min(arrived_ns * 1e-9, _OLDEST_S),
+                min(max(age_ns, 0) * 1e-9, _OLDEST_S),
+                min(max(arrived_ns, 0) * 1e-9, _OLDEST_S),
                 self._limit_ns[what] * 1e-9,
                 late / uses,
             )
@@ -122,11 +123,16 @@ class InputAges:
 
 
 def ages_of(health: Health) -> tuple[InputAge, ...]:
-    """The ages in a report of health; inputs that no service has are left out."""
+    """The ages in a report of health; what no service has, or no clock can measure, is left out."""
     columns = (health.input_age_s, health.input_arrived_s, health.input_limit_s, health.input_late)
     rows = np.stack(columns, axis=1).tolist()
     ages = (InputAge(what, *row) for what, row in zip(health.inputs, rows, strict=True))
-    return tuple(age for age in ages if age.what in _CHAIN and age.limit_s > 0.0)
+    return tuple(age for age in ages if age.what in _CHAIN and _is_measured(age))
+
+
+def _is_measured(age: InputAge) -> bool:
+    """Whether the figures can come from `InputAges`: a report is a claim."""
+    return 0.0 < age.limit_s <= _OLDEST_S and 0.0 <= age.late <= 1.0 and max(abs(age.age_s), abs(age.arrived_s)) <= _OLDEST_S
 
 
 class SlowComputer:

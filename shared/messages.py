@@ -514,13 +514,13 @@ class Health(Message):
         default_factory=lambda: _NO_INPUTS
     )  # [1] share of the uses beyond the limit
 
+    missed_beats: int = 0  # beats that its own clock left out since it started
+
     def contradiction(self) -> str:
         """Whether there is a number for each name."""
         named = (len(self.stages), len(self.inputs))
         numbers = (len(self.stage_p50_ms), len(self.input_age_s))
         return "" if named == numbers else f"{named} numbers of stages and inputs expected, as there are names, found {numbers}"
-
-    missed_beats: int = 0  # beats that its own clock left out since it started
 
 
 @dataclass(frozen=True, slots=True)

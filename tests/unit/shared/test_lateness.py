@@ -52,6 +52,9 @@ def test_what_is_left_counts_the_inputs_of_one_step() -> None:
     assert ages.left_ns() == pytest.approx(40 * MS)
     ages.forget_uses()
     assert ages.left_ns() is None
+    legs = InputAges({topics.ACTUATOR_STATE.key: 0.45})
+    legs.note(topics.ACTUATOR_STATE.key, 20 * MS)
+    assert legs.left_ns() == pytest.approx(80 * MS), "legs do not wait for a plan as long as that"
 
 
 def test_maps_that_are_old_on_arrival_name_the_computer() -> None:
@@ -79,6 +82,8 @@ def test_a_link_or_lockstep_is_told_apart() -> None:
         (health("planner", maps(late=0.05)),) * 5,  # now and then
         (health("planner", InputAge("any/thing", 9.0, 9.0, 0.1, 1.0)),) * 5,  # no input of any service
         (health("planner", InputAge(TERRAIN, 9.0, 9.0, 0.0, 1.0)),) * 5,
+        (health("planner", InputAge(TERRAIN, 1e300, 9.0, 0.8, 1.0)),) * 5,  # no clock has measured that
+        (health("planner", InputAge(TERRAIN, 9.0, 9.0, 0.8, 7.0)),) * 5,
     ],
 )
 def test_what_is_no_slow_computer_is_not_called_one(reports: tuple[Health, ...]) -> None:
