@@ -4,6 +4,14 @@ VENV ?= .venv
 JOBS ?= 2
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+# Without a network pip would try again and again, and so would the pip that it starts to build with.
+export PIP_RETRIES ?= 1
+UNREACHABLE := NewConnectionError|ConnectTimeoutError|NameResolutionError|ReadTimeoutError|ProxyError|connection broken
+# What pip says is kept, and is shown unless it is that there is no network.
+install = $(PIP) install --constraint constraints.txt --editable '.[$(1)]' 2>$(VENV)/pip.log || { \
+	if grep -qE '$(UNREACHABLE)' $(VENV)/pip.log; \
+	then echo "No package index is reachable, so $(VENV) cannot be set up: connect this machine, or set PIP_INDEX_URL to a mirror ($(VENV)/pip.log)." >&2; \
+	else cat $(VENV)/pip.log >&2; fi; exit 2; }
 
 .PHONY: demo test check compiled live others format clean
 
@@ -45,10 +53,10 @@ $(BIN)/python:
 
 $(VENV)/.installed-all: $(BIN)/python pyproject.toml constraints.txt
 	@echo "Setting up $(VENV) (once, some minutes) ..."
-	@$(PIP) install --constraint constraints.txt --editable '.[all]'
+	@$(call install,all)
 	@touch $@
 
 $(VENV)/.installed-dev: $(BIN)/python pyproject.toml constraints.txt
 	@echo "Setting up $(VENV) with the development tools (once, some minutes) ..."
-	@$(PIP) install --constraint constraints.txt --editable '.[dev]'
+	@$(call install,dev)
 	@touch $@ $(VENV)/.installed-all

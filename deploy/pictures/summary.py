@@ -1,6 +1,7 @@
 """One picture of a run, for people, who look before they read: map, paths, footholds, and the walk over time."""
 
 import textwrap
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -126,9 +127,17 @@ def verdict(report: Report, trace: Trace, moment: Moment | None, most: int = 4) 
         found += [(line, 13.0, "#222222") for line in textwrap.wrap(words, 142, max_lines=2, placeholder=" …")]
     if moment is not None and (words := _whose(trace, moment)):
         found.append((words, 13.0, "#222222"))
-    walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {report.gait}" + (" · blind" if report.blind else "")
+    gait = steps_walked(trace) if trace.sections else report.gait  # a passage is walked in steps of its own
+    walk = f"{report.scenario} · seed {report.seed} · {report.robot} · {gait}" + (" · blind" if report.blind else "")
     found.append((walk, float(_FONT), "#5f6368"))
     return found
+
+
+def steps_walked(trace: Trace) -> str:
+    """How many steps were walked with how many legs in swing, the most frequent first."""
+    counts = Counter(int(np.count_nonzero(plan.swing)) for _, plan in trace.plans if plan.swing.any())
+    kinds = (f"{count} steps with {legs} leg{'s' if legs > 1 else ''} in swing" for legs, count in counts.most_common())
+    return ", ".join(kinds) or "no steps"
 
 
 def _without_verdict(report: Report, trace: Trace, moment: Moment | None) -> list[tuple[str, float, str]]:

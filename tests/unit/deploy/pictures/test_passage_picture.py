@@ -6,6 +6,7 @@ import pytest
 
 from deploy.pictures import passage_picture
 from deploy.pictures.passage_picture import stance_at_end
+from deploy.pictures.summary import verdict
 from deploy.runs.attendance import Attendance
 from shared.scenario import Pillars, load_scenario
 
@@ -145,3 +146,12 @@ def test_what_a_newer_map_has_forgotten_is_shown_as_it_was_and_what_gave_way_as_
     assert cells[pillar] == 4
     elsewhere = replace(older, origin=older.origin + 0.3)
     assert len(passage_picture._strips([older, elsewhere])) == 2
+
+
+def test_it_says_the_steps_that_were_walked_not_the_gait_that_was_asked_for(story):
+    scorer = story(scenario=PASSAGE, level=True, sections=1).judged()
+    step = replace(scorer.trace.plans[0][1], swing=np.eye(6, dtype=bool)[0])
+    trace = replace(scorer.trace, plans=tuple((0.1 * k, step) for k in range(7)))
+    words = [text for text, _, _ in verdict(scorer.result(), trace, None)]
+    assert any("7 steps with 1 leg in swing" in line for line in words)
+    assert not any("tripod" in line for line in words)

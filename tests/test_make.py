@@ -1,0 +1,53 @@
+"""The Makefile and the test run themselves, where the machine is not as expected: no network, or a foreign pytest plugin."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+OFFLINE = (
+    "WARNING: Retrying (Retry(total=0)) after connection broken by 'NewConnectionError': /simple/setuptools/",
+    "ERROR: Could not find a version that satisfies the requirement setuptools>=77 (from versions: none)",
+)
+CONFLICT = ("ERROR: Cannot install numpy==1.0 and numpy==2.0 because these package versions have conflicting dependencies.",)
+
+
+@pytest.mark.parametrize(
+    ("pip", "said"),
+    [(OFFLINE, ["No package index is reachable, so "]), (CONFLICT, [CONFLICT[0]])],
+    ids=["offline", "another error"],
+)
+def test_make_without_a_package_index_says_so_in_one_line(tmp_path: Path, pip: tuple[str, ...], said: list[str]) -> None:
+    for name in ("Makefile", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, tmp_path)
+    python = tmp_path / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text("#!/bin/sh\n" + "".join(f'echo "{line}" >&2\n' for line in pip) + "exit 1\n")
+    python.chmod(0o755)
+    make = ["make", "--no-print-directory", "demo"]
+    done = subprocess.run(make, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    *lines, last = done.stderr.splitlines()
+    assert last.startswith("make: ***")
+    assert len(lines) == len(said)
+    for line, begin in zip(lines, said, strict=True):
+        assert line.startswith(begin)
+    assert not (tmp_path / ".venv" / ".installed-all").exists()
+
+
+def test_a_foreign_pytest_plugin_is_not_loaded(tmp_path: Path) -> None:
+    """A distribution whose plugin warns as it is imported, as one that another package brings along."""
+    (tmp_path / "warning_plugin.py").write_text("import warnings\nwarnings.warn('from a plugin', DeprecationWarning)\n")
+    about = tmp_path / "warning_plugin-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: warning-plugin\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[pytest11]\nwarning_plugin = warning_plugin\n")
+    test = tmp_path / "test_nothing.py"
+    test.write_text("import sys\n\n\ndef test_nothing():\n    assert 'warning_plugin' not in sys.modules\n")
+    words = [sys.executable, "-m", "pytest", "-q", "-c", str(ROOT / "pyproject.toml"), "--rootdir", str(tmp_path), str(test)]
+    around = {"PYTHONPATH": str(tmp_path), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(words, cwd=tmp_path, env=around, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
