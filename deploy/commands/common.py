@@ -42,6 +42,11 @@ def met(arguments: argparse.Namespace) -> "Endpoints":
         raise InputError(str(error)) from None
 
 
+def role_of(endpoints: "Endpoints") -> str:
+    """The role under which a command reports its health: that of its certificate, and without one the robot's own machine."""
+    return endpoints.keys.role.name if endpoints.keys is not None else "robot"
+
+
 def out_folder(arguments: argparse.Namespace, name: str) -> Path:
     """The folder that the command leaves behind, made."""
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")

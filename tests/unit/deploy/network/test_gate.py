@@ -12,6 +12,7 @@ import pytest
 import zenoh
 
 from deploy import cli
+from deploy.commands.common import role_of
 from deploy.launch.launcher import free_port
 from deploy.network import gate
 from deploy.network.gate import Gate
@@ -300,6 +301,12 @@ def test_with_keys_a_router_listens_on_loopback_for_its_own_and_to_certificates_
 def test_up_refuses_to_listen_to_anybody(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["up", "all", "--scenario", "flat", "--no-page", "--listen", "tcp/0.0.0.0:17447"]) == 2
     assert "tcp/0.0.0.0:17447 would let anybody in" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("role", ["console", "viewer"])
+def test_a_command_reports_its_health_under_its_own_role(keys: Path, role: str) -> None:
+    assert role_of(Endpoints(("tls/robot.local:7448",), keys=Keys.load(keys / role))) == role
+    assert role_of(Endpoints(("tcp/127.0.0.1:7447",))) == "robot"
 
 
 def test_keys_that_can_host_no_router_are_refused_before_anything_starts(

@@ -211,6 +211,19 @@ def test_verified_clients_of_a_role_are_bounded_and_keep_no_other_role_out(keys:
         assert read(stack.enter_context(at.enter("base")), 16)
 
 
+def test_verified_addresses_go_first_then_handshakes_under_way_then_the_newest(keys: Path) -> None:
+    """Of a proxy that has more to do than it can."""
+    made = TlsProxy(["tls/127.0.0.1:1"], Keys.load(keys / "robot"), 1, lambda _: None)
+    made._limit.verify("base")
+    with socket.socket() as plain, ssl.create_default_context().wrap_socket(socket.socket(), server_hostname="x") as secured:
+        old, new, known, begun = (
+            tls_proxy._Client(link, source, number)
+            for number, (link, source) in enumerate(((plain, "a"), (plain, "a"), (plain, "base"), (secured, "a")))
+        )
+        served = sorted([old, begun, known, new], key=made._urgency, reverse=True)
+    assert [client.number for client in served] == [known.number, begun.number, new.number, old.number]
+
+
 def test_a_connection_ends_with_its_certificate(keys: Path, tmp_path: Path) -> None:
     authority = Authority(days=1)
     authority.issue(tmp_path / "robot", "robot")
