@@ -295,7 +295,7 @@ class Planner:
             self._asked = commands[0]
         for number, command in enumerate(commands):
             sent = self._next_step(state, pose, command, terrain, number)
-            if sent is not None:
+            if sent is not None or self._state == "stepping":  # it comes to rest before a step by touch
                 return sent
         if commands and self._state == "blocked" and state.phase >= 1.0:
             sent = self._gathering(state, pose, commands[0], terrain)
@@ -353,7 +353,8 @@ class Planner:
             return self._hold("blocked", nonsense)
         with self.stages("plan step"):
             found, way = self._strides.choose(situations, terrain, self._refusals.of(number))
-        if isinstance(found, Blocked) and found.unseen and self._put_down is not None:
+        feels = self._running is not None and self._running.plan.stop  # by touch feet stand as no other step would have them
+        if isinstance(found, Blocked) and (found.unseen or feels) and self._put_down is not None:
             course = yaw_of(pose.T_world_body) + math.atan2(command.velocity[1], command.velocity[0])
             ground = self._by_touch.underfoot(terrain, situations[0].feet, self._put_down, course)
             if ground is not None:

@@ -166,7 +166,7 @@ class StridePlanner:
                 if isinstance(found, Stride):
                     return replace(found, instead=first.reason if first else ""), ways[SHARES.index(found.share)]
                 first = first or found
-            shift = len(situations) * len(SHARES)
+            shift = len(situations) * (len(SHARES) + 1)  # behind those of `gather`
             if first is not None and first.touching and foot_margin > -np.inf and shift not in refused:
                 shifted = self._make_room(situations[0], first.leg, terrain)
                 if shifted is not None:

@@ -885,3 +885,22 @@ def test_after_a_step_that_the_legs_take_back_other_legs_step_first() -> None:
     rig.plans(5, phase=0.4)
     rig.finish(again)
     np.testing.assert_array_equal(rig.plans(10)[-1].swing, first.swing)
+
+
+def test_where_no_other_step_goes_on_from_one_by_touch_it_goes_on_by_touch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Feet that have found their ground by touch may stand as no other step would have them."""
+    rig = Rig()
+    rig.terrain = blind_near(lambda x, y: x > 0.5)
+    for _ in range(3):
+        plan = rig.plans(40)[-1]
+        rig.begin(plan)
+        rig.plans(5, phase=0.5)
+        rig.finish(replace(plan, touchdown=np.maximum(plan.touchdown, [-9.0, -9.0, PROFILE.foot.radius])))
+        assert rig.pose is not None
+        rig.pose = replace(rig.pose, T_world_body=rig.state.T_odom_body)
+    stretched = Blocked("right rear leg: would be stretched beyond its limits at the end of the step")
+    monkeypatch.setattr(rig.planner._strides, "choose", lambda *_: (stretched, 0))
+    sent = rig.plans(40)
+    assert sent, rig.status().reason
+    assert sent[-1].stop
+    assert rig.status().reason.startswith("by touch")
