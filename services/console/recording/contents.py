@@ -151,6 +151,8 @@ def in_words(found: Contents) -> str:
 def _condition_words(name: str, condition: Condition) -> str:
     if condition.empty:
         return f"  {name} is an empty recording: nothing to recover"
+    if not condition.messages and condition.lost:
+        return f"  {name}: nothing in it is whole ({', '.join(condition.lost)} lost)"
     if condition.ended:
         return f"  {name} is damaged ({', '.join(condition.lost) or 'its index'}): `sextant recover` keeps what is whole"
     lost = f" ({', '.join(condition.lost)} lost)" if condition.lost else ""

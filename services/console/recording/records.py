@@ -44,7 +44,9 @@ class Condition:
 
     size: int = 0  # [bytes]
     ended: bool = False  # it has its footer and closing magic
+    messages: int = 0  # that are whole
     damaged: int = 0  # records and chunks that were passed over
+    too_large: Counter[str] = field(default_factory=Counter)  # others that were passed over, by their kind
     lost_bytes: int = 0  # between two whole records that belong to neither
     tail_bytes: int = 0  # behind the last whole record
     index_damaged: bool = False  # an index does not match the messages, or the summary its checksum
@@ -58,7 +60,8 @@ class Condition:
     @property
     def whole(self) -> bool:
         """Whether nothing is missing."""
-        return self.ended and not (self.damaged or self.lost_bytes or self.tail_bytes or self.index_damaged)
+        missing = self.damaged or self.too_large or self.lost_bytes or self.tail_bytes or self.index_damaged
+        return self.ended and not missing
 
     @property
     def lost(self) -> list[str]:
@@ -66,7 +69,7 @@ class Condition:
         lost = [f"{self.damaged} damaged parts"] if self.damaged else []
         lost += [f"{self.lost_bytes} bytes between whole parts"] if self.lost_bytes else []
         lost += [f"{self.tail_bytes} bytes at the end"] if self.tail_bytes else []
-        return lost + [f"{count} {kind}" for kind, count in self.dropped.items()]
+        return lost + [f"{count} {kind}" for kind, count in (self.too_large + self.dropped).items()]
 
 
 def records(file: BinaryIO, condition: Condition) -> Iterator[McapRecord]:
@@ -113,19 +116,17 @@ class _Reader:
                 at = found
                 continue
             opcode, end = head
+            before = self._missing
             whole_to, record = self._read(opcode, at, end)
             if isinstance(record, Chunk):
-                before = self._condition.damaged
                 yield from self._noted(self._inside(record))
-                if self._condition.damaged > before:
-                    yield from self._declarations()
             elif record is not None and not isinstance(record, _UNWANTED):
                 yield from self._noted(iter((record,)))
             if isinstance(record, MessageIndex) and sorted(record.records) != sorted(self._index.get(record.channel_id, [])):
                 self._condition.index_damaged = True
             if isinstance(record, Footer) and self._check_end(record, end):
                 return
-            if whole_to == at:  # what says its own length wrongly is passed over by what follows
+            if self._missing > before:
                 yield from self._declarations()
             if end == self._size or self._head(end) is not None or self._file_ends(end):
                 at = end
@@ -137,10 +138,15 @@ class _Reader:
             self._condition.lost_bytes += found - whole_to
             at = found
 
+    @property
+    def _missing(self) -> int:
+        return self._condition.damaged + self._condition.too_large.total()
+
     def _noted(self, found: Iterator[McapRecord]) -> Iterator[McapRecord]:
         for record in found:
             if isinstance(record, Channel):
                 self._channels.add(record.id)
+            self._condition.messages += isinstance(record, Entry)
             yield record
 
     def _bytes(self, at: int, count: int) -> bytes:
@@ -168,8 +174,7 @@ class _Reader:
                 self._condition.dropped[f"private records 0x{opcode:02x}"] += 1
             return end, None
         if end - begins > LARGEST_BYTES:
-            self._condition.dropped[f"records of more than {LARGEST_BYTES >> 20} MB"] += 1
-            self._condition.damaged += 1
+            self._condition.too_large[f"records of more than {LARGEST_BYTES >> 20} MB"] += 1
             return end, None
         try:
             record, consumed = _parse(opcode, self._bytes(begins, end - begins))
@@ -181,6 +186,9 @@ class _Reader:
     def _inside(self, chunk: Chunk) -> Iterator[McapRecord]:
         """The records in a chunk."""
         self._index = {}
+        if chunk.uncompressed_size > LARGEST_BYTES:
+            self._condition.too_large[f"chunks that unpack to more than {LARGEST_BYTES >> 20} MB"] += 1
+            return
         try:
             data = unpacked(chunk)
         except _DAMAGE:

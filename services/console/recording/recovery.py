@@ -69,7 +69,8 @@ def recover(source: Path, target: Path) -> Recovered:
     if found.was_whole or found.was_empty:
         return found
     if found.messages == 0:
-        raise RecordingError(f"{source}: nothing in it is whole: it was cut off before its first second was written")
+        lost = ", ".join(found.lost) or "it ends before its first message"
+        raise RecordingError(f"{source}: nothing in it is whole: {lost}; there is nothing to recover")
     found = Recovered()
     with files.replacing(target, durable=True) as new:
         _Copy(new).run(read_records(source, found.condition), found)
