@@ -22,7 +22,7 @@ from services.mapper.config import Settings as MapperSettings
 from services.mapper.service import Mapper
 from services.perception import tum
 from services.perception.config import Settings as PerceptionSettings
-from services.perception.motion import constant_velocity
+from services.perception.motion import VelocityPrior
 from services.perception.service import Perception
 from services.perception.trajectory import relative_size, trajectory_error
 from shared import files, topics
@@ -40,6 +40,8 @@ _SHOW_NS = 1_000_000_000
 _HAND_CELLS = 512  # along each edge of the map: a hand-held camera sees further than the robot steps
 _FARTHEST_M = 30.0  # [m] to which registration can be set
 _HAND_SIGMA = 0.01  # [m] and [rad] by which a hand's motion from picture to picture differs from the one before
+_HAND_SIGMA_UNKNOWN = 0.05  # [m] and [rad] of it where the one before is not known: 1.5 m/s and 86 deg/s at 30 Hz
+_HAND_DECAY_S = 0.15  # [s] in which an unobserved velocity of a hand falls to 1/e
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,28 +135,29 @@ class ConstantVelocity:
     def __init__(self, period_ns: int):
         self.stages = Stages()
         self._period_ns = period_ns
-        self._before: BodyPose | None = None
+        self._prior = VelocityPrior(_HAND_DECAY_S)
         self._travelled = 0.0
         self._turned = 0.0
 
     def step(self, pose: BodyPose, _: Inbox) -> Iterator[Message]:
         """The expected pose one picture on, in {odom}: what registration corrected since is in `T_world_odom`."""
-        before, self._before = self._before or pose, pose
-        span_ns = pose.stamp_ns - before.stamp_ns
-        T_next = constant_velocity(before.T_world_body, pose.T_world_body, span_ns, self._period_ns)
+        self._prior.update(pose.stamp_ns, pose.T_world_body, pose.ok, pose.degenerate)
+        T_next = self._prior.predict(self._period_ns * 1e-9)
         motion = inverse(pose.T_world_body) @ T_next
         self._travelled += float(np.linalg.norm(motion[:3, 3]))
         self._turned += float(np.linalg.norm(log_so3(motion[:3, :3])))
-        yield odometry(pose.stamp_ns + self._period_ns, inverse(pose.T_world_odom) @ T_next, self._travelled, self._turned)
+        T_odom_next = inverse(pose.T_world_odom) @ T_next
+        stamp_ns = pose.stamp_ns + self._period_ns
+        yield odometry(stamp_ns, T_odom_next, self._travelled, self._turned, reliable=self._prior.measured)
 
     def doing(self) -> str:
         """How far it has come."""
         return f"guessing, {self._travelled:.2f} m so far"
 
 
-def odometry(stamp_ns: int, T_odom_body: Array, travelled: float, turned: float) -> Odometry:
+def odometry(stamp_ns: int, T_odom_body: Array, travelled: float, turned: float, reliable: bool = True) -> Odometry:
     """Odometry (lengths [m], angles [rad]) of a body that does not stand on legs."""
-    return Odometry(stamp_ns, T_odom_body, travelled, turned, stance=np.zeros(6, dtype=np.bool_), reliable=True)
+    return Odometry(stamp_ns, T_odom_body, travelled, turned, stance=np.zeros(6, dtype=np.bool_), reliable=reliable)
 
 
 def replay_folder(
@@ -216,6 +219,7 @@ def hand_held_settings(registration: Literal["projective", "kiss-icp"], sensor: 
     whole = sensor.max_range > DepthSensor().max_range or sensor.min_range >= usual
     return PerceptionSettings(
         registration_range=min(sensor.max_range, _FARTHEST_M) if whole else usual,
+        legs=False,
         settle_s=0.0,
         scan_rate_hz=1e3,  # every picture counts: the guess reaches from one to the next
         method=registration,
@@ -225,6 +229,9 @@ def hand_held_settings(registration: Literal["projective", "kiss-icp"], sensor: 
         odometry_turn=0.1,
         odometry_floor=_HAND_SIGMA,
         odometry_level=_HAND_SIGMA,
+        unreliable_way=_HAND_SIGMA_UNKNOWN,
+        unreliable_turn=_HAND_SIGMA_UNKNOWN,
+        unreliable_level=_HAND_SIGMA_UNKNOWN,
         tilt_s=1e-6,  # the guess takes the correction at its word, and a hand has no two tripods to average over
     )
 

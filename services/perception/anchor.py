@@ -39,6 +39,9 @@ _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _TRIED, _TRIED_FINELY = 300, 1000  # points looked up at each place
 _SIGHTS = 4  # every how many lines of sight are followed
 _REFINED = 6  # best places of the coarse search that are refined
+_REFINED_FEW = 2  # likewise around each of many poses
+_STARTS_APART = 0.24  # [m] searched around each of them
+_MIN_FIT_ANYWHERE = 0.9  # share of the points that must suit a place that may be anywhere
 _MIN_KNOWN = 0.4  # share of the points that must fall on known cells
 _MIN_FIT = 0.85  # share of those that must suit the place found
 _BETTER = 0.03  # by which its fit must at least exceed that of the expected place
@@ -76,6 +79,14 @@ class Found:
     reason: str  # in words, empty when it was found
 
 
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """What of a frame contradicts the map."""
+
+    share: float  # of the points on known cells
+    xy: NDArray[np.float64]  # (n, 2) [m] {world} where those points are
+
+
 class AnchorMap:
     """Lowest and highest point of each cell, in a circular buffer."""
 
@@ -97,20 +108,23 @@ class AnchorMap:
         """Take in points (n, 3) [m] {camera} seen from a pose (4, 4)."""
         _add(points, T_world_camera, self._cells)
 
-    def misfit(self, points: Array, T_world_camera: Pose) -> float:
-        """Share of points (n, 3) [m] {camera} on known cells that lie outside of what those and their neighbours have shown.
+    def misfit(self, points: Array, T_world_camera: Pose) -> Misfit:
+        """Which points (n, 3) [m] {camera} on known cells lie outside of what those and their neighbours have shown.
 
-        What lies above counts only where something has been seen through it. Zero where few are known.
+        What lies above counts only where something has been seen through it. None where few are known.
         """
         points = _some(points, _TRIED_FINELY)
-        known, misfit, _ = _look_up(points, T_world_camera, self._cells, self._noise)
-        return misfit / known if known >= _MIN_KNOWN * len(points) else 0.0
+        outside = np.zeros(len(points), dtype=np.bool_)
+        known, misfit, _ = _look_up(points, T_world_camera, self._cells, self._noise, outside)
+        if known < _MIN_KNOWN * len(points):
+            return Misfit(0.0, np.zeros((0, 2)))
+        return Misfit(misfit / known, points[outside] @ T_world_camera[:2, :3].T + T_world_camera[:2, 3])
 
     def find(self, points: Array, T_world_camera: Pose) -> Found:
         """Where points (n, 3) [m] {camera} fit best, around the expected pose (4, 4), whose roll and pitch are believed."""
         few, points = _some(points, _TRIED), _some(points, _TRIED_FINELY)
         n = len(points)
-        known, _, fitting = _look_up(points, T_world_camera, self._cells, self._noise)
+        known, _, fitting = _look_up(points, T_world_camera, self._cells, self._noise, np.zeros(n, dtype=np.bool_))
         # 1. All places, coarsely.
         shifts = np.arange(-_REACH, _REACH + _STEP / 2, _STEP)
         angles = np.arange(-_TURN, _TURN + _ANGLE / 2, _ANGLE)
@@ -134,6 +148,38 @@ class AnchorMap:
             return Found(None, "no place nearby fits better than the expected one")
         T = _placed(T_world_camera, near[best])
         T[2, 3] += heights[best]
+        return Found(T, "")
+
+    def relocalize(self, points: Array, starts: Array) -> Found:
+        """Where points (n, 3) [m] {camera} fit, around any of some poses (k, 4, 4), whose roll and pitch are believed.
+
+        A place counts only if no other place fits as well.
+        """
+        few, points = _some(points, _TRIED), _some(points, _TRIED_FINELY)
+        shifts = np.arange(-_STARTS_APART, _STARTS_APART + _STEP / 2, _STEP)
+        places = _grid(shifts, np.arange(-_TURN, _TURN + _ANGLE / 2, _ANGLE))
+        around = _grid(_FINE * _FINE_STEP, _FINE * _FINE_ANGLE)
+        candidates: list[tuple[float, float, Pose]] = []  # worth, fit and pose of the best places around each start
+        for T in starts:
+            fits, worths, heights = self._judge(few, T, places)
+            if fits.max() < 0.0:
+                continue
+            for k in _apart(places, worths - _far(places, heights), _REFINED_FEW):
+                near = places[k] + around
+                fits, worths, heights = self._judge(points, T, near)
+                best = int(np.argmax(worths))
+                pose = _placed(T, near[best])
+                pose[2, 3] += heights[best]
+                candidates.append((float(worths[best]), float(fits[best]), pose))
+        if not candidates:
+            return Found(None, "lost: nothing in view has been seen before")
+        candidates.sort(key=lambda candidate: -candidate[0])
+        _, fit, T = candidates[0]
+        if fit < _MIN_FIT_ANYWHERE:
+            return Found(None, f"lost: the best place in the map fits {100 * max(fit, 0.0):.0f} % of the ground seen")
+        rivals = [other for _, other, at in candidates[1:] if _differs(at, T)]
+        if rivals and max(rivals) > fit - _BETTER:
+            return Found(None, "lost: several places in the map look alike")
         return Found(T, "")
 
     def _judge(self, points: Array, T: Pose, places: Array) -> tuple[Array, Array, Array]:
@@ -182,6 +228,13 @@ def _apart(places: Array, worth: Array, count: int) -> NDArray[np.intp]:
         chosen.append(k)
         left &= _is_other(places, places[k])
     return np.array(chosen)
+
+
+def _differs(T: Pose, other: Pose) -> bool:
+    """Whether two poses are so far apart that fine searches around them do not meet."""
+    far = np.linalg.norm(T[:2, 3] - other[:2, 3]) > 2.0 * _APART
+    cosine = (np.trace(T[:3, :3].T @ other[:3, :3]) - 1.0) / 2.0
+    return bool(far or cosine < math.cos(2.0 * _TURNED))
 
 
 def _placed(T: Pose, place: Array) -> Pose:
@@ -270,10 +323,11 @@ def _add(points: Array, T: Array, cells: Any) -> None:
 
 
 @compiled
-def _look_up(points: Array, T: Array, cells: Any, noise: float) -> tuple[int, int, int]:
+def _look_up(points: Array, T: Array, cells: Any, noise: float, outside: Array) -> tuple[int, int, int]:
     """How many points (n, 3) {camera} fall on known cells, how many of them cannot be there, how many have been seen there.
 
-    What cannot be there lies below all that a cell and its neighbours have shown, or above it where it has been looked through.
+    What cannot be there lies below all that a cell and its neighbours have shown, or above it where it has been looked through:
+    those points are marked in `outside` (n,).
     """
     known = misfit = fitting = 0
     for n in range(len(points)):
@@ -288,7 +342,8 @@ def _look_up(points: Array, T: Array, cells: Any, noise: float) -> tuple[int, in
         tolerance = _TOLERANCE + noise * z * z
         fitting += cell.low - tolerance <= height <= cell.high + tolerance
         through = cell.high_around + tolerance < height < cell.clear - tolerance
-        misfit += height < cell.low_around - tolerance or through
+        outside[n] = height < cell.low_around - tolerance or through
+        misfit += outside[n]
     return known, misfit, fitting
 
 

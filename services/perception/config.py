@@ -10,6 +10,7 @@ class Settings:
 
     method: Literal["projective", "kiss-icp"] = "projective"  # kiss-icp suits wide-field scanners
     blocks_across: int = 160  # to which a row of the picture is reduced for registration; clutter wants more
+    legs: bool = True  # whether legs tell the motion; without them a frame that is doubted is searched for at once, and widely
     registration_range: float = 2.5  # [m] of depth beyond which surfaces say nothing of the pose: a camera bends what is far
     scan_rate_hz: float = 15.0  # of the frames that are registered and passed on as scans, at most
     scan_resolution: float = 0.01  # [m] of the cells that a scan has a point of: the map's
@@ -22,6 +23,10 @@ class Settings:
     odometry_turn: float = 0.10  # [1] of the heading turned
     odometry_floor: float = 0.001  # [m] and [rad] of x, y and yaw: feet slip without notice
     odometry_level: float = 0.01  # [m] and [rad] of height, roll and pitch: legs bend, and any floor shows the truth
+    # Added to these where the odometry is not reliable: few legs carry, or a camera without legs has just begun to move.
+    unreliable_way: float = 0.01  # [m] of x and y
+    unreliable_turn: float = 0.02  # [rad] of yaw
+    unreliable_level: float = 0.01  # [m] and [rad] of height, roll and pitch
     settle_s: float = 0.4  # [s] for which the robot must stand still before {world} is laid
     tilt_s: float = 3.0  # [s] over which the tilt of the legs' frame is averaged
 
@@ -42,6 +47,9 @@ class Settings:
             "odometry_turn": (0.0, 10.0),
             "odometry_floor": (1e-6, 1.0),
             "odometry_level": (1e-6, 1.0),
+            "unreliable_way": (0.0, 1.0),
+            "unreliable_turn": (0.0, 1.0),
+            "unreliable_level": (0.0, 1.0),
             "settle_s": (0.0, 1.5),
             "tilt_s": (1e-6, 1000.0),
         }

@@ -68,6 +68,14 @@ class Keyframes:
         """Poses (n, 4, 4) of the keyframes."""
         return self._poses[: self._count].copy()
 
+    def apart(self, distance: float, angle: float) -> NDArray[np.float64]:
+        """Poses (k, 4, 4) of keyframes, newest first, each farther [m] or turned more [rad] than that from those before it."""
+        chosen = np.empty((0, 4, 4))
+        for n in np.argsort(-self._age[: self._count]):
+            if not _is_near(chosen, self._poses[n], distance, math.cos(angle)):
+                chosen = np.concatenate([chosen, self._poses[n][None]])
+        return chosen
+
     def clear(self) -> None:
         """Forget all keyframes."""
         self._count = 0
@@ -142,6 +150,16 @@ class Keyframes:
         rmse = math.sqrt(squares / matched) if matched else math.nan
         return Match(H, g, N, len(chosen), best, matched / max(facing, 1.0), rmse, off / max(facing, 1.0))
 
+    def misfits(self, T_world_camera: NDArray[np.float64], chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+        """How ill each point (n,) of the frame as last loaded fits some keyframes: mean of k^2 / (1 + scale k^2) as in `Match`.
+
+        NaN where a point faces no plane.
+        """
+        frame = self._frame
+        out = np.empty(len(frame.points))
+        _misfits(frame.points, frame.x, frame.y, self._planes, self._poses, chosen, T_world_camera, frame.sigma, out)
+        return out
+
 
 @compiled
 def _relative(T_world_a: Array, T_world_b: Array, out: Array) -> None:
@@ -196,6 +214,47 @@ def _shares_seen(points: Array, x: Array, y: Array, planes: Array, poses: Array,
                 seen += 1
         shares[k] = seen / max(count, 1)
     return shares
+
+
+@compiled
+def _misfits(
+    points: Array,
+    x: Array,
+    y: Array,
+    planes: Array,
+    poses: Array,
+    chosen: Array,
+    T_world_camera: Array,
+    sigma: float,
+    out: Array,
+) -> None:
+    """Write the misfit of each point, averaged over the keyframes in which it faces a plane."""
+    rows, columns = planes.shape[1], planes.shape[2]
+    to_column, to_row = 1.0 / (x[1] - x[0]), 1.0 / (y[1] - y[0])
+    T, faced = np.empty((4, 4)), np.zeros(len(points))
+    out[:] = 0.0
+    for phase in range(len(chosen)):
+        _relative(poses[chosen[phase]], T_world_camera, T)
+        for n in range(len(points)):
+            qx, qy, qz = points[n, 0], points[n, 1], points[n, 2]
+            px = T[0, 0] * qx + T[0, 1] * qy + T[0, 2] * qz + T[0, 3]
+            py = T[1, 0] * qx + T[1, 1] * qy + T[1, 2] * qz + T[1, 3]
+            pz = T[2, 0] * qx + T[2, 1] * qy + T[2, 2] * qz + T[2, 3]
+            if pz < 0.05:
+                continue
+            u, v = (px / pz - x[0]) * to_column + 0.5, (py / pz - y[0]) * to_row + 0.5
+            if not (u >= 0.0 and v >= 0.0 and u < columns and v < rows):
+                continue
+            plane = planes[chosen[phase], int(v), int(u)]
+            length2 = plane[0] * plane[0] + plane[1] * plane[1] + plane[2] * plane[2]
+            if length2 == 0.0:
+                continue
+            f = plane[0] * px + plane[1] * py + plane[2] * pz - 1.0
+            square = f * f / (sigma * sigma * pz * pz + _MODEL_SIGMA * _MODEL_SIGMA * length2)
+            out[n] += square / (1.0 + square / (_CAUCHY * _CAUCHY))
+            faced[n] += 1.0
+    for n in range(len(points)):
+        out[n] = out[n] / faced[n] if faced[n] > 0.0 else np.nan
 
 
 @compiled

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import Array, interpolate, inverse
+from shared.geometry import Array, exp_so3, interpolate, log_so3, transform
 from shared.messages import Odometry
 
 _KEPT = 100  # messages, two seconds
@@ -76,14 +76,64 @@ class OdometryHistory:
         )
 
 
-def constant_velocity(T_before: Array, T_last: Array, span_ns: int, since_ns: int) -> Array:
-    """The pose that follows two others (4, 4) when the motion between them goes on.
+class VelocityPrior:
+    """The prior of a camera without legs: it goes on as it moved, and comes to rest where its motion is not observed.
 
-    Args:
-        T_before: The earlier pose.
-        T_last: The later pose.
-        span_ns: [ns] between the two.
-        since_ns: [ns] from the later one on.
+    The velocity of a direction is that between two registered frames that show it. Where the scene does not show a direction,
+    or a frame does not register, the velocity decays. A frame that is found elsewhere after the camera was lost shows none.
     """
-    s = since_ns / span_ns if span_ns > 0 else 0.0
-    return np.asarray(T_last @ interpolate(np.eye(4), inverse(T_before) @ T_last, s))
+
+    def __init__(self, decay_s: float, max_speed: float = 3.0, max_rate: float = 6.0):
+        """Begin at rest.
+
+        Args:
+            decay_s: [s] after which an unobserved velocity has fallen to 1/e.
+            max_speed: [m/s] above which two poses are no motion.
+            max_rate: [rad/s] above which they are none.
+
+        Raises:
+            ValueError: It is not positive.
+        """
+        if not decay_s > 0.0:
+            raise ValueError(f"a positive time of decay expected, found {decay_s} s")
+        self._decay_s = decay_s
+        self._limits = np.array([max_speed, max_rate])
+        self._velocity: Array = np.zeros(6)  # [m/s] and [rad/s] in world axes
+        self._last: tuple[int, Array, bool] | None = None  # stamp [ns], pose (4, 4) and whether it registered
+        self.measured = False  # whether two registered frames have shown the velocity
+
+    def update(self, stamp_ns: int, T_world_body: Array, registered: bool, unobservable: Array) -> None:
+        """Measure the velocity with the pose of the newest frame.
+
+        Args:
+            stamp_ns: Later than that of the last frame.
+            T_world_body: (4, 4) estimated pose.
+            registered: Whether the frame registered; otherwise the pose is that of this prior.
+            unobservable: (k, 6) twists in world axes at the body that the frame does not show.
+        """
+        last, self._last = self._last, (stamp_ns, T_world_body, registered)
+        if last is None or stamp_ns <= last[0]:
+            return
+        since_s = (stamp_ns - last[0]) * 1e-9
+        kept = float(np.exp(-since_s / self._decay_s)) * self._velocity
+        T = last[1]
+        shown = np.concatenate([T_world_body[:3, 3] - T[:3, 3], log_so3(T_world_body[:3, :3] @ T[:3, :3].T)]) / since_s
+        possible = bool((np.linalg.norm(shown.reshape(2, 3), axis=1) <= self._limits).all())
+        self.measured = registered and last[2] and possible
+        if self.measured:
+            projector = np.linalg.pinv(unobservable) @ unobservable  # on what the frame does not show
+            self._velocity = shown + projector @ (kept - shown)
+        else:
+            self._velocity = kept if possible else np.zeros(6)
+
+    def predict(self, since_s: float) -> Array:
+        """Expected pose (4, 4) some time [s] after the newest frame, along the screw of the velocity.
+
+        Raises:
+            ValueError: There was no frame.
+        """
+        if self._last is None:
+            raise ValueError("at least one frame expected before a prediction, found none")
+        T = self._last[1]
+        turn = exp_so3(since_s * self._velocity[3:])
+        return transform(turn @ T[:3, :3], T[:3, 3] + since_s * turn @ self._velocity[:3])

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.perception.anchor import AnchorMap, surface_points
+from services.perception.anchor import AnchorMap, Misfit, surface_points
 from services.perception.block_frame import BlockFrame
 from services.perception.keyframes import Keyframes, Match
+from services.perception.moving_body import is_one_body, is_within_body
 from services.perception.observability import AXES
 from shared.camera import DepthSensor, Intrinsics
 from shared.compiled import compiled
@@ -40,6 +41,11 @@ _ALONG_FLOOR = [0, 1, 5]  # x, y and yaw
 _SLIPPED = np.array([0.03, 0.03, 0.0, 0.0, 0.0, 0.03])  # [m] and [rad] by which legs may slip between two frames
 _TRUSTING = 2  # iterations in which matches far off are believed after a slip
 _SAME_AWAY = np.array([0.04, 0.04, 0.04, 0.05, 0.05, 0.05])  # [m] and [rad] within which two searches agree
+_REST_SIGMA = 1e-4  # [m] and [rad] of x, y and yaw of a camera that rests
+_REST_MOVED = 0.001  # [m] and [rad] along the ground from where a pose is not that of rest
+_STARTS_APART_M, _STARTS_APART_RAD = 0.3, 0.25  # [m] [rad] between keyframes around which a lost frame is searched for
+_OVERLAP_WANTED = 0.6  # share below which a frame that fits far worse than of late is refused
+_UNKNOWN_SIGMA = 0.03  # [m] and [rad] of a prior along the ground from where poses around it are tried
 _LOST_SIGMA = 0.03  # [m] and [rad] by which a place that was searched for is known
 
 
@@ -82,6 +88,16 @@ class Acceptance:
     doubt: int = 3  # doubtful or failed frames in a row after which the frame is searched for around its prior
     search_every: int = 8  # frames, while it stays so
     patience: int = 60  # failed frames in a row after which the map starts anew at the prior
+    rest_step: float = 0.001  # [m] and [rad] of the prior between two frames, up to which the camera is expected to rest
+    body_radius: float = 0.45  # [m] of what may move as one body before a camera that rests
+    # For a camera without legs, of whose motion nothing but the pictures tell: where its velocity is unknown, poses around the
+    # prior are tried; a frame that contradicts the map is refused; a lost one is searched for around all keyframes.
+    legless: bool = False
+    max_worsening: float = 2.5  # times the misfit of late, with little overlap, from which it is refused
+    max_contradiction: float = 0.05  # share of points outside of what is known of their places, above which it is refused
+
+
+HAND_HELD = Acceptance(doubt=1, search_every=4, patience=300, legless=True, rest_step=0.003)
 
 
 class Registration:
@@ -122,6 +138,8 @@ class Registration:
         self._failures = 0  # in a row
         self._away: NDArray[np.float64] | None = None  # (6,) twist to where the last search would have a doubted frame
         self._doubtful = 0  # frames in a row, failed ones included
+        self._last: NDArray[np.float64] | None = None  # pose (4, 4) of the last frame
+        self._rest: NDArray[np.float64] | None = None  # where the camera has been since its prior rests
         self._believed = 0  # frames for which doubt is put aside: the ground has changed, not the place
 
     @property
@@ -159,24 +177,36 @@ class Registration:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, None, reason)
         if len(self._keyframes) == 0:
             self._remember(T_world_camera_prior)
+            self._last = T_world_camera_prior
             return first(stamp_ns, T_world_camera_prior, prior_covariance)
 
-        # 1. The nearest pose that fits; if it fits ill, the pose that does once legs are taken to slip.
-        found, believable = self._align(T_world_camera_prior, information), prior_covariance
+        # 1. The nearest pose that fits; if it fits ill, the pose that does once legs are taken to slip; and if one body alone
+        # moves before a camera that rests, the pose of rest.
+        found, believable = self._align_around(T_world_camera_prior, prior_covariance, information), prior_covariance
         if self._may_have_slipped(found, T_world_camera_prior, prior_covariance):
             wide = _slipping(prior_covariance)
             slipped = self._align(T_world_camera_prior, prior_information(T_world_camera_prior, wide), _TRUSTING)
             fits = slipped.match.misfit < _EXPLAINED * found.match.misfit and not objection(slipped.match, self._acceptance)
             if fits and _is_apart(slipped.T, found.T, prior_covariance):
                 found, believable = slipped, wide
-        reason = self._objection(found.match) or jump(found.T, T_world_camera_prior, believable, self._acceptance)
+        held = self._held(found, T_world_camera_prior, prior_covariance)
+        if held is not None:
+            found, believable = held, prior_covariance
+        reason = (
+            self._objection(found.match)
+            or self._worsening(found.match)
+            or jump(found.T, T_world_camera_prior, believable, self._acceptance)
+        )
         # 2. Where that is in doubt, the map says whether there is a better one.
-        doubted = self._is_doubted(found.T) if not reason else True
+        misfit = self._anchor.misfit(self._frame.points, T_world_camera_prior if reason else found.T)
+        # One body that moves before a camera that rests does not show that the camera is elsewhere.
+        doubted = not self._is_passing_body(misfit) and (bool(reason) or self._is_doubted(misfit))
         self._doubtful = self._doubtful + 1 if doubted else 0
         self._away = self._away if doubted else None
         if self._is_time_to_search():
             better = self._search(T_world_camera_prior if reason else found.T)
-            if isinstance(better, _Aligned) and not reason and not self._is_confirmed(error_twist(better.T, found.T)):
+            confirmed = bool(reason) or self._acceptance.legless
+            if isinstance(better, _Aligned) and not (confirmed or self._is_confirmed(error_twist(better.T, found.T))):
                 pass  # the next search decides: a person who walks by is somewhere else by then, a robot carried off is not
             elif isinstance(better, _Aligned):
                 found, reason, doubted, self._doubtful = better, "", False, 0
@@ -184,6 +214,8 @@ class Registration:
                 reason = f"{reason}; {better.reason}"
             elif not better.is_elsewhere:
                 self._believed = self._acceptance.search_every  # what is seen has changed, not the place
+        if not reason and doubted and self._contradicts(misfit):
+            reason = f"{misfit.share:.0%} of the picture contradicts what was seen before"
         match = found.match
         if reason:
             return self._refuse(stamp_ns, T_world_camera_prior, prior_covariance, match, reason)
@@ -194,7 +226,38 @@ class Registration:
             self._lately = _Fit(_recent(self._lately.misfit, match.misfit), _recent(self._lately.rmse, match.rmse))
             if self._keyframes.is_news(found.T, match.overlap):
                 self._remember(found.T)
+        self._last = found.T
         return Registered(stamp_ns, found.T, found.covariance, match.overlap, match.rmse, found.degenerate, True, "")
+
+    def _held(self, found: "_Aligned", T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> "_Aligned | None":
+        """The pose of a camera that rests, where one body alone speaks for the pose found; None where it is to be believed."""
+        self._follow_rest(T_prior)
+        if self._rest is None or np.abs(error_twist(found.T, self._rest)[_ALONG_FLOOR]).max() <= _REST_MOVED:
+            return None
+        T = T_prior.copy()
+        T[:2, 3] = self._rest[:2, 3]
+        resting = covariance.copy()
+        resting[_ALONG_FLOOR, :] = resting[:, _ALONG_FLOOR] = 0.0
+        resting[_ALONG_FLOOR, _ALONG_FLOOR] = _REST_SIGMA**2
+        held = self._align(T, prior_information(T, resting))
+        chosen = self._keyframes.select(T_prior)
+        gains = self._keyframes.misfits(held.T, chosen) - self._keyframes.misfits(found.T, chosen)
+        known = np.isfinite(gains)
+        xy = self._frame.points[known] @ held.T[:2, :3].T + held.T[:2, 3]
+        if is_one_body(xy, gains[known], self._acceptance.body_radius):
+            return replace(held, degenerate=_with_floor_open(found.degenerate))
+        self._rest = found.T
+        return None
+
+    def _follow_rest(self, T_prior: NDArray[np.float64]) -> None:
+        """Keep where the camera rests, while its prior does; legs that creep take it with them."""
+        step = np.zeros(6) if self._last is None else error_twist(T_prior, self._last)
+        if self._last is None or np.abs(step).max() > self._acceptance.rest_step:
+            self._rest = None
+        elif self._rest is None:
+            self._rest = T_prior
+        elif not self._acceptance.legless:
+            self._rest = moved(self._rest, step)
 
     def _may_have_slipped(self, found: "_Aligned", T_prior: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
         """Whether a frame fits worse than frames of late, or has been drawn far from where the legs have it."""
@@ -216,9 +279,25 @@ class Registration:
             else reason
         )
 
-    def _is_doubted(self, T: NDArray[np.float64]) -> bool:
+    def _worsening(self, match: Match, overlap: float = _OVERLAP_WANTED) -> str:
+        """That a frame of a camera without legs fits far worse than of late and has at most some overlap, or nothing."""
+        limits, lately = self._acceptance, self._lately.misfit
+        if not limits.legless or match.overlap > overlap or match.misfit <= limits.max_worsening * lately:
+            return ""
+        worse = match.misfit / lately
+        return f"{match.overlap:.0%} of the frame overlaps known ground and fits {worse:.1f} times worse than of late"
+
+    def _is_passing_body(self, misfit: Misfit) -> bool:
+        """Whether what contradicts the map is one body before a camera that rests."""
+        limits = self._acceptance
+        return self._rest is not None and misfit.share > limits.max_misfit and is_within_body(misfit.xy, limits.body_radius)
+
+    def _is_doubted(self, misfit: Misfit) -> bool:
         self._believed = max(0, self._believed - 1)
-        return self._believed == 0 and self._anchor.misfit(self._frame.points, T) > self._acceptance.max_misfit
+        return self._believed == 0 and misfit.share > self._acceptance.max_misfit
+
+    def _contradicts(self, misfit: Misfit) -> bool:
+        return self._acceptance.legless and misfit.share > self._acceptance.max_contradiction
 
     def _is_confirmed(self, away: NDArray[np.float64]) -> bool:
         """Whether two searches in a row, while frames register but are doubted, lead as far away (6,) in the same direction."""
@@ -232,6 +311,8 @@ class Registration:
     def _search(self, T_expected: NDArray[np.float64]) -> "_Aligned | _Nowhere":
         """A better place in the map, registered there; or why there is none."""
         found = self._anchor.find(self._frame.points, T_expected)
+        if found.T_world_camera is None and self._acceptance.legless:
+            found = self._anchor.relocalize(self._frame.points, self._keyframes.apart(_STARTS_APART_M, _STARTS_APART_RAD))
         if found.T_world_camera is None:
             return _Nowhere(found.reason, is_elsewhere=False)
         T = found.T_world_camera
@@ -239,7 +320,7 @@ class Registration:
             better = self._align(T, np.eye(6) / _LOST_SIGMA**2, _TRUSTING)
             T = better.T
             if better.match.rmse <= _FAR_APART_FOUND * self._lately.rmse:
-                objection = self._objection(better.match)
+                objection = self._objection(better.match) or self._worsening(better.match, overlap=1.0)
                 return _Nowhere(objection, is_elsewhere=True) if objection else better
         words = f"surfaces are {1e3 * better.match.rmse:.1f} mm apart at the place that fits best"
         return _Nowhere(words, is_elsewhere=True)
@@ -250,20 +331,43 @@ class Registration:
         frame = self._frame
         self._anchor.add(surface_points(frame.inverse_depth, frame.x, frame.y), T)
 
-    def _align(self, T_prior: NDArray[np.float64], information: NDArray[np.float64], trusting: int = 0) -> "_Aligned":
-        """Gauss-Newton on matches and prior together: (H + P) step = -(g + P error).
+    def _align_around(
+        self, T_prior: NDArray[np.float64], covariance: NDArray[np.float64], information: NDArray[np.float64]
+    ) -> "_Aligned":
+        """The pose that fits best of those that are found from the prior, and from around it where it is hardly known."""
+        found = self._align(T_prior, information)
+        sigma = np.sqrt(np.diag(covariance))
+        if not self._acceptance.legless or sigma[_ALONG_FLOOR].max() < _UNKNOWN_SIGMA:
+            return found
+        for axis in _ALONG_FLOOR:
+            for sign in (-1.0, 1.0):
+                start = moved(T_prior, sign * sigma[axis] * np.eye(6)[axis])
+                other = self._align(T_prior, information, _TRUSTING, start)
+                if other.match.misfit < _EXPLAINED * found.match.misfit and other.match.overlap >= found.match.overlap - 0.1:
+                    found = other
+        return found
+
+    def _align(
+        self,
+        T_prior: NDArray[np.float64],
+        information: NDArray[np.float64],
+        trusting: int = 0,
+        T_start: NDArray[np.float64] | None = None,
+    ) -> "_Aligned":
+        """Gauss-Newton on matches and prior together: (H + P) step = -(g + P error), from the prior or from another pose.
 
         In the first so many iterations all matches are trusted alike, however far off: a start that is far from the right
         place has its few telling points there, which are taken for outliers else.
         """
         chosen = self._keyframes.select(T_prior)
-        T: NDArray[np.float64] = T_prior
+        T_start = T_prior if T_start is None else T_start
+        T: NDArray[np.float64] = T_start
         # The first step may have to bridge what the prior leaves open and what a slip adds.
         step: NDArray[np.floating] = 1.5 * np.sqrt(np.diag(np.linalg.inv(information))) + _SLIP
         for iteration in range(_MAX_ITERATIONS):
             gate = min(max(_GATE_NEAR, 2.0 * float(np.abs(step[:3]).max())), _GATE_FAR)
             match = self._keyframes.match(T, chosen, gate, self._stride, robust=iteration >= trusting)
-            if T is T_prior or gate == _GATE_NEAR:
+            if T is T_start or gate == _GATE_NEAR:
                 believed, degenerate = belief(match)
             H, g = believed @ match.H, believed @ match.g
             step = -np.linalg.solve(H + information, g + information @ error_twist(T, T_prior))
@@ -282,6 +386,7 @@ class Registration:
         reason: str,
     ) -> Registered:
         self._failures += 1
+        self._last = T_prior
         if self._failures >= self._acceptance.patience and match is not None:
             # The prior has drifted too far to find the way back: start a map of its own there.
             self._keyframes.clear()
@@ -323,6 +428,14 @@ class _Fit:
 def _recent(mean: float, value: float) -> float:
     """A running mean with one more value in it."""
     return mean + _RECENT_SHARE * (value - mean) if math.isfinite(mean) else value
+
+
+def _with_floor_open(degenerate: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Twists (k, 6) that a scene leaves to the prior, with x, y and yaw among them."""
+    rest = degenerate.copy()
+    rest[:, _ALONG_FLOOR] = 0.0
+    kept = degenerate[np.linalg.norm(rest, axis=1) > 0.5]
+    return np.vstack([np.eye(6)[_ALONG_FLOOR], kept])
 
 
 def belief(match: Match) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -16,7 +16,7 @@ from services.perception.motion import Motion, OdometryHistory
 from services.perception.observability import AXES, unobservable_directions
 from services.perception.preview import preview
 from services.perception.reduction import reduce_scan
-from services.perception.registration import Registered, Registration, refused
+from services.perception.registration import HAND_HELD, Registered, Registration, refused
 from services.perception.sights import free_sights
 from shared import topics
 from shared.geometry import Array, inverse, rotation_from_rpy, rpy_from_rotation, to_millimetres, transform, yaw_of
@@ -215,7 +215,8 @@ class Perception:
         turn = settings.odometry_turn * max(0.0, motion.turned - last.turned) + settings.odometry_floor
         level = settings.odometry_level
         if not motion.reliable:
-            way, turn, level = way + 0.01, turn + 0.02, level + 0.01
+            way, turn = way + settings.unreliable_way, turn + settings.unreliable_turn
+            level += settings.unreliable_level
         way, turn = min(way, _MOST_DOUBT_M), min(turn, _MOST_DOUBT_RAD)  # what odometry says of itself is a claim
         sigma = np.array([way, way, level, level, level, turn])
         return self._T_world_odom @ motion.T_odom_body, np.diag(sigma**2)
@@ -344,5 +345,9 @@ def _make_registration(profile: RobotProfile, settings: Settings) -> Registers:
 
         return KissRegistration(camera.intrinsics, camera.sensor)
     return Registration(
-        camera.intrinsics, camera.sensor, max_range=settings.registration_range, blocks_across=settings.blocks_across
+        camera.intrinsics,
+        camera.sensor,
+        None if settings.legs else HAND_HELD,
+        max_range=settings.registration_range,
+        blocks_across=settings.blocks_across,
     )

@@ -33,11 +33,11 @@ def view(T, heights, half=0.7, step=0.011):
 def test_what_has_been_seen_fits():
     anchor = AnchorMap(SIGMA)
     points = view(LEVEL, lambda x, y: ground(x, y, 0))
-    assert anchor.misfit(points, LEVEL) == 0.0  # nothing is known yet
+    assert anchor.misfit(points, LEVEL).share == 0.0  # nothing is known yet
     anchor.add(points, LEVEL)
-    assert anchor.misfit(points, LEVEL) == 0.0
+    assert anchor.misfit(points, LEVEL).share == 0.0
     anchor.clear()
-    assert anchor.misfit(points, from_xyz_rpy([0.3, 0.0, 0.5], [0.0, 0.0, 0.0])) == 0.0
+    assert anchor.misfit(points, from_xyz_rpy([0.3, 0.0, 0.5], [0.0, 0.0, 0.0])).share == 0.0
 
 
 @settings(max_examples=10, deadline=None)
@@ -57,7 +57,7 @@ def test_a_lost_frame_is_found_on_ground_that_shows_where_it_is(x, y, yaw, z, se
     expected = from_xyz_rpy([0.0, 0.0, 0.5 + z], [0.0, 0.0, 0.0])
     found = anchor.find(points, expected)
     if np.hypot(x, y) > 0.15 or abs(yaw) > 0.15:
-        assert anchor.misfit(points, expected) > 0.015
+        assert anchor.misfit(points, expected).share > 0.015
         assert found.T_world_camera is not None, found.reason
     if found.T_world_camera is not None:
         error = np.linalg.inv(T) @ found.T_world_camera
@@ -74,7 +74,7 @@ def test_level_ground_cannot_tell():
     anchor.add(view(LEVEL, floor, half=1.2), LEVEL)
     points = view(LEVEL, floor)
     moved = from_xyz_rpy([0.2, 0.1, 0.5], [0.0, 0.0, 0.2])
-    assert anchor.misfit(points, moved) == 0.0
+    assert anchor.misfit(points, moved).share == 0.0
     found = anchor.find(points, moved)
     assert found.T_world_camera is None
     assert "no place nearby fits better" in found.reason
@@ -101,7 +101,7 @@ def test_ground_never_seen_is_said_to_be():
     far = from_xyz_rpy([512 * 0.02, 0.0, 0.5], [0.0, 0.0, 0.0])
     anchor.add(points, far)
     assert "has been seen before" in anchor.find(points, LEVEL).reason
-    assert anchor.misfit(points, far) == 0.0
+    assert anchor.misfit(points, far).share == 0.0
 
 
 @pytest.mark.parametrize(("height", "doubted"), [(0.1, True), (0.0, False), (-0.1, True)])
@@ -113,7 +113,7 @@ def test_a_block_is_doubted_where_it_has_been_looked_through(height, doubted):
     anchor.add(in_camera, camera)
     changed = in_camera.copy()
     changed[(np.abs(floor[:, 0]) < 0.2) & (np.abs(floor[:, 1]) < 0.2), 2] += height
-    assert (anchor.misfit(changed, camera) > 0.015) is doubted
+    assert (anchor.misfit(changed, camera).share > 0.015) is doubted
 
 
 def test_a_face_that_comes_into_view_is_not_doubted():
@@ -126,4 +126,4 @@ def test_a_face_that_comes_into_view_is_not_doubted():
     beyond = lower + np.array([0.02, 0.0, 0.0])
     ahead = np.array([1.0, 0.0, 0.0])
     anchor.add(np.concatenate([floor, lower, beyond])[::3] + ahead, camera)
-    assert anchor.misfit(np.concatenate([floor, upper]) + ahead, camera) == 0.0
+    assert anchor.misfit(np.concatenate([floor, upper]) + ahead, camera).share == 0.0

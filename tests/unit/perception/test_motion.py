@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.perception.motion import OdometryHistory, constant_velocity
+from services.perception.motion import OdometryHistory, VelocityPrior
 from shared.geometry import Array, exp_se3, from_xyz_rpy
 from shared.messages import Odometry
 
@@ -143,14 +143,68 @@ def test_only_the_last_seconds_are_kept() -> None:
     assert history.at(499 * PERIOD - 1_000 * MS) is not None
 
 
-@given(st.integers(1, 100), st.integers(0, 300))
-def test_constant_velocity_goes_on_along_the_screw(span_ms: int, since_ms: int) -> None:
-    before, last = pose_at(0), pose_at(span_ms * MS)
-    found = constant_velocity(before, last, span_ms * MS, since_ms * MS)
-    np.testing.assert_allclose(found[:3, :3], pose_at((span_ms + since_ms) * MS)[:3, :3], atol=1e-9)
-    np.testing.assert_allclose(found[:3, 3], pose_at((span_ms + since_ms) * MS)[:3, 3], atol=2e-3)
+FRAME = 33 * MS
 
 
-def test_constant_velocity_without_a_span_stands() -> None:
-    T = pose_at(30 * MS)
-    np.testing.assert_allclose(constant_velocity(T, T, 0, 30 * MS), T, atol=1e-12)
+def follow(prior: VelocityPrior, poses: list[np.ndarray], registered: bool = True, twists: np.ndarray | None = None) -> None:
+    """Show a prior the poses of frames one after the other, from its newest on."""
+    for k, T in enumerate(poses):
+        prior.update(k * FRAME, T, registered, np.zeros((0, 6)) if twists is None else twists)
+
+
+@given(st.integers(1, 100))
+def test_a_motion_that_is_observed_goes_on_along_the_screw(span_ms: int) -> None:
+    prior = VelocityPrior(0.15)
+    step = exp_se3(np.array([0.001, -0.0005, 0.0, 0.001, 0.0, 0.002]) * span_ms)
+    before = from_xyz_rpy((0.3, 0.1, 0.2), np.array([0.1, -0.2, 0.7]))
+    for k in range(3):
+        prior.update(k * span_ms * MS, before @ np.linalg.matrix_power(step, k), True, np.zeros((0, 6)))
+    assert prior.measured
+    np.testing.assert_allclose(prior.predict(span_ms * 1e-3), before @ np.linalg.matrix_power(step, 3), atol=1e-9)
+
+
+def test_a_camera_begins_at_rest_with_an_unknown_velocity() -> None:
+    prior = VelocityPrior(0.15)
+    with pytest.raises(ValueError, match="at least one frame"):
+        prior.predict(0.033)
+    prior.update(0, pose_at(0), True, np.eye(6))
+    assert not prior.measured
+    np.testing.assert_allclose(prior.predict(1.0), pose_at(0), atol=1e-12)
+
+
+def test_a_lost_camera_comes_to_rest() -> None:
+    """It goes on by its speed times the time of decay, and no further."""
+    prior = VelocityPrior(0.15)
+    follow(prior, [from_xyz_rpy((0.02 * k, 0.0, 0.0), np.zeros(3)) for k in range(10)])
+    speed = 0.02 / (FRAME * 1e-9)
+    stamp_ns = 9 * FRAME
+    for _ in range(100):
+        T = prior.predict(FRAME * 1e-9)
+        stamp_ns += FRAME
+        prior.update(stamp_ns, T, False, np.eye(6))
+    assert not prior.measured
+    assert 0.18 < T[0, 3] < 0.18 + speed * (0.15 + FRAME * 1e-9)
+    np.testing.assert_allclose(prior.predict(FRAME * 1e-9), T, atol=1e-6)
+
+
+def test_only_what_is_not_shown_decays() -> None:
+    prior = VelocityPrior(0.15)
+    follow(prior, [from_xyz_rpy((0.01 * k, 0.01 * k, 0.0), np.zeros(3)) for k in range(10)])
+    T, stamp_ns = from_xyz_rpy((0.09, 0.09, 0.0), np.zeros(3)), 9 * FRAME
+    for _ in range(60):  # y is shown, and goes on; x is left to the prior
+        T = from_xyz_rpy((prior.predict(FRAME * 1e-9)[0, 3], T[1, 3] + 0.01, 0.0), np.zeros(3))
+        stamp_ns += FRAME
+        prior.update(stamp_ns, T, True, np.eye(6)[:1])
+    step = prior.predict(FRAME * 1e-9)[:2, 3] - T[:2, 3]
+    assert abs(step[0]) < 1e-5
+    assert step[1] == pytest.approx(0.01, rel=1e-6)
+
+
+def test_a_camera_that_is_found_elsewhere_did_not_move_there() -> None:
+    prior = VelocityPrior(0.15)
+    follow(prior, [from_xyz_rpy((0.01 * k, 0.0, 0.0), np.zeros(3)) for k in range(5)])
+    prior.update(5 * FRAME, from_xyz_rpy((0.5, 0.0, 0.0), np.zeros(3)), True, np.zeros((0, 6)))
+    assert not prior.measured
+    assert prior.predict(FRAME * 1e-9)[0, 3] == pytest.approx(0.5)
+    with pytest.raises(ValueError, match="positive time of decay"):
+        VelocityPrior(0.0)

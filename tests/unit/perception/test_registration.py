@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from services.perception.anchor import AnchorMap, Found
+from services.perception.anchor import AnchorMap, Found, Misfit
 from services.perception.keyframes import Match
 from services.perception.registration import Acceptance, Registration, _Aligned, belief, error_twist, jump, moved
 from shared.camera import DepthSensor, Intrinsics
@@ -14,6 +14,7 @@ WIDE = np.diag([0.02] * 3 + [0.02] * 3) ** 2
 # The default camera at half its resolution, with the same noise, for walks of many frames.
 SMALL = Intrinsics(320, 240, 262.5, 262.5, 159.5, 119.5)
 SMALL_SENSOR = DepthSensor(baseline=0.15)
+SPREAD = np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])  # [m] wider than one body
 STEP = 0.02  # [m] between frames of the synthetic walk
 
 
@@ -248,7 +249,7 @@ def test_a_place_that_only_one_search_finds_is_not_believed_where_frames_registe
     for x in np.arange(0.0, 0.6, 0.05):
         T = world.camera_pose(x)
         registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
-    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: 1.0)  # all is in doubt
+    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: Misfit(1.0, SPREAD))  # all is in doubt
     away = {"x": 0.0}
 
     def search(self, T_expected):
@@ -270,7 +271,7 @@ def test_a_place_that_was_searched_for_must_fit_as_frames_use_to(world, monkeypa
         T = world.camera_pose(x)
         registration.update(world.depth_image(T, world.scenes["pillars"], rng), 0, T, TIGHT)
     keyframes = len(registration.keyframe_poses)
-    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: 1.0)  # all is in doubt
+    monkeypatch.setattr(AnchorMap, "misfit", lambda *_: Misfit(1.0, SPREAD))  # all is in doubt
     monkeypatch.setattr(AnchorMap, "find", lambda *_: Found(world.camera_pose(0.55 + away[0], *away[1:]), ""))
     for i in range(5):
         found = registration.update(world.depth_image(T, world.scenes["pillars"], rng), i, T, WIDE)
