@@ -18,6 +18,7 @@ from deploy.trials.campaign_table import WALKED, Campaign, markdown, of_runs
 ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
 PASSAGES, DRAWN = ROOT / "docs" / "passages.jsonl", ROOT / "docs" / "passages_commit.jsonl"
+TROUBLES = ROOT / "docs" / "troubles.jsonl"
 KEPT_DRAWN = ROOT / "docs" / "campaign_commit.jsonl"  # on seeds that a commit's hash gives, as DRAWN
 
 # What a `make` target comes to.
@@ -166,8 +167,8 @@ def test_the_tables_of_the_results_are_those_that_a_command_prints(table: str) -
             assert words in text
 
 
-@pytest.mark.parametrize("file", [BY_TOUCH, KEPT_DRAWN])
-def test_the_tables_of_walks_by_touch_and_on_drawn_seeds_are_those_that_a_command_prints(file: Path) -> None:
+@pytest.mark.parametrize("file", [BY_TOUCH, KEPT_DRAWN, TROUBLES])
+def test_the_tables_of_walks_by_touch_in_trouble_and_on_drawn_seeds_are_those_that_a_command_prints(file: Path) -> None:
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     assert markdown(of_runs(kept.read(file)), "walks").strip() in text
 
