@@ -32,7 +32,7 @@ def up(arguments: argparse.Namespace) -> int:
     process_table.new_robot(chosen)
     allow_many_files()
     with Interrupts() as interrupts:
-        gated = gate_of(arguments, rows, _usual(arguments))
+        gated = _apart(gate_of(arguments, rows, _usual(arguments)))
         with Half(arguments.role, rows, chosen, extra, gated, complain) as half:
             say(half.where())
             say(f"starting {', '.join(half.names)}; Ctrl-C ends them")
@@ -98,6 +98,16 @@ def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str
     if misplaced := gated.misplaced([row.name for row in rows]):
         raise InputError(misplaced)
     return gated
+
+
+def _apart(gated: "Gate") -> "Gate":
+    """The same, with an endpoint of loopback for this machine's own processes where all others are open to other machines."""
+    from deploy.launch.launcher import free_port
+    from shared.access import plain_elsewhere
+
+    if plain_elsewhere(gated.listen) != gated.listen:
+        return gated
+    return replace(gated, listen=(f"tcp/127.0.0.1:{free_port()}", *gated.listen))
 
 
 def _usual(arguments: argparse.Namespace) -> str:

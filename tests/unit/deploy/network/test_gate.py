@@ -12,6 +12,7 @@ import pytest
 import zenoh
 
 from deploy import cli
+from deploy.commands import up
 from deploy.commands.common import role_of
 from deploy.launch.launcher import free_port
 from deploy.network import gate
@@ -307,6 +308,16 @@ def test_up_refuses_to_listen_to_anybody(capsys: pytest.CaptureFixture[str]) -> 
 def test_a_command_reports_its_health_under_its_own_role(keys: Path, role: str) -> None:
     assert role_of(Endpoints(("tls/robot.local:7448",), keys=Keys.load(keys / role))) == role
     assert role_of(Endpoints(("tcp/127.0.0.1:7447",))) == "robot"
+
+
+def test_where_anybody_is_let_in_the_robots_own_processes_meet_on_loopback() -> None:
+    public = Gate(("tcp/0.0.0.0:7447",), open=True)
+    own, *others = up._apart(public).listen
+    assert own.startswith("tcp/127.0.0.1:")
+    assert own != public.own
+    assert tuple(others) == public.listen
+    alone = Gate(("tcp/127.0.0.1:7447", "tcp/0.0.0.0:7449"), open=True)
+    assert up._apart(alone) is alone
 
 
 def test_keys_that_can_host_no_router_are_refused_before_anything_starts(
