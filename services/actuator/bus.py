@@ -237,6 +237,10 @@ class ServoBus:
         packets, garbage = self._line.overhear(dxl.ping(servo_id))
         return Chorus(sum(packet.servo_id == servo_id for packet in packets), garbage)
 
+    def unasked(self) -> bytes:
+        """The first bytes that come within a second in which nothing is asked; servos send none."""
+        return self._line.unasked()
+
     def meet(self) -> None:
         """Nobody stands between here and the servos."""
 

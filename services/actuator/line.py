@@ -32,6 +32,8 @@ REFUSAL = int(ServoError.ANGLE_LIMIT | ServoError.RANGE | ServoError.CHECKSUM | 
 _WRITE_TIMEOUT = 0.5  # [s] a port that takes no bytes for so long is gone
 _MAX_LENGTH = dxl.TABLE_SIZE + 2  # length byte of the longest answer
 _SETTLES_NS = 100_000_000  # [ns] after which no lost answer comes any more: six USB transactions at the slowest
+_UNASKED_NS = 1_100_000_000  # [ns] that another device may be silent for: many send once a second
+_UNASKED_BYTES, _UNASKED_READS = 64, 2000  # that are read of it, at most
 _ALL = 4096  # [bytes] more than comes within a timeout
 _SEC = 1e9
 LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
@@ -217,6 +219,24 @@ class Line:
         self._stale = True
         packets += parser.flush()
         return packets, parser.dropped.total() > 0
+
+    def unasked(self) -> bytes:
+        """The first bytes that come within a second in which nothing is asked; servos send none.
+
+        Raises:
+            BusGone: The port is gone.
+        """
+        heard = b""
+        try:
+            self._port.read(_ALL)  # what is left of an answer
+            deadline = self._clock() + _UNASKED_NS
+            for _ in range(_UNASKED_READS):
+                heard += self._port.read(_UNASKED_BYTES - len(heard))
+                if len(heard) >= _UNASKED_BYTES or self._clock() >= deadline:
+                    break
+        except LOST as error:
+            raise gone(error) from error
+        return heard
 
     def _await(self, servo_id: int, size: int, end_ns: int) -> Packet | None:
         deadline = min(self._clock() + self.reply_timeout_ns, end_ns + 1)

@@ -10,12 +10,15 @@ from enum import StrEnum
 from functools import partial
 from typing import NamedTuple, Protocol, TypeVar
 
+from services.actuator import usb_adapter
+from services.actuator.line import BusGone
 from shared import dynamixel as dxl
 from shared.dynamixel import Register, ServoError, ServoModel
 
 FACTORY_ID = dxl.ID.default
 ANSWER_ALL = 2  # status return level
 _ATTEMPTS = 3  # per question: a host that is busy, or a spike on the wire, loses one now and then
+_STRANGE_BYTES = 16  # that come unasked: less is noise on an open line
 _FEW = 3  # servos that are named one by one
 _MODEL_NAMES = {model.number: model.name for model in dxl.MODELS}
 _ECHOED_MODEL = int.from_bytes((dxl.MODEL_NUMBER.address, dxl.MODEL_NUMBER.size), "little")  # a request read as answer
@@ -23,6 +26,16 @@ _EEPROM = range(dxl.MODEL_NUMBER.address, dxl.SHUTDOWN.address + 1)
 _RAM = range(dxl.TORQUE_ENABLE.address, dxl.LOCK.address + 1)
 
 T = TypeVar("T")
+
+
+class NotAServoBusError(BusGone):
+    """Another device sends on the port."""
+
+    def __init__(self, heard: bytes):
+        """Show the bytes that came unasked, and the ports that this machine has."""
+        text = "".join(letter if letter.isprintable() else "." for letter in heard.decode("ascii", "replace"))
+        others = ", ".join(usb_adapter.devices()) or "none"
+        super().__init__(f"no servo bus: another device sends {text!r} without being asked; serial ports here: {others}")
 
 
 class Chorus(NamedTuple):
@@ -64,6 +77,9 @@ class Bus(Protocol):
 
     def chorus(self, servo_id: int) -> Chorus:
         """All that comes back on one ping."""
+
+    def unasked(self) -> bytes:
+        """The first bytes that come within a second in which nothing is asked."""
 
     def read(self, servo_id: int, register: Register) -> int | None:
         """Value of a register."""
@@ -150,6 +166,7 @@ def look(bus: Bus, servo_id: int, *, listen: bool = True) -> Seen | None:
     if model == _ECHOED_MODEL:
         return Seen(servo_id, Voice.ECHO)
     if crowd or error is None:
+        _refuse_another_device(bus)
         return Seen(servo_id, Voice.DOUBLED)
     if model is None:
         return Seen(servo_id, Voice.MUTE)
@@ -164,6 +181,13 @@ def _crowded(bus: Bus, servo_id: int) -> bool:
     """Whether, time and again, more than one answers a ping, or nobody in clear words: once may be an answer that is late."""
     heard = (bus.chorus(servo_id) for _ in range(_ATTEMPTS))
     return all(chorus.answers != 1 and not chorus.silent for chorus in heard)
+
+
+def _refuse_another_device(bus: Bus) -> None:
+    """Raise NotAServoBusError where bytes come that nobody has asked for."""
+    heard = bus.unasked()
+    if len(heard) >= _STRANGE_BYTES:
+        raise NotAServoBusError(heard)
 
 
 def call(bus: Bus, names: Mapping[int, str]) -> dict[int, Seen]:

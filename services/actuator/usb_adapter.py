@@ -21,6 +21,11 @@ def identity(url: str, ports: Callable[[], Iterable[Any]] = comports) -> tuple[i
     return None
 
 
+def devices(ports: Callable[[], Iterable[Any]] = comports) -> list[str]:
+    """The serial devices of this machine that something is plugged into."""
+    return sorted(port.device for port in ports() if port.vid is not None)
+
+
 def named_anew(who: tuple[int, int, str] | None, ports: Callable[[], Iterable[Any]] = comports) -> list[str]:
     """Devices that an adapter answers to now: one that was unplugged and is back may have another name."""
     return [port.device for port in ports() if who is not None and (port.vid, port.pid, port.serial_number) == who]

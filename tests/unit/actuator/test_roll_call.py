@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from services.actuator import roll_call
-from services.actuator.bus import BusSetupError
-from services.actuator.roll_call import Voice
+from services.actuator.bus import BusSetupError, ServoBus
+from services.actuator.roll_call import NotAServoBusError, Voice, look
 from services.simulator.bus import Reply
 from shared import dynamixel as dxl
 from tests.support.desk import Desk
@@ -141,3 +141,32 @@ def test_a_servo_with_a_loose_cable_is_not_taken_for_two() -> None:
     seen = roll_call.look(bus, FEMUR)
     assert seen is not None
     assert seen.voice is Voice.FADING
+
+
+class _Station:
+    """A port on which another device prints a line again and again, whatever is asked."""
+
+    def __init__(self, line: bytes) -> None:
+        self.line, self.now_ns = line, 0
+
+    def clock(self) -> int:
+        return self.now_ns
+
+    def write(self, data: bytes, /) -> int:
+        return len(data)
+
+    def read(self, size: int = 1, /) -> bytes:
+        self.now_ns += 10_000_000
+        return (self.line * (1 + size // len(self.line)))[:size]
+
+    def reset_input_buffer(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def test_another_device_on_the_port_is_named_by_what_it_sends() -> None:
+    station = _Station(b"Temperature 21.5 C\r\n")
+    bus = ServoBus(station, [1, 2], station.clock)
+    with pytest.raises(NotAServoBusError, match=r"another device sends 'Temperature 21\.5 C\.\.Temp.*; serial ports here: "):
+        look(bus, 1)
+    assert station.now_ns < 5e9, "within seconds"
