@@ -15,6 +15,7 @@ from shared.lateness import SlowComputer, ages_of
 from shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
 from shared.service import AnyTopic, Every, Inbox, Stages
 
+_MOST_WARNINGS = 200  # kinds of them that are told in a run: they quote what services say
 _SPEED_OVER_NS = 2_000_000_000  # speed is the mean over the newest two seconds
 _SILENT_NS = 3_500_000_000  # a service that says nothing for so long, at one health report a second, is in trouble
 _REAL_TIME = 0.95  # [1] of real time, below which the speed of simulated time is shown
@@ -240,7 +241,7 @@ class Lines:
     def update(self, view: View) -> None:
         """A line every few simulated seconds; a warning when it is new."""
         for warning in view.warnings:
-            if _kind(warning) not in self._warned:
+            if _kind(warning) not in self._warned and len(self._warned) < _MOST_WARNINGS:
                 self._warned.add(_kind(warning))
                 self.say(f"{view.time_s:6.1f} s  warning: {warning}")
         if view.up and view.time_s >= self._next_s:

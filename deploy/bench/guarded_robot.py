@@ -42,6 +42,7 @@ class GuardedRobot:
         with contextlib.ExitStack() as stack:
             stack.callback(self._latch.open)
             stack.enter_context(self._launcher)
+            self._launcher.wait_for_start(_PATIENCE_S)
             self._link = stack.enter_context(ZenohLink(self._places.robot))
             self._link.subscribe(topics.ACTUATOR_STATE, self._hear)
             self._stack = stack.pop_all()

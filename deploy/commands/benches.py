@@ -87,12 +87,12 @@ def bench_roles(arguments: argparse.Namespace) -> int:
     roles = tuple(dict.fromkeys(arguments.only)) or role_attack.ROLE_NAMES
     if unknown := [role for role in roles if role not in role_attack.ROLE_NAMES]:
         raise InputError(f"--only: a role of {', '.join(role_attack.ROLE_NAMES)} expected, found {', '.join(unknown)}")
-    warm_up(progress)
     if arguments.lockstep:
-        rows = tuple(role_attack.in_lockstep(role, arguments.messages, arguments.seed) for role in roles)
+        rows = role_attack.measure(roles, arguments.messages, arguments.seed, progress.say)
     else:
         from deploy.fuzz import live_role_attack
 
+        warm_up(progress)
         rows = live_role_attack.measure(roles, arguments.messages, arguments.seed, progress.say)
     told = _tell_bench(role_attack.in_words(rows), role_attack.to_json(rows), out / "roles.json", arguments.json)
     return told if all(row.passed for row in rows) else FAILED

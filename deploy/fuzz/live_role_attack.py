@@ -68,6 +68,7 @@ class _Robot:
         with contextlib.ExitStack() as stack:
             stack.callback(self._latch.open)
             stack.enter_context(self._launcher)
+            self._launcher.wait_for_start(_UP_S)
             self.link = stack.enter_context(ZenohLink(self._places.robot))
             self.link.subscribe(topics.TRUTH, self._hear_truth)
             self.link.subscribe(topics.ACTUATOR_STATE, self._hear_state)

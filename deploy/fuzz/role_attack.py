@@ -195,6 +195,15 @@ class _Walk:
         return float("inf") if delay_s is None else round(1e3 * delay_s, 1)
 
 
+def measure(roles: Sequence[str], messages: int, seed: int, say: Callable[[str], object] = lambda _: None) -> tuple[Row, ...]:
+    """Attack a walk on simulated time with each role in turn, a walk of its own each time."""
+    rows = []
+    for role in roles:
+        rows.append(in_lockstep(role, messages, seed))
+        say(f"{role}: {rows[-1].messages} messages, {'pass' if rows[-1].passed else 'FAIL'}")
+    return tuple(rows)
+
+
 def in_lockstep(role: str, messages: int, seed: int) -> Row:
     """Attack a walk on simulated time.
 

@@ -159,6 +159,13 @@ class Launcher:
             look = _READY_LOOK_S if self._waiting else LOOK_S if self._pulses else remaining
             self._stirred.wait(min(remaining, look))
 
+    def wait_for_start(self, timeout_s: float) -> bool:
+        """Wait until every child has been started, so that what it names in `after` is ready; whether that came in time."""
+        until = time.monotonic() + timeout_s
+        while self._waiting and time.monotonic() < until:
+            self.wait(_READY_LOOK_S)
+        return not self._waiting
+
     def kill(self, name: str) -> None:
         """End a child as a crash would, for a fault test; the restart policy applies."""
         _signal(self._children[name], signal.SIGKILL)

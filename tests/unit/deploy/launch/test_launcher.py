@@ -97,6 +97,14 @@ def test_a_process_that_stayed_up_has_all_of_its_restarts_again(ear: Ear, monkey
             assert ended.restarted
 
 
+def test_it_waits_until_what_others_need_is_ready(ear: Ear) -> None:
+    with Launcher([command("a", "obedient"), command("b", "obedient", after=("a",))], ear) as launcher:
+        assert launcher.wait_for_start(PATIENCE_S)
+        assert launcher.names() == ("a", "b")
+    with Launcher([command("a", "obedient", ready_port=1), command("b", "obedient", after=("a",))], ear) as launcher:
+        assert not launcher.wait_for_start(0.1)
+
+
 def test_what_was_started_wrongly_is_not_started_again(ear: Ear) -> None:
     with Launcher([command("a", "refuse", "no port given", restarts=5)], ear) as launcher:
         assert launcher.wait(PATIENCE_S) == [Ended("a", "exit status 2", "no port given", restarted=False)]
