@@ -141,7 +141,10 @@ class ServoModel:
 
 AX_12A = ServoModel("AX-12A", 12, MappingProxyType({}))
 RX_64 = ServoModel("RX-64", 64, MappingProxyType({"baud rate": 34, "temperature limit": 80, "max voltage": 190}))
-MODELS = (AX_12A, RX_64)
+# The table is the AX-12A's.
+AX_18A = ServoModel("AX-18A", 18, MappingProxyType({"temperature limit": 75, "max torque": 983}))
+AX_12W = ServoModel("AX-12W", 300, MappingProxyType({}))
+MODELS = (AX_12A, AX_18A, AX_12W, RX_64)
 MODEL_NAMED = {model.name: model for model in MODELS}
 
 

@@ -75,7 +75,7 @@ class Leg:
 class Servo:
     """Data sheet of the servos, all 18 alike."""
 
-    model: Literal["AX-12A", "RX-64"]
+    model: Literal["AX-12A", "AX-18A", "AX-12W", "RX-64"]
     stall_torque: float  # [N m]
     no_load_speed: float  # [rad/s]
     stiffness: float  # [N m/rad] torque per position error at the profile's compliance slope

@@ -63,7 +63,14 @@ AX_12A_MOTOR = Motor()
 # At 14.8 V. The e-manual has 5.3 N m and 2.6 A at 18.5 V; both are in proportion to the voltage, as those of a DC motor are.
 RX_64_MOTOR = Motor(stall_torque=4.24, stall_current=2.08, standby_current=0.05)
 RX_64_SUPPLY = Supply(full_voltage=14.8, empty_voltage=14.8)  # a bench supply: Lotriet 2024, section 3.1
-_ELECTRICS = {"AX-12A": (AX_12A_MOTOR, Supply()), "RX-64": (RX_64_MOTOR, RX_64_SUPPLY)}
+AX_18A_MOTOR = Motor(stall_torque=1.8, stall_current=2.2)
+AX_12W_MOTOR = Motor(stall_torque=0.2, stall_current=1.4)
+_ELECTRICS = {
+    "AX-12A": (AX_12A_MOTOR, Supply()),
+    "AX-18A": (AX_18A_MOTOR, Supply()),
+    "AX-12W": (AX_12W_MOTOR, Supply()),
+    "RX-64": (RX_64_MOTOR, RX_64_SUPPLY),
+}
 
 # For so long [ns] from a physics step joints are taken to go on as they do: in lockstep a cycle reads as far ahead of it.
 _FURTHEST_NS = 6_000_000

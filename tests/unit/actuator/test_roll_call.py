@@ -143,6 +143,15 @@ def test_a_servo_with_a_loose_cable_is_not_taken_for_two() -> None:
     assert seen.voice is Voice.FADING
 
 
+@pytest.mark.parametrize(("number", "name"), [(18, "AX-18A"), (300, "AX-12W")])
+def test_the_other_servos_with_the_same_table_are_known_by_name(number: int, name: str) -> None:
+    desk = Desk()
+    address = dxl.MODEL_NUMBER.address
+    desk.tables[desk.row(FEMUR), address : address + 2] = list(number.to_bytes(2, "little"))
+    assert f"is model {number} ({name}), expected 12 (AX-12A)" in trouble(desk)
+    assert replace(desk.profile.servo, model=name).model == name
+
+
 class _Station:
     """A port on which another device prints a line again and again, whatever is asked."""
 

@@ -209,7 +209,7 @@ def _at(table: Any, path: str) -> tuple[Any, Any]:
 # Each is wrong by itself, whatever the others are: place in the table, a value that cannot be, what is said of it.
 MISTAKES: dict[str, tuple[Any, str]] = {
     "servo.stall_torque": (-1.0, "servo.stall_torque: more than 0 and at most 10000 expected, found -1.0"),
-    "servo.model": ("AX-18", "servo.model: one of 'AX-12A', 'RX-64' expected, found 'AX-18'"),
+    "servo.model": ("AX-19", "servo.model: one of 'AX-12A', 'AX-18A', 'AX-12W', 'RX-64' expected, found 'AX-19'"),
     "servo.compliance_slope": (0, "servo.compliance_slope: a compliance slope from 1 to 254 expected, found 0"),
     "servo.armature": ("little", "servo.armature: a number expected, found 'little'"),
     "links.femur": (0.0, "links.femur: a length of 0.001 to 10 m expected, found 0.0"),
