@@ -39,7 +39,7 @@ _ENDING_SHARE = 0.01  # of the orders that end a walk rightfully: the rest is le
 _ENDING = ("off", "stop", "sit", "ready")
 _ORDER_NS = 500_000_000  # [ns] between two messages of an order
 _AGAIN_NS = 1_000_000_000  # [ns] after which an order that was not obeyed is given anew
-_UP_NS, _WARM_NS, _BACK_NS = 40_000_000_000, 2_000_000_000, 15_000_000_000  # [ns] to begin to walk; of walking before; for more
+_UP_NS, _WARM_NS, _BACK_NS = 40_000_000_000, 2_000_000_000, 15_000_000_000  # [ns] to walk; of walking before; to stand up
 _LOOK_NS = 20_000_000
 _OFF_EVERY = 500  # messages between two orders to turn torque off, in lockstep
 
@@ -214,7 +214,7 @@ def in_lockstep(role: str, messages: int, seed: int) -> Row:
     walk = _Walk(attacker, seed)
     offs: list[float] = []
     ended: tuple[str, ...] = ()
-    sent = 0
+    sent, back = 0, True
     try:
         if not walk.until(lambda state: state.mode is Mode.WALK, _UP_NS):
             raise TimeoutError(f"a walk expected before the attack, the actuator says {walk.state}")
@@ -226,7 +226,9 @@ def in_lockstep(role: str, messages: int, seed: int) -> Row:
             if sent % _OFF_EVERY == 0 or sent == messages:
                 walk.until(lambda state: state.mode is not Mode.OFF, _BACK_NS)
                 offs.append(walk.off())
-                walk.until(lambda state: state.mode is Mode.WALK, _BACK_NS)
+                back = walk.until(lambda state: state.mode is Mode.WALK, _UP_NS)
+        if not back:
+            ended = (f"it does not walk {_UP_NS * 1e-9:.0f} s after the attack",)
     except ServiceFailedError as error:
         ended = (str(error),)
     finally:
