@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 _CELL_M = 0.15  # [m] edge of the squares in which the noise of points averages out
 _WITHIN = 0.9  # share of what speaks for the motion that must lie within the body
 _SIGMAS = 4.0  # of the noise of a square, from which it speaks for the motion
+_SHARE_OF_VIEW = 0.5  # of the radius of what is in view, that a body may have at most
 _MIN_GAIN = 20.0  # misfit below which nothing speaks for the motion
 
 
@@ -28,6 +29,10 @@ def is_one_body(xy: NDArray[np.float64], gains: NDArray[np.float64], radius: flo
     speaks = net > _SIGMAS * np.sqrt(count) * noise
     if net[speaks].sum() < _MIN_GAIN:
         return False
+    seen = float(
+        np.percentile(np.linalg.norm(xy - np.median(xy, axis=0), axis=1), 90)
+    )  # near by, all in view may be that small
+    radius = min(radius, _SHARE_OF_VIEW * seen)
     return _is_within(np.asarray((cells[speaks] + 0.5) * _CELL_M, dtype=np.float64), net[speaks], radius)
 
 
