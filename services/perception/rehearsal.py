@@ -1,4 +1,4 @@
-"""Perception goes through a short walk past a block, and a slip, so that all it calls is compiled before a picture comes."""
+"""Perception goes through a short walk past blocks, and a slip, so that all it calls is compiled before a picture comes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,9 @@ from shared.rehearsal import Rehearsal
 from shared.robot import Camera, RobotProfile
 
 _TICK_NS = 20_000_000  # [ns] of the odometry
-_BLOCK = np.array([[0.85, -0.25, 0.0], [1.15, 0.05, 0.06]])  # [m] {world} opposite corners
+_BLOCKS = np.array(  # [m] {world} opposite corners; further apart than one body that may move before a robot that stands
+    [[[0.85, -0.5, 0.0], [1.15, -0.2, 0.06]], [[0.9, 0.2, 0.0], [1.2, 0.5, 0.06]]]
+)
 _AWAY = 0.15  # [m] that it walks, and by which it is then carried off
 _LOOKS = 10  # used pictures from a place: enough to be settled, and to search for a place that is in doubt
 
@@ -37,14 +39,16 @@ def rehearse(profile: RobotProfile, settings: Settings) -> None:
 
 
 def _picture(camera: Camera, T_world_body: Array) -> NDArray[np.uint16]:
-    """Raw depth (h, w) of level ground and the block on it."""
+    """Raw depth (h, w) of level ground and the blocks on it."""
     intrinsics, sensor = camera.intrinsics, camera.sensor
     T = T_world_body @ camera.T_body_camera
     rays = intrinsics.points(np.ones((intrinsics.height, intrinsics.width))) @ T[:3, :3].T  # (h, w, 3) {world}, 1 m deep
     rays[np.abs(rays) < 1e-9] = 1e-9
     floor = np.where(rays[..., 2] < 0.0, -T[2, 3] / rays[..., 2], np.inf)
-    one, other = ((corner - T[:3, 3]) / rays for corner in _BLOCK)  # depths at which rays pass the block's three pairs of sides
-    enters, leaves = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
-    depth = np.minimum(floor, np.where((enters < leaves) & (enters > 0.0), enters, np.inf))
+    depth = floor
+    for block in _BLOCKS:
+        one, other = ((corner - T[:3, 3]) / rays for corner in block)  # depths at which rays pass its three pairs of sides
+        enters, leaves = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
+        depth = np.minimum(depth, np.where((enters < leaves) & (enters > 0.0), enters, np.inf))
     raw = np.where(depth <= sensor.max_range, np.rint(depth * sensor.depth_scale), 0.0)
     return np.asarray(np.minimum(raw, 65535.0), dtype=np.uint16)
