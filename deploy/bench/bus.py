@@ -27,7 +27,7 @@ from shared.messages import BrokenPart
 _N = 18
 _ACTUATOR = Settings()  # which asks as many servos in a cycle as this has time for
 _CYCLE_NS, _BUDGET_NS = round(1e9 / _ACTUATOR.rate_hz), round(1e6 * _ACTUATOR.read_budget_ms)
-_FOREVER_S = 1e7
+_FOREVER_S = 1e6  # the most that a fault may last
 _STEP_S = 0.8  # [s] of a leg's swing to and fro
 _SWING = 0.35  # [rad] of a joint to either side
 _LOAD_NM = (
