@@ -358,7 +358,9 @@ class Planner:
             course = yaw_of(pose.T_world_body) + math.atan2(command.velocity[1], command.velocity[0])
             ground = self._by_touch.underfoot(terrain, situations[0].feet, self._put_down, course)
             if ground is not None:
-                return self._feel_out(state, pose, command, ground, number)
+                sent = self._feel_out(state, pose, command, ground, number)
+                if sent is not None or self._state == "stepping":
+                    return sent
         if isinstance(found, Blocked):
             self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)  # trying all shares is the dearest of all
             return self._hold("blocked", found.reason + self._where_to_look(found, command), found.leg)
@@ -395,8 +397,7 @@ class Planner:
         with self.stages("plan step"):
             found, way = self._by_touch.choose(situations, ground, self._refusals.of(number))
         if isinstance(found, Blocked):
-            self._due_ns = state.stamp_ns + round(self._settings.revise_s * 1e9)
-            return self._hold("blocked", f"by touch where the ground is unseen: {found.reason}", found.leg)
+            return self._hold("blocked", found.reason, found.leg)  # the caller replaces it by why no step on sight goes on
         self._state, self._blocked_leg = "stepping", -1
         self._reason = "by touch where the ground is unseen, until feet come to ground that is seen"
         return self._send(state, pose.T_world_odom, found, state.step + 1, (number, way), stop=True)
