@@ -1,5 +1,6 @@
 """The Makefile and the test run themselves, where the machine is not as expected: no network, or a foreign pytest plugin."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -28,7 +29,8 @@ def test_make_without_a_package_index_says_so_in_one_line(tmp_path: Path, pip: t
     python.write_text("#!/bin/sh\n" + "".join(f'echo "{line}" >&2\n' for line in pip) + "exit 1\n")
     python.chmod(0o755)
     make = ["make", "--no-print-directory", "demo"]
-    done = subprocess.run(make, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    alone = {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MFLAGS", "MAKELEVEL")}
+    done = subprocess.run(make, cwd=tmp_path, env=alone, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2
     *lines, last = done.stderr.splitlines()
     assert last.startswith("make: ***")

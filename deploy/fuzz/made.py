@@ -8,7 +8,7 @@ import numpy as np
 
 from shared import codec
 from shared.codec import Timing
-from shared.messages import Message, schema
+from shared.messages import Health, Message, schema
 
 _LONGEST = 6  # of a free length
 _TRIES = 20  # for one whose fields agree with each other
@@ -33,7 +33,10 @@ def frame(kind: type[Message], rng: Random) -> bytes:
 
 def _values(kind: type[Message], rng: Random) -> dict[str, Any]:
     lengths: dict[str, int] = {}
-    return {name: _value(base, detail, lengths, rng) for name, base, detail in schema(kind)}
+    values = {name: _value(base, detail, lengths, rng) for name, base, detail in schema(kind)}
+    if kind is Health:  # a number for each name
+        values |= {names: tuple(rng.choices(_TEXTS, k=lengths[of])) for names, of in (("stages", "stage"), ("inputs", "input"))}
+    return values
 
 
 def _value(base: Any, detail: Any, lengths: dict[str, int], rng: Random) -> Any:

@@ -137,7 +137,7 @@ def test_the_speed_command_leaves_its_timings(tmp_path: Path, monkeypatch: pytes
 def test_a_ride_needs_frames(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         cli.main(["bench", "speed", "--frames", "2"])
-    assert "at least 3 expected, found '2'" in capsys.readouterr().err
+    assert "--frames: a whole number of 3 to 100000 expected, found '2'" in capsys.readouterr().err
     with pytest.raises(ValueError, match="at least 3 frames"):
         speed.registration([1000], frames=2)
 

@@ -55,7 +55,7 @@ def url(bench: Workbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
         (["calibrate", "--out", "other"], "--out: a file that ends in .toml expected, found other"),
         (["calibrate", "--out", "nowhere/other.toml"], "--out: a folder that is there and may be written expected"),
         (["scan", "--ids", "0:300"], "ids of servos expected, 0 to 253, found '0:300'"),
-        (["emulate", "--listen", "70000"], "give another with --listen"),
+        (["emulate", "--listen", "70000"], "--listen: a whole number of 0 to 65535 expected, found '70000'"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

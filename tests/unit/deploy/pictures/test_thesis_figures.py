@@ -3,6 +3,7 @@ import pytest
 
 from deploy.pictures import walk_picture
 from deploy.pictures.thesis_figures import TESTS, Measured, Published, side_by_side
+from shared.profiles import load_profile
 from shared.scenario import load_scenario
 
 
@@ -11,7 +12,8 @@ def test_the_tests_of_the_thesis_are_walked_by_its_robot_with_its_stride_and_hei
         scenario = load_scenario(name)
         assert scenario.robot == "lotriet_rx64"
         assert scenario.walk.body_height == pytest.approx(0.09)
-        assert 2 * scenario.walk.speed * 0.8 == pytest.approx(TESTS[name].stride_m, abs=1e-3)  # of two steps of 0.8 s
+        step_s = load_profile(scenario.robot).stance.step_s
+        assert 2 * scenario.walk.speed * step_s == pytest.approx(TESTS[name].stride_m, abs=1e-3)  # of two steps
 
 
 def test_what_is_measured_is_what_was_walked(story):
