@@ -39,6 +39,9 @@ _START_S = 180.0  # within which the robot must have come up
 _SPEED_OVER_NS = 3_000_000_000  # the newest speed of simulated time is the mean over these seconds
 _NAMED = 2  # services that simulated time waited for, in the sentence about it
 _REAL_TIME = 0.95  # [1] of real time, from which simulated time counts as real time
+# [1] of real time. To pass the bytes of the servo bus between processes takes time on a fast computer, too: `sextant demo` on two
+# idle cores runs at some 0.85. A computer is called too slow below this, or where a service was waited for.
+_TOO_SLOW = 0.75
 _WARM_S = 10.0  # the warm-up takes less when everything is compiled already
 _WARM_UP = Command("warm-up", ("-m", "deploy.warm_up"), ENVIRONMENT)
 
@@ -273,7 +276,7 @@ class Speed:
         return _rate(self._looks[0], self._looks[-1]) if self._looks else 1.0
 
     def words(self, waited_s: Mapping[str, float]) -> str:
-        """That time ran slower than real time, or nothing.
+        """State that time ran slower than real time since the computer is too slow; empty where it is not.
 
         Args:
             waited_s: Service -> real time [s] for which it has waited lest inputs or cycles of that one come late.
@@ -282,6 +285,8 @@ class Speed:
         if mean >= _REAL_TIME:
             return ""
         longest = sorted(((s, name) for name, s in waited_s.items() if s >= 0.5), reverse=True)[:_NAMED]
+        if mean >= _TOO_SLOW and not longest:
+            return ""
         waits = f", held for inputs or cycles of {', '.join(f'{name} ({s:.0f} s)' for s, name in longest)}" if longest else ""
         return f"simulated time ran at {mean:.2f} of real time{waits}: this computer is too slow"
 

@@ -136,6 +136,18 @@ def test_the_speed_of_simulated_time_is_that_against_real_time() -> None:
     assert speed.words(waited_s) == words
 
 
+def test_a_computer_is_not_blamed_for_what_passing_bytes_between_processes_costs() -> None:
+    simulated, real = Clock(), Clock()
+    speed = Speed(simulated, real)
+    for _ in range(100):
+        speed.update()
+        real.now_ns += 100_000_000
+        simulated.now_ns += 85_000_000
+    speed.update()
+    assert speed.words({"mapper": 0.4}) == ""
+    assert "held for inputs or cycles of mapper (1 s)" in speed.words({"mapper": 1.0})
+
+
 SLOW = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
 
 
