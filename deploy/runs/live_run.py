@@ -39,8 +39,8 @@ _START_S = 180.0  # within which the robot must have come up
 _SPEED_OVER_NS = 3_000_000_000  # the newest speed of simulated time is the mean over these seconds
 _NAMED = 2  # services that simulated time waited for, in the sentence about it
 _REAL_TIME = 0.95  # [1] of real time, from which simulated time counts as real time
-# [1] of real time. To pass the bytes of the servo bus between processes takes time on a fast computer, too: `sextant demo` on two
-# idle cores runs at some 0.85. A computer is called too slow below this, or where a service was waited for.
+# [1] of real time. Passing the bytes of the servo bus between processes takes time on a fast computer, too: `sextant demo` on
+# two idle cores runs at some 0.85. A computer is called too slow below this, or where a service was waited for.
 _TOO_SLOW = 0.75
 _WARM_S = 10.0  # the warm-up takes less when everything is compiled already
 _WARM_UP = Command("warm-up", ("-m", "deploy.warm_up"), ENVIRONMENT)
