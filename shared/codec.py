@@ -12,7 +12,7 @@ axis, zigzag coded, low bytes before high ones, which unpacking turns into an ar
 message's declaration, so two versions that disagree refuse each other by name instead of misreading.
 
 What a frame holds is a claim. Decoding refuses, beyond what a message checks by itself, poses that are no rotation and
-translation, and numbers so large that whatever is computed with them overflows.
+translation or lie 1000 km away, and numbers so large that whatever is computed with them overflows.
 """
 
 import hashlib
@@ -41,6 +41,7 @@ _FEW = 256  # bytes: up to there an array is not worth making
 _TRUTH_VALUES = b"\0\1"
 _MAX_UNPACKED = 1 << 24  # [bytes] of a packed array
 MAX_NUMBER = 1e12  # size of a number from a frame, where it must be finite: products of such numbers are finite, too
+MAX_DISTANCE = 1e6  # [m] of a pose from the origin of its frame
 _RIGID = 1e-4  # by which the rotation of a pose from a frame may be none
 _compress, _decompress = zstandard.ZstdCompressor(level=1).compress, zstandard.ZstdDecompressor().decompress
 
@@ -202,7 +203,7 @@ def _pose_problem(value: NDArray[Any]) -> str:
     if not (max(map(abs, off + skew)) <= _RIGID and det > 0.0 and last == [0.0, 0.0, 0.0, 1.0]):
         return "a pose expected, a rotation and a translation (4, 4)"
     far = max(abs(x[3]), abs(y[3]), abs(z[3]))
-    return f"numbers of at most {MAX_NUMBER:g} expected, found {far:g}" if far > MAX_NUMBER else ""
+    return f"a pose within {MAX_DISTANCE:g} m of its frame's origin expected, found {far:g} m" if far > MAX_DISTANCE else ""
 
 
 def _field(kind: type[Message], name: str, base: Any, detail: Any) -> _Field:

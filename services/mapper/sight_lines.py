@@ -138,10 +138,10 @@ def _clear_along_sights(
                 leaves = -1.0
         if enters >= leaves:
             continue
-        last = min(int(way * leaves) + 2, int(way * (1.0 - nearest / length)))  # rounding may take a step on either side
-        start = max(SHORT, int(way * enters) - 1)
-        # Nothing is as high as the line from where on it is above everything.
-        last = min(last, int((highest - z - rise - WELL_BELOW) / dz * way) + 2)
+        start = max(SHORT, int(way * enters) - 1)  # rounding may take a step on either side
+        # Nothing is as high as the line from where on it is above everything. As floats: a level line never gets there.
+        above = (highest - z - rise - WELL_BELOW) / dz * way + 2.0
+        last = int(max(min(way * leaves + 2.0, way * (1.0 - nearest / length), above), 0.0))
         step_x, step_y, step_z = du / way, dv / way, dz / way
         x, y, over = u + (start - 1) * step_x, v + (start - 1) * step_y, z + (start - 1) * step_z + rise + WELL_BELOW
         for _ in range(start, last):

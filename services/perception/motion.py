@@ -12,6 +12,9 @@ _KEPT = 100  # messages, two seconds
 _STILL = 1.5e-3  # [m] and [rad], three times what the servos' resolution makes of a standing robot
 _MAX_EXTRAPOLATION_NS = 100_000_000  # [ns] beyond the newest message the body is taken to stand still
 _OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a message may be late; further back it is of another clock
+# A body that walks moves less between two messages, and so does one that falls.
+_FASTEST, _FASTEST_TURN = 2.0, 6.0  # [m/s] and [rad/s]
+_JUMP, _JUMP_TURN = 0.1, 0.3  # [m] and [rad] beyond that, for messages that come close together
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +37,15 @@ class OdometryHistory:
         self._messages: list[Odometry] = []
 
     def add(self, message: Odometry) -> None:
-        """Take in a message; one that has travelled less, or is far older, than its predecessor belongs to a new beginning."""
+        """Take in a message; one that does not continue its predecessor is the first of a new beginning.
+
+        It does not where it has travelled less, is far older, or is farther away than a body can have moved.
+        """
         newest = self._messages[-1] if self._messages else None
         since_ns = 1 if newest is None else message.stamp_ns - newest.stamp_ns
         if -_OTHER_CLOCK_NS < since_ns <= 0:
             return  # out of order: what came later stands
-        if newest is not None and (message.travelled < newest.travelled or since_ns < 0):
+        if newest is not None and (message.travelled < newest.travelled or since_ns < 0 or _jumps(newest, message)):
             self.restarts += 1
             self._messages.clear()
         self._messages.append(message)
@@ -74,6 +80,14 @@ class OdometryHistory:
             a.reliable and b.reliable and stamp_ns <= latest_ns and span <= 2 * _MAX_EXTRAPOLATION_NS,
             max(0, stamp_ns - b.stamp_ns) * 1e-9,
         )
+
+
+def _jumps(before: Odometry, after: Odometry) -> bool:
+    """Whether a body cannot have moved from one pose to the other in the time between."""
+    since_s = (after.stamp_ns - before.stamp_ns) * 1e-9
+    way = float(np.linalg.norm(after.T_odom_body[:3, 3] - before.T_odom_body[:3, 3]))
+    turn = float(np.linalg.norm(log_so3(before.T_odom_body[:3, :3].T @ after.T_odom_body[:3, :3])))
+    return way > _JUMP + _FASTEST * since_s or turn > _JUMP_TURN + _FASTEST_TURN * since_s
 
 
 class VelocityPrior:

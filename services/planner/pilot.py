@@ -29,6 +29,7 @@ _PASSED = 0.10  # [m] at least, from a waypoint that is not the last, within whi
 _LOOK_AHEAD = 0.25  # [m] along the way, where the robot walks to
 _FACE = 0.45  # [m] along the way, where it looks where all the way is seen, and
 _FORESIGHT = 1.4  # [m] along the way, within which it looks at what it has not seen
+_AHEAD = 10.0  # [m] along the way, of which the ground is looked at; no map reaches so far
 _VEILED = 0.02  # [1] share of the ground under it, from which a place on the way counts as not seen
 _HALT = 0.35  # [m] before such a place it turns before it walks
 _TURN_FIRST = radians(50.0)  # off the way, from which it turns before it walks
@@ -166,7 +167,7 @@ class Pilot:
         if not words:
             return
         # A place where it could be, so that it takes another way, and never this one again.
-        ahead = np.arange(self._size.half_width + _STUCK_AHEAD, _extent(way), errand.crossing.edge)
+        ahead = np.arange(self._size.half_width + _STUCK_AHEAD, min(_extent(way), _AHEAD), errand.crossing.edge)
         places = np.array([*(_along(way, d) for d in ahead), way[-1]])
         free = np.isfinite(errand.crossing.at(errand.crossing.cost, places))
         errand.stuck.append(places[int(np.argmax(free))])
@@ -233,7 +234,7 @@ class Pilot:
         """
         crossing = errand.crossing
         assert crossing is not None
-        distance = np.arange(0.0, _extent(way) + crossing.edge, crossing.edge)
+        distance = np.arange(0.0, min(_extent(way), _AHEAD) + crossing.edge, crossing.edge)
         places = np.array([_along(way, d) for d in distance])
         reach = np.arange(-self._size.half_width, self._size.half_width + crossing.edge, crossing.edge)
         under = np.stack(np.meshgrid(reach, reach, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -158,6 +158,20 @@ def legs_at(y: float) -> NDArray[np.float64]:
     return np.array([[0.94, y + a - 0.06, 1.06, y + a + 0.06, 0.9] for a in (-0.1, 0.1)])
 
 
+@pytest.mark.parametrize("above", [5e-324, 1e-300, 1e-12])
+def test_lines_of_sight_that_are_next_to_level_end(above: float) -> None:
+    """They rise above everything only after 1e320 cells, or more than a whole number can hold."""
+    grid = ElevationGrid(size=400)
+    for k in range(20):
+        p_camera = np.array([0.0, 0.0, 0.4 + 0.003 * k])
+        take(grid, look(BOX, p_camera), p_camera)
+    y = np.arange(-0.245, 0.25, 0.001)
+    level = np.column_stack([np.full(len(y), 1.9), y, np.zeros(len(y))])
+    for _ in range(60):
+        take(grid, np.empty((0, 3)), np.array([0.0, 0.0, above]), sights=level)
+    assert np.isnan(grid.heights(WHERE_THE_BOX_WAS)[3:-3, 3:-3]).all()
+
+
 def test_legs_that_walk_across_leave_nothing_that_stands_where_the_ground_is_hardly_seen() -> None:
     """A person crosses before the camera within 2 s; behind two low blocks the ground is hidden from it."""
     rng = np.random.default_rng(9)

@@ -137,6 +137,24 @@ def test_what_comes_out_of_order_is_left_out() -> None:
     np.testing.assert_allclose(motion.T_odom_body, pose_at(5 * PERIOD), atol=1e-12)
 
 
+@pytest.mark.parametrize("jump", [from_xyz_rpy([0.3, 0.0, 0.0], [0.0, 0.0, 0.0]), from_xyz_rpy([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])])
+def test_a_pose_that_no_body_can_have_moved_to_is_a_new_beginning(jump: Array) -> None:
+    history = heard()
+    history.add(message(50 * PERIOD, T=pose_at(50 * PERIOD) @ jump))
+    assert history.restarts == 1
+    history.add(message(51 * PERIOD))  # back again
+    assert history.restarts == 2
+    motion = history.at(51 * PERIOD)
+    assert motion is not None
+    np.testing.assert_allclose(motion.T_odom_body, pose_at(51 * PERIOD))
+
+
+def test_after_a_silence_the_body_may_be_elsewhere() -> None:
+    history = heard()
+    history.add(message(100 * PERIOD, T=pose_at(50 * PERIOD) @ from_xyz_rpy([0.3, 0.0, 0.0], [0.0, 0.0, 0.5])))
+    assert history.restarts == 0
+
+
 def test_only_the_last_seconds_are_kept() -> None:
     history = heard(500)
     assert history.at(0) is None

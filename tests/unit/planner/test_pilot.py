@@ -1,5 +1,6 @@
 """Leading to a goal: the way is followed and faced, what is unseen is looked at, and a way that does not go on is left."""
 
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -274,6 +275,19 @@ def test_a_goal_behind_and_one_far_outside_the_map_are_walked_to(make_terrain: M
     robot = Robot(make_terrain(half=1.28)).walk(goal((50.0, 0.0)), steps=5)
     assert robot.T[0, 3] > 0.3
     assert abs(robot.T[1, 3]) < 0.05
+
+
+def test_a_pose_that_is_suddenly_far_from_the_way_costs_no_memory(make_terrain: Maker) -> None:
+    robot = Robot(make_terrain(half=1.28))
+    robot.step(goal((1.0, 0.0)))
+    robot.T = from_xyz_rpy((9e5, 0.0, 0.1), np.zeros(3))
+    robot.now_ns -= round(STEP_S * S) - S // 10  # before it looks for another way
+    tracemalloc.start()
+    robot.step(goal((1.0, 0.0)))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert robot.words[-1].startswith("899999.0 m of way left")
+    assert most < 10e6
 
 
 def test_as_many_waypoints_as_a_goal_holds_are_passed_in_their_order(make_terrain: Maker) -> None:

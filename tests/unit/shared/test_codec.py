@@ -31,7 +31,7 @@ def field_values(base: Any, detail: Any, lengths: dict[str, int]) -> st.SearchSt
         shape = tuple(n if isinstance(n, int) else lengths[n] for n in dims.shape)
         elements = None if dims.most is None else st.integers(0, dims.most)
         if dims.shape == (4, 4):
-            return hnp.arrays(np.float64, 3, elements=st.floats(-codec.MAX_NUMBER, codec.MAX_NUMBER)).map(
+            return hnp.arrays(np.float64, 3, elements=st.floats(-codec.MAX_DISTANCE, codec.MAX_DISTANCE)).map(
                 lambda xyz: from_xyz_rpy(tuple(xyz), np.array([0.1, -0.2, 3.0]))
             )
         if dtype.kind == "f" and dims.finite:
@@ -236,11 +236,16 @@ def test_a_pose_in_a_frame_is_a_rotation_and_a_translation(change: Any) -> None:
     assert refusal(frame, m.Odometry).startswith("Odometry.T_odom_body: a pose expected")
 
 
+def test_a_pose_in_a_frame_lies_near_the_origin_of_its_frame() -> None:
+    far = pose_of(lambda T: T.__setitem__((0, 3), -1.1e6))
+    frame = codec.encode(dataclasses.replace(example(m.Odometry), T_odom_body=far))  # type: ignore[call-arg]
+    assert "T_odom_body: a pose within 1e+06 m of its frame's origin expected, found 1.1e+06 m" in refusal(frame, m.Odometry)
+
+
 @pytest.mark.parametrize(
     ("kind", "changes"),
     [
         (m.Odometry, {"travelled": 1.1e12}),
-        (m.Odometry, {"T_odom_body": pose_of(lambda T: T.__setitem__((0, 3), -1.1e12))}),
         (m.BodyPose, {"covariance": np.full((6, 6), 1e300)}),
         (m.PassagePlan, {"edges": np.full((1, 2, 3), 1e30, np.float32)}),
     ],

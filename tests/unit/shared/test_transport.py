@@ -212,7 +212,7 @@ def test_closing_is_quick_and_ends_its_threads(endpoint: str) -> None:
         mine = [t for t in threading.enumerate() if t not in before and t.name.startswith("receive ")]
         assert len(mine) == 3
         began = time.monotonic()
-    assert time.monotonic() - began < transport.CLOSE_TIMEOUT_S + 0.5
+    assert time.monotonic() - began < PATIENCE_S
     for thread in mine:
         thread.join(PATIENCE_S)
         assert not thread.is_alive()
@@ -262,11 +262,11 @@ def test_closing_does_not_wait_for_a_session_that_hangs(monkeypatch: pytest.Monk
 
     class Frozen:
         def close(self) -> None:
-            release.wait(PATIENCE_S)
+            release.wait(2 * PATIENCE_S)
 
     began = time.monotonic()
     transport._close([Frozen()])  # type: ignore[list-item]
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < PATIENCE_S
     release.set()
 
 

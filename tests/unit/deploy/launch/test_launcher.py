@@ -258,7 +258,7 @@ def hear(name, line):
     sys.stdout.flush()
 
 with Interrupts() as interrupts:
-    with Launcher([Command("a", tuple(sys.argv[1:]), {})], hear) as launcher:
+    with Launcher([Command("a", tuple(sys.argv[1:]), {})], hear, grace_s=600.0) as launcher:
         while not interrupts.asked():
             launcher.wait(0.02)
         launcher.stop(interrupts.insisted)
@@ -301,7 +301,7 @@ def test_a_frozen_child_is_no_orphan_either(watched: list[int]) -> None:
 
 
 @pytest.mark.parametrize("behaviour", ["obedient", "stubborn"])
-def test_ctrl_c_twice_ends_everything_within_two_seconds(behaviour: str, watched: list[int]) -> None:
+def test_ctrl_c_twice_ends_everything_without_waiting(behaviour: str, watched: list[int]) -> None:
     driver, child = drive(behaviour)
     watched.append(child)
     began = time.monotonic()
@@ -310,7 +310,7 @@ def test_ctrl_c_twice_ends_everything_within_two_seconds(behaviour: str, watched
     driver.communicate(timeout=PATIENCE_S)
     assert driver.returncode == 130
     assert gone(child, 0)
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < PATIENCE_S
 
 
 def test_last_words_of_a_traceback_are_its_message() -> None:
