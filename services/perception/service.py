@@ -19,7 +19,7 @@ from services.perception.reduction import reduce_scan
 from services.perception.registration import HAND_HELD, Registered, Registration, refused
 from services.perception.sights import free_sights
 from shared import topics
-from shared.geometry import Array, inverse, rotation_from_rpy, rpy_from_rotation, to_millimetres, transform, yaw_of
+from shared.geometry import Array, inverse, orthonormal, rotation_from_rpy, rpy_from_rotation, to_millimetres, transform, yaw_of
 from shared.messages import BodyPose, ColorImage, DepthImage, Message, Preview, Scan
 from shared.robot import RobotProfile
 from shared.service import AnyTopic, Inbox, Stages
@@ -124,8 +124,9 @@ class Perception:
                 found = self._registration.update(image.depth, image.stamp_ns, T_camera, covariance)
                 if motion.silence_s > _SILENT_S and len(found.degenerate) and found.ok:
                     found = refused(image.stamp_ns, found.T_world_camera, found.covariance, None, _silent(motion))
-        self._T_world_body = found.T_world_camera @ self._T_camera_body
-        self._T_world_odom = self._T_world_body @ inverse(motion.T_odom_body)
+        # Odometry whose rotations are none by little must not add up to a pose that is none.
+        self._T_world_body = orthonormal(found.T_world_camera @ self._T_camera_body)
+        self._T_world_odom = orthonormal(self._T_world_body @ inverse(motion.T_odom_body))
         self._steady_tilt(image.stamp_ns)
         if found.ok:
             self._last = motion  # what was travelled on odometry alone goes on adding to the doubt

@@ -137,10 +137,10 @@ def test_what_comes_out_of_order_is_left_out() -> None:
     np.testing.assert_allclose(motion.T_odom_body, pose_at(5 * PERIOD), atol=1e-12)
 
 
-@pytest.mark.parametrize("jump", [from_xyz_rpy([0.3, 0.0, 0.0], [0.0, 0.0, 0.0]), from_xyz_rpy([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])])
-def test_a_pose_that_no_body_can_have_moved_to_is_a_new_beginning(jump: Array) -> None:
+@pytest.mark.parametrize(("way", "turn"), [(0.3, 0.0), (0.0, 1.0)])
+def test_a_pose_that_no_body_can_have_moved_to_is_a_new_beginning(way: float, turn: float) -> None:
     history = heard()
-    history.add(message(50 * PERIOD, T=pose_at(50 * PERIOD) @ jump))
+    history.add(message(50 * PERIOD, T=pose_at(50 * PERIOD) @ from_xyz_rpy([way, 0.0, 0.0], [0.0, 0.0, turn])))
     assert history.restarts == 1
     history.add(message(51 * PERIOD))  # back again
     assert history.restarts == 2

@@ -11,7 +11,7 @@ from services.perception.config import Settings
 from services.perception.service import Perception
 from shared import codec, topics
 from shared.camera import Intrinsics
-from shared.geometry import Array, from_xyz_rpy, inverse, yaw_of
+from shared.geometry import Array, from_xyz_rpy, inverse, is_rigid, yaw_of
 from shared.messages import BodyPose, DepthImage, Message, Odometry, Preview, Scan
 from shared.profiles import load_profile
 from shared.robot import RobotProfile
@@ -161,6 +161,16 @@ def test_when_the_legs_count_from_zero_again_the_body_stays_where_it_was(world) 
     np.testing.assert_allclose((after.T_world_odom @ elsewhere)[:3, 3], after.T_world_body[:3, 3], atol=1e-9)
     moved = elsewhere @ inverse(body_at(0.0)) @ body_at(0.01)
     assert pose_of(rig.frame(body_at(0.04), moved)).T_world_body[0, 3] == pytest.approx(0.04, abs=4e-3)
+
+
+def test_odometry_whose_rotations_are_barely_some_adds_up_to_no_pose_that_is_none(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    for k in range(12):
+        scaled = body_at(0.001 * k)
+        scaled[:3, :3] *= 1.0 + 4e-5  # as far from a rotation as a frame may be
+        pose = pose_of(rig.frame(body_at(0.001 * k), scaled, np.zeros_like(rig.picture(body_at(0.0))) if k else None))
+        codec.decode(codec.encode(pose), BodyPose)
+    assert is_rigid(pose.T_world_body, 1e-9)
 
 
 def test_a_frame_of_the_wrong_size_is_named_and_skipped(world) -> None:  # type: ignore[no-untyped-def]

@@ -73,7 +73,8 @@ def image(stamp_ns: int, jpeg: NDArray[np.uint8]) -> CompressedImage:
 
 
 def _rounded(values: NDArray[Any], step: float) -> NDArray[Any]:
-    return np.rint(values / step) * step
+    """In double precision: what is stored as float32 may overflow when it is divided."""
+    return np.rint(np.asarray(values, dtype=np.float64) / step) * step
 
 
 def _evaluation(terrain: TerrainMap) -> NDArray[np.float32]:
