@@ -1,0 +1,18 @@
+"""An attack with a role's certificate on the processes of a robot that walks."""
+
+import numpy as np
+import pytest
+
+from deploy.fuzz import live_role_attack
+
+pytestmark = pytest.mark.live
+
+
+def test_the_processes_of_a_robot_outlive_extreme_messages_and_torque_goes_off_when_ordered() -> None:
+    said: list[str] = []
+    (row,) = live_role_attack.measure(["robot"], 400, 1, said.append)
+    assert row.messages == 400
+    assert row.ended == ()
+    assert len(row.off_ms) == 3
+    assert np.isfinite(row.off_ms).all()
+    assert said[0].startswith("robot: 400 messages")
