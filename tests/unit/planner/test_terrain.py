@@ -1,5 +1,6 @@
 """The map as the planner asks it."""
 
+import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
@@ -102,3 +103,15 @@ def test_feet_on_a_high_stone_are_no_cliff() -> None:
     ground = np.array([[0.2, 0.1, 0.3], [-0.2, 0.1, 0.0], [0.0, -0.2, 0.0]])
     x = plane_of(0, ground).heights(np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]))
     assert np.hypot(x[1] - x[0], x[2] - x[0]) / 0.5 <= STEEPEST + 0.03
+
+
+def test_lines_and_rectangles_to_places_far_away_cost_no_memory(make_terrain: Maker) -> None:
+    """A foot or a body may be claimed to be anywhere; a cell of every centimeter on the way there is a terabyte."""
+    ground = make_terrain()
+    near, far = np.zeros((6, 2)), np.full((6, 2), 1e9)
+    tracemalloc.start()
+    assert np.isfinite(ground.ground_along(near, far)[0]).all()
+    assert ground.highest_under(np.array([[0.0, 0.0], [1e9, 1e9], [0.0, 0.01]])) > -np.inf
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 50e6
