@@ -139,7 +139,7 @@ def _clear_along_sights(
         if enters >= leaves:
             continue
         start = max(SHORT, int(way * enters) - 1)  # rounding may take a step on either side
-        # Nothing is as high as the line from where on it is above everything. As floats: a level line never gets there.
+        # Nothing is as high as the line from where on it is above everything. A float: it is infinite for a level line.
         above = (highest - z - rise - WELL_BELOW) / dz * way + 2.0
         last = int(max(min(way * leaves + 2.0, way * (1.0 - nearest / length), above), 0.0))
         step_x, step_y, step_z = du / way, dv / way, dz / way

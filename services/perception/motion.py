@@ -12,7 +12,7 @@ _KEPT = 100  # messages, two seconds
 _STILL = 1.5e-3  # [m] and [rad], three times what the servos' resolution makes of a standing robot
 _MAX_EXTRAPOLATION_NS = 100_000_000  # [ns] beyond the newest message the body is taken to stand still
 _OTHER_CLOCK_NS = 1_000_000_000  # [ns] by which a message may be late; further back it is of another clock
-# A body that walks moves less between two messages, and so does one that falls.
+# Limits of motion between two messages; a walking body and a falling one stay below them.
 _FASTEST, _FASTEST_TURN = 2.0, 6.0  # [m/s] and [rad/s]
 _JUMP, _JUMP_TURN = 0.1, 0.3  # [m] and [rad] beyond that, for messages that come close together
 
@@ -37,9 +37,9 @@ class OdometryHistory:
         self._messages: list[Odometry] = []
 
     def add(self, message: Odometry) -> None:
-        """Take in a message; one that does not continue its predecessor is the first of a new beginning.
+        """Add a message; it restarts the history where it does not continue the previous one.
 
-        It does not where it has travelled less, is far older, or is farther away than a body can have moved.
+        That is where it has travelled less, is far older, or lies farther away than a body can have moved.
         """
         newest = self._messages[-1] if self._messages else None
         since_ns = 1 if newest is None else message.stamp_ns - newest.stamp_ns
@@ -83,7 +83,7 @@ class OdometryHistory:
 
 
 def _jumps(before: Odometry, after: Odometry) -> bool:
-    """Whether a body cannot have moved from one pose to the other in the time between."""
+    """Whether two poses are farther apart than a body moves in the time between them."""
     since_s = (after.stamp_ns - before.stamp_ns) * 1e-9
     way = float(np.linalg.norm(after.T_odom_body[:3, 3] - before.T_odom_body[:3, 3]))
     turn = float(np.linalg.norm(log_so3(before.T_odom_body[:3, :3].T @ after.T_odom_body[:3, :3])))

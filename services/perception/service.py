@@ -124,7 +124,7 @@ class Perception:
                 found = self._registration.update(image.depth, image.stamp_ns, T_camera, covariance)
                 if motion.silence_s > _SILENT_S and len(found.degenerate) and found.ok:
                     found = refused(image.stamp_ns, found.T_world_camera, found.covariance, None, _silent(motion))
-        # Odometry whose rotations are none by little must not add up to a pose that is none.
+        # The rotation of odometry may be slightly off; the error must not accumulate over frames.
         self._T_world_body = orthonormal(found.T_world_camera @ self._T_camera_body)
         self._T_world_odom = orthonormal(self._T_world_body @ inverse(motion.T_odom_body))
         self._steady_tilt(image.stamp_ns)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.planner.crossing import FAR, OPEN, WORDS, Crossing
+from services.planner.terrain import LONGEST
 from shared.geometry import Array
 
 _ESCAPE = 8.0  # price of a metre out of a place where the robot ought not to be
@@ -15,7 +16,6 @@ _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
 _BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))
 _DIAGONAL = 0.41421356  # by which a diagonal is longer than a straight step, at most
 _MISSES = 4  # cells in turn to which there is no straight way, beyond which none is looked for
-_LONGEST = 20.0  # [m] of a straight way that is looked at cell by cell; a longer one more coarsely
 _FLAT = 0.20  # [m] of a region's width up to which it is a line
 
 
@@ -142,7 +142,7 @@ def cost_of(crossing: Crossing, corners: Array) -> float:
     total, left = 0.0, False
     for a, b in pairwise(corners):
         length = float(np.linalg.norm(b - a))
-        count = max(2, int(np.ceil(2.0 * min(length, _LONGEST) / crossing.edge)) + 1)
+        count = max(2, int(np.ceil(2.0 * min(length, LONGEST) / crossing.edge)) + 1)
         costs = crossing.at(crossing.cost, a + np.linspace(0.0, 1.0, count)[:, None] * (b - a))
         closed = np.isinf(costs)
         # Out of a place where it ought not to be it may go, but not back into one.

@@ -20,7 +20,7 @@ _AROUND = np.array([[(i, j)] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
 DEEP = -100  # [cells] of level ground without an end
 
 _RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest cells that make sense under a foot
-_LONGEST = 20.0  # [m] of a line that is sampled cell by cell; a longer one is sampled more coarsely
+LONGEST = 20.0  # [m] of a line that is sampled cell by cell; longer ones are sampled more coarsely
 _FAR = 1e6  # [m] beyond it a cell's index is no longer exact
 
 
@@ -123,7 +123,7 @@ class Terrain:
         length = np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-6)
         aside = np.column_stack([-way[:, 1], way[:, 0]]) / length
         along, across = (
-            int(np.ceil(reach / self.map.resolution)) + 1 for reach in (min(float(length.max()), _LONGEST), 2.0 * half_width)
+            int(np.ceil(reach / self.map.resolution)) + 1 for reach in (min(float(length.max()), LONGEST), 2.0 * half_width)
         )
         s = np.linspace(0.0, 1.0, along)[:, None, None, None]
         offset = np.linspace(-half_width, half_width, across)[None, :, None, None] * np.sin(np.pi * s) ** 0.5
@@ -135,7 +135,7 @@ class Terrain:
         origin, along, aside = corners
         spacing = self.map.resolution
         n, m = (
-            max(2, int(np.ceil(min(float(np.linalg.norm(side - origin)), _LONGEST) / spacing)) + 1) for side in (along, aside)
+            max(2, int(np.ceil(min(float(np.linalg.norm(side - origin)), LONGEST) / spacing)) + 1) for side in (along, aside)
         )
         u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, m), indexing="ij")
         heights = self.heights(origin + u.reshape(-1, 1) * (along - origin) + v.reshape(-1, 1) * (aside - origin))

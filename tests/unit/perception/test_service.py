@@ -163,7 +163,7 @@ def test_when_the_legs_count_from_zero_again_the_body_stays_where_it_was(world) 
     assert pose_of(rig.frame(body_at(0.04), moved)).T_world_body[0, 3] == pytest.approx(0.04, abs=4e-3)
 
 
-def test_odometry_whose_rotations_are_barely_some_adds_up_to_no_pose_that_is_none(world) -> None:  # type: ignore[no-untyped-def]
+def test_odometry_that_is_nearly_rigid_yields_rigid_poses(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     for k in range(12):
         scaled = body_at(0.001 * k)

@@ -1,5 +1,6 @@
 """Ways over cells: the cheapest there is, never over what is closed, and words where there is none."""
 
+import tracemalloc
 from itertools import pairwise
 
 import numpy as np
@@ -227,3 +228,13 @@ def test_beside_the_straight_way_it_goes_no_further_than_it_may() -> None:
     found = find_way(near, start, goal, 0.03)
     assert isinstance(found, NoWay)
     assert WORDS[FAR] in found.reason
+
+
+def test_the_cost_of_a_way_to_a_place_far_away_takes_no_memory() -> None:
+    ground = crossing(np.ones((4, 4)))
+    tracemalloc.start()
+    cost = cost_of(ground, np.array([[0.1, 0.1], [1e6, 0.1]]))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert cost == pytest.approx(1e6)
+    assert most < 10e6
