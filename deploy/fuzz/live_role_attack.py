@@ -14,7 +14,7 @@ import numpy as np
 from deploy.bench.soak import own_mb
 from deploy.faults import tap
 from deploy.faults.wire import Recorder
-from deploy.fuzz.role_attack import OFF_HOLDER, PERIOD_S, ROLE_NAMES, Attacker, Leader, Row, kinds, off_delay_s
+from deploy.fuzz.role_attack import OFF_HOLDER, PERIOD_S, ROLE_NAMES, WALKS, Attacker, Leader, Row, kinds, off_delay_s
 from deploy.launch import tapped_robot
 from deploy.launch.launcher import Launcher, free_port
 from deploy.launch.tapped_robot import Page, Places
@@ -24,7 +24,7 @@ from services.actuator.latch import Latch
 from shared import codec, topics
 from shared.access import Keys
 from shared.live import run_live
-from shared.messages import ActuatorState, GroundTruth, Mode, StopOrder
+from shared.messages import ActuatorState, GroundTruth, Mode, PlannerStatus, StopOrder
 from shared.profiles import load_profile
 from shared.service import AnyTopic
 from shared.transport import Endpoints, ZenohLink
@@ -37,6 +37,7 @@ _WALKS_M, _WALKS_S = 0.01, 1.5  # [m] that a walking robot moves in a time [s]
 _OFFS = 3  # orders to turn torque off, in each attack
 _OFF_PATIENCE_S = 3.0
 _LOOK_S = 0.05
+_MEMORY_LOOKS = 5
 
 
 class _Robot:
@@ -60,6 +61,7 @@ class _Robot:
         self.ended: list[str] = []
         self.reasons: Counter[str] = Counter()
         self.looks = self.walked = 0  # looks at whether it walks, and those at which it did
+        self._blocked, self._state = "", ""  # why the planner does not go on, and the actuator's mode with its reason
         self._track: list[tuple[float, float, float]] = []  # [s, m, m]
         self._over = threading.Event()
 
@@ -72,6 +74,7 @@ class _Robot:
             self.link = stack.enter_context(ZenohLink(self._places.robot))
             self.link.subscribe(topics.TRUTH, self._hear_truth)
             self.link.subscribe(topics.ACTUATOR_STATE, self._hear_state)
+            self.link.subscribe(topics.PLANNER_STATUS, self._hear_status)
             leading = threading.Thread(target=run_live, args=(Leader(), self.link, self._over), name="leader")
             leading.start()
             stack.callback(leading.join)
@@ -108,9 +111,17 @@ class _Robot:
             self.look(_LOOK_S)
         return True
 
+    def why_it_stands(self) -> str:
+        """The reason of the planner, or of the actuator where the planner has none."""
+        return self._blocked or self._state
+
     def memory_mb(self) -> dict[str, float]:
-        """Of each process [MB]."""
-        return {name: own_mb(self._launcher.pid(name)) for name in self.names if name in self._launcher.names()}
+        """Of each process [MB], the least of a second: what a recorder holds until it is written comes and goes."""
+        looks = []
+        for _ in range(_MEMORY_LOOKS):
+            looks.append({name: own_mb(self._launcher.pid(name)) for name in self.names if name in self._launcher.names()})
+            self.look(1.0 / _MEMORY_LOOKS)
+        return {name: min(look.get(name, np.inf) for look in looks) for name in self.names}
 
     def off(self, bystander: ZenohLink) -> float:
         """Have a bystander order torque off; time [ms] until it is, infinite where that is late by seconds."""
@@ -137,8 +148,14 @@ class _Robot:
     def _hear_state(self, _topic: AnyTopic, frame: bytes) -> None:
         with contextlib.suppress(codec.DecodeError):
             state, _ = codec.decode(frame, ActuatorState)
+            self._state = f"{state.mode}: {state.reason}"
             if state.mode is not Mode.WALK:
                 self.reasons[f"{state.mode}: {state.reason}"] += 1
+
+    def _hear_status(self, _topic: AnyTopic, frame: bytes) -> None:
+        with contextlib.suppress(codec.DecodeError):
+            status, _ = codec.decode(frame, PlannerStatus)
+            self._blocked = status.reason if status.state == "blocked" else ""
 
 
 def measure(roles: Sequence[str], messages: int, seed: int, say: Callable[[str], object] = lambda _: None) -> tuple[Row, ...]:
@@ -173,17 +190,25 @@ def _attack(robot: _Robot, role: str, messages: int, seed: int) -> Row:
         attacking = threading.Thread(target=_send, args=(attacker, link, messages, sent), name="attack")
         attacking.start()
         offs: list[float] = []
+        half: dict[str, float] = {}
         while attacking.is_alive():
             robot.look(_LOOK_S)
             if len(offs) < _OFFS and sent[0] >= (len(offs) + 1) * messages // (_OFFS + 1):
                 offs.append(robot.off(bystander))
+            if not half and sent[0] >= messages // 2:
+                half = robot.memory_mb()
         attacking.join()
         # 3. What is left of it.
-        back = robot.until_it_walks(_BACK_S)
+        afterwards = WALKS if robot.until_it_walks(_BACK_S) else robot.why_it_stands()
         after = robot.memory_mb()
-    growth = {name: round(mb - before[name], 1) for name, mb in after.items() if name in before and np.isfinite(mb)}
-    ended = (*robot.ended, *(() if back else (f"it does not walk {_BACK_S:.0f} s after the attack",)))
-    return Row(role, sent[0], round(robot.walked / max(robot.looks, 1), 3), kinds(robot.reasons), tuple(offs), ended, growth)
+    growth, taken = _more(after, half), _more(after, before)
+    walking = round(robot.walked / max(robot.looks, 1), 3)
+    return Row(role, sent[0], walking, kinds(robot.reasons), tuple(offs), tuple(robot.ended), growth, taken, afterwards)
+
+
+def _more(after: dict[str, float], before: dict[str, float]) -> dict[str, float]:
+    """What each process has more than before [MB]; one that has ended or was not there is left out."""
+    return {name: round(mb - before[name], 1) for name, mb in after.items() if np.isfinite(mb - before.get(name, np.nan))}
 
 
 def _send(attacker: Attacker, link: ZenohLink, messages: int, sent: list[int]) -> None:

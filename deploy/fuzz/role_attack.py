@@ -2,7 +2,7 @@
 
 A certificate of the role is all that the attacker needs, so the access rules and the schema let everything through. What
 counts is what the robot does: it walks on or stops with a reason, no process ends, torque goes off when that is ordered,
-nothing grows.
+nothing grows once each process has taken the memory for what it is asked.
 In lockstep the services are one process on simulated time; live they are the robot's processes behind its guarded router.
 """
 
@@ -25,14 +25,16 @@ from shared import codec, topics
 from shared import dynamixel as dxl
 from shared.access import ROLE_NAMED, ROLES
 from shared.lockstep import ServiceFailedError
-from shared.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick, VelocityCommand
+from shared.messages import ActuatorState, Message, Mode, ModeCommand, PlannerStatus, StopOrder, Tick, VelocityCommand
 from shared.profiles import load_profile
 from shared.service import AnyTopic, Every, Inbox, Stages
 
 OFF_WITHIN_S = 0.06  # from the order to torque off on the servo bus
-GROWTH_MB = 20.0  # that a process may grow by
+GROWTH_MB = 20.0  # that a process may grow by in the second half of an attack
+TAKEN_MB = 64.0  # that it may take in the whole of it: for maps, plans and records that it is asked for
 PERIOD_S = 0.004  # between two messages of an attacker
 ROLE_NAMES = tuple(role.name for role in ROLES)
+WALKS = "walks"
 OFF_HOLDER = "bystander"  # who orders torque off
 _OFTEN = 8  # examples kept of a topic
 _ENDING_SHARE = 0.01  # of the orders that end a walk rightfully: the rest is left out, or it would never walk
@@ -54,13 +56,18 @@ class Row:
     reasons: tuple[str, ...]  # why it did not, one of a kind
     off_ms: tuple[float, ...]  # from each order to torque off on the bus
     ended: tuple[str, ...] = ()  # processes or services that ended, with their last words
-    growth_mb: dict[str, float] = field(default_factory=dict)  # by process
+    growth_mb: dict[str, float] = field(default_factory=dict)  # by process, in the second half of the attack
+    taken_mb: dict[str, float] = field(default_factory=dict)  # likewise, in the whole of it
+    afterwards: str = WALKS  # what the robot does after the attack: it walks, or why it does not
 
     @property
     def passed(self) -> bool:
-        """Whether nothing ended, nothing grew, and torque went off in time each time."""
-        in_time = all(ms <= 1e3 * OFF_WITHIN_S for ms in self.off_ms)
-        return not self.ended and bool(self.off_ms) and in_time and max(self.growth_mb.values(), default=0.0) <= GROWTH_MB
+        """Whether nothing ended or grew, torque went off in time each time, and the robot walks or says why not."""
+        in_time = bool(self.off_ms) and all(ms <= 1e3 * OFF_WITHIN_S for ms in self.off_ms)
+        bounded = (
+            max(self.growth_mb.values(), default=0.0) <= GROWTH_MB and max(self.taken_mb.values(), default=0.0) <= TAKEN_MB
+        )
+        return not self.ended and in_time and bounded and bool(self.afterwards)
 
 
 class Leader:
@@ -146,6 +153,7 @@ class _Walk:
         self.profile = load_profile(SCENARIO.robot)
         self.recorder = Recorder(self.profile)
         self.state: ActuatorState | None = None
+        self.blocked = ""  # why its own planner does not go on
         self.states: Counter[str] = Counter()
         self._attacker, self._foreign = attacker, False
         self._translation = Foxglove(self.profile)  # of a recorder
@@ -163,6 +171,9 @@ class _Walk:
         if self._foreign:
             return
         self._attacker.learn(topic, frame)
+        if topic is topics.PLANNER_STATUS:
+            status = codec.decode(frame, PlannerStatus)[0]
+            self.blocked = status.reason if status.state == "blocked" else ""
         if topic is topics.ACTUATOR_STATE:
             self.state = codec.decode(frame, ActuatorState)[0]
             self.states["" if self.state.mode is Mode.WALK else f"{self.state.mode}: {self.state.reason}"] += 1
@@ -184,6 +195,10 @@ class _Walk:
                 return False
             self.run.run(self.run.now_ns() + _LOOK_NS)
         return True
+
+    def why_it_stands(self) -> str:
+        """The reason of the planner, or of the actuator where the planner has none."""
+        return self.blocked or ("" if self.state is None else f"{self.state.mode}: {self.state.reason}")
 
     def off(self) -> float:
         """Order torque off, as a bystander; time [ms] until it is, infinite where it is not within a second."""
@@ -214,7 +229,7 @@ def in_lockstep(role: str, messages: int, seed: int) -> Row:
     walk = _Walk(attacker, seed)
     offs: list[float] = []
     ended: tuple[str, ...] = ()
-    sent, back = 0, True
+    sent, back, reason = 0, True, ""
     try:
         if not walk.until(lambda state: state.mode is Mode.WALK, _UP_NS):
             raise TimeoutError(f"a walk expected before the attack, the actuator says {walk.state}")
@@ -227,15 +242,14 @@ def in_lockstep(role: str, messages: int, seed: int) -> Row:
                 walk.until(lambda state: state.mode is not Mode.OFF, _BACK_NS)
                 offs.append(walk.off())
                 back = walk.until(lambda state: state.mode is Mode.WALK, _UP_NS)
-        if not back:
-            ended = (f"it does not walk {_UP_NS * 1e-9:.0f} s after the attack",)
+        reason = WALKS if back else walk.why_it_stands()
     except ServiceFailedError as error:
         ended = (str(error),)
     finally:
         walk.latch.open()
     walking, total = walk.states[""], walk.states.total()
     del walk.states[""]
-    return Row(role, sent, round(walking / max(total, 1), 3), kinds(walk.states), tuple(offs), ended)
+    return Row(role, sent, round(walking / max(total, 1), 3), kinds(walk.states), tuple(offs), ended, afterwards=reason)
 
 
 # ------------------------------------------------------------------------------------------------------------- for people
@@ -244,23 +258,33 @@ def in_lockstep(role: str, messages: int, seed: int) -> Row:
 def in_words(rows: Sequence[Row]) -> str:
     """A table."""
     lines = [
-        "| role | messages | walking | why not | torque off after, ms | ended | most growth, MB | |",
-        "|---|---|---|---|---|---|---|---|",
+        "| role | messages | walking | why not | torque off after, ms | ended | growth, MB | taken, MB | afterwards | |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
-        grown = max(row.growth_mb.items(), key=lambda item: item[1], default=("-", 0.0))
         cells = (
             f"`{row.role}`",
             f"{row.messages}",
             f"{100 * row.walking:.0f} %",
-            "; ".join(words.replace("|", "/").replace("\n", " ") for words in row.reasons[:3]) or "-",
+            _in_a_cell("; ".join(row.reasons[:3])) or "-",
             " / ".join(f"{ms:.0f}" for ms in row.off_ms) or "-",
             "; ".join(row.ended) or "none",
-            f"{grown[1]:+.1f} ({grown[0]})",
+            _most(row.growth_mb),
+            _most(row.taken_mb),
+            _in_a_cell(row.afterwards) or "stands without a reason",
             "pass" if row.passed else "FAIL",
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _in_a_cell(words: str) -> str:
+    return words.replace("|", "/").replace("\n", " ")
+
+
+def _most(memory_mb: dict[str, float]) -> str:
+    name, most = max(memory_mb.items(), key=lambda item: item[1], default=("-", 0.0))
+    return f"{most:+.1f} ({name})"
 
 
 def to_json(rows: Sequence[Row]) -> str:

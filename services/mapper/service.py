@@ -38,6 +38,8 @@ _EVEN = 5  # feet that bear a robot which has been put down on even ground, at l
 _FIRST_SEEN = 0.20  # [m] of ground beyond what is assumed at the start, whose commonest colour is that of the ground under it
 _NEAR = 1.2  # of the camera's least range, up to which a line of sight without a return says nothing
 _REACH = 0.30  # [m] between a foot and the map under it, beyond which pose and map have nothing to do with each other
+_CONTRADICTED, _CONTRADICTED_NS = 0.10, 1_000_000_000  # [m] of height and [ns] from which standing feet refute the map
+_SOLE, _SOLE_AGREES = 0.05, 0.1  # [m] around a foot, and the share of the cells there that agree with it at least
 _TOUCH_SIGMA = 0.005  # [m] of the ground's height by a foot: joints, and a sphere that rests beside its lowest point
 _WORST_COVARIANCE = 1e4  # [m^2] and [rad^2] beyond which a pose is none
 _MAX_SCAN_AGE_S = 0.6  # [s] the map of an older scan is too old for a planner
@@ -59,8 +61,8 @@ class Mapper:
         self.stages = Stages()
         self._settings = settings
         self._profile = profile
-        model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx)
-        self._grid = ElevationGrid(settings.shape, settings.resolution, model)
+        self._model = FusionModel.of_sensor(profile.camera.sensor, profile.camera.intrinsics.fx)
+        self._grid = ElevationGrid(settings.shape, settings.resolution, self._model)
         self._layers = FootholdLayers(
             settings.shape, settings.resolution, Margin(profile.foot.radius), _WEIGHTS, keep_terms=profile.camera.color
         )
@@ -70,6 +72,8 @@ class Mapper:
         self._touches = TouchWatch(profile.foot.radius)
         self._stands = False  # whether it is known what the ground looks like that the robot came from
         self._seeded = False
+        self._contradicted_ns = -1  # stamp of the first scan since which the feet have refuted the map, -1 if they do not
+        self._restarts = 0  # how often the map was begun again
         self._scans = 0
         self._newest_ns = -_OUT_OF_ORDER_NS  # stamp of the newest scan that was mapped
         self._refused = ""  # why the newest scan was not, in words
@@ -85,7 +89,8 @@ class Mapper:
         drift = self._grid.height_drift
         risen = f", the pose's height has drifted by {1e3 * drift:+.1f} mm, which the map makes up for" if drift else ""
         surveying = ", surveying a passage" if self._survey is not None else ""
-        return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{risen}{surveying}"
+        again = f", begun again {self._restarts} times: the feet stood where it showed no ground" if self._restarts else ""
+        return f"mapping, {self._scans} scans, {self._known:.0%} of the cells known{risen}{surveying}{again}"
 
     def step(self, scan: Scan, inbox: Inbox) -> Iterator[Message]:
         """Fuse one scan; every few of them, or in the time of those where a link lets fewer pass, score and publish the map."""
@@ -115,6 +120,9 @@ class Mapper:
         self._newest_ns = scan.stamp_ns
         if pose is not None and legs is not None:
             self._feel(pose, legs)
+            if self._is_refuted(scan.stamp_ns, pose, legs):
+                self._begin_again(centre)
+                return
         if not self._seeded and pose is not None and legs is not None and _stand(legs):
             self._assume_ground(pose, legs)
             self._seeded = True
@@ -241,6 +249,42 @@ class Mapper:
         for p in apply(pose.T_world_odom, legs.touch[new]):
             if abs(float(self._grid.heights(p[:2])) - p[2]) <= _REACH:  # and not NaN
                 self._grid.touch(p, _TOUCH_SIGMA, self._profile.foot.radius)
+
+    def _is_refuted(self, stamp_ns: int, pose: BodyPose, legs: ActuatorState) -> bool:
+        """Whether the feet of a standing robot have shown for a time that the map around them is of another place.
+
+        All feet that carry but one have no ground near their height around them. A single foot over an edge, or a pose that
+        is off by centimeters, is not enough.
+        """
+        carrying = legs.contact
+        if legs.swing.any() or not _stand(legs):
+            self._contradicted_ns = -1
+            return False
+        feet = apply(pose.T_world_body, legs.feet)[carrying] - [0.0, 0.0, self._profile.foot.radius]
+        refuted = np.count_nonzero([self._is_nowhere(foot) for foot in feet])
+        if refuted < max(3, len(feet) - 1):
+            self._contradicted_ns = -1
+            return False
+        if not 0 <= self._contradicted_ns <= stamp_ns:
+            self._contradicted_ns = stamp_ns
+        return stamp_ns - self._contradicted_ns >= _CONTRADICTED_NS
+
+    def _is_nowhere(self, foot: Array) -> bool:
+        """Whether what is known around the underside of a foot (3,) [m] {world} is not at its height."""
+        offsets = np.arange(-_SOLE, _SOLE + 1e-9, self._settings.resolution)
+        around = foot[:2] + np.stack(np.meshgrid(offsets, offsets), axis=-1)
+        above = self._grid.heights(around) - foot[2]
+        known = above[np.isfinite(above)]
+        return bool(len(known)) and float(np.mean(np.abs(known) < _CONTRADICTED)) < _SOLE_AGREES
+
+    def _begin_again(self, centre: Array) -> None:
+        """Forget the map; the next scans and the feet begin another."""
+        self._grid = ElevationGrid(self._settings.shape, self._settings.resolution, self._model)
+        self._grid.move_to(centre[:2])
+        self._type = self._hazards = self._survey = None
+        self._seeded = self._stands = False
+        self._contradicted_ns = -1
+        self._restarts += 1
 
     def _learn(self, scan: Scan, pose: BodyPose | None, legs: ActuatorState | None) -> None:
         """Colours of a scan, and what feet have found since the last."""

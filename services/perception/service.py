@@ -31,6 +31,7 @@ _EMPTY_EVERY = 3  # scans after which pixels without a return count as lines of 
 _BLIND_WAY = 0.6  # [m] that may be walked over what has been mapped while nothing is in range
 _SILENT_S = 0.5  # [s] without odometry from which nothing is known of what the ground does not show
 _MOVED = 0.01  # [m] or [rad] beyond which no two pictures are the same
+_MOST_TILT = 1.0  # [rad] of a body whose legs carry it; beyond, the pose is wrong
 _OUT_OF_ORDER_NS = 1_000_000_000  # [ns] by which a frame that was overtaken may be late
 _MAX_FRAME_AGE_S = 0.3  # [s] the pose of an older frame is too old for a planner
 
@@ -48,7 +49,7 @@ class Perception:
         cv2.setNumThreads(1)  # the neighbours need the other cores, and one thread is deterministic
         self.max_age_s = {topics.DEPTH.key: _MAX_FRAME_AGE_S}
         self.stages = Stages()
-        self._settings = settings
+        self._profile, self._settings = profile, settings
         self._camera = profile.camera
         self._T_body_camera = profile.camera.T_body_camera
         self._T_camera_body = inverse(self._T_body_camera)
@@ -124,6 +125,8 @@ class Perception:
                 found = self._registration.update(image.depth, image.stamp_ns, T_camera, covariance)
                 if motion.silence_s > _SILENT_S and len(found.degenerate) and found.ok:
                     found = refused(image.stamp_ns, found.T_world_camera, found.covariance, None, _silent(motion))
+            if self._is_overturned(found, motion):
+                found = self._begin_again(found, motion)
         # The rotation of odometry may be slightly off; the error must not accumulate over frames.
         self._T_world_body = orthonormal(found.T_world_camera @ self._T_camera_body)
         self._T_world_odom = orthonormal(self._T_world_body @ inverse(motion.T_odom_body))
@@ -142,6 +145,23 @@ class Perception:
             self._coloring.keep(image.stamp_ns, image.depth, np.array(found.T_world_camera))
             scan = self._colored(scan, inbox.latest(topics.COLOR), self._coloring)
         yield scan
+
+    def _is_overturned(self, found: Registered, motion: Motion) -> bool:
+        """Whether a pose has a body on its side that stands on its legs, by the legs."""
+        carried = self._settings.legs and motion.reliable and motion.T_odom_body[2, 2] > np.cos(_MOST_TILT)
+        upright = (found.T_world_camera @ self._T_camera_body)[2, 2] > np.cos(_MOST_TILT)
+        return bool(carried and not upright)
+
+    def _begin_again(self, found: Registered, motion: Motion) -> Registered:
+        """Forget what was registered, and take the tilt and height of the legs' odometry."""
+        T = found.T_world_camera @ self._T_camera_body
+        R = rotation_from_rpy([0.0, 0.0, yaw_of(T)])
+        p = T[:3, 3] - R @ motion.T_odom_body[:3, 3]
+        T_world_body = transform(R, [p[0], p[1], 0.0]) @ motion.T_odom_body
+        self._registration = _make_registration(self._profile, self._settings)
+        self._stamp_ns = -1  # the tilt of {odom}, too, begins again
+        reason = "the pose has the body on its side, but the legs carry it: the registration begins again"
+        return refused(found.stamp_ns, np.asarray(T_world_body @ self._T_body_camera), found.covariance, None, reason)
 
     def _preview(self, image: DepthImage, inbox: Inbox) -> Preview:
         with self.stages("preview"):

@@ -42,6 +42,9 @@ def test_a_row_passes_where_nothing_ended_nor_grew_and_torque_went_off_in_time()
     assert not Row("viewer", 10, 1.0, (), ()).passed, "it was never ordered"
     assert not Row("viewer", 10, 1.0, (), (31.0,), ended=("planner ended",)).passed
     assert not Row("viewer", 10, 1.0, (), (31.0,), growth_mb={"console": 50.0}).passed
+    assert not Row("viewer", 10, 1.0, (), (31.0,), taken_mb={"console": 70.0}).passed
+    assert Row("viewer", 10, 1.0, (), (31.0,), afterwards="right rear leg: no foothold").passed
+    assert not Row("viewer", 10, 1.0, (), (31.0,), afterwards="").passed, "it stands without a reason"
     assert "| `viewer` | 10 | 100 % |" in role_attack.in_words([good])
     assert '"passed": true' in role_attack.to_json([good])
 

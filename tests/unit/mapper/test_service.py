@@ -427,6 +427,42 @@ def test_feet_far_from_the_map_tell_nothing_of_the_ground(lifted: float) -> None
     np.testing.assert_array_equal(confidence[2], confidence[1])
 
 
+def stand_on_what_was_seen(rig: Rig, depth: float, on_pillars: int, scans: int = 25) -> TerrainMap:
+    """A robot stands where ground was seen at a depth [m], but under some of its feet at the height of their soles."""
+    level = PROFILE.rest_feet(HEIGHT)[:, 2].mean() + HEIGHT - PROFILE.foot.radius
+    state, maps = legs(), []
+    for _ in range(20):
+        rig.now_ns += 66 * MS
+        seen = ground_scan(rig.now_ns, level - depth, x=(-0.5, 0.6), y=0.4)
+        points = seen.points_mm.copy()
+        for foot in state.feet[:on_pillars, :2]:
+            points[np.abs(points[:, :2] - 1e3 * foot).max(axis=1) < 80.0, 2] = round(1e3 * level)
+        list(rig.mapper.step(replace(seen, points_mm=points), rig.inbox))
+    for _ in range(scans):
+        rig.stand(at(), replace(state, step=3))
+        maps += rig.scan(level, x=(0.4, 0.8))
+    return maps[-1]
+
+
+def test_a_map_without_ground_under_the_feet_that_stand_is_begun_again() -> None:
+    rig = Rig()
+    made = Terrain(stand_on_what_was_seen(rig, 0.75, on_pillars=0))
+    np.testing.assert_allclose(made.heights(PROFILE.rest_feet(HEIGHT)[:, :2]), 0.0, atol=0.02)
+    assert np.isnan(made.heights(np.array([[-0.45, 0.0]]))).all(), "what it knew elsewhere is forgotten"
+    assert "begun again 1 times: the feet stood where it showed no ground" in rig.mapper.doing()
+
+
+@pytest.mark.parametrize(
+    ("depth", "on_pillars", "scans"),
+    [(0.06, 0, 25), (0.75, 3, 25), (0.75, 0, 12)],
+    ids=["a little off", "three feet on pillars", "for a moment"],
+)
+def test_it_is_kept_where_feet_may_stand_on_what_it_shows(depth: float, on_pillars: int, scans: int) -> None:
+    rig = Rig()
+    stand_on_what_was_seen(rig, depth, on_pillars, scans)
+    assert "begun again" not in rig.mapper.doing()
+
+
 def test_a_scan_in_colour_is_mapped_without_it_for_a_robot_that_has_none() -> None:
     rig = Rig()
     rig.hear(legs(np.zeros(6, dtype=np.bool_)))

@@ -163,6 +163,23 @@ def test_when_the_legs_count_from_zero_again_the_body_stays_where_it_was(world) 
     assert pose_of(rig.frame(body_at(0.04), moved)).T_world_body[0, 3] == pytest.approx(0.04, abs=4e-3)
 
 
+def test_a_pose_on_its_side_is_given_up_where_the_legs_carry_the_body_upright(world) -> None:  # type: ignore[no-untyped-def]
+    rig = Rig(world)
+    rig.frame(body_at(0.0))
+    blank = np.zeros_like(rig.picture(body_at(0.0)))
+    for roll in np.linspace(0.0, 1.5, 9):  # as legs may claim, while the camera shows nothing
+        lying = pose_of(rig.frame(body_at(0.0), from_xyz_rpy((0.0, 0.0, HEIGHT), (roll, 0.0, 0.0)), blank))
+    assert lying.T_world_body[2, 2] < 0.1
+    rig.travelled = -0.005  # counted from zero, so that the body is believed to lie where it lay
+    given_up = pose_of(rig.frame(body_at(0.0)))
+    assert not given_up.ok
+    assert "the body on its side, but the legs carry it" in given_up.reason
+    after = pose_of(rig.frame(body_at(0.0)))
+    assert after.ok
+    assert after.T_world_body[2, 2] > 0.999
+    assert after.T_world_body[2, 3] == pytest.approx(HEIGHT, abs=0.01)
+
+
 def test_odometry_that_is_nearly_rigid_yields_rigid_poses(world) -> None:  # type: ignore[no-untyped-def]
     rig = Rig(world)
     for k in range(12):
