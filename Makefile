@@ -18,16 +18,18 @@ install = $(PIP) install --constraint constraints.txt --editable '.[$(1)]' 2>$(V
 demo: $(VENV)/.installed-all
 	@$(BIN)/sextant demo
 
-# What is compiled is compiled once, for all. What is live has the machine when it wants it; the others take what is left.
+# What is compiled is compiled once, for all. What is live has the machine when it wants it; the others take what is left until
+# it is done.
 test:
 	@$(MAKE) --no-print-directory --jobs=2 check compiled
+	@touch $(VENV)/.live
 	@$(MAKE) --no-print-directory --jobs=2 --keep-going live others
 
 live: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -q -m live
+	$(BIN)/python -m pytest -q -m live; status=$$?; rm -f $(VENV)/.live; exit $$status
 
 others: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -q -m "not live" -n $(JOBS) --dist worksteal --idle
+	$(BIN)/python -m pytest -q -m "not live" -n $(JOBS) --dist worksteal --give-way $(VENV)/.live
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

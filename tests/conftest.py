@@ -1,29 +1,31 @@
 """Made-up inputs are the same in every run, and a busy machine is no failure."""
 
-import os
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
-from tests.support.idle import weigh_little
+from tests.support.idle import give_way_to, is_giving_way
 
 settings.register_profile("seeded", derandomize=True, deadline=None)
 settings.load_profile("seeded")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Where pictures go that tests make for the docs, and who waits for whom."""
+    """Where pictures go that tests make for the docs, and to whom others give way."""
     parser.addoption("--pictures", default="", metavar="DIR", help="folder for the docs' pictures of the page")
-    parser.addoption("--idle", action="store_true", help="compute only while nobody else wants to")
+    parser.addoption("--give-way", default="", metavar="FILE", help="workers compute little while this file exists")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Workers inherit how this process is scheduled; each makes a session of its own."""
-    if config.getoption("--idle"):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-        if hasattr(config, "workerinput"):
-            os.setsid()
-            weigh_little(os.getpid())
+    """Have workers give way."""
+    if hasattr(config, "workerinput") and config.getoption("--give-way"):
+        give_way_to(Path(config.getoption("--give-way")))
+
+
+def pytest_runtest_setup() -> None:
+    """See before each test whether there is still somebody to give way to."""
+    is_giving_way()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

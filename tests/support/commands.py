@@ -22,7 +22,7 @@ from shared import codec, topics
 from shared.messages import ActuatorState, Mode, PlannerStatus
 from shared.service import AnyTopic
 from shared.transport import Endpoints, ZenohLink
-from tests.support.idle import is_idle, weigh_little
+from tests.support.idle import is_giving_way, weigh_little
 
 ROOT = Path(__file__).parents[2]
 PATIENCE_S = 180.0  # for whatever a busy machine may take long to do
@@ -73,7 +73,7 @@ class Command:
             text=True,
             start_new_session=True,
         )
-        if is_idle():
+        if is_giving_way():
             weigh_little(self.process.pid)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()

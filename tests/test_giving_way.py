@@ -1,0 +1,39 @@
+"""Tests that are not live give way to those that are, and only while they run."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+_SCRIPT = """
+import os, sys
+from pathlib import Path
+from tests.support.idle import give_way_to, is_giving_way
+def weight():
+    group = Path("/proc/self/autogroup")
+    return group.read_text().split()[-1] if group.exists() and group.read_text() else str(os.nice(0))
+file = Path(sys.argv[1])
+give_way_to(file)
+print(is_giving_way(), weight())
+file.unlink(missing_ok=True)
+print(is_giving_way(), weight())
+"""
+
+
+def _said(file: Path) -> list[str]:
+    root = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", _SCRIPT, str(file)], cwd=root, capture_output=True, text=True, check=True)
+    return done.stdout.split("\n")[:2]
+
+
+def test_a_worker_weighs_little_while_the_file_exists_and_then_takes_its_weight_back(tmp_path: Path) -> None:
+    file = tmp_path / "live"
+    file.touch()
+    during, after = _said(file)
+    assert during == "True 10"
+    assert after.startswith("False")
+    if Path("/proc/self/autogroup").exists() or after == "False 0":  # elsewhere only root may take it back
+        assert after == "False 0"
+
+
+def test_without_the_file_nobody_gives_way(tmp_path: Path) -> None:
+    assert _said(tmp_path / "none")[0] == "False 0"
