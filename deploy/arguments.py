@@ -1,9 +1,11 @@
 """Parse the command line, and name what is wrong with it in one line, with the nearest right word."""
 
 import argparse
+import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from deploy.output import complain, say
 from shared.spelling import hint, nearest
 
 
@@ -13,6 +15,13 @@ class ArgumentParser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End the program with status 2 and one line on stderr."""
         self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}; see `{self.prog} --help`\n")
+
+    def _print_message(self, message: str, file: object = None) -> None:  # of argparse, which ignores what goes wrong
+        """Print help on standard output, or say there that it cannot be printed; print what is wrong if that is possible."""
+        if file is sys.stdout:
+            say(message.rstrip("\n"))
+        else:
+            complain(message.rstrip("\n"))
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:

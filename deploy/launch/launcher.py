@@ -3,6 +3,7 @@
 import contextlib
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -24,7 +25,9 @@ LAUNCHERS_GRACE_S = 6.0  # likewise for launchers as children: they have childre
 STAYED_UP_S = 60.0  # after which a process has stayed up, and all of its restarts are left again
 _REAP_S = 0.5  # a killed process is gone after this
 _READY_LOOK_S = 0.05  # between two looks at whether a process is ready
-_TAIL = 60  # lines kept of what a process said
+_TAIL = 200  # lines kept of what a process said
+_FRAME = re.compile(r'  File ".*?(?P<file>[^/\\"]*)", line (?P<line>\d+) in (?P<function>.*)')  # of `faulthandler`
+_FRAMES = 4  # of them that are told
 _ROUTER_ATTEMPTS = 5
 # Below the ports that the kernel gives to outgoing connections (32768 on), so that none of them is taken meanwhile.
 _PORTS = range(20_000, 32_000)
@@ -236,8 +239,9 @@ class Launcher:
         for child in self._children.values():
             silent_s = self._pulses.silent_s(child.process.pid)
             if child.command.watchdog_s and silent_s >= child.command.watchdog_s and not _over(child):
-                child.hung = f"hung: no sign of life for {silent_s:.1f} s"
-                _signal(child, signal.SIGKILL)
+                # Aborted, it says in which function it is, unless it is frozen; by the next look it has to be gone.
+                _signal(child, signal.SIGKILL if child.hung else signal.SIGABRT)
+                child.hung = child.hung or f"hung: no sign of life for {silent_s:.1f} s"
 
     def _start(self, command: Command, restarts_left: int) -> _Child:
         watched = self._pulses.environment(command.watchdog_s) if self._pulses and command.watchdog_s else {}
@@ -297,14 +301,23 @@ def how_it_ended(status: int) -> str:
 
 
 def last_words(lines: Sequence[str]) -> str:
-    """What counts of a process's last lines: the exception if they end in a traceback, else the last three lines."""
+    """What counts of a process's last lines: where it was aborted, the exception of a traceback, or else the last three."""
     said = [line for line in lines if line.strip()]
+    frames = [match for line in said[_aborted(said) :] if (match := _FRAME.fullmatch(line))][:_FRAMES]
+    if frames:
+        return "it was in " + ", called by ".join(f"{frame['function']} ({frame['file']}:{frame['line']})" for frame in frames)
     starts = [i for i, line in enumerate(said) if line.startswith("Traceback (most recent call last)")]
     if starts:
         after = said[starts[-1] + 1 :]
         message = next((i for i, line in enumerate(after) if not line.startswith("  ")), len(after) - 1)
         return " ".join(line.strip() for line in after[message:][:8])
     return " / ".join(line.strip() for line in said[-3:])
+
+
+def _aborted(said: Sequence[str]) -> int:
+    """Index of the line from which `faulthandler` lists the calls of the aborted thread, or how many lines there are."""
+    starts = [i for i, line in enumerate(said) if line.startswith("Current thread") and "most recent call first" in line]
+    return starts[-1] if starts else len(said)
 
 
 def _over(child: _Child) -> bool:

@@ -1,5 +1,6 @@
 """A small process for the launcher's tests, in place of a service: python stand_in.py BEHAVIOUR [WORD ...] [--parent PID]."""
 
+import faulthandler
 import os
 import signal
 import socket
@@ -92,6 +93,21 @@ def beating() -> int:
             watcher.sendto(b"WATCHDOG=1", name)
 
 
+def hanging() -> int:
+    """Gives one sign of life, and then none while it goes round in circles."""
+    faulthandler.enable()
+    name = os.environ["NOTIFY_SOCKET"].replace("@", "\0", 1)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as watcher:
+        watcher.sendto(b"WATCHDOG=1", name)
+    say(f"ready {os.getpid()}")
+    return round_in_circles()
+
+
+def round_in_circles() -> int:
+    while True:
+        pass
+
+
 def ready_and_wait() -> int:
     say(f"ready {os.getpid()}")
     while True:
@@ -112,6 +128,7 @@ BEHAVIOURS = {
     "listen": listen,
     "family": family,
     "beating": beating,
+    "hanging": hanging,
 }
 
 if __name__ == "__main__":

@@ -41,6 +41,16 @@ def test_a_full_device_is_said_in_one_sentence(recording: Path) -> None:
     assert (status, said) == (1, "sextant info: standard output cannot be written: the disk is full; make room\n")
 
 
+@pytest.mark.parametrize("words", [("--help",), ("trials", "--help")])
+def test_help_that_cannot_be_written_is_a_failure(words: tuple[str, ...]) -> None:
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "deploy.cli", *words]
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == 1
+    assert ended.stderr.endswith("standard output cannot be written: the disk is full; make room\n")
+    assert ended.stderr.count("\n") == 1
+
+
 def test_a_reader_that_has_had_enough_ends_it_quietly(recording: Path) -> None:
     read, write = os.pipe()
     os.close(read)

@@ -225,6 +225,15 @@ def test_the_speed_of_simulated_time_is_shown_where_it_is_slow() -> None:
     assert "at 0.40 of real time" in stream.getvalue()
 
 
+def test_a_run_prints_a_bounded_number_of_kinds_of_warnings() -> None:
+    stream = io.StringIO()
+    lines = Lines(stream)
+    for k in range(1000):
+        invented = "".join(chr(ord("a") + int(digit)) for digit in str(k))
+        lines.update(View(time_s=1.0, warnings=(f"{invented} is late",)))
+    assert stream.getvalue().count("is late") == 200
+
+
 def test_a_run_keeps_the_worst_of_what_was_late() -> None:
     monitor = Monitor(2.5)
 

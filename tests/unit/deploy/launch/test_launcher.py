@@ -212,6 +212,15 @@ def test_a_child_that_hangs_is_killed_and_started_again_and_one_that_never_beat_
         assert launcher.poll() == [], "the others are none the worse"
 
 
+def test_a_child_that_hangs_tells_in_which_function_it_was(ear: Ear) -> None:
+    with Launcher([command("a", "hanging", watchdog_s=0.5)], ear) as launcher:
+        ear.wait_for("a", "ready")
+        (ended,) = launcher.wait(PATIENCE_S)
+    assert ended.how.startswith("hung: no sign of life for")
+    where = r"it was in round_in_circles \(stand_in\.py:\d+\), called by hanging \(stand_in\.py:\d+\), called by main .*"
+    assert re.fullmatch(where, ended.last_words)
+
+
 def test_what_a_child_has_started_goes_with_it(ear: Ear, watched: list[int]) -> None:
     with Launcher([command("a", "family")], ear) as launcher:
         watched.append(os.pidfd_open(int(ear.wait_for("a", "child"))))
