@@ -29,7 +29,7 @@ live: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -q -m live; status=$$?; rm -f $(VENV)/.live; exit $$status
 
 others: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -q -m "not live" -n $(JOBS) --dist worksteal --give-way $(VENV)/.live
+	$(BIN)/python -m pytest -q -m "not live" -n $(JOBS) --dist worksteal --give-way=$(VENV)/.live
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
