@@ -5,8 +5,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from deploy.output import complain, say
-from shared.spelling import hint, nearest
+from sextant.deploy.output import complain, say
+from sextant.shared.spelling import hint, nearest
 
 
 class ArgumentParser(argparse.ArgumentParser):

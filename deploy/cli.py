@@ -10,9 +10,9 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from deploy.arguments import ArgumentParser
-from deploy.commands import keys, service, servos, values
-from deploy.commands.benches import (
+from sextant.deploy.arguments import ArgumentParser
+from sextant.deploy.commands import keys, service, servos, values
+from sextant.deploy.commands.benches import (
     bench_access,
     bench_accuracy,
     bench_bus,
@@ -30,39 +30,39 @@ from deploy.commands.benches import (
     bench_start,
     bench_strangers,
 )
-from deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
-from deploy.commands.facts import compose, doctor
-from deploy.commands.faults import faults
-from deploy.commands.fleet import fleet
-from deploy.commands.fuzz import fuzz
-from deploy.commands.order import order
-from deploy.commands.plots import plot
-from deploy.commands.recordings import export, foxglove, info, record, recover, replay
-from deploy.commands.ros2 import ros2
-from deploy.commands.topics import docs, echo, hz, list_topics
-from deploy.commands.trials import table, trials
-from deploy.commands.up import up
-from deploy.commands.video import video
-from deploy.commands.walks import DEMOS, demo, run
-from deploy.output import OutputError, discard_output, flushed_output, prepare_streams
-from shared.files import OUT_OF_ROOM, cause
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, WRONG_INPUT, InputError, complain
+from sextant.deploy.commands.facts import compose, doctor
+from sextant.deploy.commands.faults import faults
+from sextant.deploy.commands.fleet import fleet
+from sextant.deploy.commands.fuzz import fuzz
+from sextant.deploy.commands.order import order
+from sextant.deploy.commands.plots import plot
+from sextant.deploy.commands.recordings import export, foxglove, info, record, recover, replay
+from sextant.deploy.commands.ros2 import ros2
+from sextant.deploy.commands.topics import docs, echo, hz, list_topics
+from sextant.deploy.commands.trials import table, trials
+from sextant.deploy.commands.up import up
+from sextant.deploy.commands.video import video
+from sextant.deploy.commands.walks import DEMOS, demo, run
+from sextant.deploy.output import OutputError, discard_output, flushed_output, prepare_streams
+from sextant.shared.files import OUT_OF_ROOM, cause
 
 _SAID_IN_WORDS = {  # errors of modules that only some commands need
-    "shared.transport": "TransportError",
-    "shared.input_file": "FileError",
-    "shared.lockstep": "ServiceFailedError",
-    "shared.access": "AccessError",
-    "services.console.recording.layout": "RecordingError",
-    "shared.files": "WriteError",
-    "deploy.video.story": "StoryError",
-    "deploy.video.files": "FileError",
-    "deploy.launch.fleet": "FleetError",
-    "deploy.trials.kept": "KeptError",
-    "deploy.launch.units": "UnitError",
-    "deploy.trials.batch": "ChangedError",
-    "deploy.replay.error": "ReplayError",
-    "services.actuator.line": "BusGone",
-    "services.actuator.gentle": "ServoSilentError",
+    "sextant.shared.transport": "TransportError",
+    "sextant.shared.input_file": "FileError",
+    "sextant.shared.lockstep": "ServiceFailedError",
+    "sextant.shared.access": "AccessError",
+    "sextant.services.console.recording.layout": "RecordingError",
+    "sextant.shared.files": "WriteError",
+    "sextant.deploy.video.story": "StoryError",
+    "sextant.deploy.video.files": "FileError",
+    "sextant.deploy.launch.fleet": "FleetError",
+    "sextant.deploy.trials.kept": "KeptError",
+    "sextant.deploy.launch.units": "UnitError",
+    "sextant.deploy.trials.batch": "ChangedError",
+    "sextant.deploy.replay.error": "ReplayError",
+    "sextant.services.actuator.line": "BusGone",
+    "sextant.services.actuator.gentle": "ServoSilentError",
 }
 _OF_THE_MACHINE = (
     "TransportError",
@@ -112,7 +112,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
 
 def _refusals() -> tuple[type[Exception], ...]:
     """What is the caller's mistake or the machine's state, and says so in words; everything else is a traceback."""
-    from shared.config import ConfigError
+    from sextant.shared.config import ConfigError
 
     others = [getattr(sys.modules[module], name) for module, name in _SAID_IN_WORDS.items() if module in sys.modules]
     return ConfigError, InputError, *others

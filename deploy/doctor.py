@@ -15,9 +15,9 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 
-from deploy import rehearsal, servo_checks
-from deploy.checks import Check, Level
-from shared.config import ConfigError
+from sextant.deploy import rehearsal, servo_checks
+from sextant.deploy.checks import Check, Level
+from sextant.shared.config import ConfigError
 
 _ROLES: dict[str, tuple[str, ...]] = {  # the extras of pyproject.toml, by the modules they bring
     "core": ("msgpack", "numpy", "zenoh", "zstandard"),
@@ -79,10 +79,10 @@ def wheels() -> Iterator[Check]:
 
 def zenoh_round_trip() -> Check:
     """Whether frames get through a router of this machine and back, and how fast."""
-    from deploy.launch.launcher import host_router
-    from shared import topics
-    from shared.service import AnyTopic
-    from shared.transport import TransportError, ZenohLink
+    from sextant.deploy.launch.launcher import host_router
+    from sextant.shared import topics
+    from sextant.shared.service import AnyTopic
+    from sextant.shared.transport import TransportError, ZenohLink
 
     name = "zenoh on loopback"
     back = threading.Semaphore(0)
@@ -113,7 +113,7 @@ def zenoh_round_trip() -> Check:
 
 def numba_cache() -> Check:
     """Whether compiled loops can be kept: without, every start compiles for a minute."""
-    import shared
+    from sextant import shared
 
     name = "cache of compiled loops"
     places = [Path(os.environ["NUMBA_CACHE_DIR"])] if os.environ.get("NUMBA_CACHE_DIR") else []
@@ -145,9 +145,9 @@ def cycle(
     actuator: Callable[[str], AbstractContextManager[Callable[[], object]]] = rehearsal.bench_actuator,
 ) -> Check:
     """Whether this machine keeps the time of a control loop, as it is loaded now: the actuator's, on an emulated servo bus."""
-    from shared.host import go_first
-    from shared.live import Beats
-    from shared.service import Every
+    from sextant.shared.host import go_first
+    from sextant.shared.live import Beats
+    from sextant.shared.service import Every
 
     def beat() -> tuple[str, list[float], list[float]]:
         refused, every, work = go_first(), list[float](), list[float]()
@@ -214,9 +214,9 @@ def depth_camera(robot: str, device: str = "") -> Check:
     """Whether the depth camera of a robot, or the one that is asked for, is there; only the latter must be."""
     level = Level.FAIL if device else Level.WARN
     try:
-        from services.perception.cameras.camera import CameraError
-        from services.perception.cameras.service import find
-        from shared.profiles import load_profile
+        from sextant.services.perception.cameras.camera import CameraError
+        from sextant.services.perception.cameras.service import find
+        from sextant.shared.profiles import load_profile
     except ImportError as error:
         return Check("camera", level, str(error), "pip install -e '.[perception]'")
     try:

@@ -1,13 +1,13 @@
-"""Perception with the errors of a recorded localiser on top, for simulated live runs: `python -m deploy.erring_perception`."""
+"""Perception plus the errors of a recorded localiser, for simulated live runs: `python -m sextant.deploy.erring_perception`."""
 
 from dataclasses import dataclass, fields
 from typing import Literal
 
-from deploy.runs.pose_error import MODELS, Erring
-from services.perception.config import Settings as PerceptionSettings
-from services.perception.service import Perception
-from shared import process
-from shared.robot import RobotProfile
+from sextant.deploy.runs.pose_error import MODELS, Erring
+from sextant.services.perception.config import Settings as PerceptionSettings
+from sextant.services.perception.service import Perception
+from sextant.shared import process
+from sextant.shared.robot import RobotProfile
 
 
 @dataclass(frozen=True, slots=True)

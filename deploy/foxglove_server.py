@@ -6,10 +6,10 @@ from typing import Self
 import foxglove
 from google.protobuf.message import Message
 
-from services.console.recording.foxglove.translation import Foxglove
-from services.console.recording.writer import LEFT_OUT, declaration
-from shared.robot import RobotProfile
-from shared.service import AnyTopic
+from sextant.services.console.recording.foxglove.translation import Foxglove
+from sextant.services.console.recording.writer import LEFT_OUT, declaration
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic
 
 
 class FoxgloveServer:

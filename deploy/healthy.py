@@ -1,6 +1,6 @@
-"""Whether a process of this container is well, for its health check: python -m deploy.healthy [--port N] [--end-hung].
+"""Whether a process of this container is well, for its health check: python -m sextant.deploy.healthy [--port N] [--end-hung].
 
-A process gives its signs of life at the socket that NOTIFY_SOCKET names, as it does under systemd (`shared.watchdog`); here
+A process gives its signs of life at the socket that NOTIFY_SOCKET names, as under systemd (`sextant.shared.watchdog`); here
 this program sits at the other end, for as long as it takes to hear one. Nothing else has to run, and no file goes stale: a sign
 comes from the loop that does the work, now. It imports nothing that takes long, for it is run again and again.
 """
@@ -15,8 +15,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from deploy.launch.ports import port_taken
-from shared import files
+from sextant.deploy.launch.ports import port_taken
+from sextant.shared import files
 
 _CREDENTIALS = struct.Struct("3i")  # Linux' struct ucred: process, user, group
 _PATIENCE_S = 5.0  # where WATCHDOG_USEC says nothing
@@ -24,7 +24,9 @@ _PATIENCE_S = 5.0  # where WATCHDOG_USEC says nothing
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 where all is well, else 1, and why in words."""
-    parser = argparse.ArgumentParser(prog="python -m deploy.healthy", description="Whether a process gives signs of life.")
+    parser = argparse.ArgumentParser(
+        prog="python -m sextant.deploy.healthy", description="Whether a process gives signs of life."
+    )
     parser.add_argument("--port", type=int, default=0, help="TCP port of 127.0.0.1 that somebody must listen on")
     parser.add_argument("--end-hung", action="store_true", help="kill what has given signs and gives none any more")
     arguments = parser.parse_args(argv)

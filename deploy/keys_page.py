@@ -18,17 +18,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deploy.judging.scorer import Scorer
-from deploy.order import Order
-from deploy.process_table import ROUTER_ENDPOINT, TABLE
-from deploy.ros2.bridge import Bridge
-from deploy.runs.operator import Operator
-from shared import codec, messages, topics
-from shared.messages import Dims, Message, Mode, VelocityCommand
-from shared.service import AnyTopic
-from shared.transport import Endpoints
+from sextant.deploy.judging.scorer import Scorer
+from sextant.deploy.order import Order
+from sextant.deploy.process_table import ROUTER_ENDPOINT, TABLE
+from sextant.deploy.ros2.bridge import Bridge
+from sextant.deploy.runs.operator import Operator
+from sextant.shared import codec, messages, topics
+from sextant.shared.messages import Dims, Message, Mode, VelocityCommand
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints
 
-CLIENT = Path(__file__).parents[1] / "docs" / "walk_client.py"
+CLIENT = Path(__file__).resolve().parents[1] / "docs" / "walk_client.py"
 _FRAMES = ("world", "odom", "body")
 _NAMES = {float: "float", int: "int", bool: "bool", str: "text"}
 _WORDS = re.compile(r"(?:\((?:[\d, ]+)\) )?(?:\[(?P<unit>[^\]]+)\] ?)?(?:\{(?P<frame>\w+)\} ?)?(?P<what>.*)", re.DOTALL)

@@ -3,14 +3,14 @@
 from collections.abc import Iterator
 from typing import Literal, TypeAlias
 
-from deploy.robot_time import RobotTime
-from shared import topics
-from shared.access import ROUTER_OF, refusal_here
-from shared.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.deploy.robot_time import RobotTime
+from sextant.shared import topics
+from sextant.shared.access import ROUTER_OF, refusal_here
+from sextant.shared.messages import ActuatorState, Message, Mode, ModeCommand, StopOrder, Tick
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 
 What: TypeAlias = Literal["off", "stop", "ready", "stand", "walk", "sit"]
-_KEPT_BACK = f" may not put {topics.MODE.key}"  # as a router says it (`deploy.network.refusals`)
+_KEPT_BACK = f" may not put {topics.MODE.key}"  # as a router says it (`sextant.deploy.network.refusals`)
 _REPEAT_NS = 500_000_000  # [ns] between two messages of the order
 _UNHEARD_NS = 5_000_000_000  # [ns] patience for the first word of the actuator
 _PATIENCE_NS = 15_000_000_000  # [ns] patience for what is ordered

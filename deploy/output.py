@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Iterator
 
-from shared.files import cause
+from sextant.shared.files import cause
 
 
 class OutputError(OSError):

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from services.actuator.latch import Latch
-from shared.scenario import MapOptions, Scenario
-from shared.transport import Endpoints
+from sextant.services.actuator.latch import Latch
+from sextant.shared.scenario import MapOptions, Scenario
+from sextant.shared.transport import Endpoints
 
 Value = str | int | float | bool
 Role = Literal["all", "onboard", "offboard", "sim"]
@@ -117,7 +117,7 @@ def _actuator(choices: Choices) -> dict[str, Value]:
 TABLE: tuple[Process, ...] = (
     Process(
         "simulator",
-        "services.simulator",
+        "sextant.services.simulator",
         "simulation",
         0,
         _simulator,
@@ -126,17 +126,33 @@ TABLE: tuple[Process, ...] = (
         memory_mb=1024,
     ),
     Process(
-        "actuator", "services.actuator", "robot", 3, _actuator, urgent=True, after=("simulator",), watchdog_s=1.5, memory_mb=256
+        "actuator",
+        "sextant.services.actuator",
+        "robot",
+        3,
+        _actuator,
+        urgent=True,
+        after=("simulator",),
+        watchdog_s=1.5,
+        memory_mb=256,
     ),
-    Process("stop", "services.actuator.stop", "robot", 3, _servo_port, watchdog_s=1.5, memory_mb=256),
-    Process("camera", "services.perception.cameras", "device", 3, _camera),
-    Process("perception", "services.perception", "robot", 3, _perception, nice=2, memory_mb=1024),
-    Process("mapper", "services.mapper", "either", 3, _mapper, nice=5, memory_mb=1024),
-    Process("planner", "services.planner", "either", 3, _planner, nice=2, memory_mb=768),
-    Process("console", "services.console", "page", 3, _console, memory_mb=256),  # what stops the robot waits for no map
+    Process("stop", "sextant.services.actuator.stop", "robot", 3, _servo_port, watchdog_s=1.5, memory_mb=256),
+    Process("camera", "sextant.services.perception.cameras", "device", 3, _camera),
+    Process("perception", "sextant.services.perception", "robot", 3, _perception, nice=2, memory_mb=1024),
+    Process("mapper", "sextant.services.mapper", "either", 3, _mapper, nice=5, memory_mb=1024),
+    Process("planner", "sextant.services.planner", "either", 3, _planner, nice=2, memory_mb=768),
+    Process("console", "sextant.services.console", "page", 3, _console, memory_mb=256),  # what stops the robot waits for no map
     # A disk may take its time.
     Process(
-        "recorder", "services.console.recorder", "page", 3, _recorder, nice=3, watchdog_s=120.0, memory_mb=512, one_heap=True
+        "recorder",
+        "sextant.services.console.recorder",
+        "page",
+        3,
+        _recorder,
+        nice=3,
+        watchdog_s=120.0,
+        memory_mb=512,
+        one_heap=True,
     ),
 )
 
@@ -306,7 +322,9 @@ def commands(
 
 def _module(process: Process, chosen: Choices) -> str:
     """What is run: perception with a pose error is another process, so that the robot's own knows nothing of it."""
-    return "deploy.erring_perception" if process.name == "perception" and chosen.pose_error != "none" else process.module
+    return (
+        "sextant.deploy.erring_perception" if process.name == "perception" and chosen.pose_error != "none" else process.module
+    )
 
 
 def _giving_way(process: Process) -> tuple[str, ...]:
@@ -339,7 +357,7 @@ def router_command(listen: str, more: tuple[str, ...] = (), role: str = "", star
     """
     port = int(listen.rpartition(":")[2])
     told = ("--role", role, "--starts", ",".join(p.name for p in starts)) if role else ()
-    words = ("-m", "deploy.router", *(more or ("--listen", listen)), *told)
+    words = ("-m", "sextant.deploy.router", *(more or ("--listen", listen)), *told)
     return Command("router", words, ENVIRONMENT, restarts=3, ready_port=port, watchdog_s=_ROUTER_SILENT_S, memory_mb=256)
 
 

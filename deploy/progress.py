@@ -8,12 +8,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, TextIO
 
-from deploy.judging.report import InputAges
-from shared import topics
-from shared.health_table import HealthTable
-from shared.lateness import SlowComputer, ages_of
-from shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.deploy.judging.report import InputAges
+from sextant.shared import topics
+from sextant.shared.health_table import HealthTable
+from sextant.shared.lateness import SlowComputer, ages_of
+from sextant.shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus, Tick
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 
 _MOST_WARNINGS = 200  # kinds of them that are told in a run: they quote what services say
 _SPEED_OVER_NS = 2_000_000_000  # speed is the mean over the newest two seconds

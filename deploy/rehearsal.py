@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.service import Stages
+from sextant.shared.service import Stages
 
 SECONDS = 2.0  # [s] of real time for which the chain is timed
 _WALKS_AFTER_NS = (
@@ -63,9 +63,9 @@ def rehearse(seconds: float = SECONDS, machine: Callable[[], float] = time.monot
         seconds: [s] of real time for which the walk is timed.
         machine: [s] real time.
     """
-    from deploy.runs.lockstep_run import assemble
-    from shared.profiles import load_profile
-    from shared.scenario import load_scenario
+    from sextant.deploy.runs.lockstep_run import assemble
+    from sextant.shared.profiles import load_profile
+    from sextant.shared.scenario import load_scenario
 
     scenario = load_scenario("flat")
     run = assemble(scenario, 0, load_profile(scenario.robot))
@@ -101,16 +101,16 @@ def usable_cores() -> int:
 @contextmanager
 def bench_actuator(robot: str) -> Iterator[Callable[[], None]]:
     """The cycle of a real actuator on an emulated servo bus, the robot on a stand and told to stand up."""
-    from services.actuator.config import Settings
-    from services.actuator.service import Actuator
-    from services.actuator.servos import Outlet
-    from services.simulator.tcp_port import TcpBusServer
-    from services.simulator.workbench import Workbench
-    from shared import codec, topics
-    from shared.clock import now_ns
-    from shared.messages import ModeCommand
-    from shared.profiles import load_profile
-    from shared.service import Worker
+    from sextant.services.actuator.config import Settings
+    from sextant.services.actuator.service import Actuator
+    from sextant.services.actuator.servos import Outlet
+    from sextant.services.simulator.tcp_port import TcpBusServer
+    from sextant.services.simulator.workbench import Workbench
+    from sextant.shared import codec, topics
+    from sextant.shared.clock import now_ns
+    from sextant.shared.messages import ModeCommand
+    from sextant.shared.profiles import load_profile
+    from sextant.shared.service import Worker
 
     profile = load_profile(robot)
     with TcpBusServer(Workbench(profile, np.random.default_rng(0))) as server:

@@ -11,16 +11,16 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from deploy.pictures.terrain_mesh import terrain_mesh
-from deploy.progress import Progress
-from services.console.diary import Diary
-from services.console.recording.reader import Recording
-from shared import files, topics
-from shared.kinematics import leg_points
-from shared.messages import ActuatorState, BodyPose, PlannerStatus, Preview, Scan, StepPlan, TerrainMap
-from shared.profiles import load_profile
-from shared.robot import JOINTS, LEGS, RobotProfile
-from shared.service import AnyTopic
+from sextant.deploy.pictures.terrain_mesh import terrain_mesh
+from sextant.deploy.progress import Progress
+from sextant.services.console.diary import Diary
+from sextant.services.console.recording.reader import Recording
+from sextant.shared import files, topics
+from sextant.shared.kinematics import leg_points
+from sextant.shared.messages import ActuatorState, BodyPose, PlannerStatus, Preview, Scan, StepPlan, TerrainMap
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import JOINTS, LEGS, RobotProfile
+from sextant.shared.service import AnyTopic
 
 _SHOW_MESSAGES = 5000
 _MAP_NS = 1_000_000_000  # [ns] between two maps

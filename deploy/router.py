@@ -1,4 +1,4 @@
-"""The Zenoh router as a process of its own, for deployments in which no launcher hosts it: python -m deploy.router."""
+"""The Zenoh router as a process of its own, for deployments in which no launcher hosts it: python -m sextant.deploy.router."""
 
 import argparse
 import contextlib
@@ -12,20 +12,20 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from types import FrameType
 
-from deploy.interrupts import Interrupts
-from deploy.network import gate, refusals
-from deploy.network.gatekeeper import CaughtOutput, Gatekeeper, link_to, publish
-from deploy.network.hosting import hosted
-from deploy.network.knocking import Knocking
-from deploy.network.meeting import Meeting
-from deploy.network.silence import SilenceLimit
-from deploy.process_table import ROUTER_ENDPOINT
-from deploy.provenance import version
-from shared.access import AccessError
-from shared.ending import bound_the_end, end_with, leave, leave_at_errors, leave_at_errors_of_threads
-from shared.host import allow_many_files, switch_often
-from shared.transport import GIVEN_UP_S, LEASE_MS, TransportError, ZenohLink, log_to_stdout
-from shared.watchdog import Watchdog
+from sextant.deploy.interrupts import Interrupts
+from sextant.deploy.network import gate, refusals
+from sextant.deploy.network.gatekeeper import CaughtOutput, Gatekeeper, link_to, publish
+from sextant.deploy.network.hosting import hosted
+from sextant.deploy.network.knocking import Knocking
+from sextant.deploy.network.meeting import Meeting
+from sextant.deploy.network.silence import SilenceLimit
+from sextant.deploy.process_table import ROUTER_ENDPOINT
+from sextant.deploy.provenance import version
+from sextant.shared.access import AccessError
+from sextant.shared.ending import bound_the_end, end_with, leave, leave_at_errors, leave_at_errors_of_threads
+from sextant.shared.host import allow_many_files, switch_often
+from sextant.shared.transport import GIVEN_UP_S, LEASE_MS, TransportError, ZenohLink, log_to_stdout
+from sextant.shared.watchdog import Watchdog
 
 _WARN_S = 30.0  # between two warnings that it is open to anybody
 _LOOK_S = 0.1
@@ -40,7 +40,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 then, 2 when the address cannot be listened on or nobody should be let in; without returning it ends with 75 where it
         was stopped for longer than its links last, for another to take its place.
     """
-    parser = argparse.ArgumentParser(prog="python -m deploy.router", description="The router that the services meet at.")
+    parser = argparse.ArgumentParser(
+        prog="python -m sextant.deploy.router", description="The router that the services meet at."
+    )
     words = f"endpoint to listen on, as often as wanted (default {ROUTER_ENDPOINT}, with --keys also {gate.SECURE_ENDPOINT})"
     parser.add_argument("--listen", action="append", default=[], help=words)
     words = "router of another machine that this one is chained to, as often as wanted"
@@ -136,7 +138,7 @@ class _Guard:
 class _Awake:
     """Ends this process at once where it goes on after it was stopped for longer than its links last.
 
-    Before it has said a word to those who come again: `shared.transport.Router` says what became of that.
+    Before it has said a word to those who come again: `sextant.shared.transport.Router` says what became of that.
     """
 
     def __init__(self) -> None:

@@ -10,15 +10,15 @@ from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.checks import Check, Level
-from services.actuator import usb_adapter
-from services.actuator.commissioning import hampered
-from shared.config import ConfigError
+from sextant.deploy.checks import Check, Level
+from sextant.services.actuator import usb_adapter
+from sextant.services.actuator.commissioning import hampered
+from sextant.shared.config import ConfigError
 
 if TYPE_CHECKING:
-    from services.actuator.bus import Port
-    from services.actuator.roll_call import Seen
-    from shared.robot import RobotProfile
+    from sextant.services.actuator.bus import Port
+    from sextant.services.actuator.roll_call import Seen
+    from sextant.shared.robot import RobotProfile
 
 _PATIENCE_NS = 50_000_000  # [ns] a servo that answers late is there
 _OLD_DAYS = 180  # of a calibration: horns settle, screws are undone
@@ -36,7 +36,7 @@ def examine(port: str | None, robot: str, dev: Path = Path("/dev")) -> Iterator[
     try:
         import serial  # noqa: F401  (what reads the bus)
 
-        from shared.profiles import load_profile
+        from sextant.shared.profiles import load_profile
     except ImportError as error:
         yield Check(f"servo port {port}", Level.FAIL, str(error), "pip install -e '.[actuator]'")
         return
@@ -75,9 +75,9 @@ def out_of_reach(port: str) -> Check | None:
 
 def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Whether all of the robot's servos are there, and how they are."""
-    from services.actuator.bus import BusGone, open_port
-    from services.actuator.roll_call import problems
-    from shared import dynamixel as dxl
+    from sextant.services.actuator.bus import BusGone, open_port
+    from sextant.services.actuator.roll_call import problems
+    from sextant.shared import dynamixel as dxl
 
     name, names, model = f"servo port {port}", profile.servo_names, dxl.MODEL_NAMED[profile.servo.model]
     try:
@@ -112,8 +112,8 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
 
 def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, Seen], bool]":
     """Who of the robot's servos is there, and whether the adapter echoes; the port is closed in the end."""
-    from services.actuator.bus import ServoBus
-    from services.actuator.roll_call import Voice, call
+    from sextant.services.actuator.bus import ServoBus
+    from sextant.services.actuator.roll_call import Voice, call
 
     bus = ServoBus(port, list(names), time.monotonic_ns, names=names, reply_timeout_ns=_PATIENCE_NS)
     try:
@@ -128,8 +128,8 @@ def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, Seen], bool
 
 def well(seen: "list[Seen]", profile: "RobotProfile") -> Iterator[Check]:
     """Voltage and temperature of servos that are in order, and what they report of themselves."""
-    from services.actuator.roll_call import WARM, error_of, named
-    from shared import dynamixel as dxl
+    from sextant.services.actuator.roll_call import WARM, error_of, named
+    from sextant.shared import dynamixel as dxl
 
     if not seen:
         return
@@ -156,7 +156,7 @@ def latency(port: str, devices: Path = usb_adapter.DEVICES) -> Check:
 
 def calibration(profile: "RobotProfile", today: date) -> Check:
     """Whether the horns of every leg have been measured, and how long ago."""
-    from shared.robot import LEGS
+    from sextant.shared.robot import LEGS
 
     name, measured = "calibration", {entry.leg: entry.date for entry in profile.calibration}
     advice = "`sextant servos calibrate` measures how the horns sit"

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.overheard import Heard, age_ns
-from shared.codec import DecodeError, decode, label
-from shared.messages import Message, schema
-from shared.service import AnyTopic
+from sextant.deploy.overheard import Heard, age_ns
+from sextant.shared.codec import DecodeError, decode, label
+from sextant.shared.messages import Message, schema
+from sextant.shared.service import AnyTopic
 
 FEW = 36  # values of an array that is shown in full: a covariance, and all joints
 _WIDTH = 110  # columns

@@ -1,6 +1,6 @@
 """Compiles every inner loop of a simulated robot once, by its services' own rehearsals, so that it is done where a run begins.
 
-python -m deploy.warm_up
+python -m sextant.deploy.warm_up
 """
 
 import argparse
@@ -10,40 +10,40 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deploy.workers import share_out
-from shared.ending import end_with
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.scenario import load_scenario
+from sextant.deploy.workers import share_out
+from sextant.shared.ending import end_with
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import load_scenario
 
 _SCENARIOS = ("steps", "cobbles", "puddle")  # of blocks, of a height field, and in colour
 _Rehearsal = Callable[[RobotProfile, str], None]  # each loads its service itself, for a process that rehearses others need not
 
 
 def _perception(profile: RobotProfile, _: str) -> None:
-    from services.perception.config import Settings
-    from services.perception.rehearsal import rehearse
+    from sextant.services.perception.config import Settings
+    from sextant.services.perception.rehearsal import rehearse
 
     rehearse(profile, Settings())
 
 
 def _mapper(profile: RobotProfile, _: str) -> None:
-    from services.mapper.config import Settings
-    from services.mapper.rehearsal import rehearse
+    from sextant.services.mapper.config import Settings
+    from sextant.services.mapper.rehearsal import rehearse
 
     rehearse(profile, Settings())
 
 
 def _planner(profile: RobotProfile, _: str) -> None:
-    from services.planner.config import Settings
-    from services.planner.rehearsal import rehearse
+    from sextant.services.planner.config import Settings
+    from sextant.services.planner.rehearsal import rehearse
 
     rehearse(profile, Settings())
 
 
 def _simulator(profile: RobotProfile, scenario: str) -> None:
-    from services.simulator.config import Settings
-    from services.simulator.rehearsal import rehearse
+    from sextant.services.simulator.config import Settings
+    from sextant.services.simulator.rehearsal import rehearse
 
     rehearse(profile, Settings(scenario))
 
@@ -53,7 +53,7 @@ _SHARES = ((_planner,), (_perception, _mapper, _simulator))  # either takes abou
 
 def main() -> int:
     """Rehearse for all of them; on two cores, where there are two and much is to be done."""
-    parser = argparse.ArgumentParser(prog="python -m deploy.warm_up", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m sextant.deploy.warm_up", description=__doc__)
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     arguments = parser.parse_args()
     if arguments.parent:
@@ -66,7 +66,7 @@ def main() -> int:
 
 def _compiled_before() -> bool:
     """Whether Numba keeps anything of the planner's search, which takes longest: what is left to do is little, mostly."""
-    from services.planner.passage import search
+    from sextant.services.planner.passage import search
 
     compiled: Any = search.grow
     return any(Path(compiled.stats.cache_path).glob("search.*.nbi"))

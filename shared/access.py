@@ -12,8 +12,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from shared import input_file
-from shared import topics as t
+from sextant.shared import input_file
+from sextant.shared import topics as t
 
 AnyTopic: TypeAlias = t.Topic[Any]
 CERTIFICATE, KEY, AUTHORITY, ROLE = "certificate.pem", "key.pem", "ca.pem", "role.toml"  # files of a folder of keys

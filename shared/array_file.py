@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from shared.geometry import Array
-from shared.input_file import FileError, read_bytes
+from sextant.shared.geometry import Array
+from sextant.shared.input_file import FileError, read_bytes
 
 _MAX_CELLS = 1 << 24
 _MAGIC = b"\x93NUMPY"

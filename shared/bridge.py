@@ -11,10 +11,10 @@ from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Annotated, Any, ClassVar, get_type_hints
 
-from shared.codec import DecodeError, pack_values, unpack_values
-from shared.dynamixel import MAX_ID, TABLE_SIZE, TICK_MAX
-from shared.fields import Choice, Kind, Octets, Text, Whole, Words
-from shared.framing import MAX_PAYLOAD, Deframer, frame
+from sextant.shared.codec import DecodeError, pack_values, unpack_values
+from sextant.shared.dynamixel import MAX_ID, TABLE_SIZE, TICK_MAX
+from sextant.shared.fields import Choice, Kind, Octets, Text, Whole, Words
+from sextant.shared.framing import MAX_PAYLOAD, Deframer, frame
 
 VERSION = 1
 MAX_SERVOS = 24

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
-from shared import config
-from shared.messages import BrokenPart, FaultCommand, FaultKind, FaultTarget
+from sextant.shared import config
+from sextant.shared.messages import BrokenPart, FaultCommand, FaultKind, FaultTarget
 
 
 class Cell(NamedTuple):

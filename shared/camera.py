@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shared import config, topics
+from sextant.shared import config, topics
 
 _MOST_PIXELS = min(topics.cells_that_fit(topics.DEPTH), topics.cells_that_fit(topics.COLOR))
 

@@ -28,7 +28,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from shared.messages import MAX_ITEMS, MAX_LENGTH, MAX_TEXT, Message, schema
+from sextant.shared.messages import MAX_ITEMS, MAX_LENGTH, MAX_TEXT, Message, schema
 
 M = TypeVar("M", bound=Message)
 

@@ -14,8 +14,8 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from shared import input_file
-from shared.spelling import hint, nearest
+from sextant.shared import input_file
+from sextant.shared.spelling import hint, nearest
 
 T = TypeVar("T")
 _MOST_SHOWN = 30  # problems of one configuration

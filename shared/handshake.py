@@ -2,8 +2,8 @@
 
 import ssl
 
-from shared.access import AUTHORITY, CERTIFICATE, KEY, Keys
-from shared.endpoint import cannot_connect, connected, place
+from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, Keys
+from sextant.shared.endpoint import cannot_connect, connected, place
 
 _VERDICT_S = 0.25  # after its own handshake is done a client hears within a round trip that its certificate was refused
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from shared import topics
-from shared.messages import Health
-from shared.service import Inbox
+from sextant.shared import topics
+from sextant.shared.messages import Health
+from sextant.shared.service import Inbox
 
 MOST_SERVICES = 32  # of a role; further names are left out until one is forgotten
 FORGOTTEN_NS = 300_000_000_000  # [ns] without health, after which a service is forgotten

@@ -7,15 +7,15 @@ lists every misprint with its correction and the test that proves it. In short, 
 - Lotriet's (5.2) with z_t over d - L_1 in the second row, (5.4) with L_2 and L_3, (5.7)-(5.8) with cosines for the horizontal
   reach, and (5.3)'s arcsine as the arctangent that also holds for the blunt angles of a foot near the body.
 
-Angles q are those of `shared.robot`: coxa about z, femur up from the horizontal, tibia from the femur's straight continuation,
+Angles q are those of `sextant.shared.robot`: coxa about z, femur up from the horizontal, tibia from the straight femur,
 up positive. The coxa frame has its origin on the coxa axis, x outward along the neutral leg, z up.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array
-from shared.robot import LegLinks, RobotProfile
+from sextant.shared.geometry import Array
+from sextant.shared.robot import LegLinks, RobotProfile
 
 SINGULAR = 1e-6  # [m] of horizontal reach, or sine of the knee: nearer to a singularity rates are not given
 

@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from shared.messages import Health
+from sextant.shared.messages import Health
 
 BEAT = "beat"  # the time from one beat of a service's own clock to the next
 STALL = "stall"  # the time for which a live service waited for a message that did not come, at most

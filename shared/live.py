@@ -6,17 +6,17 @@ from collections.abc import Callable
 from functools import partial
 from typing import Protocol, runtime_checkable
 
-from shared.clock import now_ns
-from shared.lateness import STALL
-from shared.service import AnyTopic, Every, Service, Worker
-from shared.simulated_time import hold
+from sextant.shared.clock import now_ns
+from sextant.shared.lateness import STALL
+from sextant.shared.service import AnyTopic, Every, Service, Worker
+from sextant.shared.simulated_time import hold
 
 _LOOK_S = 0.2  # [s] of real time for which the thread that steps waits at most without saying that it lives
 _SHORTEST_WAIT_S = 0.5e-3  # [s] between two looks at simulated time that stands
 
 
 class Link(Protocol):
-    """What moves frames between processes; `shared.transport` has the one for Zenoh."""
+    """What moves frames between processes; `sextant.shared.transport` has the one for Zenoh."""
 
     def send(self, topic: AnyTopic, frame: bytes) -> None:
         """Publish a frame, never blocking."""
@@ -63,9 +63,9 @@ def run_live(
     role: str = "robot",
     robot_time: bool = False,
 ) -> None:
-    """Run one service in this process until `stop` is set; stamps are the robot's time (`shared.clock`).
+    """Run one service in this process until `stop` is set; stamps are the robot's time (`sextant.shared.clock`).
 
-    That is real time, but in a simulated run with `shared.simulated_time`, which waits for this service if it is late.
+    That is real time, but in a simulated run with `sextant.shared.simulated_time`, which waits for this service if it is late.
     `alive` is told this machine's monotonic time [ns] at least every 0.2 s, as long as no step hangs and no beat is rarer.
     `ahead_s` says by how much [s] the robot's clock is ahead of this machine's, `role` is that of this machine.
     `robot_time`: whether this process goes by the robot's clock; messages that are stamped ahead of it are refused then.

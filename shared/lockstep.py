@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from shared import codec, topics
-from shared.messages import Message
-from shared.service import AnyTopic, Every, Service, Worker
+from sextant.shared import codec, topics
+from sextant.shared.messages import Message
+from sextant.shared.service import AnyTopic, Every, Service, Worker
 
 M = TypeVar("M", bound=Message)
 

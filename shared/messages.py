@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeAlias, get_args, get_origin, get
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import from_millimetres
+from sextant.shared.geometry import from_millimetres
 
 MAX_TEXT = 2000  # characters of a text field
 MAX_ITEMS = 256  # entries of a tuple field
@@ -100,13 +100,13 @@ class Message:
     """Base of all messages: what is checked is what the annotations say.
 
     A text that is too long is cut: reasons quote names and reasons of others, and must not end the service that gives them. A
-    frame with such a text is refused (`shared.codec`).
+    frame with such a text is refused (`sextant.shared.codec`).
     """
 
     stamp_ns: int  # [ns] when the world was as described; copied through every stage
 
     def contradiction(self) -> str:
-        """How fields contradict each other, or empty; a frame with such a message is refused (`shared.codec`)."""
+        """How fields contradict each other, or empty; a frame with such a message is refused (`sextant.shared.codec`)."""
         return ""
 
     def __post_init__(self) -> None:
@@ -238,7 +238,7 @@ class Scan(Message):
     ]  # [m^2, m rad, rad^2] of the camera's position, then rotation, {world}, by which the points were placed
     color: Annotated[NDArray[np.uint8], Dims("n", 3, packed=True, optional=True, most=63)] = dataclasses.field(
         default_factory=lambda: _POINTS_WITHOUT_COLOR
-    )  # codes of `shared.color`, a row per point, or none at all
+    )  # codes of `sextant.shared.color`, a row per point, or none at all
     sights_mm: Annotated[NDArray[np.int16], Dims("m", 3, packed=True)] = dataclasses.field(
         default_factory=lambda: _NO_SIGHTS
     )  # [mm] from the origin: points up to which the camera saw nothing, beside those of the scan
@@ -450,7 +450,7 @@ class RecorderState(Message):
 
 @dataclass(frozen=True, slots=True)
 class FaultCommand(Message):
-    """What to break in the simulated servos or on their bus, as `shared.bus_fault` has it; tests -> simulator."""
+    """What to break in the simulated servos or on their bus, as `sextant.shared.bus_fault` has it; tests -> simulator."""
 
     target: FaultTarget
     kind: FaultKind
@@ -503,7 +503,7 @@ class Health(Message):
     stage_p50_ms: Annotated[NDArray[np.float64], Dims("stage")]
     stage_p99_ms: Annotated[NDArray[np.float64], Dims("stage")]
     robot_ahead_s: float = 0.0  # [s] the robot's clock is ahead of its machine's; 0 on the robot
-    # Inputs with a limit on their age, by topic key, "beat" or "stall"; see `shared.lateness`. Each since the last report:
+    # Inputs with an age limit, by topic key, "beat" or "stall"; see `sextant.shared.lateness`. Each since the last report:
     inputs: tuple[str, ...] = ()
     input_age_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(default_factory=lambda: _NO_INPUTS)  # worst
     input_arrived_s: Annotated[NDArray[np.float64], Dims("input")] = dataclasses.field(

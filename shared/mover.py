@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
-from shared import config
+from sextant.shared import config
 
 _MAX_CORNERS = 64
 _MAX_SPEED_M_S = 5.0

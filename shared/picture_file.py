@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.input_file import FileError, read_bytes
+from sextant.shared.input_file import FileError, read_bytes
 
 _MAX_FILE_BYTES = 256 << 20
 _MAX_PIXELS = 1 << 24

@@ -1,6 +1,6 @@
 """The process around a service: arguments, signals, last words. Every `services/<name>/__main__.py` is a call of `main`.
 
-python -m services.planner --robot phantomx_mk2 --connect tcp/127.0.0.1:7447 --set blind=true
+python -m sextant.services.planner --robot phantomx_mk2 --connect tcp/127.0.0.1:7447 --set blind=true
 """
 
 import argparse
@@ -17,17 +17,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
-from shared import clock, codec, config, input_file, topics
-from shared.access import Keys
-from shared.ending import ToldToEnd, end_with, leave, leave_at_errors
-from shared.host import go_first, keep_memory, switch_often
-from shared.live import run_live
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.service import Service
-from shared.simulated_time import SimulatedTime
-from shared.transport import Endpoints, TransportError, ZenohLink
-from shared.watchdog import Watchdog
+from sextant.shared import clock, codec, config, input_file, topics
+from sextant.shared.access import Keys
+from sextant.shared.ending import ToldToEnd, end_with, leave, leave_at_errors
+from sextant.shared.host import go_first, keep_memory, switch_often
+from sextant.shared.live import run_live
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import Service
+from sextant.shared.simulated_time import SimulatedTime
+from sextant.shared.transport import Endpoints, TransportError, ZenohLink
+from sextant.shared.watchdog import Watchdog
 
 _LOOK_S = 0.1  # [s] between two looks whether the robot is there
 _PATIENCE_S = 4.0  # [s] that a rehearsal takes where nothing has to be compiled, with time to spare

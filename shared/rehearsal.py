@@ -4,9 +4,9 @@ What is compiled is compiled for the types that it is called with, and arrays th
 those that were made here: so the messages go through the codec.
 """
 
-from shared import codec, topics
-from shared.messages import Message
-from shared.service import Every, Service, Worker
+from sextant.shared import codec, topics
+from sextant.shared.messages import Message
+from sextant.shared.service import Every, Service, Worker
 
 
 class Rehearsal:

@@ -16,9 +16,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from shared import config
-from shared.camera import DepthSensor, Intrinsics
-from shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
+from sextant.shared import config
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.geometry import Array, from_xyz_rpy, inverse, rotation_z, transform
 
 LEGS = ("left front", "right front", "right middle", "right rear", "left rear", "left middle")
 JOINTS = ("coxa", "femur", "tibia")

@@ -14,11 +14,11 @@ from typing import Literal
 
 import numpy as np
 
-from shared import config, topics
-from shared.bus_fault import BusFault
-from shared.messages import GaitName
-from shared.mover import Mover
-from shared.spelling import hint
+from sextant.shared import config, topics
+from sextant.shared.bus_fault import BusFault
+from sextant.shared.messages import GaitName
+from sextant.shared.mover import Mover
+from sextant.shared.spelling import hint
 
 Color = tuple[int, int, int]  # R, G, B from 0 to 255
 MAX_BLOCKS = 500  # of a kind that the seed places: each keeps clear of all the others, which takes time
@@ -704,18 +704,18 @@ def load_scenario(name_or_path: str) -> Scenario:
     if name_or_path not in known:
         ways = f"{hint(name_or_path, known)}; or give a path that ends in .toml"
         raise config.ConfigError("scenario", [f"no scenario {name_or_path[:60]!r}; {ways}"])
-    with resources.as_file(resources.files("shared.scenarios") / f"{name_or_path}.toml") as path:
+    with resources.as_file(resources.files("sextant.shared.scenarios") / f"{name_or_path}.toml") as path:
         return _with_folder(config.load(path, Scenario), path.parent)
 
 
 def scenario_names() -> list[str]:
     """Names of the scenarios that come with Sextant."""
-    return _names("shared.scenarios")
+    return _names("sextant.shared.scenarios")
 
 
 def trouble_names() -> list[str]:
     """Names of the troubles that come with Sextant."""
-    return _names("shared.troubles")
+    return _names("sextant.shared.troubles")
 
 
 def load_trouble(name: str) -> Trouble:
@@ -729,7 +729,7 @@ def load_trouble(name: str) -> Trouble:
         near = difflib.get_close_matches(name, known, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise config.ConfigError("trouble", [f"no trouble {name!r}; {hint}known: {', '.join(known)}"])
-    with resources.as_file(resources.files("shared.troubles") / f"{name}.toml") as path:
+    with resources.as_file(resources.files("sextant.shared.troubles") / f"{name}.toml") as path:
         return config.load(path, Trouble)
 
 

@@ -1,7 +1,7 @@
 """What a service is: a plain object that makes messages out of messages.
 
 It says what paces it, what it reads and what it writes; somebody else moves the messages. There are two ways to run a set of
-them, with the same objects and the same encoded frames: `shared.live` at real time, `shared.lockstep` on simulated time.
+them, with the same objects and encoded frames: `sextant.shared.live` at real time, `sextant.shared.lockstep` on simulated time.
 """
 
 import math
@@ -13,11 +13,11 @@ from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 
-from shared import codec, topics
-from shared.lateness import BEAT, MAX_STALL_S, STALL, InputAges, Limited
-from shared.messages import Health, Message, Tick
-from shared.stopwatch import stopwatch_ns
-from shared.topics import Delivery, Topic
+from sextant.shared import codec, topics
+from sextant.shared.lateness import BEAT, MAX_STALL_S, STALL, InputAges, Limited
+from sextant.shared.messages import Health, Message, Tick
+from sextant.shared.stopwatch import stopwatch_ns
+from sextant.shared.topics import Delivery, Topic
 
 M = TypeVar("M", bound=Message)
 AnyTopic = Topic[Any]

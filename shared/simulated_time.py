@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from shared.clock import in_use
+from sextant.shared.clock import in_use
 
 SPAN_NS = 10_000_000  # [ns] of simulated time that one grant allows at most: it passes at once where all processes stood still
 SERVO_BUS = "servo bus"  # has a limit while either end has sent something that the other has not received

@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array
-from shared.kinematics import leg_points
-from shared.robot import RobotProfile
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import leg_points
+from sextant.shared.robot import RobotProfile
 
 
 def centre_of_mass(profile: RobotProfile, q: Array) -> Array:

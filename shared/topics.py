@@ -14,10 +14,10 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from shared import messages as m
+from sextant.shared import messages as m
 
 M = TypeVar("M", bound=m.Message)
-ROLE_NAMES = ("robot", "base", "console", "viewer", "site")  # of machines, by their certificates (`shared.access`)
+ROLE_NAMES = ("robot", "base", "console", "viewer", "site")  # of machines, by their certificates (`sextant.shared.access`)
 
 
 class Delivery(Enum):
@@ -52,7 +52,7 @@ class Topic(Generic[M]):
         return int(3e9 / self.rate_hz)
 
     def address(self, namespace: str) -> str:
-        """Its key behind the namespace of a robot; it goes with every frame (`shared.transport`)."""
+        """Its key behind the namespace of a robot; it goes with every frame (`sextant.shared.transport`)."""
         return f"{namespace}/{self.key}"
 
 

@@ -22,10 +22,10 @@ from typing import Any, Self
 
 import zenoh
 
-from shared.access import Keys
-from shared.endpoint import fault, obstacle, occupied, unknown_host
-from shared.handshake import refusal
-from shared.topics import Delivery, Lane, Topic
+from sextant.shared.access import Keys
+from sextant.shared.endpoint import fault, obstacle, occupied, unknown_host
+from sextant.shared.handshake import refusal
+from sextant.shared.topics import Delivery, Lane, Topic
 
 CLOSE_TIMEOUT_S = 1.5  # closing waits for peers, a frozen one would hold it for 13 s
 LEASE_MS = 1000  # a frozen process is noticed after this, ...
@@ -217,7 +217,7 @@ class Router:
         Args:
             listen: Endpoints to listen on, e.g. tcp/127.0.0.1:7447.
             upstream: Endpoints of routers that this one is chained to, whenever they are there.
-            access: Configuration that says who may do what (`shared.access`).
+            access: Configuration that says who may do what (`sextant.shared.access`).
         """
         self.configuration: Mapping[str, Any] = merged(_router_config(listen, upstream), access or {})
         self._session: zenoh.Session | None = None  # None while it begins anew

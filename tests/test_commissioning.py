@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy import cli
-from deploy.launch.launcher import free_port
-from services.simulator.workbench import Workbench
-from shared.profiles import load_profile
+from sextant.deploy import cli
+from sextant.deploy.launch.launcher import free_port
+from sextant.services.simulator.workbench import Workbench
+from sextant.shared.profiles import load_profile
 from tests.test_readme import commands
 
 ROOT = Path(__file__).parents[1]
@@ -25,7 +25,7 @@ class Emulator:
     """`sextant servos emulate` in a process of its own, and its terminal."""
 
     def __init__(self, words: list[str]) -> None:
-        command = [sys.executable, "-m", "deploy.cli", *words]
+        command = [sys.executable, "-m", "sextant.deploy.cli", *words]
         self._process = subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.told = [self._line(), self._line()]
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.bench import fleet, link, strangers
-from deploy.faults import table as fault_table
-from deploy.fuzz import table as fuzz_table
-from deploy.trials import kept, passage_table
-from deploy.trials.campaign_table import WALKED, Campaign, markdown, of_runs
+from sextant.deploy import cli
+from sextant.deploy.bench import fleet, link, strangers
+from sextant.deploy.faults import table as fault_table
+from sextant.deploy.fuzz import table as fuzz_table
+from sextant.deploy.trials import kept, passage_table
+from sextant.deploy.trials.campaign_table import WALKED, Campaign, markdown, of_runs
 
 ROOT = Path(__file__).parents[1]
 KEPT, BY_TOUCH = ROOT / "docs" / "campaign.jsonl", ROOT / "docs" / "by_touch.jsonl"
@@ -134,7 +134,7 @@ def test_a_test_that_runs_a_command_exists(test: str) -> None:
 
 
 def test_scenarios_named_in_the_readme_come_with_sextant() -> None:
-    from shared.scenario import load_scenario
+    from sextant.shared.scenario import load_scenario
 
     for words in README:
         if words[:2] in (["sextant", "run"], ["sextant", "trials"]) and words[2] not in (

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from deploy import cli
-from services.mapper.checked_scan import CheckedScan
-from services.mapper.elevation import ElevationGrid
-from services.mapper.fusion import FusionModel
-from services.perception import tum
-from services.perception.reduction import reduce_scan
-from services.perception.registration import Registered, Registration
-from shared.camera import DepthSensor
-from shared.geometry import Array, inverse, log_so3, rotation_from_quaternion, transform
+from sextant.deploy import cli
+from sextant.services.mapper.checked_scan import CheckedScan
+from sextant.services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.fusion import FusionModel
+from sextant.services.perception import tum
+from sextant.services.perception.reduction import reduce_scan
+from sextant.services.perception.registration import Registered, Registration
+from sextant.shared.camera import DepthSensor
+from sextant.shared.geometry import Array, inverse, log_so3, rotation_from_quaternion, transform
 from tests.support.recordings import recording
 
 pytestmark = pytest.mark.data

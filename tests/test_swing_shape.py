@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from services.actuator.swing import Swing
-from services.planner.leg_clearance import LEVEL, clearance_to_sink, swing_shape
-from services.planner.passage import search
-from shared.geometry import Array
+from sextant.services.actuator.swing import Swing
+from sextant.services.planner.leg_clearance import LEVEL, clearance_to_sink, swing_shape
+from sextant.services.planner.passage import search
+from sextant.shared.geometry import Array
 
 CYCLES = 60
 

@@ -11,14 +11,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from deploy.bed import orders
-from deploy.bed.namespace import BedError
-from deploy.bed.relay import ROBOT
-from deploy.bed.tcp_relay import HERE
-from deploy.launch.launcher import free_port
-from deploy.network.gate import SECURE_ENDPOINT
-from deploy.process_table import ROUTER_ENDPOINT
-from shared.scenario import Link
+from sextant.deploy.bed import orders
+from sextant.deploy.bed.namespace import BedError
+from sextant.deploy.bed.relay import ROBOT
+from sextant.deploy.bed.tcp_relay import HERE
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.network.gate import SECURE_ENDPOINT
+from sextant.deploy.process_table import ROUTER_ENDPOINT
+from sextant.shared.scenario import Link
 
 PORT, TLS_PORT = (int(endpoint.rpartition(":")[2]) for endpoint in (ROUTER_ENDPOINT, SECURE_ENDPOINT))  # of the robot's router
 _PATIENCE_S = 20.0  # for the relay's answers
@@ -181,7 +181,7 @@ class Namespaces(Bed):
         return _entering(self._base, command)
 
     def _command(self) -> tuple[str, ...]:
-        return ("-m", "deploy.bed.relay")
+        return ("-m", "sextant.deploy.bed.relay")
 
     def _begun(self, said: list[str]) -> None:
         self._robot, self._base = said
@@ -233,7 +233,7 @@ class OneMachine(Bed):
         return _entering("0", command)
 
     def _command(self) -> tuple[str, ...]:
-        return ("-m", "deploy.bed.tcp_relay", *(word for port in self._behind for word in ("--to", str(port))))
+        return ("-m", "sextant.deploy.bed.tcp_relay", *(word for port in self._behind for word in ("--to", str(port))))
 
     def _begun(self, said: list[str]) -> None:
         self._ports = dict(zip(self._behind, map(int, said), strict=True))
@@ -251,4 +251,4 @@ def two_machines(link: Link, seed: int = 0) -> Iterator[Bed]:
 
 
 def _entering(process: str, command: tuple[str, ...]) -> list[str]:
-    return [sys.executable, "-m", "deploy.bed.enter", process, *command]
+    return [sys.executable, "-m", "sextant.deploy.bed.enter", process, *command]

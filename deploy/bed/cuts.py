@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from deploy.bed.ear import Heard
-from services.actuator.config import Settings
+from sextant.deploy.bed.ear import Heard
+from sextant.services.actuator.config import Settings
 
 HOLD_S = 0.25  # within which feet are set down where nothing comes any more
 BACK_S = 2.0  # within which it walks again once the radio is back

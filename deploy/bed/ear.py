@@ -1,4 +1,4 @@
-"""Hears the actuator on the robot's machine, and says what changes: `python -m deploy.bed.ear ENDPOINT NAMESPACE`.
+"""Hears the actuator on the robot's machine, and says what changes: `python -m sextant.deploy.bed.ear ENDPOINT NAMESPACE`.
 
 A line a change on standard output, as JSON; it ends when its standard input is closed.
 """
@@ -8,10 +8,10 @@ import sys
 import threading
 from dataclasses import asdict, dataclass
 
-from shared import codec, topics
-from shared.messages import ActuatorState, Mode
-from shared.service import AnyTopic
-from shared.transport import Endpoints, ZenohLink
+from sextant.shared import codec, topics
+from sextant.shared.messages import ActuatorState, Mode
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints, ZenohLink
 
 
 @dataclass(frozen=True, slots=True)

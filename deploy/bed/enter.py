@@ -1,4 +1,4 @@
-"""Runs a command in the network of a process: `python -m deploy.bed.enter PID COMMAND [ARGUMENT ...] [--parent PID]`.
+"""Runs a command in the network of a process: `python -m sextant.deploy.bed.enter PID COMMAND [ARGUMENT ...] [--parent PID]`.
 
 0 stands for this network, where no other can be had. The last is a launcher's: the command ends when that process has ended.
 """
@@ -6,8 +6,8 @@
 import os
 import sys
 
-from deploy.bed.namespace import enter
-from shared.ending import end_with
+from sextant.deploy.bed.namespace import enter
+from sextant.shared.ending import end_with
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""Leads the robot along a course from one of the bed's machines: `python -m deploy.bed.lead ENDPOINT NAMESPACE COURSE`.
+"""Leads the robot along a course from one of the bed's machines: `python -m sextant.deploy.bed.lead ENDPOINT NAMESPACE COURSE`.
 
 It waits for a pose for as long as it takes. It ends when its standard input is closed; and with exit status 1 where it gives
 up, and says why.
@@ -8,11 +8,11 @@ import math
 import sys
 import threading
 
-from deploy.runs.operator import Operator
-from shared.live import run_live
-from shared.profiles import load_profile
-from shared.scenario import load_scenario
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.runs.operator import Operator
+from sextant.shared.live import run_live
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import load_scenario
+from sextant.shared.transport import Endpoints, ZenohLink
 
 _LOOK_S = 0.2
 

@@ -1,4 +1,4 @@
-"""The radio between two network namespaces, which this process makes: `python -m deploy.bed.relay`.
+"""The radio between two network namespaces, which this process makes: `python -m sextant.deploy.bed.relay`.
 
 It says on standard output the ids of two processes that live in the namespaces, and takes `cut`, `mend` and `what it carried`
 from its standard input, each answered by a line. When that is closed it ends, and both namespaces with it.
@@ -10,11 +10,11 @@ import signal
 import sys
 import time
 
-from deploy.bed import orders
-from deploy.bed.air import Way
-from deploy.bed.namespace import MTU, BedError, leave_network, leave_user, wire
-from shared.ending import end_with
-from shared.host import go_first
+from sextant.deploy.bed import orders
+from sextant.deploy.bed.air import Way
+from sextant.deploy.bed.namespace import MTU, BedError, leave_network, leave_user, wire
+from sextant.shared.ending import end_with
+from sextant.shared.host import go_first
 
 ROBOT, BASE = "10.77.0.1", "10.77.0.2"  # addresses; the namespaces are seen by nobody else
 _READ = MTU + 64  # [bytes]
@@ -22,7 +22,7 @@ _READ = MTU + 64  # [bytes]
 
 def main() -> int:
     """Make both machines, and carry their packets until standard input ends."""
-    link, seed = orders.radio(orders.parser("deploy.bed.relay", __doc__).parse_args())
+    link, seed = orders.radio(orders.parser("sextant.deploy.bed.relay", __doc__).parse_args())
     try:
         leave_user()
         robot, held_robot = _machine(ROBOT)

@@ -1,8 +1,8 @@
-"""A radio between two processes of one machine: `python -m deploy.bed.tcp_relay --to PORT [--to PORT ...]`.
+"""A radio between two processes of one machine: `python -m sextant.deploy.bed.tcp_relay --to PORT [--to PORT ...]`.
 
 Whoever connects to one of its ports is connected, through the air, to the port of this machine that stands behind it. It says
 its ports on standard output, in the order of those behind them, and takes `cut`, `mend` and `what it carried` from its standard
-input, as `deploy.bed.relay` does. When that is closed it ends.
+input, as `sextant.deploy.bed.relay` does. When that is closed it ends.
 """
 
 import contextlib
@@ -13,10 +13,10 @@ import sys
 import time
 from dataclasses import dataclass, field
 
-from deploy.bed import orders
-from deploy.bed.stream import QUEUE_BYTES, Air, Stream
-from shared.host import go_first
-from shared.scenario import Link
+from sextant.deploy.bed import orders
+from sextant.deploy.bed.stream import QUEUE_BYTES, Air, Stream
+from sextant.shared.host import go_first
+from sextant.shared.scenario import Link
 
 HERE = "127.0.0.1"
 _BUFFER = 1 << 16  # [bytes] of the sockets: what they hold has not been sent
@@ -155,7 +155,7 @@ class _Relay:
 
 def main() -> int:
     """Carry what connections say until standard input ends."""
-    parser = orders.parser("deploy.bed.tcp_relay", __doc__)
+    parser = orders.parser("sextant.deploy.bed.tcp_relay", __doc__)
     parser.add_argument("--to", type=int, action="append", required=True, help="port of this machine behind one of its own")
     arguments = parser.parse_args()
     relay = _Relay(*orders.radio(arguments), arguments.to)

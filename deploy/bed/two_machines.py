@@ -9,12 +9,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from deploy.bed.bed import PORT, TLS_PORT, Bed
-from deploy.bed.ear import Heard
-from deploy.launch.launcher import LAUNCHERS_GRACE_S, Launcher
-from deploy.process_table import ENVIRONMENT, Command
+from sextant.deploy.bed.bed import PORT, TLS_PORT, Bed
+from sextant.deploy.bed.ear import Heard
+from sextant.deploy.launch.launcher import LAUNCHERS_GRACE_S, Launcher
+from sextant.deploy.process_table import ENVIRONMENT, Command
 
-_CLI = ("-m", "deploy.cli")
+_CLI = ("-m", "sextant.deploy.cli")
 
 
 class TwoMachines:
@@ -77,7 +77,7 @@ class TwoMachines:
             TimeoutError: It did not come to that; what they said is noted.
         """
         self.until(lambda: any("(onboard) is here" in line for line in self.said), within_s, "that the base meets the robot")
-        words = _python("-m", "deploy.bed.ear", self._bed.robot_router, self.namespace)
+        words = _python("-m", "sextant.deploy.bed.ear", self._bed.robot_router, self.namespace)
         ear = subprocess.Popen(self._bed.on_robot(*words), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self._helpers.append(ear)
         self._reader = threading.Thread(target=self._listen, args=(ear,), daemon=True)
@@ -86,7 +86,7 @@ class TwoMachines:
 
     def lead(self, course: str) -> None:
         """Have the robot led along a course, by its path, from the base, until the end of the block."""
-        words = _python("-m", "deploy.bed.lead", self._bed.base_router, self.namespace, course)
+        words = _python("-m", "sextant.deploy.bed.lead", self._bed.base_router, self.namespace, course)
         leader = subprocess.Popen(self._bed.on_base(*words), stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self._helpers.append(leader)
 

@@ -19,17 +19,17 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.bench import intruders
-from deploy.launch.launcher import free_port
-from deploy.network.authority import Authority
-from deploy.network.gate import Gate
-from deploy.network.hosting import hosted
-from shared import codec, topics
-from shared.access import CERTIFICATE, KEY, ROLES, AccessError, Keys
-from shared.handshake import verdict
-from shared.messages import ModeCommand, VelocityCommand
-from shared.service import AnyTopic
-from shared.transport import Endpoints, TransportError, ZenohLink
+from sextant.deploy.bench import intruders
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.network.authority import Authority
+from sextant.deploy.network.gate import Gate
+from sextant.deploy.network.hosting import hosted
+from sextant.shared import codec, topics
+from sextant.shared.access import CERTIFICATE, KEY, ROLES, AccessError, Keys
+from sextant.shared.handshake import verdict
+from sextant.shared.messages import ModeCommand, VelocityCommand
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints, TransportError, ZenohLink
 
 _NAMESPACE = "bench"
 _PATIENCE_S = 20.0

@@ -9,24 +9,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.bench import model
-from deploy.bench.full_frame import FullFrames
-from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
-from deploy.bench.scenes import MAPPED, REGISTERED, Scene
-from deploy.judging.true_ground import INTERIOR, TrueGround, rms
-from deploy.replay.listener import Listener
-from deploy.workers import share_out
-from services.mapper.config import Settings as MapperSettings
-from services.mapper.elevation import ElevationSnapshot
-from services.mapper.service import Mapper
-from services.perception.config import Settings as PerceptionSettings
-from services.perception.service import Perception
-from services.simulator.render import Renderer
-from shared import topics
-from shared.geometry import apply
-from shared.lockstep import Lockstep
-from shared.messages import TerrainMap
-from shared.service import Service
+from sextant.deploy.bench import model
+from sextant.deploy.bench.full_frame import FullFrames
+from sextant.deploy.bench.ride import CarriedCamera, Errors, Ride, ride
+from sextant.deploy.bench.scenes import MAPPED, REGISTERED, Scene
+from sextant.deploy.judging.true_ground import INTERIOR, TrueGround, rms
+from sextant.deploy.replay.listener import Listener
+from sextant.deploy.workers import share_out
+from sextant.services.mapper.config import Settings as MapperSettings
+from sextant.services.mapper.elevation import ElevationSnapshot
+from sextant.services.mapper.service import Mapper
+from sextant.services.perception.config import Settings as PerceptionSettings
+from sextant.services.perception.service import Perception
+from sextant.services.simulator.render import Renderer
+from sextant.shared import topics
+from sextant.shared.geometry import apply
+from sextant.shared.lockstep import Lockstep
+from sextant.shared.messages import TerrainMap
+from sextant.shared.service import Service
 
 Cells = NDArray[np.bool_]
 

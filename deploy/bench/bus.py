@@ -13,16 +13,16 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.bus import Lost, ServoBus, ServoReading
-from services.actuator.config import Settings
-from services.actuator.plausible import Doubt
-from services.simulator.bus import MemoryPort, ServoBusEmulator
-from services.simulator.bus_faults import BusFaults
-from services.simulator.servos import ServoBank
-from shared import dynamixel as dxl
-from shared.bus_fault import BusFault
-from shared.dynamixel import PRESENT_STATE, Instruction
-from shared.messages import BrokenPart
+from sextant.services.actuator.bus import Lost, ServoBus, ServoReading
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.plausible import Doubt
+from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.bus_faults import BusFaults
+from sextant.services.simulator.servos import ServoBank
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bus_fault import BusFault
+from sextant.shared.dynamixel import PRESENT_STATE, Instruction
+from sextant.shared.messages import BrokenPart
 
 _N = 18
 _ACTUATOR = Settings()  # which asks as many servos in a cycle as this has time for

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from deploy.bench.timing import Timing, machine_in_words
-from shared import files
+from sextant.deploy.bench.timing import Timing, machine_in_words
+from sextant.shared import files
 
 _WIDTH, _DPI, _FONT = 12.0, 100, 11
 _BAR, _GAP, _HEAD = 0.30, 0.42, 1.1  # [inch] height of a bar, of what parts two groups, and of the title

@@ -11,14 +11,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from deploy.bench.played_robot import Heard
-from deploy.bench.timing import machine
-from deploy.launch.fleet import Base, Fleet, Member, Page
-from deploy.launch.launcher import free_port
-from deploy.progress import Progress
-from deploy.runs.lockstep_run import run_lockstep
-from shared import files
-from shared.scenario import load_scenario
+from sextant.deploy.bench.played_robot import Heard
+from sextant.deploy.bench.timing import machine
+from sextant.deploy.launch.fleet import Base, Fleet, Member, Page
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.progress import Progress
+from sextant.deploy.runs.lockstep_run import run_lockstep
+from sextant.shared import files
+from sextant.shared.scenario import load_scenario
 
 SEED = 1003
 AFTER_S = 8.0  # of the recording that are not measured: the base's processes begin when they hear the robot
@@ -118,7 +118,7 @@ def _loaded(robots: int, recording: Path, say: Callable[[str], object]) -> Load:
 
 @contextlib.contextmanager
 def _player(recording: Path, port: int, name: str) -> Iterator[subprocess.Popen[str]]:
-    words = ("-m", "deploy.bench.played_robot", str(recording), f"tcp/127.0.0.1:{port}", name, str(AFTER_S))
+    words = ("-m", "sextant.deploy.bench.played_robot", str(recording), f"tcp/127.0.0.1:{port}", name, str(AFTER_S))
     player = subprocess.Popen([sys.executable, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert player.stdout is not None

@@ -5,15 +5,15 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.checked_scan import CheckedScan
-from services.mapper.elevation import ElevationGrid
-from services.mapper.fusion import FusionModel
-from services.perception.reduction import JUMP, NOISE
-from shared import topics
-from shared.geometry import Array, apply
-from shared.messages import BodyPose, DepthImage, Message
-from shared.robot import Camera
-from shared.service import AnyTopic, Inbox, Stages
+from sextant.services.mapper.checked_scan import CheckedScan
+from sextant.services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.fusion import FusionModel
+from sextant.services.perception.reduction import JUMP, NOISE
+from sextant.shared import topics
+from sextant.shared.geometry import Array, apply
+from sextant.shared.messages import BodyPose, DepthImage, Message
+from sextant.shared.robot import Camera
+from sextant.shared.service import AnyTopic, Inbox, Stages
 
 _EVERY = 2  # pictures, of which one is mapped: all of them take twice as long
 

@@ -5,17 +5,17 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from deploy.faults.live import commands
-from deploy.launch.launcher import Launcher, free_port
-from deploy.launch.tapped_robot import Places
-from deploy.network.authority import Authority
-from deploy.network.gate import Gate
-from services.actuator.latch import Latch
-from shared import codec, topics
-from shared.access import ROLES, Keys
-from shared.messages import ActuatorState, Mode, ModeCommand
-from shared.service import AnyTopic
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.faults.live import commands
+from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.tapped_robot import Places
+from sextant.deploy.network.authority import Authority
+from sextant.deploy.network.gate import Gate
+from sextant.services.actuator.latch import Latch
+from sextant.shared import codec, topics
+from sextant.shared.access import ROLES, Keys
+from sextant.shared.messages import ActuatorState, Mode, ModeCommand
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints, ZenohLink
 
 _NAMESPACE = "intruders"
 _PATIENCE_S = 90.0

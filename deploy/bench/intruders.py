@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.bench.guarded_robot import GuardedRobot
-from shared import codec, topics
-from shared.messages import Mode, ModeCommand
-from shared.service import AnyTopic
-from shared.transport import ZenohLink
+from sextant.deploy.bench.guarded_robot import GuardedRobot
+from sextant.shared import codec, topics
+from sextant.shared.messages import Mode, ModeCommand
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import ZenohLink
 
 _NAMESPACE = "intruders"
 _PATIENCE_S = 90.0

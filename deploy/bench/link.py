@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from deploy.bed.bed import Bed, two_machines
-from deploy.bed.cuts import BACK_S, HOLD_S, Cut, judge
-from deploy.bed.two_machines import TwoMachines
-from deploy.bench.timing import machine
-from deploy.trials.statistics import wilson
-from shared.scenario import Link
+from sextant.deploy.bed.bed import Bed, two_machines
+from sextant.deploy.bed.cuts import BACK_S, HOLD_S, Cut, judge
+from sextant.deploy.bed.two_machines import TwoMachines
+from sextant.deploy.bench.timing import machine
+from sextant.deploy.trials.statistics import wilson
+from sextant.shared.scenario import Link
 
 LINKS = (Link(20.0, 20.0, 0.0), Link(20.0, 20.0, 0.05), Link(20.0, 2.0, 0.0))  # of the walks
 CUT_LINK = LINKS[0]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.true_ground import INTERIOR, TrueGround, rms
-from shared import topics
-from shared.geometry import Array
-from shared.messages import Message, PassageMap, PassageRequest, TerrainMap, Tick
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.deploy.judging.true_ground import INTERIOR, TrueGround, rms
+from sextant.shared import topics
+from sextant.shared.geometry import Array
+from sextant.shared.messages import Message, PassageMap, PassageRequest, TerrainMap, Tick
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 
 ORIGIN, LENGTH, WIDTH = (0.3, 0.0), 2.7, 1.0  # [m] of the strip, along the ride
 

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.bench.browser import DESKTOP, Hand, browser, frozen
-from deploy.bench.page_robot import PageRobot
-from deploy.bench.timing import machine
-from services.console.desk import DEAD_MAN_NS
-from shared.messages import Mode
+from sextant.deploy.bench.browser import DESKTOP, Hand, browser, frozen
+from sextant.deploy.bench.page_robot import PageRobot
+from sextant.deploy.bench.timing import machine
+from sextant.services.console.desk import DEAD_MAN_NS
+from sextant.shared.messages import Mode
 
 # What the page is to keep: times, share of a core, bytes a second, frames a second.
 RELEASE_S, OFF_S, CORE, RATE, FRAMES = 0.350, 0.150, 0.03, 3e6, 20.0

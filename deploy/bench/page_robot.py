@@ -9,19 +9,19 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.faults import tap
-from deploy.faults.wire import Recorder
-from deploy.launch import tapped_robot
-from deploy.launch.launcher import Launcher, free_port
-from deploy.launch.tapped_robot import Page, Places
-from services.actuator.latch import Latch
-from shared import codec, topics
-from shared import dynamixel as dxl
-from shared.kinematics import body_forward
-from shared.messages import ActuatorState, BodyPose, Health, Mode, ModeCommand
-from shared.profiles import load_profile
-from shared.service import AnyTopic
-from shared.transport import ZenohLink
+from sextant.deploy.faults import tap
+from sextant.deploy.faults.wire import Recorder
+from sextant.deploy.launch import tapped_robot
+from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.tapped_robot import Page, Places
+from sextant.services.actuator.latch import Latch
+from sextant.shared import codec, topics
+from sextant.shared import dynamixel as dxl
+from sextant.shared.kinematics import body_forward
+from sextant.shared.messages import ActuatorState, BodyPose, Health, Mode, ModeCommand
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import ZenohLink
 
 _STILL_TICKS = 1  # by which goals may go on changing in a cycle of a robot that stands
 _STILL_S = 0.25

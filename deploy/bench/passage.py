@@ -13,19 +13,29 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.bench.passage_fields import BEYOND, GAP, NEAR, START, field_of, heights, random_blocks, stance_at, thesis_blocks
-from deploy.bench.passage_ompl import BodyPlanner
-from deploy.bench.passage_peer import NumpyTests
-from deploy.bench.timing import Race, Timing, installed, one_core
-from deploy.judging.passage_checker import violations
-from services.planner.passage import search
-from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Crossing, Roadmap, Stance
-from services.planner.passage.settings import PassageSettings
-from services.planner.passage.tables import ground_of, legs_of, rules_of
-from shared.geometry import Array
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
+from sextant.deploy.bench.passage_fields import (
+    BEYOND,
+    GAP,
+    NEAR,
+    START,
+    field_of,
+    heights,
+    random_blocks,
+    stance_at,
+    thesis_blocks,
+)
+from sextant.deploy.bench.passage_ompl import BodyPlanner
+from sextant.deploy.bench.passage_peer import NumpyTests
+from sextant.deploy.bench.timing import Race, Timing, installed, one_core
+from sextant.deploy.judging.passage_checker import violations
+from sextant.services.planner.passage import search
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.roadmap import Crossing, Roadmap, Stance
+from sextant.services.planner.passage.settings import PassageSettings
+from sextant.services.planner.passage.tables import ground_of, legs_of, rules_of
+from sextant.shared.geometry import Array
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
 
 OURS = "Sextant"
 CASES = ("scenario 1", "scenario 2", "scenario 3", "strewn pillars")

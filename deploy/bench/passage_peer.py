@@ -6,7 +6,7 @@ Written as one would for speed: whole arrays over motions, footholds, legs and i
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.passage.search import (
+from sextant.services.planner.passage.search import (
     APART,
     GROUND,
     LEGS,
@@ -21,7 +21,7 @@ from services.planner.passage.search import (
     Legs,
     Rules,
 )
-from shared.geometry import Array
+from sextant.shared.geometry import Array
 
 Verdicts = NDArray[np.int64]
 _AXIS = 0.035  # [m] that a foot keeps from its coxa axis
@@ -31,7 +31,7 @@ _FLIES = 0.8  # share of its clearance at which a swing is taken to fly
 
 
 class NumpyTests:
-    """What `services.planner.passage.search.judge` does."""
+    """What `sextant.services.planner.passage.search.judge` does."""
 
     def __init__(self, legs: Legs, rules: Rules, ground: Ground):
         """Take what the tests know."""

@@ -1,4 +1,4 @@
-"""A recorded robot, as its base hears it: `python -m deploy.bench.played_robot RECORDING ENDPOINT NAMESPACE AFTER_S`.
+"""A recorded robot, as its base hears it: `python -m sextant.deploy.bench.played_robot RECORDING ENDPOINT NAMESPACE AFTER_S`.
 
 Hosts the robot's router, says through it what the robot said, when it said it, and times what comes back: when each scan was
 taken in, and the plans. It is the robot's clock that counts, which is this process's: nothing of the base is asked what time
@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from services.console.recording.reader import Recording
-from shared import codec, topics
-from shared.messages import ActuatorState, Message, ScanReceipt, StepPlan
-from shared.service import AnyTopic
-from shared.transport import Endpoints, Router, ZenohLink
+from sextant.services.console.recording.reader import Recording
+from sextant.shared import codec, topics
+from sextant.shared.messages import ActuatorState, Message, ScanReceipt, StepPlan
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints, Router, ZenohLink
 
 _SAYS: tuple[AnyTopic, ...] = (  # what crosses the radio from a robot, and what its operator asks for
     topics.CAMERA_STATE,

@@ -9,15 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.simulator.depth_camera import DepthCamera
-from services.simulator.render import Renderer
-from services.simulator.terrain import Terrain
-from shared import topics
-from shared.geometry import Array, inverse, rotation_from_rpy, transform
-from shared.messages import DepthImage, Message, Odometry, Tick
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.services.simulator.depth_camera import DepthCamera
+from sextant.services.simulator.render import Renderer
+from sextant.services.simulator.terrain import Terrain
+from sextant.shared import topics
+from sextant.shared.geometry import Array, inverse, rotation_from_rpy, transform
+from sextant.shared.messages import DepthImage, Message, Odometry, Tick
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 
 _CARRIED = (0.0, 0.0, 0.35)  # [m] {body} where the camera is held: 0.5 m over the ground with the body at 0.15
 _PITCH_DEG = 40.0

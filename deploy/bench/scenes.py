@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping
 import cv2
 import numpy as np
 
-from services.simulator.solids import Boxes, HeightField
-from services.simulator.terrain import Terrain, build_terrain
-from shared.scenario import Box, Goal, Pillars, Plane, Rubble, Scenario, Slope, Stairs
-from shared.scenario import Terrain as Part
+from sextant.services.simulator.solids import Boxes, HeightField
+from sextant.services.simulator.terrain import Terrain, build_terrain
+from sextant.shared.scenario import Box, Goal, Pillars, Plane, Rubble, Scenario, Slope, Stairs
+from sextant.shared.scenario import Terrain as Part
 
 Scene = Callable[[np.random.Generator], Terrain]
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from deploy.bench.timing import Spread, installed, machine, machine_in_words
-from services.actuator.bus import REPLY_TIMEOUT_NS, ServoBus, open_port
-from shared import dynamixel as dxl
-from shared.profiles import load_profile
+from sextant.deploy.bench.timing import Spread, installed, machine, machine_in_words
+from sextant.services.actuator.bus import REPLY_TIMEOUT_NS, ServoBus, open_port
+from sextant.shared import dynamixel as dxl
+from sextant.shared.profiles import load_profile
 
 ABSENT = 200  # an id that nobody has
 READS = 6  # of a cycle, as many as the actuator has time for
@@ -142,7 +142,7 @@ def _do(job: str, method: Any, ids: Sequence[int], k: int) -> int:
 @contextmanager
 def _emulated() -> Iterator[str]:
     """Address of a robot's servos that another process emulates."""
-    command = [sys.executable, "-m", "deploy.cli", "servos", "emulate"]
+    command = [sys.executable, "-m", "sextant.deploy.cli", "servos", "emulate"]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         if process.stdin is None or process.stdout is None:
             raise RuntimeError("pipes to the emulator expected, found none")

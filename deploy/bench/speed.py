@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.bench.registration_peers import METHODS, Registers
-from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
-from deploy.bench.scenes import REGISTERED
-from deploy.bench.timing import Race, Timing, installed, one_core
-from services.perception.config import Settings
-from shared.geometry import Array, inverse
+from sextant.deploy.bench.registration_peers import METHODS, Registers
+from sextant.deploy.bench.ride import CarriedCamera, Errors, Ride, ride
+from sextant.deploy.bench.scenes import REGISTERED
+from sextant.deploy.bench.timing import Race, Timing, installed, one_core
+from sextant.services.perception.config import Settings
+from sextant.shared.geometry import Array, inverse
 
 _WARM = 5  # frames that are not timed, where there are more
 _STEP = 0.02  # [m] between frames

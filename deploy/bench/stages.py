@@ -12,30 +12,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.bench import reduction_peers, score_peers
-from deploy.bench.map_peer import NumpyGrid
-from deploy.bench.ride import CarriedCamera, Errors, ride
-from deploy.bench.scenes import MAPPED
-from deploy.bench.score_peers import Layer, Scores
-from deploy.bench.timing import Race, Timing, held_against_first, installed, one_core
-from services.mapper.checked_scan import CheckedScan
-from services.mapper.config import Settings as MapperSettings
-from services.mapper.elevation import ElevationGrid
-from services.mapper.foothold_map import FootholdRules
-from services.mapper.fusion import FusionModel
-from services.mapper.holes import fill_small_holes
-from services.mapper.layers import FootholdLayers, Margin
-from services.mapper.score import ScoreWeights
-from services.mapper.service import Mapper
-from services.perception.config import Settings as PerceptionSettings
-from services.perception.reduction import ReducedScan, reduce_scan
-from services.perception.service import Perception
-from shared import codec, topics
-from shared.geometry import Array, from_millimetres
-from shared.host import keep_memory
-from shared.messages import UNKNOWN, DepthImage, Odometry, Tick
-from shared.robot import RobotProfile
-from shared.service import AnyTopic, Inbox, Stages, Worker
+from sextant.deploy.bench import reduction_peers, score_peers
+from sextant.deploy.bench.map_peer import NumpyGrid
+from sextant.deploy.bench.ride import CarriedCamera, Errors, ride
+from sextant.deploy.bench.scenes import MAPPED
+from sextant.deploy.bench.score_peers import Layer, Scores
+from sextant.deploy.bench.timing import Race, Timing, held_against_first, installed, one_core
+from sextant.services.mapper.checked_scan import CheckedScan
+from sextant.services.mapper.config import Settings as MapperSettings
+from sextant.services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.foothold_map import FootholdRules
+from sextant.services.mapper.fusion import FusionModel
+from sextant.services.mapper.holes import fill_small_holes
+from sextant.services.mapper.layers import FootholdLayers, Margin
+from sextant.services.mapper.score import ScoreWeights
+from sextant.services.mapper.service import Mapper
+from sextant.services.perception.config import Settings as PerceptionSettings
+from sextant.services.perception.reduction import ReducedScan, reduce_scan
+from sextant.services.perception.service import Perception
+from sextant.shared import codec, topics
+from sextant.shared.geometry import Array, from_millimetres
+from sextant.shared.host import keep_memory
+from sextant.shared.messages import UNKNOWN, DepthImage, Odometry, Tick
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic, Inbox, Stages, Worker
 
 SCENES = ("steps", "boxes", "mixed")
 SIZES = (256, 512)  # cells along an edge

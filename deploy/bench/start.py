@@ -13,21 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from deploy.bench.timing import machine
-from deploy.launch.launcher import Launcher, host_router
-from deploy.process_table import TABLE, Choices, commands
-from services.actuator.latch import Latch
-from services.simulator.tcp_port import TcpBusServer
-from services.simulator.wire import Reply
-from services.simulator.workbench import Workbench
-from shared import codec, topics
-from shared import dynamixel as dxl
-from shared.kinematics import body_inverse
-from shared.messages import ActuatorState, Mode
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.service import AnyTopic
-from shared.transport import Endpoints, TransportError, ZenohLink
+from sextant.deploy.bench.timing import machine
+from sextant.deploy.launch.launcher import Launcher, host_router
+from sextant.deploy.process_table import TABLE, Choices, commands
+from sextant.services.actuator.latch import Latch
+from sextant.services.simulator.tcp_port import TcpBusServer
+from sextant.services.simulator.wire import Reply
+from sextant.services.simulator.workbench import Workbench
+from sextant.shared import codec, topics
+from sextant.shared import dynamixel as dxl
+from sextant.shared.kinematics import body_inverse
+from sextant.shared.messages import ActuatorState, Mode
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints, TransportError, ZenohLink
 
 WITHIN_MS = 1000.0  # what the actuator is to keep
 _PATIENCE_NS = 30_000_000_000  # [ns] a machine may be busy

@@ -1,4 +1,4 @@
-"""Strangers at a listener of this machine, at an exact rate: `python -m deploy.bench.stranger_load --port PORT --rate HZ`.
+"""Strangers at a local listener, at an exact rate: `python -m sextant.deploy.bench.stranger_load --port PORT --rate HZ`.
 
 They connect and close, stay silent, send bytes that are not TLS, or shake hands with a certificate of a foreign authority, in
 turn. Every second one comes from 127.0.0.1, as rightful clients do, the others from 200 addresses of their own. It ends when
@@ -21,8 +21,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from shared.access import CERTIFICATE, KEY
-from shared.host import allow_many_files
+from sextant.shared.access import CERTIFICATE, KEY
+from sextant.shared.host import allow_many_files
 
 KINDS = ("closed", "silent", "garbage", "foreign")
 HERE = "127.0.0.1"
@@ -154,7 +154,7 @@ _BIND_NO_PORT = 24  # IP_BIND_ADDRESS_NO_PORT of Linux: the port is chosen when 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Be strangers until standard input is closed."""
-    parser = argparse.ArgumentParser(prog="python -m deploy.bench.stranger_load", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m sextant.deploy.bench.stranger_load", description=__doc__)
     parser.add_argument("--port", type=int, required=True, help="of 127.0.0.1")
     parser.add_argument("--rate", type=float, default=1000.0, help="connections a second (default %(default)s)")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS), help="in turn (default all)")

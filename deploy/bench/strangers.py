@@ -1,7 +1,7 @@
 """How soon rightful clients are let in while strangers open connections: a base after each cut of its radio, an actuator.
 
 A robot's router runs in a process of its own, and the router of a base is chained to it through a relay that is the radio.
-Strangers (`deploy.bench.stranger_load`) connect to the robot's endpoint directly, half of them from the base's own address.
+Strangers (`sextant.deploy.bench.stranger_load`) connect to the robot's endpoint directly, half of them from the base's address.
 The radio is cut for longer than a link lasts, so each time the base needs a new connection. It is back when a message has
 come through both ways. Then a simulated robot's actuator is killed, with and without silent connections at both of the
 router's endpoints, and it has joined when the next actuator's state is heard.
@@ -28,22 +28,22 @@ from typing import Any, Self
 
 import numpy as np
 
-from deploy.bed.bed import OneMachine
-from deploy.bench.guarded_robot import GuardedRobot
-from deploy.bench.stranger_load import HERE
-from deploy.bench.timing import machine
-from deploy.launch.launcher import Launcher, free_port
-from deploy.launch.ports import port_taken
-from deploy.network.authority import Authority
-from deploy.network.gate import Gate
-from deploy.process_table import router_command
-from shared import codec, topics
-from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLES
-from shared.host import go_first
-from shared.messages import Health, Mode
-from shared.scenario import Link
-from shared.service import AnyTopic
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.bed.bed import OneMachine
+from sextant.deploy.bench.guarded_robot import GuardedRobot
+from sextant.deploy.bench.stranger_load import HERE
+from sextant.deploy.bench.timing import machine
+from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.ports import port_taken
+from sextant.deploy.network.authority import Authority
+from sextant.deploy.network.gate import Gate
+from sextant.deploy.process_table import router_command
+from sextant.shared import codec, topics
+from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLES
+from sextant.shared.host import go_first
+from sextant.shared.messages import Health, Mode
+from sextant.shared.scenario import Link
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints, ZenohLink
 
 BACK_S = 2.0  # within which the base has to be back
 RADIO = Link(20.0, 20.0, 0.0)
@@ -251,7 +251,7 @@ class _Probes:
 @contextmanager
 def _strangers(port: int, rate_hz: float, folder: Path) -> Iterator["subprocess.Popen[str]"]:
     """Strangers in a process of their own, until its standard input is closed."""
-    words = ("-m", "deploy.bench.stranger_load", "--port", str(port), "--rate", str(rate_hz), "--keys", str(folder))
+    words = ("-m", "sextant.deploy.bench.stranger_load", "--port", str(port), "--rate", str(rate_hz), "--keys", str(folder))
     with subprocess.Popen([sys.executable, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             yield process

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
-from shared.geometry import Array
+from sextant.shared.geometry import Array
 
 # fmt: off
 _PACKAGES = (

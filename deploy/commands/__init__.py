@@ -1,1 +1,1 @@
-"""What the commands of `sextant` do, a file per group; their arguments are declared in `deploy.cli`."""
+"""What the commands of `sextant` do, a file per group; their arguments are declared in `sextant.deploy.cli`."""

@@ -3,13 +3,13 @@
 import argparse
 from pathlib import Path
 
-from deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say, warm_up
-from shared import files
+from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say, warm_up
+from sextant.shared import files
 
 
 def bench_accuracy(arguments: argparse.Namespace) -> int:
     """`sextant bench accuracy`: how right pose and map are, on rebuilt scenes."""
-    from deploy.bench import accuracy
+    from sextant.deploy.bench import accuracy
 
     out = out_folder(arguments, "bench-accuracy")
     rows = accuracy.tables(arguments.seeds, arguments.jobs, open_progress(arguments.json).say)
@@ -18,7 +18,7 @@ def bench_accuracy(arguments: argparse.Namespace) -> int:
 
 def bench_speed(arguments: argparse.Namespace) -> int:
     """`sextant bench speed`: how fast registration is beside its peers."""
-    from deploy.bench import chart, speed, timing
+    from sextant.deploy.bench import chart, speed, timing
 
     out = out_folder(arguments, "bench-speed")
     timings, missing = speed.registration(arguments.seeds, arguments.frames, open_progress(arguments.json).say)
@@ -29,7 +29,7 @@ def bench_speed(arguments: argparse.Namespace) -> int:
 
 def bench_stages(arguments: argparse.Namespace) -> int:
     """`sextant bench stages`: how fast the stages of the map are beside their peers."""
-    from deploy.bench import chart, stages, timing
+    from sextant.deploy.bench import chart, stages, timing
 
     out = out_folder(arguments, "bench-stages")
     found = stages.stages(arguments.seeds, arguments.frames, open_progress(arguments.json).say)
@@ -41,7 +41,7 @@ def bench_stages(arguments: argparse.Namespace) -> int:
 
 def bench_passage(arguments: argparse.Namespace) -> int:
     """`sextant bench passage`: how fast the passage planner is beside its peers, and whether its plans hold."""
-    from deploy.bench import chart, passage, timing
+    from sextant.deploy.bench import chart, passage, timing
 
     out = out_folder(arguments, "bench-passage")
     found = passage.measure(arguments.seeds, say=open_progress(arguments.json).say)
@@ -54,7 +54,7 @@ def bench_passage(arguments: argparse.Namespace) -> int:
 
 def bench_access(arguments: argparse.Namespace) -> int:
     """`sextant bench access`: what comes through a guarded router of those who may not."""
-    from deploy.bench import access
+    from sextant.deploy.bench import access
 
     out = out_folder(arguments, "bench-access")
     rows = access.measure(arguments.messages, open_progress(arguments.json).say)
@@ -63,7 +63,7 @@ def bench_access(arguments: argparse.Namespace) -> int:
 
 def bench_strangers(arguments: argparse.Namespace) -> int:
     """`sextant bench strangers`: how soon rightful clients are let in while strangers connect; fails where one is late."""
-    from deploy.bench import strangers
+    from sextant.deploy.bench import strangers
 
     out, progress = out_folder(arguments, "bench-strangers"), open_progress(arguments.json)
     if arguments.restarts:
@@ -81,7 +81,7 @@ def bench_strangers(arguments: argparse.Namespace) -> int:
 
 def bench_roles(arguments: argparse.Namespace) -> int:
     """`sextant bench roles`: extreme messages of each role, while a robot walks; success only if it holds against all."""
-    from deploy.fuzz import role_attack
+    from sextant.deploy.fuzz import role_attack
 
     out, progress = out_folder(arguments, "bench-roles"), open_progress(arguments.json)
     roles = tuple(dict.fromkeys(arguments.only)) or role_attack.ROLE_NAMES
@@ -90,7 +90,7 @@ def bench_roles(arguments: argparse.Namespace) -> int:
     if arguments.lockstep:
         rows = role_attack.measure(roles, arguments.messages, arguments.seed, progress.say)
     else:
-        from deploy.fuzz import live_role_attack
+        from sextant.deploy.fuzz import live_role_attack
 
         warm_up(progress)
         rows = live_role_attack.measure(roles, arguments.messages, arguments.seed, progress.say)
@@ -100,7 +100,7 @@ def bench_roles(arguments: argparse.Namespace) -> int:
 
 def bench_fleet(arguments: argparse.Namespace) -> int:
     """`sextant bench fleet`: how many robots one base carries."""
-    from deploy.bench import fleet
+    from sextant.deploy.bench import fleet
 
     out, progress = out_folder(arguments, "bench-fleet"), open_progress(arguments.json)
     warm_up(progress)
@@ -111,8 +111,8 @@ def bench_fleet(arguments: argparse.Namespace) -> int:
 
 def bench_link(arguments: argparse.Namespace) -> int:
     """`sextant bench link`: a robot whose map and planner are behind a radio, live."""
-    from deploy.bed.namespace import BedError
-    from deploy.bench import link
+    from sextant.deploy.bed.namespace import BedError
+    from sextant.deploy.bench import link
 
     out, progress = out_folder(arguments, "bench-link"), open_progress(arguments.json)
     warm_up(progress)
@@ -135,7 +135,7 @@ def bench_link(arguments: argparse.Namespace) -> int:
 
 def bench_page(arguments: argparse.Namespace) -> int:
     """`sextant bench page`: what the operator's page costs, and how soon it stops the robot."""
-    from deploy.bench import page
+    from sextant.deploy.bench import page
 
     out, progress = out_folder(arguments, "bench-page"), open_progress(arguments.json)
     warm_up(progress)
@@ -150,7 +150,7 @@ def bench_page(arguments: argparse.Namespace) -> int:
 
 def bench_recording(arguments: argparse.Namespace) -> int:
     """`sextant bench recording`: what recording does to a walk, and what becomes of it when it breaks."""
-    from deploy.bench import recording
+    from sextant.deploy.bench import recording
 
     out, progress = out_folder(arguments, "bench-recording"), open_progress(arguments.json)
     warm_up(progress)
@@ -160,7 +160,7 @@ def bench_recording(arguments: argparse.Namespace) -> int:
 
 def bench_soak(arguments: argparse.Namespace) -> int:
     """`sextant bench soak`: a long walk, and whether memory or latency grow; fails where they do."""
-    from deploy.bench import soak
+    from sextant.deploy.bench import soak
 
     out, progress = out_folder(arguments, "bench-soak"), open_progress(arguments.json)
     warm_up(progress)
@@ -172,7 +172,7 @@ def bench_soak(arguments: argparse.Namespace) -> int:
 def bench_size(arguments: argparse.Namespace) -> int:
     """`sextant bench size`: how much each role takes on a disk."""
     try:
-        from deploy.bench import size
+        from sextant.deploy.bench import size
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is missing: pip install 'sextant[bench]'") from None
     found = size.measure()
@@ -183,7 +183,7 @@ def bench_size(arguments: argparse.Namespace) -> int:
 
 def bench_servos(arguments: argparse.Namespace) -> int:
     """`sextant bench servos`: how long the servo bus takes through our packets and through dynamixel-sdk."""
-    from deploy.bench import servo_bus
+    from sextant.deploy.bench import servo_bus
 
     out = out_folder(arguments, "bench-servos")
     rows, missing = servo_bus.measure(arguments.rounds, open_progress(arguments.json).say)
@@ -193,7 +193,7 @@ def bench_servos(arguments: argparse.Namespace) -> int:
 
 def bench_bus(arguments: argparse.Namespace) -> int:
     """`sextant bench bus`: what the servo bus driver loses, doubts and believes on a bad bus."""
-    from deploy.bench import bus
+    from sextant.deploy.bench import bus
 
     if not any(arguments.only in case for case in bus.CASES):
         raise InputError(f"--only {arguments.only!r}: a part of one of these expected: {'; '.join(bus.CASES)}")
@@ -204,7 +204,7 @@ def bench_bus(arguments: argparse.Namespace) -> int:
 
 def bench_start(arguments: argparse.Namespace) -> int:
     """`sextant bench start`: how soon the actuator holds a robot that stands."""
-    from deploy.bench import start
+    from sextant.deploy.bench import start
 
     out = out_folder(arguments, "bench-start")
     found = start.measure(arguments.rounds, open_progress(arguments.json).say)

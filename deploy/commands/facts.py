@@ -4,16 +4,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, SUCCESS, InputError, say
+from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, say
 
 if TYPE_CHECKING:
-    from deploy.checks import Check
+    from sextant.deploy.checks import Check
 
 
 def doctor(arguments: argparse.Namespace) -> int:
     """`sextant doctor`: whether this machine has what the services need."""
-    from deploy import doctor as checks
-    from deploy.checks import Level
+    from sextant.deploy import doctor as checks
+    from sextant.deploy.checks import Level
 
     if arguments.stranger:
         found = _strange(arguments.stranger, arguments.key_folder)
@@ -26,7 +26,7 @@ def doctor(arguments: argparse.Namespace) -> int:
 def _strange(endpoint: str, keys: str | None) -> "list[Check]":
     """Try to get in at an endpoint as a stranger."""
     try:
-        from deploy.network.stranger import examine
+        from sextant.deploy.network.stranger import examine
     except ImportError as error:
         raise InputError(f"{error}; their certificates are made with it: pip install 'sextant[access]'") from None
     try:
@@ -37,7 +37,7 @@ def _strange(endpoint: str, keys: str | None) -> "list[Check]":
 
 def compose(arguments: argparse.Namespace) -> int:
     """`sextant compose`: compose.yaml of a local launch, or of what runs beside a robot."""
-    from deploy.launch.compose import compose_yaml, offboard_yaml
+    from sextant.deploy.launch.compose import compose_yaml, offboard_yaml
 
     text = offboard_yaml() if arguments.offboard else compose_yaml(arguments.scenario, arguments.seed)
     say(text.rstrip("\n"))

@@ -3,15 +3,15 @@
 import argparse
 import difflib
 
-from deploy.commands.common import FAILED, SUCCESS, InputError, open_progress, out_folder, say, warm_up
-from shared import files
+from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, open_progress, out_folder, say, warm_up
+from sextant.shared import files
 
 _PHASES, _LIVE_PHASES = 300, 30
 
 
 def faults(arguments: argparse.Namespace) -> int:
     """`sextant faults`: inject each fault at many phases; success only if every limit is kept."""
-    from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES
+    from sextant.deploy.faults.cases import BY_NAME, CASES, LIVE_CASES
 
     unknown = [name for name in arguments.fault if name not in BY_NAME]
     if unknown:
@@ -30,8 +30,8 @@ def faults(arguments: argparse.Namespace) -> int:
     phases = arguments.phases or (_LIVE_PHASES if live == {True} else _PHASES)
     jobs = 1 if live == {True} else arguments.jobs
     out = out_folder(arguments, "faults")
-    from deploy.faults import table as tables
-    from deploy.faults.batch import FILE, run_faults
+    from sextant.deploy.faults import table as tables
+    from sextant.deploy.faults.batch import FILE, run_faults
 
     progress = open_progress(arguments.json)
     if live == {True}:

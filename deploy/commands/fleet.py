@@ -3,13 +3,13 @@
 import argparse
 from pathlib import Path
 
-from deploy.commands.common import FAILED, INTERRUPTED, complain, say
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, complain, say
 
 
 def fleet(arguments: argparse.Namespace) -> int:
     """`sextant fleet`: of each robot what `sextant up offboard` runs, and one page for all of them, until Ctrl-C."""
-    from deploy.interrupts import Interrupts
-    from deploy.launch.fleet import Base, load
+    from sextant.deploy.interrupts import Interrupts
+    from sextant.deploy.launch.fleet import Base, load
 
     asked = load(Path(arguments.file))
     with Interrupts() as interrupts, Base(asked, arguments.open, complain) as base:

@@ -5,17 +5,17 @@ import difflib
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-from deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say
-from shared import files
+from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, complain, open_progress, out_folder, say
+from sextant.shared import files
 
 _PARTS = 20  # that are shared out
 
 
 def fuzz(arguments: argparse.Namespace) -> int:
     """`sextant fuzz`: success only if every message was taken or refused, and memory stayed what it was."""
-    from deploy.fuzz import fuzzing
-    from deploy.fuzz import table as tables
-    from deploy.workers import share_out
+    from sextant.deploy.fuzz import fuzzing
+    from sextant.deploy.fuzz import table as tables
+    from sextant.deploy.workers import share_out
 
     known = fuzzing.names()
     for name in arguments.only:
@@ -55,7 +55,7 @@ def fuzz(arguments: argparse.Namespace) -> int:
 
 
 def _give(only: list[str], file: Path) -> int:
-    from deploy.fuzz import fuzzing
+    from sextant.deploy.fuzz import fuzzing
 
     if len(only) != 1:
         raise InputError(f"one --only expected, which is to take {file} in, found {len(only)}")

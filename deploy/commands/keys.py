@@ -6,15 +6,15 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import SUCCESS, InputError, say
+from sextant.deploy.commands.common import SUCCESS, InputError, say
 
 if TYPE_CHECKING:
-    from deploy.network.authority import Held
+    from sextant.deploy.network.authority import Held
 
 
 def new(arguments: argparse.Namespace) -> int:
     """`sextant keys new`: an authority, and a folder of keys for each role."""
-    from shared.access import SITE
+    from sextant.shared.access import SITE
 
     authority = _authority()
     folder = Path(arguments.folder)
@@ -42,14 +42,14 @@ def show(arguments: argparse.Namespace) -> int:
 
 
 def _what(role: str) -> str:
-    from shared.access import ROLE_NAMED
+    from sextant.shared.access import ROLE_NAMED
 
     return ROLE_NAMED[role].what
 
 
 def _authority() -> ModuleType:
     try:
-        from deploy.network import authority
+        from sextant.deploy.network import authority
     except ImportError as error:
         raise InputError(f"{error}; certificates are made with cryptography: pip install 'sextant[access]'") from None
     return authority

@@ -6,20 +6,20 @@ import os
 import socket
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, met, role_of, say
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, met, role_of, say
 
 if TYPE_CHECKING:
-    from deploy.order import Order
-    from shared.transport import Endpoints
+    from sextant.deploy.order import Order
+    from sextant.shared.transport import Endpoints
 
 _LOOK_S = 0.05
 
 
 def order(arguments: argparse.Namespace) -> int:
     """`sextant order`: give one order to the legs, and say what has come of it."""
-    from deploy.order import STOPS, Order
-    from shared import topics
-    from shared.transport import TransportError
+    from sextant.deploy.order import STOPS, Order
+    from sextant.shared import topics
+    from sextant.shared.transport import TransportError
 
     endpoints = met(arguments)
     refused = endpoints.keys.refusal([topics.MODE]) if endpoints.keys is not None else ""
@@ -47,10 +47,10 @@ def _give(given: "Order", what: str, endpoints: "Endpoints") -> int:
     """Give an order until something has come of it, or the operator has had enough."""
     import threading
 
-    from deploy.interrupts import Interrupts
-    from shared import codec, topics
-    from shared.live import run_live
-    from shared.transport import ZenohLink
+    from sextant.deploy.interrupts import Interrupts
+    from sextant.shared import codec, topics
+    from sextant.shared.live import run_live
+    from sextant.shared.transport import ZenohLink
 
     stop, told = threading.Event(), ""
     with Interrupts() as interrupts, ZenohLink(endpoints) as link:

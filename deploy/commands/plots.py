@@ -4,13 +4,13 @@ import argparse
 import json
 from pathlib import Path
 
-from deploy.commands.common import FAILED, SUCCESS, InputError, complain, out_folder, say
-from shared.spelling import hint
+from sextant.deploy.commands.common import FAILED, SUCCESS, InputError, complain, out_folder, say
+from sextant.shared.spelling import hint
 
 
 def plot(arguments: argparse.Namespace) -> int:
     """`sextant plot`: the figures of a run, or of several beside each other."""
-    from deploy.plots.figures import FIGURES, draw, misfit
+    from sextant.deploy.plots.figures import FIGURES, draw, misfit
 
     if arguments.list:
         width = max(map(len, FIGURES))
@@ -25,8 +25,8 @@ def plot(arguments: argparse.Namespace) -> int:
     misfits = [words for name in arguments.what or () if (words := misfit(name, len(paths)))]
     if misfits:
         raise InputError(f"--what: {misfits[0]}")
-    from deploy.plots.numbers import comparison, markdown
-    from deploy.plots.recorded import recorded_run
+    from sextant.deploy.plots.numbers import comparison, markdown
+    from sextant.deploy.plots.recorded import recorded_run
 
     runs = [recorded_run(path, arguments.scenario) for path in paths]
     for path, run in zip(paths, runs, strict=True):

@@ -5,13 +5,23 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, SUCCESS, WRONG_INPUT, InputError, complain, met, open_progress, out_folder, say
-from shared import files
+from sextant.deploy.commands.common import (
+    FAILED,
+    SUCCESS,
+    WRONG_INPUT,
+    InputError,
+    complain,
+    met,
+    open_progress,
+    out_folder,
+    say,
+)
+from sextant.shared import files
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from services.console.recording.live import LiveRecorder, Sink
+    from sextant.services.console.recording.live import LiveRecorder, Sink
 
 _LOOK_S = 0.2
 _SHOW_S = 5.0
@@ -22,9 +32,9 @@ def record(arguments: argparse.Namespace) -> int:
     """`sextant record`: what is said, into a folder, until Ctrl-C."""
     from datetime import datetime
 
-    from services.console.recorder.config import Settings
-    from services.console.recorder.service import open_rotation
-    from shared.profiles import load_profile
+    from sextant.services.console.recorder.config import Settings
+    from sextant.services.console.recorder.service import open_rotation
+    from sextant.shared.profiles import load_profile
 
     settings = Settings(reserve_mb=arguments.reserve, pictures=arguments.pictures)
     profile = load_profile(arguments.robot)
@@ -51,11 +61,11 @@ def record(arguments: argparse.Namespace) -> int:
 
 def foxglove(arguments: argparse.Namespace) -> int:
     """`sextant foxglove`: what is said, live for Foxglove and Lichtblick, until Ctrl-C."""
-    from shared.profiles import load_profile
-    from shared.transport import TransportError
+    from sextant.shared.profiles import load_profile
+    from sextant.shared.transport import TransportError
 
     try:
-        from deploy.foxglove_server import FoxgloveServer
+        from sextant.deploy.foxglove_server import FoxgloveServer
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'sextant[foxglove]'") from None
     profile = load_profile(arguments.robot)
@@ -78,9 +88,9 @@ def _listen(arguments: argparse.Namespace, opened: "Callable[[], Sink]", seconds
     """Record all topics, until Ctrl-C or for some seconds [s], into a sink that is opened when the robot has been met."""
     import time
 
-    from deploy.interrupts import Interrupts
-    from services.console.recording.live import LiveRecorder
-    from shared.transport import ZenohLink
+    from sextant.deploy.interrupts import Interrupts
+    from sextant.services.console.recording.live import LiveRecorder
+    from sextant.shared.transport import ZenohLink
 
     endpoints = met(arguments)
     with Interrupts() as interrupts, ZenohLink(endpoints) as link, LiveRecorder(opened()) as recording:
@@ -110,7 +120,7 @@ def export(arguments: argparse.Namespace) -> int:
     if target.suffix != ".rrd":
         raise InputError(f"--rerun: a file that ends in .rrd expected, found {target}")
     try:
-        from deploy import rerun_export
+        from sextant.deploy import rerun_export
     except ModuleNotFoundError as error:
         raise InputError(f"{error.name} is not installed: pip install 'sextant[rerun]'") from None
     count = rerun_export.export(source, target, open_progress(False))
@@ -120,7 +130,7 @@ def export(arguments: argparse.Namespace) -> int:
 
 def info(arguments: argparse.Namespace) -> int:
     """`sextant info`: what is in a recording."""
-    from services.console.recording.contents import as_table, contents, in_words
+    from sextant.services.console.recording.contents import as_table, contents, in_words
 
     found = contents(Path(arguments.recording))
     say(json.dumps(as_table(found), indent=1) if arguments.json else in_words(found))
@@ -129,9 +139,9 @@ def info(arguments: argparse.Namespace) -> int:
 
 def recover(arguments: argparse.Namespace) -> int:
     """`sextant recover`: make files whole that a crash cut off."""
-    from services.console.recording.layout import RecordingError
-    from services.console.recording.reader import files_of, is_recovered, is_whole, recovered
-    from services.console.recording.recovery import recover as rescue
+    from sextant.services.console.recording.layout import RecordingError
+    from sextant.services.console.recording.reader import files_of, is_recovered, is_whole, recovered
+    from sextant.services.console.recording.recovery import recover as rescue
 
     paths = files_of(Path(arguments.recording))
     if not paths:
@@ -170,12 +180,12 @@ def replay(arguments: argparse.Namespace) -> int:
     out = out_folder(arguments, f"replay-{source.stem}")
     progress = open_progress(arguments.json)
     if run or parts:
-        from deploy.replay import walk
+        from sextant.deploy.replay import walk
 
         table = walk.replay_recording(source, out, progress, arguments.only or ())
         words = walk.in_words(table)
     else:
-        from deploy.replay import sequence
+        from sextant.deploy.replay import sequence
 
         if arguments.only:
             raise InputError("--only is for recorded runs: of a depth sequence everything is fed")

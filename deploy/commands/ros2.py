@@ -2,7 +2,7 @@
 
 import argparse
 
-from deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, met, role_of, say
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, InputError, complain, met, role_of, say
 
 _LOOK_S = 0.1
 
@@ -13,16 +13,16 @@ def ros2(arguments: argparse.Namespace) -> int:
     import time
 
     try:
-        from deploy.ros2.bridge import PICTURES, PUBLISHED, SUBSCRIBED, Bridge
+        from sextant.deploy.ros2.bridge import PICTURES, PUBLISHED, SUBSCRIBED, Bridge
     except ImportError as error:
         raise InputError(f"{error}: pip install 'sextant[ros2]'") from None
-    from deploy.interrupts import Interrupts
-    from deploy.ros2.lead import Lead, Walk
-    from deploy.ros2.names import Node
-    from shared import codec, topics
-    from shared.live import run_live
-    from shared.profiles import load_profile
-    from shared.transport import ForeignLink, ZenohLink
+    from sextant.deploy.interrupts import Interrupts
+    from sextant.deploy.ros2.lead import Lead, Walk
+    from sextant.deploy.ros2.names import Node
+    from sextant.shared import codec, topics
+    from sextant.shared.live import run_live
+    from sextant.shared.profiles import load_profile
+    from sextant.shared.transport import ForeignLink, ZenohLink
 
     profile = load_profile(arguments.robot)
     lead = Lead(Walk(profile.stance.max_speed, profile.stance.body_height, gait=arguments.gait))

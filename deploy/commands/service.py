@@ -9,17 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import SUCCESS, InputError, say
+from sextant.deploy.commands.common import SUCCESS, InputError, say
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from deploy.launch.units import Manager
+    from sextant.deploy.launch.units import Manager
 
 
 def install(arguments: argparse.Namespace) -> int:
     """`sextant service install`: a unit for each process of a role, and a target for all."""
-    from deploy.launch import units
+    from sextant.deploy.launch import units
 
     manager = _manager(arguments)
     made = _made(arguments, manager)
@@ -42,7 +42,7 @@ def install(arguments: argparse.Namespace) -> int:
 
 def uninstall(arguments: argparse.Namespace) -> int:
     """`sextant service uninstall`: remove what `install` wrote, and nothing else."""
-    from deploy.launch import units
+    from sextant.deploy.launch import units
 
     manager = _manager(arguments)
     folder = Path(arguments.folder) if arguments.folder else manager.usual_folder
@@ -59,7 +59,7 @@ def uninstall(arguments: argparse.Namespace) -> int:
 
 
 def _manager(arguments: argparse.Namespace) -> "Manager":
-    from deploy.launch.units import DEVICE_GROUPS, Manager
+    from sextant.deploy.launch.units import DEVICE_GROUPS, Manager
 
     if not arguments.system:
         return Manager(sys.executable)
@@ -74,10 +74,10 @@ def _made(arguments: argparse.Namespace, manager: "Manager") -> "Mapping[str, st
     Raises:
         AccessError: Anybody would be let in, and it was not said that they should; or the keys are wrong.
     """
-    from deploy import process_table
-    from deploy.commands.up import asked, gate_of
-    from deploy.launch import units
-    from shared.transport import Endpoints
+    from sextant.deploy import process_table
+    from sextant.deploy.commands.up import asked, gate_of
+    from sextant.deploy.launch import units
+    from sextant.shared.transport import Endpoints
 
     rows, chosen, extra = asked(arguments)
     if chosen.scenario:

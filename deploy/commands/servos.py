@@ -15,14 +15,14 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
-from deploy.interrupts import Interrupts
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, complain, say
+from sextant.deploy.interrupts import Interrupts
 
 if TYPE_CHECKING:
-    from services.actuator.bridge import Bridge
-    from services.actuator.bus import ServoBus
-    from services.actuator.commissioning import Found, Line
-    from shared.robot import RobotProfile
+    from sextant.services.actuator.bridge import Bridge
+    from sextant.services.actuator.bus import ServoBus
+    from sextant.services.actuator.commissioning import Found, Line
+    from sextant.shared.robot import RobotProfile
 
 PATIENCE_NS = 25_000_000  # [ns] for an answer: outlasts the latency timer of an adapter that nobody has set
 _NETWORK_PATIENCE_NS = 50_000_000  # [ns] a machine that emulates servos may be busy
@@ -68,7 +68,7 @@ class Terminal:
 
 def scan(arguments: argparse.Namespace) -> int:
     """`sextant servos scan`: who is on the bus, and what is wrong with whom."""
-    from services.actuator import commissioning
+    from sextant.services.actuator import commissioning
 
     profile = _profile(arguments.robot)
     with _line(arguments, profile) as line:
@@ -101,8 +101,8 @@ def off(arguments: argparse.Namespace) -> int:
 
     It is latched first: an actuator that has the port, or looks for it, lets go, and one that begins later does, too.
     """
-    from services.actuator.bus import BusGone, BusSetupError
-    from services.actuator.let_go import let_go
+    from sextant.services.actuator.bus import BusGone, BusSetupError
+    from sextant.services.actuator.let_go import let_go
 
     profile = _profile(arguments.robot)
     unlatched = _latch_off(arguments.port)
@@ -132,7 +132,7 @@ def off(arguments: argparse.Namespace) -> int:
 
 def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool) -> None:
     """Tell who does not say that its torque is off, and how many do."""
-    from services.actuator.roll_call import named
+    from sextant.services.actuator.roll_call import named
 
     count, off = len(profile.servo_names), len(profile.servo_names) - len(left)
     alike = set(left.values())
@@ -147,8 +147,8 @@ def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool)
 
 def _latch_off(port: str) -> str:
     """Latch torque off for whoever has a port; why that could not be, in words, or nothing."""
-    from services.actuator.latch import Latch
-    from shared.clock import now_ns
+    from sextant.services.actuator.latch import Latch
+    from sextant.shared.clock import now_ns
 
     try:
         Latch.of_port(port).close(now_ns())
@@ -159,7 +159,7 @@ def _latch_off(port: str) -> str:
 
 def set_id(arguments: argparse.Namespace) -> int:
     """`sextant servos set-id`: each servo is given the id of its joint."""
-    from services.actuator import commissioning
+    from sextant.services.actuator import commissioning
 
     profile = _profile(arguments.robot)
     with _line(arguments, profile) as line:
@@ -168,8 +168,8 @@ def set_id(arguments: argparse.Namespace) -> int:
 
 def calibrate(arguments: argparse.Namespace) -> int:
     """`sextant servos calibrate`: where each horn sits, into the robot's own TOML."""
-    from services.actuator import calibration, calibration_file
-    from shared.robot import LEGS
+    from sextant.services.actuator import calibration, calibration_file
+    from sextant.shared.robot import LEGS
 
     path, base, profile = _own_file(arguments.robot, arguments.out)
     known = [entry.leg for entry in profile.calibration]
@@ -196,8 +196,8 @@ def calibrate(arguments: argparse.Namespace) -> int:
 
 def test(arguments: argparse.Namespace) -> int:
     """`sextant servos test`: each joint moves a little, alone and gently."""
-    from services.actuator.exercise import exercise
-    from shared.robot import LEGS
+    from sextant.services.actuator.exercise import exercise
+    from sextant.shared.robot import LEGS
 
     profile = _profile(arguments.robot)
     chosen = {"on": True, "off": False, "": False if arguments.yes else None}[arguments.torque]
@@ -216,8 +216,8 @@ def emulate(arguments: argparse.Namespace) -> int:
     import numpy as np
 
     try:
-        from services.simulator.tcp_port import TcpBusServer
-        from services.simulator.workbench import HELP, Workbench
+        from sextant.services.simulator.tcp_port import TcpBusServer
+        from sextant.services.simulator.workbench import HELP, Workbench
     except ImportError as error:
         raise InputError(f"{error}; pip install -e '.[simulator]' brings what emulated servos need") from None
     if arguments.listen > _LAST_PORT:
@@ -261,8 +261,8 @@ def _ended_once() -> AbstractContextManager[object]:
 @contextmanager
 def _line(arguments: argparse.Namespace, profile: "RobotProfile") -> "Iterator[Line]":
     """The servo port, closed in the end, also where a signal ends the command."""
-    from services.actuator.bus import BAUD_RATE
-    from services.actuator.commissioning import USUAL_RATES, Line
+    from sextant.services.actuator.bus import BAUD_RATE
+    from sextant.services.actuator.commissioning import USUAL_RATES, Line
 
     rates = (BAUD_RATE,) if "://" in arguments.port else USUAL_RATES
     with _ended_once(), closing(Line(lambda rate: _bus(arguments, profile, rate), rates)) as line:
@@ -275,8 +275,8 @@ def _bus(arguments: argparse.Namespace, profile: "RobotProfile", rate: int | Non
     Raises:
         BusGone: The port cannot be opened.
     """
-    from services.actuator.bus import BAUD_RATE, ServoBus, open_port
-    from shared import dynamixel as dxl
+    from sextant.services.actuator.bus import BAUD_RATE, ServoBus, open_port
+    from sextant.shared import dynamixel as dxl
 
     patience, names = _NETWORK_PATIENCE_NS if "://" in arguments.port else PATIENCE_NS, profile.servo_names
     return ServoBus(
@@ -296,15 +296,15 @@ def _bridge(arguments: argparse.Namespace, profile: "RobotProfile") -> "Bridge":
     Raises:
         BusGone: The port cannot be opened.
     """
-    from services.actuator.bridge import READ_NS, Bridge
-    from services.actuator.bus import open_port
+    from sextant.services.actuator.bridge import READ_NS, Bridge
+    from sextant.services.actuator.bus import open_port
 
     port = open_port(arguments.port, timeout_ns=READ_NS)
     return Bridge(port, list(profile.servo_names), time.monotonic_ns, names=profile.servo_names)
 
 
 def _profile(robot: str) -> "RobotProfile":
-    from shared.profiles import load_profile
+    from sextant.shared.profiles import load_profile
 
     return load_profile(robot)
 
@@ -328,8 +328,8 @@ def _own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
 
 
 def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:
-    from services.actuator.roll_call import Voice
-    from shared import dynamixel as dxl
+    from sextant.services.actuator.roll_call import Voice
+    from sextant.shared import dynamixel as dxl
 
     seen = one.seen
     row: dict[str, object] = {"id": seen.servo_id, "baud": one.rate, "joint": profile.servo_names.get(seen.servo_id, "")}

@@ -6,18 +6,18 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, INTERRUPTED, ROUTER, SUCCESS, InputError, complain, met, say
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, ROUTER, SUCCESS, InputError, complain, met, say
 
 if TYPE_CHECKING:
-    from deploy.overheard import Heard
-    from shared.service import AnyTopic
+    from sextant.deploy.overheard import Heard
+    from sextant.shared.service import AnyTopic
 
 _LOOK_S = 0.1
 
 
 def list_topics(arguments: argparse.Namespace) -> int:
     """`sextant topics list`: the topic table."""
-    from shared.topics import TOPICS
+    from sextant.shared.topics import TOPICS
 
     if arguments.json:
         rows = [{"key": t.key, "type": t.type.__name__, "rate_hz": t.rate_hz, "delivery": t.delivery.value} for t in TOPICS]
@@ -33,7 +33,7 @@ def list_topics(arguments: argparse.Namespace) -> int:
 def docs(arguments: argparse.Namespace) -> int:
     """`sextant topics docs`: docs/keys.md."""
     try:
-        from deploy.keys_page import page
+        from sextant.deploy.keys_page import page
 
         text = page()
     except ImportError as error:
@@ -44,9 +44,9 @@ def docs(arguments: argparse.Namespace) -> int:
 
 def echo(arguments: argparse.Namespace) -> int:
     """`sextant topics echo`: messages one at a time, until Ctrl-C or as many as are asked for."""
-    from deploy.interrupts import Interrupts
-    from deploy.overheard import Mailbox, listen
-    from shared.transport import ZenohLink
+    from sextant.deploy.interrupts import Interrupts
+    from sextant.deploy.overheard import Mailbox, listen
+    from sextant.shared.transport import ZenohLink
 
     wanted, told = _wanted(arguments), 0
     mailbox, endpoints = Mailbox(), met(arguments)
@@ -70,8 +70,8 @@ def echo(arguments: argparse.Namespace) -> int:
 
 def _tell(heard: "Heard", as_json: bool) -> int:
     """Print one message, or why it cannot be; how many were printed."""
-    from deploy import shown
-    from shared.codec import DecodeError
+    from sextant.deploy import shown
+    from sextant.shared.codec import DecodeError
 
     try:
         text = json.dumps(shown.for_scripts(heard), ensure_ascii=False) if as_json else shown.in_words(heard) + "\n"
@@ -84,10 +84,10 @@ def _tell(heard: "Heard", as_json: bool) -> int:
 
 def hz(arguments: argparse.Namespace) -> int:
     """`sextant topics hz`: how often and how much each topic says, for some seconds."""
-    from deploy import rates
-    from deploy.interrupts import Interrupts
-    from deploy.overheard import listen
-    from shared.transport import ZenohLink
+    from sextant.deploy import rates
+    from sextant.deploy.interrupts import Interrupts
+    from sextant.deploy.overheard import listen
+    from sextant.shared.transport import ZenohLink
 
     wanted = _wanted(arguments)
     counted, endpoints = rates.Rates(wanted), met(arguments)
@@ -110,7 +110,7 @@ def _wait(seconds: float, began_ns: int, asked: Callable[[], bool]) -> float:
 
 
 def _wanted(arguments: argparse.Namespace) -> "tuple[AnyTopic, ...]":
-    from deploy.overheard import ONLY_BY_NAME, topics_named
+    from sextant.deploy.overheard import ONLY_BY_NAME, topics_named
 
     try:
         wanted = topics_named(arguments.keys)

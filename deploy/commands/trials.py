@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from deploy.commands.common import SUCCESS, InputError, as_asked, asked_scenario, open_progress, out_folder, say
-from shared import files
+from sextant.deploy.commands.common import SUCCESS, InputError, as_asked, asked_scenario, open_progress, out_folder, say
+from sextant.shared import files
 
 
 def trials(arguments: argparse.Namespace) -> int:
@@ -13,7 +13,7 @@ def trials(arguments: argparse.Namespace) -> int:
         return _campaign(arguments)
     scenario = asked_scenario(arguments)
     out = out_folder(arguments, f"trials-{scenario.name}")
-    from deploy.trials import batch as batches
+    from sextant.deploy.trials import batch as batches
 
     progress = open_progress(arguments.json)
     seeing = batches.run_trials(scenario, arguments.seeds, arguments.jobs, out, say=progress.say)
@@ -31,10 +31,10 @@ def trials(arguments: argparse.Namespace) -> int:
 
 def _campaign(arguments: argparse.Namespace) -> int:
     """`sextant trials all`, `passages`, `troubles`: run a group of scenarios and print one table of them."""
-    from deploy.trials import campaign_table as tables
-    from deploy.trials import kept
-    from deploy.trials.campaign import run_campaign
-    from deploy.trials.passage_table import markdown as sections
+    from sextant.deploy.trials import campaign_table as tables
+    from sextant.deploy.trials import kept
+    from sextant.deploy.trials.campaign import run_campaign
+    from sextant.deploy.trials.passage_table import markdown as sections
 
     passages = arguments.scenario == "passages"
     asked = as_asked(arguments)
@@ -54,8 +54,8 @@ def _campaign(arguments: argparse.Namespace) -> int:
 
 def table(arguments: argparse.Namespace) -> int:
     """`sextant trials table`: a table of runs that were kept, nothing being run."""
-    from deploy.trials import campaign_table as tables
-    from deploy.trials import kept, passage_table
+    from sextant.deploy.trials import campaign_table as tables
+    from sextant.deploy.trials import kept, passage_table
 
     paths = kept.files([Path(place) for place in arguments.kept])
     runs = [run for path in paths for run in kept.read(path)]

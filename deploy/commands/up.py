@@ -7,19 +7,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, asked_robot, complain, say
+from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputError, asked_robot, complain, say
 
 if TYPE_CHECKING:
-    from deploy.network.gate import Gate
-    from deploy.process_table import Choices, Process
+    from sextant.deploy.network.gate import Gate
+    from sextant.deploy.process_table import Choices, Process
 
 
 def up(arguments: argparse.Namespace) -> int:
     """`sextant up`: the processes of a role until Ctrl-C."""
-    from deploy import process_table
-    from deploy.interrupts import Interrupts
-    from deploy.launch.half import Half
-    from shared.host import allow_many_files
+    from sextant.deploy import process_table
+    from sextant.deploy.interrupts import Interrupts
+    from sextant.deploy.launch.half import Half
+    from sextant.shared.host import allow_many_files
 
     rows, chosen, extra = asked(arguments)
     if arguments.print_zenoh:
@@ -54,7 +54,7 @@ def _print_zenoh(gated: "Gate") -> int:
     """Show what the router of this machine would be configured with."""
     import json
 
-    from shared.transport import Router
+    from sextant.shared.transport import Router
 
     say(json.dumps(Router(gated.behind_proxy(0), gated.upstream, gated.configuration()).configuration, indent=2))
     return SUCCESS
@@ -71,7 +71,7 @@ def asked(arguments: argparse.Namespace) -> "tuple[tuple[Process, ...], Choices,
 
 def _rows(arguments: argparse.Namespace) -> "tuple[Process, ...]":
     """The processes that are asked for: those of the role, with some more and without some."""
-    from deploy import process_table
+    from sextant.deploy import process_table
 
     usual = process_table.rows(arguments.role, simulated=arguments.scenario is not None, page=not arguments.no_page)
     try:
@@ -90,7 +90,7 @@ def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str
     Raises:
         AccessError: Anybody would be let in, and it was not said that they should; or the keys are wrong.
     """
-    from deploy.network import gate
+    from sextant.deploy.network import gate
 
     keys, upstream = arguments.key_folder, tuple(arguments.connect or ())
     gated = gate.of_arguments(arguments.listen or [], keys, arguments.open, arguments.namespace, usual, upstream)
@@ -102,8 +102,8 @@ def gate_of(arguments: argparse.Namespace, rows: "Sequence[Process]", usual: str
 
 def _apart(gated: "Gate") -> "Gate":
     """The same, with an endpoint of loopback for this machine's own processes where all others are open to other machines."""
-    from deploy.launch.launcher import free_port
-    from shared.access import plain_elsewhere
+    from sextant.deploy.launch.launcher import free_port
+    from sextant.shared.access import plain_elsewhere
 
     if plain_elsewhere(gated.listen) != gated.listen:
         return gated
@@ -112,8 +112,8 @@ def _apart(gated: "Gate") -> "Gate":
 
 def _usual(arguments: argparse.Namespace) -> str:
     """Where processes of this machine meet: as usual, or on a free port."""
-    from deploy.launch.launcher import free_port, port_taken
-    from deploy.process_table import ROUTER_ENDPOINT
+    from sextant.deploy.launch.launcher import free_port, port_taken
+    from sextant.deploy.process_table import ROUTER_ENDPOINT
 
     if not (arguments.connect and port_taken(int(ROUTER_ENDPOINT.rpartition(":")[2]))):
         return ROUTER_ENDPOINT
@@ -121,9 +121,9 @@ def _usual(arguments: argparse.Namespace) -> str:
 
 
 def _choices(arguments: argparse.Namespace) -> "Choices":
-    from deploy.launch.launcher import free_port
-    from deploy.process_table import Choices, choices
-    from shared.scenario import load_scenario
+    from sextant.deploy.launch.launcher import free_port
+    from sextant.deploy.process_table import Choices, choices
+    from sextant.shared.scenario import load_scenario
 
     robot = asked_robot(arguments)
     if arguments.scenario is None and arguments.role != "sim":
@@ -139,7 +139,7 @@ def _choices(arguments: argparse.Namespace) -> "Choices":
 
 def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
     """The camera that is to be read, a folder by its whole path; "none" where no camera is started."""
-    from shared.profiles import load_profile
+    from sextant.shared.profiles import load_profile
 
     if not any(row.side == "device" for row in rows):
         if camera:
@@ -156,7 +156,7 @@ def _camera(camera: str, robot: str, rows: "Sequence[Process]") -> str:
 
 
 def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, tuple[str, ...]]:
-    from deploy.process_table import further_settings
+    from sextant.deploy.process_table import further_settings
 
     try:
         return further_settings(assignments, rows)
@@ -166,9 +166,9 @@ def _extra(assignments: Sequence[str], rows: "Sequence[Process]") -> dict[str, t
 
 def _page_port(usual: int, settings: Sequence[str]) -> int:
     """Where the operator's page is served: as it is asked for, else where it usually is, else on any port that is free."""
-    from deploy.launch.launcher import free_port, port_taken
-    from services.console.config import Settings
-    from shared.process import load_settings
+    from sextant.deploy.launch.launcher import free_port, port_taken
+    from sextant.services.console.config import Settings
+    from sextant.shared.process import load_settings
 
     if any(re.match(r"port\s*=", setting) for setting in settings):
         return load_settings(Settings, None, settings).port
@@ -181,8 +181,8 @@ def _page_port(usual: int, settings: Sequence[str]) -> int:
 
 def _see_servo_port(settings: Sequence[str]) -> None:
     """Refuse a servo port that is not there, before anything starts."""
-    from services.actuator.config import Settings
-    from shared.process import load_settings
+    from sextant.services.actuator.config import Settings
+    from sextant.shared.process import load_settings
 
     port = load_settings(Settings, None, settings).port
     if "://" not in port and not Path(port).exists():

@@ -33,7 +33,7 @@ def any_seeds(text: str) -> Sequence[int]:
     drawn = re.fullmatch(r"commit:([1-9]\d*)", text)
     if drawn is None:
         return seeds(text)
-    from deploy.provenance import seeds_of_commit
+    from sextant.deploy.provenance import seeds_of_commit
 
     try:
         return seeds_of_commit(int(drawn[1]))

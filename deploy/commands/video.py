@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deploy.commands.common import SUCCESS, InputError, complain, say
+from sextant.deploy.commands.common import SUCCESS, InputError, complain, say
 
 if TYPE_CHECKING:
-    from deploy.video.ground import Ground
-    from deploy.video.sinking import Sinking
-    from deploy.video.story import Story
-    from shared.robot import RobotProfile
+    from sextant.deploy.video.ground import Ground
+    from sextant.deploy.video.sinking import Sinking
+    from sextant.deploy.video.story import Story
+    from sextant.shared.robot import RobotProfile
 
 _TOLD_EVERY_S = 5.0
 _FEET_OFF = 0.02  # [m] of feet that stand, in the median: the ground is another
@@ -21,11 +21,11 @@ _FEET_OFF = 0.02  # [m] of feet that stand, in the median: the ground is another
 
 def video(arguments: argparse.Namespace) -> int:
     """`sextant video`: draw the robot on its ground, from what was recorded."""
-    from deploy.video import files
-    from deploy.video.film import Cut, Film
-    from deploy.video.story import Story
-    from services.console.recording.reader import Recording
-    from shared.profiles import load_profile
+    from sextant.deploy.video import files
+    from sextant.deploy.video.film import Cut, Film
+    from sextant.deploy.video.story import Story
+    from sextant.services.console.recording.reader import Recording
+    from sextant.shared.profiles import load_profile
 
     run = Path(arguments.run)
     out = Path(arguments.out) if arguments.out else _beside(run)
@@ -77,7 +77,7 @@ def _recording_of(run: Path) -> Path:
 def _about(run: Path, said: Mapping[str, str], story: "Story") -> dict[str, str]:
     """Scenario, seed and robot: what the recording says, or the report beside it, or the simulator in it."""
     about = {name: said[name] for name in ("scenario", "seed", "robot") if name in said}
-    from shared.input_file import FileError, read_json
+    from sextant.shared.input_file import FileError, read_json
 
     folder = run if run.is_dir() else run.parent
     try:
@@ -98,12 +98,12 @@ def _ground(
     """The true ground, or None where it is not known; then the robot is drawn where it believed to be, on its own map."""
     import numpy as np
 
-    from deploy.video.ground import of_terrain
-    from deploy.video.sinking import Sinking
-    from deploy.video.story import trail
-    from services.simulator.terrain import build_terrain
-    from shared.config import ConfigError
-    from shared.scenario import load_scenario
+    from sextant.deploy.video.ground import of_terrain
+    from sextant.deploy.video.sinking import Sinking
+    from sextant.deploy.video.story import trail
+    from sextant.services.simulator.terrain import build_terrain
+    from sextant.shared.config import ConfigError
+    from sextant.shared.scenario import load_scenario
 
     if not story.true:
         return None, None

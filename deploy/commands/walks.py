@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deploy.commands.common import (
+from sextant.deploy.commands.common import (
     FAILED,
     INTERRUPTED,
     SUCCESS,
@@ -20,8 +20,8 @@ from deploy.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from deploy.judging.report import Report
-    from shared.transport import Endpoints
+    from sextant.deploy.judging.report import Report
+    from sextant.shared.transport import Endpoints
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -83,9 +83,9 @@ def _run_lockstep(arguments: argparse.Namespace) -> int:
     out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
     import contextlib
 
-    from deploy.replay.tum_recording import DepthRecorder
-    from deploy.runs.lockstep_run import run_lockstep
-    from shared.profiles import load_profile
+    from sextant.deploy.replay.tum_recording import DepthRecorder
+    from sextant.deploy.runs.lockstep_run import run_lockstep
+    from sextant.shared.profiles import load_profile
 
     with contextlib.ExitStack() as stack:
         taps = []
@@ -105,13 +105,13 @@ def _run_live(arguments: argparse.Namespace) -> int:
         raise InputError(f"{scenario.name} breaks services, which only who started them can; leave --connect out")
     progress = open_progress(arguments.json)
     out = out_folder(arguments, f"{scenario.name}-{arguments.seed}")
-    from deploy.interrupts import Interrupts
-    from shared.ending import end_with
+    from sextant.deploy.interrupts import Interrupts
+    from sextant.shared.ending import end_with
 
     with Interrupts() as interrupts:
         if getattr(arguments, "parent", None):
             end_with(arguments.parent)
-        from deploy.runs import live_run
+        from sextant.deploy.runs import live_run
 
         attach = _attach(arguments)
         problem = "" if attach else live_run.warm_up(progress, interrupts)
@@ -131,7 +131,7 @@ def _run_live(arguments: argparse.Namespace) -> int:
 
 
 def _tell(report: "Report", out: Path, as_json: bool, remedy: str = "use --lockstep or close programs") -> int:
-    from deploy.judging.report import FILE, to_json
+    from sextant.deploy.judging.report import FILE, to_json
 
     if as_json:
         say(to_json(report).rstrip("\n"))

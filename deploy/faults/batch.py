@@ -10,17 +10,17 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from deploy import provenance
-from deploy.faults.cases import BY_NAME, Case
-from deploy.faults.live import LiveWalk
-from deploy.faults.score import Outcome, score
-from deploy.faults.walk import FaultWalk
-from deploy.faults.watched import SCENARIO, in_walks
-from deploy.trials import kept
-from deploy.trials.batch import fingerprint, refuse_another_program
-from deploy.workers import share_out
-from shared import files
-from shared.input_file import FileError, parse_json, read_bytes
+from sextant.deploy import provenance
+from sextant.deploy.faults.cases import BY_NAME, Case
+from sextant.deploy.faults.live import LiveWalk
+from sextant.deploy.faults.score import Outcome, score
+from sextant.deploy.faults.walk import FaultWalk
+from sextant.deploy.faults.watched import SCENARIO, in_walks
+from sextant.deploy.trials import kept
+from sextant.deploy.trials.batch import fingerprint, refuse_another_program
+from sextant.deploy.workers import share_out
+from sextant.shared import files
+from sextant.shared.input_file import FileError, parse_json, read_bytes
 
 FILE = "faults.jsonl"
 

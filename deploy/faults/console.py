@@ -1,11 +1,11 @@
-"""The operator of a fault's walk as a process of its own, so that it can be killed: python -m deploy.faults.console."""
+"""The operator of a fault's walk as a process of its own, so that it can be killed: python -m sextant.deploy.faults.console."""
 
 from dataclasses import dataclass
 
-from deploy.faults.watched import SCENARIO
-from deploy.runs.operator import Operator
-from shared import process
-from shared.robot import RobotProfile
+from sextant.deploy.faults.watched import SCENARIO
+from sextant.deploy.runs.operator import Operator
+from sextant.shared import process
+from sextant.shared.robot import RobotProfile
 
 
 @dataclass(frozen=True, slots=True)

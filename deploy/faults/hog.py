@@ -1,21 +1,21 @@
-"""A process that keeps a core busy: python -m deploy.faults.hog."""
+"""A process that keeps a core busy: python -m sextant.deploy.faults.hog."""
 
 import argparse
 import os
 
-from deploy.process_table import ENVIRONMENT, Command
-from shared.ending import end_with
+from sextant.deploy.process_table import ENVIRONMENT, Command
+from sextant.shared.ending import end_with
 
 
 def commands() -> tuple[Command, ...]:
     """How to start one for each core that this process may use."""
     count = len(os.sched_getaffinity(0))
-    return tuple(Command(f"hog {i}", ("-m", "deploy.faults.hog"), ENVIRONMENT) for i in range(count))
+    return tuple(Command(f"hog {i}", ("-m", "sextant.deploy.faults.hog"), ENVIRONMENT) for i in range(count))
 
 
 def main() -> None:
     """Compute nothing, until somebody ends this process."""
-    parser = argparse.ArgumentParser(prog="python -m deploy.faults.hog", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m sextant.deploy.faults.hog", description=__doc__)
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")
     arguments = parser.parse_args()
     if arguments.parent:

@@ -15,22 +15,22 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.faults import hog, tap
-from deploy.faults.cases import Away, Case, Deed, Hogs, Off, OnBus
-from deploy.faults.watched import LEAST_WATCH_S, Seen, Watched
-from deploy.launch import tapped_robot
-from deploy.launch.launcher import Launcher, free_port
-from deploy.launch.tapped_robot import Page, Places
-from deploy.network.gate import Gate
-from deploy.process_table import ENVIRONMENT, Command
-from services.actuator.latch import Latch
-from services.console.recording.reader import files_of, newest_ns
-from shared import codec, topics
-from shared import dynamixel as dxl
-from shared.messages import Message, Mode, ModeCommand, RecordCommand
-from shared.scenario import load_scenario
-from shared.service import AnyTopic
-from shared.transport import ZenohLink
+from sextant.deploy.faults import hog, tap
+from sextant.deploy.faults.cases import Away, Case, Deed, Hogs, Off, OnBus
+from sextant.deploy.faults.watched import LEAST_WATCH_S, Seen, Watched
+from sextant.deploy.launch import tapped_robot
+from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.tapped_robot import Page, Places
+from sextant.deploy.network.gate import Gate
+from sextant.deploy.process_table import ENVIRONMENT, Command
+from sextant.services.actuator.latch import Latch
+from sextant.services.console.recording.reader import files_of, newest_ns
+from sextant.shared import codec, topics
+from sextant.shared import dynamixel as dxl
+from sextant.shared.messages import Message, Mode, ModeCommand, RecordCommand
+from sextant.shared.scenario import load_scenario
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import ZenohLink
 
 _GROUND = "flat"  # the scenario that the simulator is given: level ground
 _LOOK_S = 0.02
@@ -265,6 +265,6 @@ def commands(places: Places, seed: int, gate: Gate | None = None, page: Page | N
     robot = tapped_robot.commands(places, seed, _GROUND, page, gate=gate)
     met = places.base or places.robot
     meeting = ("--robot", load_scenario(_GROUND).robot, "--connect", met.connect[0], "--namespace", met.namespace)
-    words = ("-m", "deploy.faults.console", *meeting, *(() if places.base is None else ("--elsewhere",)))
+    words = ("-m", "sextant.deploy.faults.console", *meeting, *(() if places.base is None else ("--elsewhere",)))
     after = ("router",) if places.base is None else (tapped_robot.BASE_ROUTER,)
     return [*robot, Command("operator", words, ENVIRONMENT, restarts=tapped_robot.RESTARTS, after=after)]

@@ -7,17 +7,17 @@ from math import ceil, inf, nan
 
 import numpy as np
 
-from deploy.faults.cases import Case
-from deploy.faults.timeline import STALE_S, Timeline, Truth, Word
-from deploy.faults.wire import Goals
-from deploy.judging.scorer import FALL_TILT_DEG
-from deploy.judging.walk_metrics import Flags, debounced, stability_margin
-from services.actuator.health import LATE
-from shared import dynamixel as dxl
-from shared.geometry import Array
-from shared.messages import Mode
-from shared.robot import RobotProfile
-from shared.stability import centre_of_mass
+from sextant.deploy.faults.cases import Case
+from sextant.deploy.faults.timeline import STALE_S, Timeline, Truth, Word
+from sextant.deploy.faults.wire import Goals
+from sextant.deploy.judging.scorer import FALL_TILT_DEG
+from sextant.deploy.judging.walk_metrics import Flags, debounced, stability_margin
+from sextant.services.actuator.health import LATE
+from sextant.shared import dynamixel as dxl
+from sextant.shared.geometry import Array
+from sextant.shared.messages import Mode
+from sextant.shared.robot import RobotProfile
+from sextant.shared.stability import centre_of_mass
 
 _MARGIN_S = 3.0  # [s] over which the stability margin is looked at
 _STILL_S = 0.2  # [s] for which a robot that is at rest has been so

@@ -6,11 +6,11 @@ from dataclasses import asdict, dataclass, fields
 from math import ceil, isfinite, isinf, nan
 from typing import Any
 
-from deploy.faults.batch import Injection
-from deploy.faults.cases import BY_NAME, Case
-from deploy.faults.score import Outcome
-from deploy.trials.statistics import wilson
-from services.actuator.health import LATE_CYCLES
+from sextant.deploy.faults.batch import Injection
+from sextant.deploy.faults.cases import BY_NAME, Case
+from sextant.deploy.faults.score import Outcome
+from sextant.deploy.trials.statistics import wilson
+from sextant.services.actuator.health import LATE_CYCLES
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """A tap on a live servo bus, as a process: it passes bytes on between host and servos, and says what the host sent and when.
 
-python -m deploy.faults.tap --listen 21000 --servos 22000
+python -m sextant.deploy.faults.tap --listen 21000 --servos 22000
 
 A line of stdout each time: `open NS` where a host has come, `sent NS HEX` for bytes that went to the servos; NS is the
 machine's monotonic clock [ns].
@@ -14,9 +14,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from deploy.process_table import ENVIRONMENT, Command
-from shared.ending import end_with
-from shared.host import go_first
+from sextant.deploy.process_table import ENVIRONMENT, Command
+from sextant.shared.ending import end_with
+from sextant.shared.host import go_first
 
 _CHUNK = 4096  # [bytes]
 _HOST = "127.0.0.1"
@@ -45,7 +45,7 @@ class Sent:
 
 def command(listen: int, servos: int) -> Command:
     """How a tap is started between a host that opens one TCP port of 127.0.0.1 and servos at another."""
-    words = ("-m", "deploy.faults.tap", "--listen", str(listen), "--servos", str(servos))
+    words = ("-m", "sextant.deploy.faults.tap", "--listen", str(listen), "--servos", str(servos))
     return Command("tap", words, ENVIRONMENT, ready_port=listen)
 
 
@@ -60,7 +60,9 @@ def understood(line: str) -> Opened | Sent:
             return Opened(int(at_ns))
         case ["sent", at_ns, data]:
             return Sent(int(at_ns), bytes.fromhex(data))
-    raise ValueError(f"`open NS` or `sent NS HEX` expected of a tap, found {line[:60]!r}; run `python -m deploy.faults.tap`")
+    raise ValueError(
+        f"`open NS` or `sent NS HEX` expected of a tap, found {line[:60]!r}; run `python -m sextant.deploy.faults.tap`"
+    )
 
 
 def serve(listener: socket.socket, servos: int, say: Callable[[Opened | Sent], object]) -> None:
@@ -97,7 +99,7 @@ def _pass_on(host: socket.socket, bus: socket.socket, say: Callable[[Opened | Se
 
 def main() -> int:
     """Serve until somebody ends this process."""
-    parser = argparse.ArgumentParser(prog="python -m deploy.faults.tap", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m sextant.deploy.faults.tap", description=__doc__)
     parser.add_argument("--listen", type=int, required=True, help="TCP port of 127.0.0.1 that the host opens")
     parser.add_argument("--servos", type=int, required=True, help="TCP port of 127.0.0.1 of the servo bus")
     parser.add_argument("--parent", type=int, help="end when the process with this id, which started this one, has ended")

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.faults.wire import Goals, Outside, Switch
-from shared.geometry import Array
-from shared.messages import Mode
+from sextant.deploy.faults.wire import Goals, Outside, Switch
+from sextant.shared.geometry import Array
+from sextant.shared.messages import Mode
 
 STALE_S = 0.25  # [s] after which an actuator that says nothing is not known to walk
 

@@ -11,19 +11,19 @@ from zlib import crc32
 
 import numpy as np
 
-from deploy.faults.cases import Away, Case, Clock, Deed, Late, Meddling, Off, OnBus
-from deploy.faults.planner import Meddler
-from deploy.faults.timeline import Timeline
-from deploy.faults.watched import LEAST_WATCH_S, REPEAT_S, SCENARIO, Seen, Watched
-from deploy.runs.lockstep_run import LockstepRun, assemble
-from deploy.workers import in_copy
-from services.actuator.latch import Latch
-from services.simulator.service import Simulator
-from shared import dynamixel as dxl
-from shared import topics
-from shared.lockstep import Outage, ServiceFailedError
-from shared.messages import Mode, ModeCommand
-from shared.service import AnyTopic
+from sextant.deploy.faults.cases import Away, Case, Clock, Deed, Late, Meddling, Off, OnBus
+from sextant.deploy.faults.planner import Meddler
+from sextant.deploy.faults.timeline import Timeline
+from sextant.deploy.faults.watched import LEAST_WATCH_S, REPEAT_S, SCENARIO, Seen, Watched
+from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
+from sextant.deploy.workers import in_copy
+from sextant.services.actuator.latch import Latch
+from sextant.services.simulator.service import Simulator
+from sextant.shared import dynamixel as dxl
+from sextant.shared import topics
+from sextant.shared.lockstep import Outage, ServiceFailedError
+from sextant.shared.messages import Mode, ModeCommand
+from sextant.shared.service import AnyTopic
 
 _LOOK_NS = 20_000_000
 _BESIDE_S = 0.001  # [s] by which a beat falls outside of what is to leave it out

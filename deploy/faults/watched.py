@@ -10,15 +10,15 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.faults.cases import Case
-from deploy.faults.timeline import STALE_S, Timeline, Truth, Word
-from deploy.faults.wire import Goals, Outside, Recorder, Switch
-from shared import codec, topics
-from shared.lockstep import ServiceFailedError
-from shared.messages import ActuatorState, GroundTruth, Mode
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.scenario import Goal, Plane, Scenario
+from sextant.deploy.faults.cases import Case
+from sextant.deploy.faults.timeline import STALE_S, Timeline, Truth, Word
+from sextant.deploy.faults.wire import Goals, Outside, Recorder, Switch
+from sextant.shared import codec, topics
+from sextant.shared.lockstep import ServiceFailedError
+from sextant.shared.messages import ActuatorState, GroundTruth, Mode
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import Goal, Plane, Scenario
 
 SCENARIO = Scenario("faults", (Plane(),), Goal(12.0), time_limit_s=600.0)
 STEADY_S = 0.5  # [s] of walking before a fault, ...

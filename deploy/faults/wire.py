@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared import dynamixel as dxl
-from shared.dynamixel import Instruction, Packet, PacketParser, Register
-from shared.robot import RobotProfile
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Instruction, Packet, PacketParser, Register
+from sextant.shared.robot import RobotProfile
 
 _SIDES = ("sent", "heard")
 

@@ -15,18 +15,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from deploy.fuzz.broken import broken, odd_table
-from deploy.fuzz.target import Folder, Target
-from deploy.judging import report as reports
-from deploy.launch import fleet
-from deploy.network.authority import Authority, held
-from deploy.trials import kept
-from services.actuator import config as actuator
-from services.perception import tum
-from services.simulator.terrain import build_terrain
-from shared import access, array_file, config, input_file, picture_file, process
-from shared.profiles import load_profile
-from shared.scenario import load_scenario
+from sextant.deploy.fuzz.broken import broken, odd_table
+from sextant.deploy.fuzz.target import Folder, Target
+from sextant.deploy.judging import report as reports
+from sextant.deploy.launch import fleet
+from sextant.deploy.network.authority import Authority, held
+from sextant.deploy.trials import kept
+from sextant.services.actuator import config as actuator
+from sextant.services.perception import tum
+from sextant.services.simulator.terrain import build_terrain
+from sextant.shared import access, array_file, config, input_file, picture_file, process
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import load_scenario
 
 _NESTED = 0.8  # of the tables in a table that something odd is put into
 _FLEET = """[robots.alpha]
@@ -147,7 +147,7 @@ def _read_keys(path: Path) -> None:
 
 
 def _shipped(package: str, *names: str) -> list[bytes]:
-    return [(resources.files(f"shared.{package}") / f"{name}.toml").read_bytes() for name in names]
+    return [(resources.files(f"sextant.shared.{package}") / f"{name}.toml").read_bytes() for name in names]
 
 
 def _report() -> reports.Report:

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-from deploy.fuzz.broken import broken
-from deploy.fuzz.target import Target
-from deploy.fuzz.targets import targets
+from sextant.deploy.fuzz.broken import broken
+from sextant.deploy.fuzz.target import Target
+from sextant.deploy.fuzz.targets import targets
 
 GROWTH_MB = 5.0  # that memory may grow by
 MOST_CPU_S, MOST_MB = 30.0, 400.0  # of processor time and memory that one message may take

@@ -11,23 +11,23 @@ from typing import Self
 
 import numpy as np
 
-from deploy.bench.soak import own_mb
-from deploy.faults import tap
-from deploy.faults.wire import Recorder
-from deploy.fuzz.role_attack import OFF_HOLDER, PERIOD_S, ROLE_NAMES, WALKS, Attacker, Leader, Row, kinds, off_delay_s
-from deploy.launch import tapped_robot
-from deploy.launch.launcher import Launcher, free_port
-from deploy.launch.tapped_robot import Page, Places
-from deploy.network.authority import Authority
-from deploy.network.gate import Gate
-from services.actuator.latch import Latch
-from shared import codec, topics
-from shared.access import Keys
-from shared.live import run_live
-from shared.messages import ActuatorState, GroundTruth, Mode, PlannerStatus, StopOrder
-from shared.profiles import load_profile
-from shared.service import AnyTopic
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.bench.soak import own_mb
+from sextant.deploy.faults import tap
+from sextant.deploy.faults.wire import Recorder
+from sextant.deploy.fuzz.role_attack import OFF_HOLDER, PERIOD_S, ROLE_NAMES, WALKS, Attacker, Leader, Row, kinds, off_delay_s
+from sextant.deploy.launch import tapped_robot
+from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.launch.tapped_robot import Page, Places
+from sextant.deploy.network.authority import Authority
+from sextant.deploy.network.gate import Gate
+from sextant.services.actuator.latch import Latch
+from sextant.shared import codec, topics
+from sextant.shared.access import Keys
+from sextant.shared.live import run_live
+from sextant.shared.messages import ActuatorState, GroundTruth, Mode, PlannerStatus, StopOrder
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints, ZenohLink
 
 _NAMESPACE = "attacked"
 _GROUND = "flat"

@@ -15,16 +15,16 @@ import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
-from deploy.fuzz import made
-from deploy.fuzz.broken import broken
-from deploy.fuzz.target import Folder
-from services.console.recording.contents import as_table, contents, in_words
-from services.console.recording.layout import RecordingError
-from services.console.recording.reader import Recording, is_whole
-from services.console.recording.records import LARGEST_BYTES, MAGIC
-from services.console.recording.recovery import recover
-from services.console.recording.writer import Recorder
-from shared import topics
+from sextant.deploy.fuzz import made
+from sextant.deploy.fuzz.broken import broken
+from sextant.deploy.fuzz.target import Folder
+from sextant.services.console.recording.contents import as_table, contents, in_words
+from sextant.services.console.recording.layout import RecordingError
+from sextant.services.console.recording.reader import Recording, is_whole
+from sextant.services.console.recording.records import LARGEST_BYTES, MAGIC
+from sextant.services.console.recording.recovery import recover
+from sextant.services.console.recording.writer import Recorder
+from sextant.shared import topics
 
 _EXAMPLES = 8
 _FRAMES = 12  # of an example

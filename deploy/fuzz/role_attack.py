@@ -14,20 +14,20 @@ from random import Random
 
 import numpy as np
 
-from deploy.faults.watched import SCENARIO
-from deploy.faults.wire import Recorder
-from deploy.fuzz.worst import worst
-from deploy.runs.lockstep_run import LockstepRun, assemble
-from services.actuator.latch import Latch
-from services.console.recording.foxglove.translation import Foxglove
-from services.simulator.service import Simulator
-from shared import codec, topics
-from shared import dynamixel as dxl
-from shared.access import ROLE_NAMED, ROLES
-from shared.lockstep import ServiceFailedError
-from shared.messages import ActuatorState, Message, Mode, ModeCommand, PlannerStatus, StopOrder, Tick, VelocityCommand
-from shared.profiles import load_profile
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.deploy.faults.watched import SCENARIO
+from sextant.deploy.faults.wire import Recorder
+from sextant.deploy.fuzz.worst import worst
+from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
+from sextant.services.actuator.latch import Latch
+from sextant.services.console.recording.foxglove.translation import Foxglove
+from sextant.services.simulator.service import Simulator
+from sextant.shared import codec, topics
+from sextant.shared import dynamixel as dxl
+from sextant.shared.access import ROLE_NAMED, ROLES
+from sextant.shared.lockstep import ServiceFailedError
+from sextant.shared.messages import ActuatorState, Message, Mode, ModeCommand, PlannerStatus, StopOrder, Tick, VelocityCommand
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 
 OFF_WITHIN_S = 0.06  # from the order to torque off on the servo bus
 GROWTH_MB = 20.0  # that a process may grow by in the second half of an attack

@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from deploy.fuzz.fuzzing import GROWTH_MB, Finding, Found, Outcome
+from sextant.deploy.fuzz.fuzzing import GROWTH_MB, Finding, Found, Outcome
 
 
 @dataclass(frozen=True, slots=True)

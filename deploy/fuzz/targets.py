@@ -7,21 +7,21 @@ from collections.abc import Callable
 from random import Random
 from typing import Any
 
-from deploy.fuzz import made, recordings
-from deploy.fuzz.broken import broken, odd, odd_table
-from deploy.fuzz.file_targets import file_targets
-from deploy.fuzz.target import Target
-from deploy.ros2 import cdr
-from deploy.ros2.bridge import TWIST, TWIST_STAMPED, read_twist
-from services.console import requests
-from services.console.config import Settings
-from services.console.connection import SOCKET, Connection
-from services.console.door import PROTOCOL, Door, Porter
-from services.console.pages import Page
-from shared import bridge, codec, framing, topics
-from shared import dynamixel as dxl
-from shared.codec import DecodeError
-from shared.service import AnyTopic
+from sextant.deploy.fuzz import made, recordings
+from sextant.deploy.fuzz.broken import broken, odd, odd_table
+from sextant.deploy.fuzz.file_targets import file_targets
+from sextant.deploy.fuzz.target import Target
+from sextant.deploy.ros2 import cdr
+from sextant.deploy.ros2.bridge import TWIST, TWIST_STAMPED, read_twist
+from sextant.services.console import requests
+from sextant.services.console.config import Settings
+from sextant.services.console.connection import SOCKET, Connection
+from sextant.services.console.door import PROTOCOL, Door, Porter
+from sextant.services.console.pages import Page
+from sextant.shared import bridge, codec, framing, topics
+from sextant.shared import dynamixel as dxl
+from sextant.shared.codec import DecodeError
+from sextant.shared.service import AnyTopic
 
 _EXAMPLES = 32  # of a message
 _PREFIX = struct.Struct("<I")

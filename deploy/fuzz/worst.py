@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from deploy.fuzz import made
-from shared import codec
-from shared.messages import MAX_ITEMS, MAX_TEXT, Dims, Message, schema
-from shared.service import AnyTopic
+from sextant.deploy.fuzz import made
+from sextant.shared import codec
+from sextant.shared.messages import MAX_ITEMS, MAX_TEXT, Dims, Message, schema
+from sextant.shared.service import AnyTopic
 
 _LARGEST = (1 << 63) - 1
 _INTS = (0, 1, -1, 2, 255, 1 << 31, 10**9, 1 << 62, _LARGEST, -_LARGEST)

@@ -5,10 +5,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from shared import topics
-from shared.geometry import Array
-from shared.messages import ActuatorState, BodyPose, GroundTruth, Mode, PassageMap, PassagePlan, PlannerStatus, StepPlan
-from shared.service import Inbox
+from sextant.shared import topics
+from sextant.shared.geometry import Array
+from sextant.shared.messages import ActuatorState, BodyPose, GroundTruth, Mode, PassageMap, PassagePlan, PlannerStatus, StepPlan
+from sextant.shared.service import Inbox
 
 Counted = TypeVar("Counted", ActuatorState, StepPlan)
 

@@ -1,6 +1,6 @@
 """Maps judged by the true ground: laid over each other, compared cell by cell, and asked how much of the way ahead they know.
 
-Frame: {start}, as in `deploy.judging.course`.
+Frame: {start}, as in `sextant.deploy.judging.course`.
 """
 
 from collections.abc import Iterable
@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.report import CourseMap, MapError
-from deploy.judging.true_ground import INTERIOR, TrueGround, rms
-from deploy.judging.walk_metrics import HeightAt
-from shared.geometry import Array, apply, yaw_of
-from shared.messages import TerrainMap
-from shared.robot import Camera
+from sextant.deploy.judging.report import CourseMap, MapError
+from sextant.deploy.judging.true_ground import INTERIOR, TrueGround, rms
+from sextant.deploy.judging.walk_metrics import HeightAt
+from sextant.shared.geometry import Array, apply, yaw_of
+from sextant.shared.messages import TerrainMap
+from sextant.shared.robot import Camera
 
 _MAP_RADIUS = 1.0  # [m] around the body, where maps are compared
 _STRIP = ((0.6, 1.2), (-0.3, 0.3))  # [m] ahead and to the side: where the next steps but one go

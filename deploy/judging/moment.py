@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.report import ARRIVED, Report
-from deploy.judging.said import SPEAKERS, Complaint
-from deploy.judging.trace import Trace
-from deploy.judging.walk_metrics import Flags, runs
-from shared.geometry import Array
-from shared.robot import JOINTS, LEGS
+from sextant.deploy.judging.report import ARRIVED, Report
+from sextant.deploy.judging.said import SPEAKERS, Complaint
+from sextant.deploy.judging.trace import Trace
+from sextant.deploy.judging.walk_metrics import Flags, runs
+from sextant.shared.geometry import Array
+from sextant.shared.robot import JOINTS, LEGS
 
 ENDED = "ended"  # of a run that nothing else decided
 MISSED = 0.02  # [m] from the foothold that was chosen, and more, is beside it

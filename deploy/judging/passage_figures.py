@@ -3,16 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.course import Course
-from deploy.judging.heard import Heard
-from deploy.judging.report import FootholdEdge, Passage, Section
-from deploy.judging.trace import Trace
-from deploy.judging.walk import Walk
-from deploy.judging.walk_metrics import runs
-from shared import topics
-from shared.geometry import Array
-from shared.messages import PassagePlan
-from shared.robot import LEGS
+from sextant.deploy.judging.course import Course
+from sextant.deploy.judging.heard import Heard
+from sextant.deploy.judging.report import FootholdEdge, Passage, Section
+from sextant.deploy.judging.trace import Trace
+from sextant.deploy.judging.walk import Walk
+from sextant.deploy.judging.walk_metrics import runs
+from sextant.shared import topics
+from sextant.shared.geometry import Array
+from sextant.shared.messages import PassagePlan
+from sextant.shared.robot import LEGS
 
 _OVER_NOTHING = 0.03  # [m] of air under a standing foot's underside: what holds it, if anything, is an edge beside it
 _FALLEN = 0.08  # [m] under the other feet's undersides: it stands in the gap

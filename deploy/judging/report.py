@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
-from shared import files
+from sextant.shared import files
 
 _NAN = float("nan")
 _DIGITS = 6
@@ -93,7 +93,7 @@ class FootholdEdge:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """What planning at one stop of a passage came to, in the words of `shared.messages.PassagePlan`."""
+    """What planning at one stop of a passage came to, in the words of `sextant.shared.messages.PassagePlan`."""
 
     state: str
     reason: str

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from deploy.judging.heard import Heard
-from shared.messages import ActuatorState, BodyPose, Mode, PlannerStatus
-from shared.robot import LEGS
+from sextant.deploy.judging.heard import Heard
+from sextant.shared.messages import ActuatorState, BodyPose, Mode, PlannerStatus
+from sextant.shared.robot import LEGS
 
 Speaker = Literal["planner", "actuator", "perception"]
 SPEAKERS: tuple[Speaker, ...] = ("planner", "actuator", "perception")

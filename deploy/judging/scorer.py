@@ -1,7 +1,7 @@
 """Judges a run by the truth: ends it, and says afterwards how good it was.
 
 Per message it keeps what comes and looks only for the end (a fall, the goal, the time limit); once a second it compares the
-newest map. All else is computed once, in `result`, over whole arrays. Frame: {start}, as in `deploy.judging.course`.
+newest map. All else is computed once, in `result`, over whole arrays. Frame: {start}, as in `sextant.deploy.judging.course`.
 """
 
 from collections import deque
@@ -10,21 +10,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from deploy.judging.course import Course, Ground
-from deploy.judging.heard import Heard
-from deploy.judging.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
-from deploy.judging.passage_figures import passage_figures
-from deploy.judging.report import ARRIVED, CourseMap, MapError, Report, StageTime
-from deploy.judging.said import last_reason
-from deploy.judging.trace import Trace, trace_of
-from deploy.judging.walk import Walk
-from deploy.judging.walk_figures import pose_error, walk_figures
-from shared import topics
-from shared.geometry import Array, inverse, rotation_z, transform, yaw_of
-from shared.messages import GroundTruth, Message, TerrainMap
-from shared.robot import JOINTS, LEGS, RobotProfile
-from shared.scenario import Scenario
-from shared.service import Inbox, Stages
+from sextant.deploy.judging.course import Course, Ground
+from sextant.deploy.judging.heard import Heard
+from sextant.deploy.judging.map_metrics import Grid, GroundHeights, MapJudge, Mosaic, judge_course
+from sextant.deploy.judging.passage_figures import passage_figures
+from sextant.deploy.judging.report import ARRIVED, CourseMap, MapError, Report, StageTime
+from sextant.deploy.judging.said import last_reason
+from sextant.deploy.judging.trace import Trace, trace_of
+from sextant.deploy.judging.walk import Walk
+from sextant.deploy.judging.walk_figures import pose_error, walk_figures
+from sextant.shared import topics
+from sextant.shared.geometry import Array, inverse, rotation_z, transform, yaw_of
+from sextant.shared.messages import GroundTruth, Message, TerrainMap
+from sextant.shared.robot import JOINTS, LEGS, RobotProfile
+from sextant.shared.scenario import Scenario
+from sextant.shared.service import Inbox, Stages
 
 FALL_TILT_DEG = 35.0  # [deg]
 _FALL_COSINE = float(np.cos(np.radians(FALL_TILT_DEG)))
@@ -288,7 +288,7 @@ class Scorer:
         """Find out whether there is a way at all, once, where the seed decides and nobody has looked."""
         if self._looked or self._passable is not None:
             return
-        from deploy.judging.passage_truth import (  # the planner, which not every scorer has beside it
+        from sextant.deploy.judging.passage_truth import (  # the planner, which not every scorer has beside it
             decided_by_seed,
             way_exists,
         )

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.course import RAISED, Course
-from deploy.judging.heard import Heard
-from deploy.judging.walk import DEBOUNCE, Walk
-from deploy.judging.walk_metrics import is_foothold, touchdowns
-from shared.geometry import Array, apply, inverse
-from shared.messages import StepPlan
-from shared.robot import RobotProfile
+from sextant.deploy.judging.course import RAISED, Course
+from sextant.deploy.judging.heard import Heard
+from sextant.deploy.judging.walk import DEBOUNCE, Walk
+from sextant.deploy.judging.walk_metrics import is_foothold, touchdowns
+from sextant.shared.geometry import Array, apply, inverse
+from sextant.shared.messages import StepPlan
+from sextant.shared.robot import RobotProfile
 
 _MOVED = 0.008  # [m] a touchdown this far off its fellows' pattern has been moved
 

@@ -5,17 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.course import Course
-from deploy.judging.heard import Heard
-from deploy.judging.map_metrics import Mosaic
-from deploy.judging.said import Complaint, Spell, complaints, spells
-from deploy.judging.touchdowns import Touchdowns, find_touchdowns
-from deploy.judging.walk import Walk
-from deploy.judging.walk_metrics import angle_between
-from shared.geometry import Array, apply
-from shared.messages import PassageMap, PassagePlan, StepPlan
-from shared.robot import RobotProfile
-from shared.scenario import Scenario
+from sextant.deploy.judging.course import Course
+from sextant.deploy.judging.heard import Heard
+from sextant.deploy.judging.map_metrics import Mosaic
+from sextant.deploy.judging.said import Complaint, Spell, complaints, spells
+from sextant.deploy.judging.touchdowns import Touchdowns, find_touchdowns
+from sextant.deploy.judging.walk import Walk
+from sextant.deploy.judging.walk_metrics import angle_between
+from sextant.shared.geometry import Array, apply
+from sextant.shared.messages import PassageMap, PassagePlan, StepPlan
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import Scenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Touches:
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """A run as arrays. Times count from the first message of truth; {start} as in `deploy.judging.course`."""
+    """A run as arrays. Times count from the first message of truth; {start} as in `sextant.deploy.judging.course`."""
 
     t: Array  # (n,) [s]
     walking: NDArray[np.bool_]  # (n,)

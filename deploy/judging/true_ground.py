@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array
+from sextant.shared.geometry import Array
 
 EDGE = 0.03  # [m] jump in height that is an edge to be found
 INTERIOR = 0.02  # [m] from an edge

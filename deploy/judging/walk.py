@@ -1,6 +1,6 @@
 """A walk as arrays, a row per sample of the truth: what was heard of a run, brought together.
 
-Frame: {start}, as in `deploy.judging.course`. Times count from the first message of truth.
+Frame: {start}, as in `sextant.deploy.judging.course`. Times count from the first message of truth.
 """
 
 from functools import cached_property
@@ -8,15 +8,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.course import Course
-from deploy.judging.heard import Heard
-from deploy.judging.walk_metrics import debounced, in_the_way, runs, stability_margin
-from shared import topics
-from shared.geometry import Array, apply
-from shared.kinematics import leg_points
-from shared.messages import Mode
-from shared.robot import RobotProfile
-from shared.stability import centre_of_mass
+from sextant.deploy.judging.course import Course
+from sextant.deploy.judging.heard import Heard
+from sextant.deploy.judging.walk_metrics import debounced, in_the_way, runs, stability_margin
+from sextant.shared import topics
+from sextant.shared.geometry import Array, apply
+from sextant.shared.kinematics import leg_points
+from sextant.shared.messages import Mode
+from sextant.shared.robot import RobotProfile
+from sextant.shared.stability import centre_of_mass
 
 Flags = NDArray[np.bool_]
 

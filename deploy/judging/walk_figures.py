@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from deploy.judging.course import Course
-from deploy.judging.report import HeightError, PoseError, Report, Slip, Spread, Torque
-from deploy.judging.trace import Trace
-from deploy.judging.walk import Walk
-from deploy.judging.walk_metrics import angle_between, rubbing, slip_per_step
-from shared.geometry import Array
+from sextant.deploy.judging.course import Course
+from sextant.deploy.judging.report import HeightError, PoseError, Report, Slip, Spread, Torque
+from sextant.deploy.judging.trace import Trace
+from sextant.deploy.judging.walk import Walk
+from sextant.deploy.judging.walk_metrics import angle_between, rubbing, slip_per_step
+from sextant.shared.geometry import Array
 
 
 def walk_figures(report: Report, walk: Walk, trace: Trace, course: Course) -> Report:

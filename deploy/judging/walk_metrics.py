@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array
+from sextant.shared.geometry import Array
 
 Flags = NDArray[np.bool_]
 HeightAt = Callable[[Array], Array]  # (n, 2) [m] -> (n,) [m]

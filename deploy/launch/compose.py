@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from deploy.process_table import (
+from sextant.deploy.process_table import (
     ENVIRONMENT,
     ROUTER_ENDPOINT,
     Choices,
@@ -18,11 +18,11 @@ from deploy.process_table import (
     router_command,
     rows,
 )
-from services.actuator.latch import SHARED
-from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE
-from shared.config import ConfigError
-from shared.scenario import load_scenario
-from shared.transport import Endpoints
+from sextant.services.actuator.latch import SHARED
+from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE
+from sextant.shared.config import ConfigError
+from sextant.shared.scenario import load_scenario
+from sextant.shared.transport import Endpoints
 
 NAMESPACE = "sextant"
 KEYS = "/run/secrets/sextant"  # where a container finds its machine's certificates
@@ -86,14 +86,14 @@ def compose_commands(scenario: str, seed: int) -> tuple[Command, ...]:
     operator = Command(
         "operator",
         (
-            *("-m", "deploy.cli", "run", scenario, "--seed", str(seed)),
+            *("-m", "sextant.deploy.cli", "run", scenario, "--seed", str(seed)),
             *("--connect", ROUTER_ENDPOINT, "--namespace", NAMESPACE, "--out", "runs/compose"),
         ),
         ENVIRONMENT,
         memory_mb=1024,
     )
     # Each would compile its own beside all others; after this one there is nothing left to compile.
-    warm_up = Command(WARM_UP, ("-m", "deploy.warm_up"), ENVIRONMENT, memory_mb=1536)
+    warm_up = Command(WARM_UP, ("-m", "sextant.deploy.warm_up"), ENVIRONMENT, memory_mb=1536)
     waiting = [replace(command, after=(WARM_UP, *command.after)) for command in (*services, operator)]
     return _together(router_command(ROUTER_ENDPOINT), (warm_up, *waiting))
 
@@ -190,7 +190,7 @@ def _health(command: Command) -> list[str]:
     ends = ("--end-hung",) if command.watchdog_s else ()
     return [
         "    healthcheck:",
-        f"      test: {json.dumps(['CMD', 'python', '-m', 'deploy.healthy', *port, *ends])}",
+        f"      test: {json.dumps(['CMD', 'python', '-m', 'sextant.deploy.healthy', *port, *ends])}",
         "      interval: 10s",
         f"      timeout: {round(command.watchdog_s + _HANG_S)}s",
         "      retries: 1",

@@ -8,14 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
-from deploy import process_table
-from deploy.launch.launcher import STAYED_UP_S, Ended, Launcher, port_taken
-from deploy.network.gate import Gate
-from deploy.network.meeting import Meeting
-from deploy.process_table import Choices, Process, Role
-from deploy.provenance import version
-from shared.endpoint import occupied
-from shared.transport import Endpoints, Router, TransportError, ZenohLink
+from sextant.deploy import process_table
+from sextant.deploy.launch.launcher import STAYED_UP_S, Ended, Launcher, port_taken
+from sextant.deploy.network.gate import Gate
+from sextant.deploy.network.meeting import Meeting
+from sextant.deploy.process_table import Choices, Process, Role
+from sextant.deploy.provenance import version
+from sextant.shared.endpoint import occupied
+from sextant.shared.transport import Endpoints, Router, TransportError, ZenohLink
 
 _NEEDED = ("router", "actuator", "simulator")  # without which the others are of no use
 _LOOK_S = 0.05  # between two looks for other machines, before anything is started

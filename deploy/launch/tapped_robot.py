@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 from typing import Self
 
-from deploy import process_table
-from deploy.faults import tap
-from deploy.launch.launcher import free_port
-from deploy.network.gate import Gate
-from deploy.process_table import Command
-from shared.scenario import load_scenario
-from shared.transport import Endpoints
+from sextant.deploy import process_table
+from sextant.deploy.faults import tap
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.network.gate import Gate
+from sextant.deploy.process_table import Command
+from sextant.shared.scenario import load_scenario
+from sextant.shared.transport import Endpoints
 
 RESTARTS = 1000
 BASE_ROUTER = "base router"

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from deploy.process_table import Command
-from shared import files
+from sextant.deploy.process_table import Command
+from sextant.shared import files
 
 TARGET = "sextant.target"
 DEVICE_GROUPS = (

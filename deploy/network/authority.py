@@ -14,9 +14,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from shared import files
-from shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROLE, ROLES, ROUTER, AccessError
-from shared.input_file import FileError, read_bytes
+from sextant.shared import files
+from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROLE, ROLES, ROUTER, AccessError
+from sextant.shared.input_file import FileError, read_bytes
 
 OF_AUTHORITY = "ca"  # folder of the authority, which stays where it was made
 _BEFORE = timedelta(minutes=10)  # by which clocks of two machines may differ
@@ -196,7 +196,7 @@ def _address(text: str) -> x509.GeneralName:
 
 
 def _write_proxy_keys(folder: Path, days: float) -> None:
-    """Write the certificates between the TLS proxy and the router of one machine (`deploy.network.tls_proxy`).
+    """Write the certificates between the TLS proxy and the router of one machine (`sextant.deploy.network.tls_proxy`).
 
     Their authority signs nothing else, and its private key is never written.
     """

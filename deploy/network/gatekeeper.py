@@ -9,10 +9,10 @@ from typing import Self, TextIO
 
 import numpy as np
 
-from deploy.network.refusals import Refusals
-from shared import codec, topics
-from shared.messages import Health
-from shared.transport import Endpoints, ZenohLink, without_source
+from sextant.deploy.network.refusals import Refusals
+from sextant.shared import codec, topics
+from sextant.shared.messages import Health
+from sextant.shared.transport import Endpoints, ZenohLink, without_source
 
 _PERIOD_NS = 1_000_000_000
 _SOON_NS = 200_000_000  # between two words where there is news
@@ -99,7 +99,7 @@ class Gatekeeper:
             self._said_ns = now_ns
             self._send(self._health(now_ns))
         new = [kind for kind in self.refusals.count if kind not in self._told]
-        self._told.update(new)  # kinds are bounded in number (`deploy.network.refusals`)
+        self._told.update(new)  # kinds are bounded in number (`sextant.deploy.network.refusals`)
         return f"refused: {', '.join(new)}" if new else ""
 
     def _health(self, now_ns: int) -> Health:

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.network.gate import PUBLISHED_BY
-from deploy.process_table import ON_ROBOT
-from shared import codec, topics
-from shared.access import ROLE_NAMED
-from shared.live import Link
-from shared.messages import Health, Presence
+from sextant.deploy.network.gate import PUBLISHED_BY
+from sextant.deploy.process_table import ON_ROBOT
+from sextant.shared import codec, topics
+from sextant.shared.access import ROLE_NAMED
+from sextant.shared.live import Link
+from sextant.shared.messages import Health, Presence
 
 PERIOD_NS = 1_000_000_000
 SILENT_NS = 5_000_000_000  # after which another machine counts as away

@@ -1,6 +1,6 @@
 """Counts of what a router refuses, by kind. Pure: lines of Zenoh's log and refused connections come in.
 
-A refused connection is named by what is wrong with its certificate (`deploy.network.tls_proxy`), a refused message by the role
+A refused connection is named by its certificate's fault (`sextant.deploy.network.tls_proxy`), a refused message by the role
 of its sender's certificate and its key: that is read from Zenoh's log, the only place where Zenoh reports it. A line of the log
 about anything else is passed on as it is.
 """

@@ -9,12 +9,12 @@ from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from deploy.checks import Check, Level
-from deploy.network.authority import OF_AUTHORITY, Authority
-from shared.access import CERTIFICATE, KEY
-from shared.endpoint import place
-from shared.handshake import verdict
-from shared.transport import TransportError, overhear, scout
+from sextant.deploy.checks import Check, Level
+from sextant.deploy.network.authority import OF_AUTHORITY, Authority
+from sextant.shared.access import CERTIFICATE, KEY
+from sextant.shared.endpoint import place
+from sextant.shared.handshake import verdict
+from sextant.shared.transport import TransportError, overhear, scout
 
 _LISTEN_S = 2.0
 _VERDICT_S = 3.0  # for a refusal: a robot that is slow to refuse is not to be taken for one that is open

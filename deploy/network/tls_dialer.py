@@ -4,7 +4,7 @@ Zenoh 1.10 gives up opening a session after `open_timeout`, which has to be shor
 after a cut. Where that happens in the moment in which the session is registered, a session is left that sends and never
 receives, and its link keeps the place of another: the routers never meet again (1 of 25 cuts of a link of 20 ms). Here the
 router connects on loopback, waits for as long as it takes, and is only ever told by a closed connection. The far end is dialled
-again and again, and answered for under its own role (`deploy.network.tls_proxy`).
+again and again, and answered for under its own role (`sextant.deploy.network.tls_proxy`).
 """
 
 import socket
@@ -13,10 +13,10 @@ import threading
 from types import TracebackType
 from typing import Self
 
-from deploy.network.tls_relay import Target, TlsRelay
-from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
-from shared.endpoint import place, resolved
-from shared.transport import LEASE_MS
+from sextant.deploy.network.tls_relay import Target, TlsRelay
+from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
+from sextant.shared.endpoint import place, resolved
+from sextant.shared.transport import LEASE_MS
 
 _HERE = "127.0.0.1"
 _ATTEMPT_S = 0.5  # [s] of connecting and handshake
@@ -77,7 +77,7 @@ class TlsDialer:
             near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             try:
                 family, address = resolved(self._endpoint)
-            except socket.gaierror:  # `deploy.network.knocking` says so
+            except socket.gaierror:  # `sextant.deploy.network.knocking` says so
                 near.close()
                 continue
             if self._ended.is_set():

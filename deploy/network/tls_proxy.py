@@ -2,7 +2,7 @@
 
 Zenoh's own TLS listener stops accepting for 0.1 s after each failed handshake (`TLS_ACCEPT_THROTTLE_TIME`, fixed when it is
 compiled), so 15 refused handshakes a second are enough to keep every client out. Here one thread accepts and verifies
-certificates for all connections at the same time, within the bounds of `deploy.network.admission`. Only verified connections
+certificates of all connections at the same time, as `sextant.deploy.network.admission` allows. Only verified connections
 reach the router: another thread carries their bytes to it over TLS on loopback, under a certificate of the same role, by which
 the router applies its access rules. These certificates are valid on that one connection alone.
 """
@@ -21,11 +21,11 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-from deploy.network.admission import HandshakeLimit, Limits, Pending, source_of
-from deploy.network.tls_relay import Target, TlsRelay, common_name
-from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
-from shared.endpoint import cannot_listen, listener
-from shared.transport import TransportError
+from sextant.deploy.network.admission import HandshakeLimit, Limits, Pending, source_of
+from sextant.deploy.network.tls_relay import Target, TlsRelay, common_name
+from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE_NAMED, Keys
+from sextant.shared.endpoint import cannot_listen, listener
+from sextant.shared.transport import TransportError
 
 _HERE = "127.0.0.1"
 _ROUTER_S = 3.0  # [s] in which the router has to take a connection

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.moment import Moment
-from deploy.judging.said import SPEAKERS, Complaint, kind_of
-from deploy.judging.scorer import FALL_TILT_DEG
-from deploy.judging.trace import Trace
+from sextant.deploy.judging.moment import Moment
+from sextant.deploy.judging.said import SPEAKERS, Complaint, kind_of
+from sextant.deploy.judging.scorer import FALL_TILT_DEG
+from sextant.deploy.judging.trace import Trace
 
 TRUE, ESTIMATE, REFERENCE, BAD, MUTED = "#111111", "#d01c8b", "#7f7f7f", "#b3261e", "#5f6368"
 _BLUE, _ORANGE = "#0072b2", "#d55e00"

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.pictures.walk_picture import LEG_COLORS
-from shared import files
-from shared.geometry import Array
-from shared.messages import TerrainMap
+from sextant.deploy.pictures.walk_picture import LEG_COLORS
+from sextant.shared import files
+from sextant.shared.geometry import Array
+from sextant.shared.messages import TerrainMap
 
 UNSEEN = "#e4e4e4"
 _DPI = 100

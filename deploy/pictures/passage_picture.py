@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.passage_figures import steps_of
-from deploy.judging.report import Report
-from deploy.judging.trace import PlannedSection, Trace
-from deploy.pictures.layers_picture import UNSEEN
-from deploy.pictures.summary import (
+from sextant.deploy.judging.passage_figures import steps_of
+from sextant.deploy.judging.report import Report
+from sextant.deploy.judging.trace import PlannedSection, Trace
+from sextant.deploy.pictures.layers_picture import UNSEEN
+from sextant.deploy.pictures.summary import (
     draw_blocks,
     draw_course,
     draw_footholds,
@@ -23,11 +23,11 @@ from deploy.pictures.summary import (
     title,
     verdict,
 )
-from deploy.pictures.walk_picture import LEG_COLORS
-from shared import files
-from shared.geometry import Array, apply, rotation_z, transform
-from shared.messages import UNKNOWN, PassageMap
-from shared.robot import LEGS, RobotProfile
+from sextant.deploy.pictures.walk_picture import LEG_COLORS
+from sextant.shared import files
+from sextant.shared.geometry import Array, apply, rotation_z, transform
+from sextant.shared.messages import UNKNOWN, PassageMap
+from sextant.shared.robot import LEGS, RobotProfile
 
 _SIZE, _DPI, _FONT = (16.0, 15.0), 100, 13
 _SECTIONS = ("#1f5fd0", "#8a2be2", "#00796b", "#b26a00", "#c2185b", "#455a64")  # colours, over again from the seventh on

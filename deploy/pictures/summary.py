@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.map_metrics import Mosaic
-from deploy.judging.moment import ENDED, MISSED, Moment, decisive_moment, missed_by, refusal, signs
-from deploy.judging.report import ARRIVED, Report
-from deploy.judging.said import Complaint
-from deploy.judging.touchdowns import Touchdowns
-from deploy.judging.trace import Touches, Trace
-from deploy.pictures import history_picture
-from deploy.pictures.history_picture import ESTIMATE, TRUE
-from deploy.pictures.layers_picture import UNSEEN, ground_colors
-from deploy.pictures.relief import shaded
-from deploy.pictures.walk_picture import LEG_COLORS
-from shared import files
-from shared.geometry import apply
-from shared.robot import LEGS
+from sextant.deploy.judging.map_metrics import Mosaic
+from sextant.deploy.judging.moment import ENDED, MISSED, Moment, decisive_moment, missed_by, refusal, signs
+from sextant.deploy.judging.report import ARRIVED, Report
+from sextant.deploy.judging.said import Complaint
+from sextant.deploy.judging.touchdowns import Touchdowns
+from sextant.deploy.judging.trace import Touches, Trace
+from sextant.deploy.pictures import history_picture
+from sextant.deploy.pictures.history_picture import ESTIMATE, TRUE
+from sextant.deploy.pictures.layers_picture import UNSEEN, ground_colors
+from sextant.deploy.pictures.relief import shaded
+from sextant.deploy.pictures.walk_picture import LEG_COLORS
+from sextant.shared import files
+from sextant.shared.geometry import apply
+from sextant.shared.robot import LEGS
 
 _WIDTH, _DPI, _FONT = 16.0, 100, 13  # [in], [1/in], [pt]
 _MAP, _LEGEND, _HISTORY = (3.3, 5.2), 0.75, (6.2, 7.6)  # [in] heights: the last without and with a moment that decided

@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from deploy.judging.trace import Trace
+from sextant.deploy.judging.trace import Trace
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.report import Report
-from deploy.judging.trace import Trace
-from deploy.pictures.thesis_figures import TESTS, Measured, Published, side_by_side
-from shared import files
-from shared.robot import LEGS
+from sextant.deploy.judging.report import Report
+from sextant.deploy.judging.trace import Trace
+from sextant.deploy.pictures.thesis_figures import TESTS, Measured, Published, side_by_side
+from sextant.shared import files
+from sextant.shared.robot import LEGS
 
 LEG_COLORS = ("#d55e00", "#0072b2", "#56b4e9", "#332288", "#cc79a7", "#e69f00")  # told apart by most colour-blind eyes
 _SIZE, _DPI = (16.0, 15.0), 100

@@ -13,13 +13,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.pictures import layers_picture, passage_picture, summary, walk_picture
-from deploy.pictures.walk_picture import LEG_COLORS
-from deploy.plots.numbers import comparison
-from deploy.plots.recorded import RecordedRun
-from shared import files
-from shared.geometry import Array
-from shared.robot import JOINTS, LEGS
+from sextant.deploy.pictures import layers_picture, passage_picture, summary, walk_picture
+from sextant.deploy.pictures.walk_picture import LEG_COLORS
+from sextant.deploy.plots.numbers import comparison
+from sextant.deploy.plots.recorded import RecordedRun
+from sextant.shared import files
+from sextant.shared.geometry import Array
+from sextant.shared.robot import JOINTS, LEGS
 
 Runs = Sequence[RecordedRun]
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from deploy.plots.recorded import RecordedRun
+from sextant.deploy.plots.recorded import RecordedRun
 
 _ROWS = (  # words, place in the report, factor, digits, unit
     ("scenario", "scenario", None, 0, ""),

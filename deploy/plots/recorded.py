@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from deploy.judging import report as reports
-from deploy.judging.report import Report
-from deploy.judging.scorer import Scorer
-from deploy.judging.trace import Trace
-from deploy.plots.own_words import SEED, WORDS, Frame, ground_of, scenario_of, with_truth
-from services.console.recording.layout import RecordingError
-from services.console.recording.reader import Recording
-from shared import codec, topics
-from shared.config import ConfigError
-from shared.geometry import Array
-from shared.input_file import FileError, read_json
-from shared.messages import GroundTruth, TerrainMap
-from shared.profiles import load_profile
-from shared.scenario import load_scenario
-from shared.service import AnyTopic, Inbox, Stages
+from sextant.deploy.judging import report as reports
+from sextant.deploy.judging.report import Report
+from sextant.deploy.judging.scorer import Scorer
+from sextant.deploy.judging.trace import Trace
+from sextant.deploy.plots.own_words import SEED, WORDS, Frame, ground_of, scenario_of, with_truth
+from sextant.services.console.recording.layout import RecordingError
+from sextant.services.console.recording.reader import Recording
+from sextant.shared import codec, topics
+from sextant.shared.config import ConfigError
+from sextant.shared.geometry import Array
+from sextant.shared.input_file import FileError, read_json
+from sextant.shared.messages import GroundTruth, TerrainMap
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import load_scenario
+from sextant.shared.service import AnyTopic, Inbox, Stages
 
 _INSTEAD = "give the folder of a `sextant run`"
 

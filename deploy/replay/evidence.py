@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.stage_times import rounded
-from services.perception.observability import AXES, unobservable_directions
-from shared.camera import DepthSensor
-from shared.messages import BodyPose
+from sextant.deploy.judging.stage_times import rounded
+from sextant.services.perception.observability import AXES, unobservable_directions
+from sextant.shared.camera import DepthSensor
+from sextant.shared.messages import BodyPose
 
 USUAL_SCALES = (1000.0, 5000.0, 10_000.0, 100.0)  # raw units per metre: mm, as in the TUM RGB-D benchmark, 0.1 mm, cm
 _SAMPLED = 4  # every how many rows and columns of a picture are counted

@@ -10,29 +10,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.judging.stage_times import rounded, stages_ms
-from deploy.pictures import layers_picture
-from deploy.pictures.relief import shaded
-from deploy.progress import Progress
-from deploy.replay import evidence as replay_evidence
-from deploy.replay.error import ReplayError
-from deploy.replay.evidence import DepthRange, Evidence, PictureEvidence, TrueComparison, depth_range, picture_evidence
-from deploy.replay.listener import Listener
-from services.mapper.config import Settings as MapperSettings
-from services.mapper.service import Mapper
-from services.perception import tum
-from services.perception.config import Settings as PerceptionSettings
-from services.perception.motion import VelocityPrior
-from services.perception.service import Perception
-from services.perception.trajectory import relative_size, trajectory_error
-from shared import files, topics
-from shared.camera import DepthSensor
-from shared.geometry import Array, inverse, log_so3, transform
-from shared.lockstep import Lockstep, ServiceFailedError
-from shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
-from shared.profiles import load_profile
-from shared.robot import Camera, RobotProfile
-from shared.service import AnyTopic, Every, Inbox, Service, Stages
+from sextant.deploy.judging.stage_times import rounded, stages_ms
+from sextant.deploy.pictures import layers_picture
+from sextant.deploy.pictures.relief import shaded
+from sextant.deploy.progress import Progress
+from sextant.deploy.replay import evidence as replay_evidence
+from sextant.deploy.replay.error import ReplayError
+from sextant.deploy.replay.evidence import DepthRange, Evidence, PictureEvidence, TrueComparison, depth_range, picture_evidence
+from sextant.deploy.replay.listener import Listener
+from sextant.services.mapper.config import Settings as MapperSettings
+from sextant.services.mapper.service import Mapper
+from sextant.services.perception import tum
+from sextant.services.perception.config import Settings as PerceptionSettings
+from sextant.services.perception.motion import VelocityPrior
+from sextant.services.perception.service import Perception
+from sextant.services.perception.trajectory import relative_size, trajectory_error
+from sextant.shared import files, topics
+from sextant.shared.camera import DepthSensor
+from sextant.shared.geometry import Array, inverse, log_so3, transform
+from sextant.shared.lockstep import Lockstep, ServiceFailedError
+from sextant.shared.messages import BodyPose, ColorImage, DepthImage, Message, Odometry, TerrainMap, Tick
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import Camera, RobotProfile
+from sextant.shared.service import AnyTopic, Every, Inbox, Service, Stages
 
 _FLAT = 0.05  # [m] of height that a picture's colours span at least: noise is no relief
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way

@@ -8,16 +8,16 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.runs.lockstep_run import assemble
-from services.perception import tum
-from shared import codec, topics
-from shared.files import WriteError
-from shared.geometry import Array, interpolate
-from shared.messages import DepthImage, GroundTruth
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.scenario import Scenario
-from shared.service import AnyTopic
+from sextant.deploy.runs.lockstep_run import assemble
+from sextant.services.perception import tum
+from sextant.shared import codec, topics
+from sextant.shared.files import WriteError
+from sextant.shared.geometry import Array, interpolate
+from sextant.shared.messages import DepthImage, GroundTruth
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import Scenario
+from sextant.shared.service import AnyTopic
 
 _DOWN = np.array([0.0, 0.0, -1.0])  # gravity in the simulator's world
 

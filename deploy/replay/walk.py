@@ -11,20 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from deploy.judging.stage_times import rounded, stages_ms
-from deploy.pictures import layers_picture
-from deploy.progress import Progress
-from deploy.replay.error import ReplayError
-from services.console.recording.reader import Recording
-from services.mapper.config import Settings as MapperSettings
-from services.mapper.service import Mapper
-from services.planner.config import Settings as PlannerSettings
-from services.planner.service import Planner
-from shared import codec, files, topics
-from shared.lockstep import Lockstep
-from shared.messages import ActuatorState, Message, StepPlan, TerrainMap
-from shared.profiles import load_profile
-from shared.service import AnyTopic, Service
+from sextant.deploy.judging.stage_times import rounded, stages_ms
+from sextant.deploy.pictures import layers_picture
+from sextant.deploy.progress import Progress
+from sextant.deploy.replay.error import ReplayError
+from sextant.services.console.recording.reader import Recording
+from sextant.services.mapper.config import Settings as MapperSettings
+from sextant.services.mapper.service import Mapper
+from sextant.services.planner.config import Settings as PlannerSettings
+from sextant.services.planner.service import Planner
+from sextant.shared import codec, files, topics
+from sextant.shared.lockstep import Lockstep
+from sextant.shared.messages import ActuatorState, Message, StepPlan, TerrainMap
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import AnyTopic, Service
 
 _SETTLE_NS = 500_000_000  # simulated time after the last frame, for what is still on its way
 _SHOW_FRAMES = 5000

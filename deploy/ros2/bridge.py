@@ -7,15 +7,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from deploy.ros2 import cdr, converted
-from deploy.ros2.clock import TimeOfDay
-from deploy.ros2.lead import Lead
-from deploy.ros2.names import Node, attachment, gid
-from shared import topics
-from shared.geometry import Array
-from shared.messages import Message, Odometry, Tick
-from shared.robot import RobotProfile
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.deploy.ros2 import cdr, converted
+from sextant.deploy.ros2.clock import TimeOfDay
+from sextant.deploy.ros2.lead import Lead
+from sextant.deploy.ros2.names import Node, attachment, gid
+from sextant.shared import topics
+from sextant.shared.geometry import Array
+from sextant.shared.messages import Message, Odometry, Tick
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 
 RATE_HZ = 50.0
 MAX_TWIST_BYTES = 1024  # of a Twist with a header whose frame has a long name
@@ -52,7 +52,7 @@ class Publisher(Protocol):
 
 
 class Wire(Protocol):
-    """The session among ROS nodes; `shared.transport` has the one for Zenoh."""
+    """The session among ROS nodes; `sextant.shared.transport` has the one for Zenoh."""
 
     @property
     def id(self) -> str:

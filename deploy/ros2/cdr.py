@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from deploy.ros2.interface import Field, fields
+from sextant.deploy.ros2.interface import Field, fields
 
 Value = Mapping[str, Any]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array, inverse, log_se3, quaternion_from_rotation
-from shared.messages import UNKNOWN, ActuatorState, BodyPose, Odometry, TerrainMap
-from shared.robot import JOINTS, LEGS
+from sextant.shared.geometry import Array, inverse, log_se3, quaternion_from_rotation
+from sextant.shared.messages import UNKNOWN, ActuatorState, BodyPose, Odometry, TerrainMap
+from sextant.shared.robot import JOINTS, LEGS
 
 MAP, ODOM, BASE, CAMERA = "map", "odom", "base_link", "camera_depth_optical_frame"
 JOINT_NAMES = tuple(f"{leg.replace(' ', '_')}_{joint}" for leg in LEGS for joint in JOINTS)

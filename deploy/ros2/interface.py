@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from deploy.ros2.definitions import DEFINITIONS
+from sextant.deploy.ros2.definitions import DEFINITIONS
 
 # Number of a plain type in a type description; arrays add to it.
 _NESTED = 1

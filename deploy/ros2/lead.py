@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from deploy.robot_time import RobotTime
-from shared.geometry import Array
-from shared.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, VelocityCommand
+from sextant.deploy.robot_time import RobotTime
+from sextant.shared.geometry import Array
+from sextant.shared.messages import ActuatorState, GaitName, Message, Mode, ModeCommand, VelocityCommand
 
 DEAD_MAN_NS = 300_000_000  # [ns] without a Twist, after which the stick is let go
 _REPEAT_NS = 500_000_000  # [ns] between two messages of an order: that keeps the lease

@@ -5,17 +5,17 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 
-from deploy.judging import report as reports
-from deploy.judging.report import Report, StageTime
-from deploy.judging.scorer import Scorer
-from deploy.progress import Monitor
-from deploy.runs.operator import Operator
-from shared import files, topics
-from shared.files import WriteError
-from shared.lateness import SlowComputer
-from shared.robot import RobotProfile
-from shared.scenario import Scenario
-from shared.service import Service
+from sextant.deploy.judging import report as reports
+from sextant.deploy.judging.report import Report, StageTime
+from sextant.deploy.judging.scorer import Scorer
+from sextant.deploy.progress import Monitor
+from sextant.deploy.runs.operator import Operator
+from sextant.shared import files, topics
+from sextant.shared.files import WriteError
+from sextant.shared.lateness import SlowComputer
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import Scenario
+from sextant.shared.service import Service
 
 RECORDING = "recording.mcap"
 PICTURES = ("summary.png", "passage.png", "walk.png")
@@ -94,8 +94,10 @@ class Attendance:
         return problems
 
     def _draw(self, report: Report, out: Path) -> None:
-        from deploy.pictures import passage_picture, walk_picture
-        from deploy.pictures import summary as summaries  # takes a second to import, which an interrupted run does not have
+        from sextant.deploy.pictures import passage_picture, walk_picture
+        from sextant.deploy.pictures import (
+            summary as summaries,
+        )  # takes a second to import, which an interrupted run does not have
 
         try:
             trace = self.scorer.trace

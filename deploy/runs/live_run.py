@@ -12,27 +12,27 @@ from io import FileIO
 from pathlib import Path
 from typing import Self
 
-from deploy import process_table
-from deploy.interrupts import Interrupts
-from deploy.judging.report import Report
-from deploy.launch.launcher import Launcher, free_port, host_router
-from deploy.process_table import ENVIRONMENT, Command, Process
-from deploy.progress import Progress
-from deploy.runs.attendance import RECORDING, Attendance, about, clear
-from services.console.recording.foxglove.translation import Foxglove
-from services.console.recording.live import LiveRecorder, Sink
-from services.console.recording.writer import Recorder, Unwritable
-from shared.clock import going_by, now_ns
-from shared.files import WriteError
-from shared.live import run_live
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.scenario import Fault, Scenario
-from shared.service import Service
-from shared.simulated_time import SERVO_BUS, SimulatedTime
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy import process_table
+from sextant.deploy.interrupts import Interrupts
+from sextant.deploy.judging.report import Report
+from sextant.deploy.launch.launcher import Launcher, free_port, host_router
+from sextant.deploy.process_table import ENVIRONMENT, Command, Process
+from sextant.deploy.progress import Progress
+from sextant.deploy.runs.attendance import RECORDING, Attendance, about, clear
+from sextant.services.console.recording.foxglove.translation import Foxglove
+from sextant.services.console.recording.live import LiveRecorder, Sink
+from sextant.services.console.recording.writer import Recorder, Unwritable
+from sextant.shared.clock import going_by, now_ns
+from sextant.shared.files import WriteError
+from sextant.shared.live import run_live
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import Fault, Scenario
+from sextant.shared.service import Service
+from sextant.shared.simulated_time import SERVO_BUS, SimulatedTime
+from sextant.shared.transport import Endpoints, ZenohLink
 
-_LOG = "services.log"
+_LOG = "sextant.services.log"
 _LOOK_S = 0.1  # between two looks at the run
 _SHOW_S = 0.25  # between two views of it
 _START_S = 180.0  # within which the robot must have come up
@@ -43,7 +43,7 @@ _REAL_TIME = 0.95  # [1] of real time, from which simulated time counts as real 
 # two idle cores runs at some 0.85. A computer is called too slow below this, or where a service was waited for.
 _TOO_SLOW = 0.75
 _WARM_S = 10.0  # the warm-up takes less when everything is compiled already
-_WARM_UP = Command("warm-up", ("-m", "deploy.warm_up"), ENVIRONMENT)
+_WARM_UP = Command("warm-up", ("-m", "sextant.deploy.warm_up"), ENVIRONMENT)
 
 
 @dataclass(frozen=True, slots=True)

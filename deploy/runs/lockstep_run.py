@@ -11,40 +11,40 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from deploy.judging.report import Report
-from deploy.progress import Progress, Silent
-from deploy.runs.attendance import RECORDING, Attendance, about, clear
-from deploy.runs.pose_error import MODELS, Erring
-from deploy.runs.radio import Radio
-from services.actuator.config import Settings as ActuatorSettings
-from services.actuator.latch import Latch
-from services.actuator.permit import Permit
-from services.actuator.service import Actuator
-from services.actuator.servos import read_timeout_ns
-from services.actuator.stop.config import Settings as StopSettings
-from services.actuator.stop.service import Stop
-from services.console.recording.foxglove.translation import Foxglove
-from services.console.recording.writer import Recorder
-from services.mapper.config import Settings as MapperSettings
-from services.mapper.service import Mapper
-from services.perception.config import Settings as PerceptionSettings
-from services.perception.service import Perception
-from services.planner import rehearsal
-from services.planner.config import Settings as PlannerSettings
-from services.planner.service import Planner
-from services.simulator.bus import MemoryPort
-from services.simulator.config import Settings as SimulatorSettings
-from services.simulator.service import Simulator
-from shared import files
-from shared.files import WriteError
-from shared.host import keep_memory, spare_collector
-from shared.lockstep import Lockstep, Outage, ServiceFailedError
-from shared.messages import Message
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.scenario import Fault, Scenario
-from shared.service import AnyTopic, Service
-from shared.stopwatch import stopwatch_ns
+from sextant.deploy.judging.report import Report
+from sextant.deploy.progress import Progress, Silent
+from sextant.deploy.runs.attendance import RECORDING, Attendance, about, clear
+from sextant.deploy.runs.pose_error import MODELS, Erring
+from sextant.deploy.runs.radio import Radio
+from sextant.services.actuator.config import Settings as ActuatorSettings
+from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.permit import Permit
+from sextant.services.actuator.service import Actuator
+from sextant.services.actuator.servos import read_timeout_ns
+from sextant.services.actuator.stop.config import Settings as StopSettings
+from sextant.services.actuator.stop.service import Stop
+from sextant.services.console.recording.foxglove.translation import Foxglove
+from sextant.services.console.recording.writer import Recorder
+from sextant.services.mapper.config import Settings as MapperSettings
+from sextant.services.mapper.service import Mapper
+from sextant.services.perception.config import Settings as PerceptionSettings
+from sextant.services.perception.service import Perception
+from sextant.services.planner import rehearsal
+from sextant.services.planner.config import Settings as PlannerSettings
+from sextant.services.planner.service import Planner
+from sextant.services.simulator.bus import MemoryPort
+from sextant.services.simulator.config import Settings as SimulatorSettings
+from sextant.services.simulator.service import Simulator
+from sextant.shared import files
+from sextant.shared.files import WriteError
+from sextant.shared.host import keep_memory, spare_collector
+from sextant.shared.lockstep import Lockstep, Outage, ServiceFailedError
+from sextant.shared.messages import Message
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import Fault, Scenario
+from sextant.shared.service import AnyTopic, Service
+from sextant.shared.stopwatch import stopwatch_ns
 
 CRASH = "crash.txt"  # in a run's folder: the traceback of a service that failed
 _LOOK_NS = 250_000_000  # simulated time between two looks at whether it is over

@@ -10,13 +10,13 @@ from typing import Literal
 
 import numpy as np
 
-from deploy.robot_time import RobotTime
-from shared import topics
-from shared.geometry import Array, yaw_of
-from shared.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
-from shared.robot import RobotProfile
-from shared.scenario import Scenario
-from shared.service import Every, Inbox, Stages
+from sextant.deploy.robot_time import RobotTime
+from sextant.shared import topics
+from sextant.shared.geometry import Array, yaw_of
+from sextant.shared.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import Scenario
+from sextant.shared.service import Every, Inbox, Stages
 
 _OVERSHOOT = 0.03  # [m] beyond the goal line, by the estimate, so that the true body is past it too
 _BY_TOUCH = 0.15  # [m] further for a robot that has counted its steps in the dark

@@ -16,16 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from deploy import provenance
-from deploy.judging import report as reports
-from deploy.judging.report import Report
-from deploy.provenance import Made
-from deploy.trials import kept
-from deploy.trials.kept import Run
-from deploy.trials.statistics import Difference, Rate, difference, wilson
-from deploy.workers import share_out
-from shared import config, files
-from shared.scenario import HeightMap, Scenario
+from sextant.deploy import provenance
+from sextant.deploy.judging import report as reports
+from sextant.deploy.judging.report import Report
+from sextant.deploy.provenance import Made
+from sextant.deploy.trials import kept
+from sextant.deploy.trials.kept import Run
+from sextant.deploy.trials.statistics import Difference, Rate, difference, wilson
+from sextant.deploy.workers import share_out
+from sextant.shared import config, files
+from sextant.shared.scenario import HeightMap, Scenario
 
 _PACKAGES = ("shared", "services", "deploy")
 Runner = Callable[[Scenario, int], Report]
@@ -90,7 +90,7 @@ class Trials:
     torque_rms_nm: Figure  # of the worst joint
     height_oscillation_m: Figure
     final_pose_error: Figure  # [1] share of the way
-    map_rmse_m: Figure  # of the whole course; see `deploy.judging.report.CourseMap`
+    map_rmse_m: Figure  # of the whole course; see `sextant.deploy.judging.report.CourseMap`
     map_off_edges_m: Figure
     map_bias_m: Figure  # its size
     map_edge_m: Figure
@@ -121,8 +121,8 @@ def run_trials(
         out: Folder for `trials.jsonl`.
         blind: Run the baseline without a map.
         say: Hears a line per seed.
-        run: What runs one seed, `deploy.runs.lockstep_run.run_lockstep` by default.
-        keep_in: A file that gets a short line of every run, too, and whose runs count as done; see `deploy.trials.kept`.
+        run: What runs one seed, `sextant.deploy.runs.lockstep_run.run_lockstep` by default.
+        keep_in: A file that also gets a short line of every run, whose runs count as done; see `sextant.deploy.trials.kept`.
 
     Raises:
         ValueError: No seeds, no jobs, or a line on file that is none.
@@ -346,7 +346,7 @@ def _program() -> bytes:
 
 
 def _run_lockstep(scenario: Scenario, seed: int) -> Report:
-    from deploy.runs.lockstep_run import run_lockstep  # brings in every service
+    from sextant.deploy.runs.lockstep_run import run_lockstep  # brings in every service
 
     return run_lockstep(scenario, seed)
 

@@ -4,13 +4,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.judging.report import Report
-from deploy.trials import batch as batches
-from deploy.trials.batch import Runner
-from deploy.trials.campaign_table import Campaign, Entry, write
-from shared import files
-from shared.config import ConfigError
-from shared.scenario import HeightMap, Scenario, load_scenario
+from sextant.deploy.judging.report import Report
+from sextant.deploy.trials import batch as batches
+from sextant.deploy.trials.batch import Runner
+from sextant.deploy.trials.campaign_table import Campaign, Entry, write
+from sextant.shared import files
+from sextant.shared.config import ConfigError
+from sextant.shared.scenario import HeightMap, Scenario, load_scenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class _Leaving:
     out: Path
 
     def __call__(self, scenario: Scenario, seed: int) -> Report:
-        from deploy.runs.lockstep_run import run_lockstep  # brings in every service
+        from sextant.deploy.runs.lockstep_run import run_lockstep  # brings in every service
 
         return run_lockstep(scenario, seed, self.out if seed == self.seed else None)
 
@@ -49,7 +49,7 @@ def run_campaign(
         asked: Makes of a scenario what is walked in its place: by another robot, in another gait.
         say: Hears a line per seed.
         run: What runs one seed, in lockstep by default.
-        table: Which table of them is written, of `deploy.trials.campaign_table.TABLES`.
+        table: Which table of them is written, of `sextant.deploy.trials.campaign_table.TABLES`.
     """
     wanted, keep_in = sorted(set(seeds)), out / "campaign.jsonl"
     files.make_folder(out)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deploy.trials import batch as batches
-from deploy.trials import kept
-from deploy.trials.batch import Passages, Trials, in_words
-from deploy.trials.kept import Run
-from deploy.trials.statistics import Rate, wilson
-from shared import files
+from sextant.deploy.trials import batch as batches
+from sextant.deploy.trials import kept
+from sextant.deploy.trials.batch import Passages, Trials, in_words
+from sextant.deploy.trials.kept import Run
+from sextant.deploy.trials.statistics import Rate, wilson
+from sextant.shared import files
 
 # The courses of the public table, in its order, and what they are, in words.
 WALKED: Mapping[str, str] = {

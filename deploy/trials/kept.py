@@ -12,10 +12,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
-from deploy.judging import report as reports
-from deploy.judging.report import Passage
-from shared.files import append_text, explained
-from shared.input_file import FileError, parse_json, read_bytes
+from sextant.deploy.judging import report as reports
+from sextant.deploy.judging.report import Passage
+from sextant.shared.files import append_text, explained
+from sextant.shared.input_file import FileError, parse_json, read_bytes
 
 
 class KeptError(ValueError):
@@ -34,7 +34,7 @@ _NO_PASSAGE = Passage()
 class Run:
     """A finished run as far as a batch is summarised from it, in the words of its report; NaN is what was not measured."""
 
-    fingerprint: str  # of all that decides about the run but its seed; see `deploy.trials.batch.fingerprint`
+    fingerprint: str  # of all that decides about the run but its seed; see `sextant.deploy.trials.batch.fingerprint`
     commit: str
     time: str  # UTC, ISO 8601
     scenario: str

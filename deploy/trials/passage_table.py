@@ -3,10 +3,10 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from deploy.judging.report import Section
-from deploy.provenance import Made
-from deploy.trials import kept
-from deploy.trials.kept import Run
+from sextant.deploy.judging.report import Section
+from sextant.deploy.provenance import Made
+from sextant.deploy.trials import kept
+from sextant.deploy.trials.kept import Run
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,18 +10,18 @@ from queue import SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.video import ground as grounds
-from deploy.video.ground import Ground
-from deploy.video.inset import FOOTHOLD, Inset
-from deploy.video.painter import Figure, Mark, Painter, View
-from deploy.video.sinking import Sinking
-from deploy.video.story import Maps, Moment, Story
-from deploy.video.view import FollowingCamera
-from deploy.video.words import Caption, lay_in
-from services.console.recording.reader import Recording
-from shared.geometry import Array, apply
-from shared.messages import TerrainMap
-from shared.robot import RobotProfile
+from sextant.deploy.video import ground as grounds
+from sextant.deploy.video.ground import Ground
+from sextant.deploy.video.inset import FOOTHOLD, Inset
+from sextant.deploy.video.painter import Figure, Mark, Painter, View
+from sextant.deploy.video.sinking import Sinking
+from sextant.deploy.video.story import Maps, Moment, Story
+from sextant.deploy.video.view import FollowingCamera
+from sextant.deploy.video.words import Caption, lay_in
+from sextant.services.console.recording.reader import Recording
+from sextant.shared.geometry import Array, apply
+from sextant.shared.messages import TerrainMap
+from sextant.shared.robot import RobotProfile
 
 _TRAIL_NS = 200_000_000  # [ns] between the places of the trail
 _INSET = 0.40  # [1] of the picture's height

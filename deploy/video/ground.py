@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.video.robot_figure import GROUND
-from shared.geometry import Array
+from sextant.deploy.video.robot_figure import GROUND
+from sextant.shared.geometry import Array
 
 if TYPE_CHECKING:
-    from services.simulator.terrain import Terrain
+    from sextant.services.simulator.terrain import Terrain
 
 _FAR = 60.0  # [m] how far level ground is drawn
 _FILM = 5e-4  # [m] of what lies on it: puddles

@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.pictures.relief import shaded
-from deploy.video.ground import RELIEF
-from deploy.video.robot_figure import CARRIES, COLORS, SWINGS
-from deploy.video.story import Moment
-from shared.geometry import Array, apply
-from shared.kinematics import body_forward
-from shared.messages import TerrainMap
-from shared.robot import RobotProfile
+from sextant.deploy.pictures.relief import shaded
+from sextant.deploy.video.ground import RELIEF
+from sextant.deploy.video.robot_figure import CARRIES, COLORS, SWINGS
+from sextant.deploy.video.story import Moment
+from sextant.shared.geometry import Array, apply
+from sextant.shared.kinematics import body_forward
+from sextant.shared.messages import TerrainMap
+from sextant.shared.robot import RobotProfile
 
 FOOTHOLD, PATH = (219, 22, 102), (36, 70, 200)
 _UNKNOWN = (214, 217, 221)

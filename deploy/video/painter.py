@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.video.ground import RELIEF, Ground
-from deploy.video.light import Grid, Scene, Shadow, light, shade_under
-from deploy.video.raster import blank, draw_faces, draw_field, draw_limbs
-from deploy.video.robot_figure import COLORS, GROUND, occluders, robot_solids
-from shared.geometry import Array, inverse, transform
-from shared.robot import RobotProfile
+from sextant.deploy.video.ground import RELIEF, Ground
+from sextant.deploy.video.light import Grid, Scene, Shadow, light, shade_under
+from sextant.deploy.video.raster import blank, draw_faces, draw_field, draw_limbs
+from sextant.deploy.video.robot_figure import COLORS, GROUND, occluders, robot_solids
+from sextant.shared.geometry import Array, inverse, transform
+from sextant.shared.robot import RobotProfile
 
 _SUN = np.array([-0.30, 0.62, 0.78])  # {world} toward it: beside the robot that sets out along x
 _SUN_AWAY = 60.0  # [m] so far that its rays are as good as parallel

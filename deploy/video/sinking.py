@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deploy.video.story import Story
-from shared.geometry import Array
+from sextant.deploy.video.story import Story
+from sextant.shared.geometry import Array
 
 if TYPE_CHECKING:
-    from services.simulator.terrain import Terrain
+    from sextant.services.simulator.terrain import Terrain
 
 _GIVEN = 0.008  # [m] below its top, at which a foot that carries tells that it gave way
 _BESIDE = 0.02  # [m] of its edge a foot may stand

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from deploy.video.story import Moment
+from sextant.deploy.video.story import Moment
 
 _BAR, _BAR_SHARE = (22, 26, 32), 0.72
 _PLAIN, _MUTED, _TROUBLE = (246, 247, 249), (168, 175, 184), (255, 190, 70)

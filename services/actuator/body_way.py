@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from shared.geometry import Array, from_xyz_rpy, rpy_from_rotation
+from sextant.shared.geometry import Array, from_xyz_rpy, rpy_from_rotation
 
 
 def coordinates(T: Array) -> Array:

@@ -10,11 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.actuator.bus import LOST, BusSetupError, Port, ServoBus, ServoReading, gone, reading, whole
-from shared import bridge
-from shared import dynamixel as dxl
-from shared.bridge import Answer, Message, Mode, Receiver, RemoteClock, Result, State, Welcome
-from shared.dynamixel import PacketParser, Register, ServoError, ServoModel
+from sextant.services.actuator.bus import LOST, BusSetupError, Port, ServoBus, ServoReading, gone, reading, whole
+from sextant.shared import bridge
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bridge import Answer, Message, Mode, Receiver, RemoteClock, Result, State, Welcome
+from sextant.shared.dynamixel import PacketParser, Register, ServoError, ServoModel
 
 READ_NS = 1_000_000  # [ns] longest wait of one read of the port
 _LIFETIME_MS = 200  # [ms] of goals

@@ -11,13 +11,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.actuator import roll_call
-from services.actuator.line import BAUD_RATE, LOST, REFUSAL, REPLY_TIMEOUT_NS, BusGone, Line, Lost, Port, gone, open_port
-from services.actuator.loss import LossRate
-from services.actuator.plausible import Plausibility, State
-from services.actuator.roll_call import Chorus, Problem, Voice
-from shared import dynamixel as dxl
-from shared.dynamixel import PRESENT_STATE, Packet, Register, ServoError, ServoModel
+from sextant.services.actuator import roll_call
+from sextant.services.actuator.line import (
+    BAUD_RATE,
+    LOST,
+    REFUSAL,
+    REPLY_TIMEOUT_NS,
+    BusGone,
+    Line,
+    Lost,
+    Port,
+    gone,
+    open_port,
+)
+from sextant.services.actuator.loss import LossRate
+from sextant.services.actuator.plausible import Plausibility, State
+from sextant.services.actuator.roll_call import Chorus, Problem, Voice
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import PRESENT_STATE, Packet, Register, ServoError, ServoModel
 
 __all__ = [
     "BAUD_RATE",

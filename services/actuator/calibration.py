@@ -8,12 +8,12 @@ from datetime import date
 
 import numpy as np
 
-from services.actuator.bus import ServoBus
-from services.actuator.commissioning import Operator
-from services.actuator.gentle import gently, hold, ready, resting
-from services.actuator.let_go import limp_if_broken_off
-from shared.geometry import Array
-from shared.robot import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, RobotProfile
+from sextant.services.actuator.bus import ServoBus
+from sextant.services.actuator.commissioning import Operator
+from sextant.services.actuator.gentle import gently, hold, ready, resting
+from sextant.services.actuator.let_go import limp_if_broken_off
+from sextant.shared.geometry import Array
+from sextant.shared.robot import JOINTS, LEGS, MAX_TRIM_DEG, Calibration, RobotProfile
 
 STRAIGHT_OUT = (0.0, 0.0, 0.0)  # [deg] coxa, femur, tibia: a ruler along the leg is the jig
 _MEASURE = _KEEP = ""

@@ -8,8 +8,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from services.actuator.bus import BAUD_RATE, ServoBus
-from services.actuator.roll_call import (
+from sextant.services.actuator.bus import BAUD_RATE, ServoBus
+from sextant.services.actuator.roll_call import (
     ANSWER_ALL,
     FACTORY_ID,
     SET_ID,
@@ -25,8 +25,8 @@ from services.actuator.roll_call import (
     problems,
     wake,
 )
-from shared import dynamixel as dxl
-from shared.robot import RobotProfile
+from sextant.shared import dynamixel as dxl
+from sextant.shared.robot import RobotProfile
 
 ALL_IDS = range(dxl.MAX_ID + 1)
 USUAL_RATES = (BAUD_RATE, dxl.baud_rate(dxl.RX_64.default(dxl.BAUD_RATE)))

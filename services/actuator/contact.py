@@ -6,9 +6,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array
-from shared.kinematics import leg_jacobian
-from shared.robot import RobotProfile
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import leg_jacobian
+from sextant.shared.robot import RobotProfile
 
 _TOUCH_N = 1.5  # [N] and more is contact
 _LIFT_N = 0.8  # [N] and less is none

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.actuator.bus import ServoBus
-from services.actuator.commissioning import Operator
-from services.actuator.gentle import TORQUE_LIMIT, gently, get, hold, put, ready, silent
-from services.actuator.let_go import limp_if_broken_off
-from services.actuator.roll_call import Voice, ailing, look, retry
-from shared import dynamixel as dxl
-from shared.robot import JOINTS, LEGS, RobotProfile
+from sextant.services.actuator.bus import ServoBus
+from sextant.services.actuator.commissioning import Operator
+from sextant.services.actuator.gentle import TORQUE_LIMIT, gently, get, hold, put, ready, silent
+from sextant.services.actuator.let_go import limp_if_broken_off
+from sextant.services.actuator.roll_call import Voice, ailing, look, retry
+from sextant.shared import dynamixel as dxl
+from sextant.shared.robot import JOINTS, LEGS, RobotProfile
 
 STEP_DEG = 6.0
 _STEP_TICKS = round(np.radians(STEP_DEG) / dxl.TICK_RAD)

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.load import link_torques
-from shared.geometry import Array
-from shared.robot import RobotProfile, Servo
+from sextant.services.actuator.load import link_torques
+from sextant.shared.geometry import Array
+from sextant.shared.robot import RobotProfile, Servo
 
 FEMUR = 1  # the joint that bears the ground's push; over the foot the tibia's arm is short
 # Of a robot of 2.5 kg; the pushes of one that is heavier, and what its legs make up themselves, are as much greater.

@@ -5,14 +5,14 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from services.actuator.bus import ServoBus
-from services.actuator.commissioning import Operator
-from services.actuator.roll_call import Seen, ailing, call, named, problems, retry
-from services.actuator.servos import Servos
-from shared import dynamixel as dxl
-from shared.dynamixel import Register
-from shared.geometry import Array
-from shared.robot import RobotProfile
+from sextant.services.actuator.bus import ServoBus
+from sextant.services.actuator.commissioning import Operator
+from sextant.services.actuator.roll_call import Seen, ailing, call, named, problems, retry
+from sextant.services.actuator.servos import Servos
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Register
+from sextant.shared.geometry import Array
+from sextant.shared.robot import RobotProfile
 
 TORQUE_LIMIT = 300  # [0.1 % of the stall torque] lifts a leg in the air, and a finger stops it
 MOVING_SPEED = dxl.moving_speed_from(np.radians(20.0))

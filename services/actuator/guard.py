@@ -14,12 +14,12 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.health import Verdict
-from services.actuator.orders import ORDER_AGE_NS, WalkOrder, is_no_time, is_of_now
-from services.actuator.plan_check import PlanCheck
-from shared.geometry import Array
-from shared.messages import Mode, ModeCommand, StepPlan, StopOrder
-from shared.robot import RobotProfile
+from sextant.services.actuator.health import Verdict
+from sextant.services.actuator.orders import ORDER_AGE_NS, WalkOrder, is_no_time, is_of_now
+from sextant.services.actuator.plan_check import PlanCheck
+from sextant.shared.geometry import Array
+from sextant.shared.messages import Mode, ModeCommand, StepPlan, StopOrder
+from sextant.shared.robot import RobotProfile
 
 DEADLINE_NS = 180_000_000  # [ns] that a walk goes on without a new plan
 LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order, be it one that is repeated

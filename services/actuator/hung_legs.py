@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.goal_limits import FETCHED, GENTLE
+from sextant.services.actuator.goal_limits import FETCHED, GENTLE
 
 _Flags = NDArray[np.bool_]
 

@@ -6,15 +6,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.bus import BusGone, BusSetupError, Port, ServoReading
-from services.actuator.config import Settings
-from services.actuator.goal_limits import GENTLE, LOWERED
-from services.actuator.health import SHUT_DOWN, SILENT, Vitals
-from services.actuator.servos import Outlet, Servos, connect
-from shared import dynamixel as dxl
-from shared.dynamixel import ServoError
-from shared.geometry import Array
-from shared.robot import RobotProfile
+from sextant.services.actuator.bus import BusGone, BusSetupError, Port, ServoReading
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.goal_limits import GENTLE, LOWERED
+from sextant.services.actuator.health import SHUT_DOWN, SILENT, Vitals
+from sextant.services.actuator.servos import Outlet, Servos, connect
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import ServoError
+from sextant.shared.geometry import Array
+from sextant.shared.robot import RobotProfile
 
 # [ns] that servos may take to answer at the start: a simulation that begins is late, a hub wakes up.
 _PATIENCE_NS = 3_000_000_000

@@ -3,12 +3,12 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from services.actuator.bus import ServoBus
-from services.actuator.commissioning import Operator
-from services.actuator.gentle import ServoSilentError, took
-from services.actuator.roll_call import named
-from services.actuator.servos import Servos
-from shared import dynamixel as dxl
+from sextant.services.actuator.bus import ServoBus
+from sextant.services.actuator.commissioning import Operator
+from sextant.services.actuator.gentle import ServoSilentError, took
+from sextant.services.actuator.roll_call import named
+from sextant.services.actuator.servos import Servos
+from sextant.shared import dynamixel as dxl
 
 
 def let_go(bus: Servos) -> dict[int, str]:

@@ -18,11 +18,11 @@ from typing import Any, Protocol
 import serial
 from serial.urlhandler import protocol_socket
 
-from services.actuator import usb_adapter
-from shared import dynamixel as dxl
-from shared.clock import now_ns
-from shared.dynamixel import Packet, PacketParser, ServoError
-from shared.simulated_time import REACTION_NS, SERVO_BUS, hold
+from sextant.services.actuator import usb_adapter
+from sextant.shared import dynamixel as dxl
+from sextant.shared.clock import now_ns
+from sextant.shared.dynamixel import Packet, PacketParser, ServoError
+from sextant.shared.simulated_time import REACTION_NS, SERVO_BUS, hold
 
 log = logging.getLogger(__name__)
 

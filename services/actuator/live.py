@@ -1,9 +1,9 @@
 """The actuator with the clocks of the robot's computer."""
 
-from services.actuator.config import Settings
-from services.actuator.service import Actuator
-from shared.clock import SuspendedTime, now_ns
-from shared.robot import RobotProfile
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.service import Actuator
+from sextant.shared.clock import SuspendedTime, now_ns
+from sextant.shared.robot import RobotProfile
 
 
 def live_actuator(profile: RobotProfile, settings: Settings) -> Actuator:

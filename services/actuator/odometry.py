@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array, align_rigid, apply, yaw_of
-from shared.kinematics import leg_points
-from shared.robot import RobotProfile
+from sextant.shared.geometry import Array, align_rigid, apply, yaw_of
+from sextant.shared.kinematics import leg_points
+from sextant.shared.robot import RobotProfile
 
 _MIN_LEGS = 3
 

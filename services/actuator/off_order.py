@@ -1,6 +1,6 @@
 """An order to let go, as the actuator keeps it: by the latch, until torque is ordered on by one that was given later."""
 
-from services.actuator.latch import Latch
+from sextant.services.actuator.latch import Latch
 
 
 class OffOrder:

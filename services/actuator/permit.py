@@ -5,8 +5,8 @@ from contextlib import suppress
 from pathlib import Path
 from secrets import token_hex
 
-from services.actuator.latch import FOLDERS, name_of
-from services.actuator.orders import WalkOrder
+from sextant.services.actuator.latch import FOLDERS, name_of
+from sextant.services.actuator.orders import WalkOrder
 
 _LONGEST = 4096  # [B] of a file that is looked at
 

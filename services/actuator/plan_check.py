@@ -7,12 +7,12 @@ robot stable, so the actuator can always finish it alone.
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.config import SHORTEST_STEP_S
-from shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
-from shared.kinematics import body_forward, body_inverse, nearest_reachable, within_limits
-from shared.messages import StepPlan
-from shared.robot import JOINTS, LEGS, RobotProfile
-from shared.stability import resting_centre_of_mass, support_margin
+from sextant.services.actuator.config import SHORTEST_STEP_S
+from sextant.shared.geometry import Array, apply, inverse, is_rigid, rpy_from_rotation
+from sextant.shared.kinematics import body_forward, body_inverse, nearest_reachable, within_limits
+from sextant.shared.messages import StepPlan
+from sextant.shared.robot import JOINTS, LEGS, RobotProfile
+from sextant.shared.stability import resting_centre_of_mass, support_margin
 
 FURTHEST = 1e6  # [m] from the origin of {world}
 MAX_TRAVEL = 0.20  # [m] of the body in one step

@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.attitude import Attitude, AttitudeEstimator
-from shared.geometry import Array, exp_so3, transform, yaw_of
-from shared.messages import Imu
+from sextant.services.actuator.attitude import Attitude, AttitudeEstimator
+from sextant.shared.geometry import Array, exp_so3, transform, yaw_of
+from sextant.shared.messages import Imu
 
 _HEAVED, _HEAVES_FROM = np.radians(2.0), 0.05  # of lean, and [m] of a foot on the side that rises, to be what lifts it
 TIPPED = np.radians(20.0)  # of the body against what is commanded, from which a robot must not go on

@@ -10,10 +10,10 @@ from enum import StrEnum
 from functools import partial
 from typing import NamedTuple, Protocol, TypeVar
 
-from services.actuator import usb_adapter
-from services.actuator.line import BusGone
-from shared import dynamixel as dxl
-from shared.dynamixel import Register, ServoError, ServoModel
+from sextant.services.actuator import usb_adapter
+from sextant.services.actuator.line import BusGone
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Register, ServoError, ServoModel
 
 FACTORY_ID = dxl.ID.default
 ANSWER_ALL = 2  # status return level

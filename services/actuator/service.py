@@ -8,32 +8,32 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.bus import Port
-from services.actuator.config import Settings
-from services.actuator.contact import ContactEstimate
-from services.actuator.feeler import FEMUR, Feeler, Felt, FemurReading
-from services.actuator.goal_limits import GENTLE, LOWERED, GoalLimits
-from services.actuator.guard import Act, Guard, Legs
-from services.actuator.health import GAP_S, Health, Verdict
-from services.actuator.hung_legs import HungLegs
-from services.actuator.joints import Joints
-from services.actuator.latch import Latch
-from services.actuator.load import lag_feed_forward, sag_feed_forward
-from services.actuator.odometry import LegOdometry
-from services.actuator.off_order import OffOrder
-from services.actuator.orders import in_turn
-from services.actuator.permit import Permit
-from services.actuator.plan_check import reaches
-from services.actuator.plumb import Plumb
-from services.actuator.stand_up import LieDown, StandUp
-from services.actuator.walker import Targets, Walker
-from shared import topics
-from shared.geometry import Array, apply, from_xyz_rpy
-from shared.kinematics import body_forward, body_inverse, nearest_reachable
-from shared.lateness import BEAT
-from shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StopOrder, Tick
-from shared.robot import LEGS, RobotProfile
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.services.actuator.bus import Port
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.contact import ContactEstimate
+from sextant.services.actuator.feeler import FEMUR, Feeler, Felt, FemurReading
+from sextant.services.actuator.goal_limits import GENTLE, LOWERED, GoalLimits
+from sextant.services.actuator.guard import Act, Guard, Legs
+from sextant.services.actuator.health import GAP_S, Health, Verdict
+from sextant.services.actuator.hung_legs import HungLegs
+from sextant.services.actuator.joints import Joints
+from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.load import lag_feed_forward, sag_feed_forward
+from sextant.services.actuator.odometry import LegOdometry
+from sextant.services.actuator.off_order import OffOrder
+from sextant.services.actuator.orders import in_turn
+from sextant.services.actuator.permit import Permit
+from sextant.services.actuator.plan_check import reaches
+from sextant.services.actuator.plumb import Plumb
+from sextant.services.actuator.stand_up import LieDown, StandUp
+from sextant.services.actuator.walker import Targets, Walker
+from sextant.shared import topics
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.kinematics import body_forward, body_inverse, nearest_reachable
+from sextant.shared.lateness import BEAT
+from sextant.shared.messages import ActuatorState, Message, Mode, ModeCommand, Odometry, StopOrder, Tick
+from sextant.shared.robot import LEGS, RobotProfile
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 
 _STANDS = 0.5  # share of its load from which a leg counts as standing
 _SLIPS = 0.01  # [m] against the others from which a standing foot is said to slip; rolling and looseness are some millimetres

@@ -7,13 +7,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.actuator import bridge, usb_adapter
-from services.actuator.bridge import Bridge
-from services.actuator.bus import REPLY_TIMEOUT_NS, BusGone, Port, ServoBus, ServoReading, open_port
-from services.actuator.config import Settings
-from shared import dynamixel as dxl
-from shared.dynamixel import Register
-from shared.robot import RobotProfile
+from sextant.services.actuator import bridge, usb_adapter
+from sextant.services.actuator.bridge import Bridge
+from sextant.services.actuator.bus import REPLY_TIMEOUT_NS, BusGone, Port, ServoBus, ServoReading, open_port
+from sextant.services.actuator.config import Settings
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Register
+from sextant.shared.robot import RobotProfile
 
 
 class Servos(Protocol):

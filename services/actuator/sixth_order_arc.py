@@ -14,7 +14,7 @@ higher end that the newest target asks for, and does not rise before a riser.
 
 import numpy as np
 
-from shared.geometry import Array
+from sextant.shared.geometry import Array
 
 
 def arc_coefficients(q_i: Array, q_m: Array, q_f: Array, t_f: float) -> Array:

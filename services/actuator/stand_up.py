@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from services.actuator.walker import Targets
-from shared.geometry import Array
-from shared.kinematics import body_inverse, within_limits
-from shared.robot import RobotProfile
+from sextant.services.actuator.walker import Targets
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import body_inverse, within_limits
+from sextant.shared.robot import RobotProfile
 
 _STANDS = 0.03  # [m] from the resting stance, within which the robot stands in it, about
 _OFF_GROUND = 0.04  # [m] of the belly, from which it is carried

@@ -16,7 +16,7 @@ the way S fades, so that the foot does not hover and then plunge.
 import math
 from itertools import pairwise
 
-from shared.geometry import Array
+from sextant.shared.geometry import Array
 
 _RISE_SLOPE, _RISE_WAY = 4.5, 0.25  # slope of the initial rise, and the share of the way that it takes at most
 _LEVEL_SHARE = 0.8  # of the clearance, over the higher end: from there on the foot arcs; what stands in its way may stand close

@@ -17,12 +17,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.body_way import coordinates, hermite, pose, wrapped
-from services.actuator.config import Settings
-from services.actuator.feeler import Felt
-from services.actuator.sixth_order_arc import SixthOrderArc
-from services.actuator.swing import Swing
-from shared.geometry import (
+from sextant.services.actuator.body_way import coordinates, hermite, pose, wrapped
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.feeler import Felt
+from sextant.services.actuator.sixth_order_arc import SixthOrderArc
+from sextant.services.actuator.swing import Swing
+from sextant.shared.geometry import (
     Array,
     apply,
     inverse,
@@ -31,8 +31,8 @@ from shared.geometry import (
     transform,
     yaw_of,
 )
-from shared.messages import StepPlan
-from shared.robot import LEGS
+from sextant.shared.messages import StepPlan
+from sextant.shared.robot import LEGS
 
 _ARCS: dict[str, type[Swing] | type[SixthOrderArc]] = {"flow": Swing, "sixth_order": SixthOrderArc}
 _GENTLE_S = 1.0  # [s] in which feet that hung come back to the ground, or longer, as gently as their joints go

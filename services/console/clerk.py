@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
-from services.console.diary import Diary
-from shared.messages import RecordCommand, RecorderState
+from sextant.services.console.diary import Diary
+from sextant.shared.messages import RecordCommand, RecorderState
 
 _REPEAT_NS = 1_000_000_000  # [ns] between two repetitions of an order that is not followed yet
 

@@ -16,10 +16,10 @@ from websockets.http11 import Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
-from services.console.door import PROTOCOL, Door, Porter
-from services.console.files import HEADERS, headers_of
-from services.console.pages import Page
-from services.console.requests import MAX_BYTES
+from sextant.services.console.door import PROTOCOL, Door, Porter
+from sextant.services.console.files import HEADERS, headers_of
+from sextant.services.console.pages import Page
+from sextant.services.console.requests import MAX_BYTES
 
 log = logging.getLogger(__name__)
 

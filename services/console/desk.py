@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from services.console.requests import Command, Drive, GiveUp, GoTo, Here, Name, Release, Request, TakeOver
-from shared.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
+from sextant.services.console.requests import Command, Drive, GiveUp, GoTo, Here, Name, Release, Request, TakeOver
+from sextant.shared.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
 
 SEATS = 8  # pages that may lead; others look on, and may stop
 DEAD_MAN_NS = 300_000_000  # [ns] without a word from a page that holds the pad, after which it has let go

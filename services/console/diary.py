@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from shared.messages import ActuatorState, BodyPose, CameraState, Health, Mode, PassagePlan, PlannerStatus
+from sextant.shared.messages import ActuatorState, BodyPose, CameraState, Health, Mode, PassagePlan, PlannerStatus
 
 KEPT = 300  # entries
 _BAD = (Mode.FAULT, Mode.OFF)

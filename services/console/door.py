@@ -5,8 +5,8 @@ import math
 from collections.abc import Mapping, Sequence
 from urllib.parse import urlsplit
 
-from services.console import view
-from services.console.config import Settings
+from sextant.services.console import view
+from sextant.services.console.config import Settings
 
 PROTOCOL = f"sextant.{view.PROTOCOL}"
 MOST_PAGES = 32

@@ -37,7 +37,7 @@ def page_files() -> dict[str, bytes]:
             elif _ending(item.name) in KINDS:
                 files[below + item.name] = item.read_bytes()
 
-    gather(resources.files("services.console") / "page", "")
+    gather(resources.files("sextant.services.console") / "page", "")
     return files
 
 

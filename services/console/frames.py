@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.console.requests import Layer
-from shared.messages import UNKNOWN, Preview, TerrainMap
+from sextant.services.console.requests import Layer
+from sextant.shared.messages import UNKNOWN, Preview, TerrainMap
 
 NO_HEIGHT = -32768
 _HIGHEST = np.float32(32767.0)  # [mm]; what is higher is drawn there, what is as deep is unknown

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Literal, Self
 
-from services.console import view
-from services.console.config import Settings
-from services.console.connection import Connection
-from services.console.desk import DEAD_MAN_NS
-from services.console.door import Door, Porter
-from services.console.files import page_files
-from services.console.pages import Page
-from services.console.requests import Drive, Here, Request, RequestError, Seen, parse
+from sextant.services.console import view
+from sextant.services.console.config import Settings
+from sextant.services.console.connection import Connection
+from sextant.services.console.desk import DEAD_MAN_NS
+from sextant.services.console.door import Door, Porter
+from sextant.services.console.files import page_files
+from sextant.services.console.pages import Page
+from sextant.services.console.requests import Drive, Here, Request, RequestError, Seen, parse
 
 _OVERDUE_S = DEAD_MAN_NS * 1e-9 + 0.001
 _WAITING = 4096  # requests that may wait for the next beat: more are a flood, and the oldest go

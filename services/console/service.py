@@ -5,21 +5,21 @@ from socket import gethostname
 from types import TracebackType
 from typing import Any, Self
 
-from services.console import frames, view
-from services.console.clerk import Clerk
-from services.console.config import Settings
-from services.console.desk import Desk
-from services.console.diary import KEPT, Diary
-from services.console.requests import Command, Drive, GoTo, Record, Request, TakeOver, Watch
-from services.console.server import Event, PageServer
-from shared import topics
-from shared.access import refusal_here
-from shared.clock import now_ns
-from shared.health_table import HealthTable
-from shared.lateness import SlowComputer
-from shared.messages import ActuatorState, CameraState, Message, ModeCommand, PlannerStatus, StopOrder, TerrainMap, Tick
-from shared.robot import RobotProfile
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.services.console import frames, view
+from sextant.services.console.clerk import Clerk
+from sextant.services.console.config import Settings
+from sextant.services.console.desk import Desk
+from sextant.services.console.diary import KEPT, Diary
+from sextant.services.console.requests import Command, Drive, GoTo, Record, Request, TakeOver, Watch
+from sextant.services.console.server import Event, PageServer
+from sextant.shared import topics
+from sextant.shared.access import refusal_here
+from sextant.shared.clock import now_ns
+from sextant.shared.health_table import HealthTable
+from sextant.shared.lateness import SlowComputer
+from sextant.shared.messages import ActuatorState, CameraState, Message, ModeCommand, PlannerStatus, StopOrder, TerrainMap, Tick
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 
 _BEAT_HZ = 15.0  # and at once, when something is asked for
 _VIEW_NS = 66_000_000  # [ns] between two views

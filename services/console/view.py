@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from services.console.config import Settings
-from services.console.desk import SEATS, Desk
-from services.console.diary import Entry
-from shared.geometry import Array, yaw_of
-from shared.messages import ActuatorState, BodyPose, CameraState, Health, PassagePlan, PlannerStatus, StepPlan
-from shared.robot import JOINTS, LEGS, RobotProfile
+from sextant.services.console.config import Settings
+from sextant.services.console.desk import SEATS, Desk
+from sextant.services.console.diary import Entry
+from sextant.shared.geometry import Array, yaw_of
+from sextant.shared.messages import ActuatorState, BodyPose, CameraState, Health, PassagePlan, PlannerStatus, StepPlan
+from sextant.shared.robot import JOINTS, LEGS, RobotProfile
 
 PROTOCOL = 1
 _SILENT_S = 3.0  # without a word, after which something is wrong with a service

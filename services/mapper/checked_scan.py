@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.compiled import compiled
+from sextant.shared.compiled import compiled
 
 FAR = 1e6  # [m] coordinates beyond this are refused: a cell index must stay exact
 

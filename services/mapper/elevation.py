@@ -18,13 +18,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.mapper.cells import ESTABLISHED, Cells
-from services.mapper.checked_scan import FAR, CheckedScan
-from services.mapper.faces import heed_faces
-from services.mapper.fusion import FusionModel, merge, update_cells
-from services.mapper.height_drift import HeightDrift, height_sigma
-from services.mapper.sight_lines import FOLLOWED, SETTLED, WELL_BELOW, SightLines
-from shared.compiled import compiled
+from sextant.services.mapper.cells import ESTABLISHED, Cells
+from sextant.services.mapper.checked_scan import FAR, CheckedScan
+from sextant.services.mapper.faces import heed_faces
+from sextant.services.mapper.fusion import FusionModel, merge, update_cells
+from sextant.services.mapper.height_drift import HeightDrift, height_sigma
+from sextant.services.mapper.sight_lines import FOLLOWED, SETTLED, WELL_BELOW, SightLines
+from sextant.shared.compiled import compiled
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 

@@ -10,9 +10,9 @@ no such care, and is left as narrow as it was measured.
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.cells import Cells
-from shared.compiled import compiled
-from shared.geometry import Array
+from sextant.services.mapper.cells import Cells
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array
 
 TALL = 0.06  # [m] of a cell's spread in a scan, beyond what the pose may be wrong by, from which it is a face
 RIM = 0.02  # [m] by which what is seen must lie above or below what is known, to be another height

@@ -30,8 +30,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.compiled import compiled
-from shared.messages import UNKNOWN
+from sextant.shared.compiled import compiled
+from sextant.shared.messages import UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.checked_scan import CheckedScan
-from shared.camera import DepthSensor
-from shared.compiled import compiled
-from shared.geometry import Array
+from sextant.services.mapper.checked_scan import CheckedScan
+from sextant.shared.camera import DepthSensor
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array
 
 _AT_A_TIME = 256  # points
 

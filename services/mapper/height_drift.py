@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.cells import Cells
-from shared.compiled import compiled
-from shared.geometry import Array
+from sextant.services.mapper.cells import Cells
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array
 
 TELLS = 8  # every how many cells are asked
 KNOWN_WELL = 0.004  # [m] one sigma of a cell that tells of drift; beside an edge it is more

@@ -20,11 +20,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.foothold_map import DISCS, TOO_WIDE, EvaluationFunction, FootholdRules
-from services.mapper.holes import fill_small_holes
-from services.mapper.score import Scalar, ScoreWeights, WalkabilityScorer, reference_height
-from shared.compiled import compiled
-from shared.messages import UNKNOWN
+from sextant.services.mapper.foothold_map import DISCS, TOO_WIDE, EvaluationFunction, FootholdRules
+from sextant.services.mapper.holes import fill_small_holes
+from sextant.services.mapper.score import Scalar, ScoreWeights, WalkabilityScorer, reference_height
+from sextant.shared.compiled import compiled
+from sextant.shared.messages import UNKNOWN
 
 _WIDEST = 0.05  # [m] that a margin may ask for beyond the score's own: a cell that asks for more carries no foot
 _WHOLE = 0.8  # share of the map from which all of it is made anew

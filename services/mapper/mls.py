@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from shared.compiled import compiled
-from shared.geometry import Array
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array
 
 FAR = 1e6  # [m] coordinates beyond this are refused
 _FEWEST = 5  # neighbours, itself included, that make a plane

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.cloud import CloudSnapshot, Strip
-from services.mapper.mls import smooth
-from shared.geometry import Array
+from sextant.services.mapper.cloud import CloudSnapshot, Strip
+from sextant.services.mapper.mls import smooth
+from sextant.shared.geometry import Array
 
 _ONE_SURFACE = 0.02  # [m] below the highest point of a column within which points are of its surface
 _CARRYING = 0.3  # share of a column's pixels below which its upper surface is an edge of the column beside it

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from services.mapper.config import Settings
-from services.mapper.service import Mapper
-from shared.color import codes
-from shared.geometry import from_xyz_rpy, to_millimetres
-from shared.messages import ActuatorState, BodyPose, Mode, PassageRequest, Scan
-from shared.rehearsal import Rehearsal
-from shared.robot import RobotProfile
-from shared.topics import SCAN
+from sextant.services.mapper.config import Settings
+from sextant.services.mapper.service import Mapper
+from sextant.shared.color import codes
+from sextant.shared.geometry import from_xyz_rpy, to_millimetres
+from sextant.shared.messages import ActuatorState, BodyPose, Mode, PassageRequest, Scan
+from sextant.shared.rehearsal import Rehearsal
+from sextant.shared.robot import RobotProfile
+from sextant.shared.topics import SCAN
 
 _AHEAD, _ASIDE, _CELL = (0.5, 1.2), 0.35, 0.01  # [m] ground that is seen, a point each cell
 _BLOCK, _HIGH = (0.8, 1.0), 0.05  # [m] from where to where it reaches, and how high it is

@@ -22,8 +22,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.foothold_map import disc
-from shared.compiled import compiled
+from sextant.services.mapper.foothold_map import disc
+from sextant.shared.compiled import compiled
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 

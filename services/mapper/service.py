@@ -7,23 +7,33 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.checked_scan import FAR, CheckedScan
-from services.mapper.cloud import Strip
-from services.mapper.config import Settings
-from services.mapper.elevation import ElevationGrid, ElevationSnapshot
-from services.mapper.fusion import FusionModel
-from services.mapper.layers import FootholdLayers, Margin
-from services.mapper.passage import cell_centres, cells_of, feet_plane
-from services.mapper.score import ScoreWeights
-from services.mapper.survey import Outlook, Survey
-from services.mapper.terrain_type import TerrainType
-from services.mapper.touch import TouchWatch
-from shared import topics
-from shared.color import from_codes
-from shared.geometry import Array, apply, is_rigid
-from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, ScanReceipt, TerrainMap
-from shared.robot import RobotProfile
-from shared.service import AnyTopic, Inbox, Stages
+from sextant.services.mapper.checked_scan import FAR, CheckedScan
+from sextant.services.mapper.cloud import Strip
+from sextant.services.mapper.config import Settings
+from sextant.services.mapper.elevation import ElevationGrid, ElevationSnapshot
+from sextant.services.mapper.fusion import FusionModel
+from sextant.services.mapper.layers import FootholdLayers, Margin
+from sextant.services.mapper.passage import cell_centres, cells_of, feet_plane
+from sextant.services.mapper.score import ScoreWeights
+from sextant.services.mapper.survey import Outlook, Survey
+from sextant.services.mapper.terrain_type import TerrainType
+from sextant.services.mapper.touch import TouchWatch
+from sextant.shared import topics
+from sextant.shared.color import from_codes
+from sextant.shared.geometry import Array, apply, is_rigid
+from sextant.shared.messages import (
+    ActuatorState,
+    BodyPose,
+    Message,
+    Mode,
+    PassageMap,
+    PassageRequest,
+    Scan,
+    ScanReceipt,
+    TerrainMap,
+)
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic, Inbox, Stages
 
 # What is unknown may be the edge of a block seen from below, so a foot keeps as far from it as from an edge.
 _WEIGHTS = ScoreWeights(unknown_clearance=0.02)

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.cells import Cells
-from services.mapper.checked_scan import CheckedScan
-from shared.compiled import compiled
-from shared.geometry import Array
+from sextant.services.mapper.cells import Cells
+from sextant.services.mapper.checked_scan import CheckedScan
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array
 
 FOLLOWED = 8  # every how many points of a scan have their line of sight followed, other ones each time
 SHORT = 3  # cells before its end at which a line of sight stops: what it meets is thick, and not quite where it is mapped

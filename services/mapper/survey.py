@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.cloud import Strip, VoxelCloud
-from services.mapper.elevation import ElevationSnapshot
-from services.mapper.layers import FootholdLayers, Margin
-from services.mapper.passage import PassageGrid, cell_centres, cells_of, feet_plane, passage_grid, with_assumed
-from services.mapper.score import Scalar, ScoreWeights
-from services.mapper.view import View, best_view, candidates, expected_heights, sights, unseen_in_words
-from shared.geometry import Array, apply
-from shared.robot import RobotProfile
+from sextant.services.mapper.cloud import Strip, VoxelCloud
+from sextant.services.mapper.elevation import ElevationSnapshot
+from sextant.services.mapper.layers import FootholdLayers, Margin
+from sextant.services.mapper.passage import PassageGrid, cell_centres, cells_of, feet_plane, passage_grid, with_assumed
+from sextant.services.mapper.score import Scalar, ScoreWeights
+from sextant.services.mapper.view import View, best_view, candidates, expected_heights, sights, unseen_in_words
+from sextant.shared.geometry import Array, apply
+from sextant.shared.robot import RobotProfile
 
 _NEIGHBOURS = 0.025  # [m] radius of moving least squares, and at least
 _NEIGHBOURS_CELLS = 2.5  # so many cells

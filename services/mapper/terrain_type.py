@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.compiled import compiled
+from sextant.shared.compiled import compiled
 
 Array = NDArray[np.float64]
 Layer = NDArray[np.float32]

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import Array, apply
-from shared.messages import ActuatorState, BodyPose
+from sextant.shared.geometry import Array, apply
+from sextant.shared.messages import ActuatorState, BodyPose
 
 _FROM, _UNTIL = 0.2, 0.8  # phases of a step between which standing feet bear the whole robot
 

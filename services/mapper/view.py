@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.passage import PassageGrid, local_centres
-from shared.compiled import compiled
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, yaw_of
-from shared.kinematics import body_inverse, within_limits
-from shared.robot import Camera, RobotProfile
+from sextant.services.mapper.passage import PassageGrid, local_centres
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, yaw_of
+from sextant.shared.kinematics import body_inverse, within_limits
+from sextant.shared.robot import Camera, RobotProfile
 
 Cells = NDArray[np.bool_]
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.compiled import compiled
-from shared.geometry import Array as Pose
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array as Pose
 
 Array = NDArray[Any]
 

@@ -10,10 +10,10 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.camera import Intrinsics
-from shared.color import codes
-from shared.compiled import compiled
-from shared.geometry import Array, inverse
+from sextant.shared.camera import Intrinsics
+from sextant.shared.color import codes
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array, inverse
 
 KEPT = 8  # depth frames that wait for their picture: 0.27 s at 30 Hz
 _APART = 0.015  # [m] and

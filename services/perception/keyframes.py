@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.perception.block_frame import BlockFrame
-from shared.compiled import compiled
+from sextant.services.perception.block_frame import BlockFrame
+from sextant.shared.compiled import compiled
 
 Array = NDArray[Any]  # what compiled functions take: numbers of any width
 

@@ -10,9 +10,9 @@ from kiss_icp.config import KISSConfig
 from kiss_icp.kiss_icp import KissICP
 from numpy.typing import NDArray
 
-from services.perception.block_frame import BlockFrame
-from services.perception.keyframes import Keyframes, Match
-from services.perception.registration import (
+from sextant.services.perception.block_frame import BlockFrame
+from sextant.services.perception.keyframes import Keyframes, Match
+from sextant.services.perception.registration import (
     Acceptance,
     Registered,
     belief,
@@ -25,8 +25,8 @@ from services.perception.registration import (
     refused,
     too_little,
 )
-from shared.camera import DepthSensor, Intrinsics
-from shared.geometry import orthonormal
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.geometry import orthonormal
 
 _MAX_ITERATIONS = 50  # as Masri 2016, section 4.2.1
 _GATE = 0.02  # [m] farthest plane a point is matched with when the pose is judged

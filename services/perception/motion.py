@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import Array, exp_so3, interpolate, log_so3, transform
-from shared.messages import Odometry
+from sextant.shared.geometry import Array, exp_so3, interpolate, log_so3, transform
+from sextant.shared.messages import Odometry
 
 _KEPT = 100  # messages, two seconds
 _STILL = 1.5e-3  # [m] and [rad], three times what the servos' resolution makes of a standing robot

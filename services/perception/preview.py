@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.camera import DepthSensor
-from shared.messages import Preview
+from sextant.shared.camera import DepthSensor
+from sextant.shared.messages import Preview
 
 _WIDTH = 320  # [px]
 _QUALITY = 80  # of the JPEG

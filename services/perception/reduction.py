@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.camera import DepthSensor, Intrinsics
-from shared.compiled import compiled
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.compiled import compiled
 
 Array = NDArray[Any]
 

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.perception.anchor import AnchorMap, Misfit, surface_points
-from services.perception.block_frame import BlockFrame
-from services.perception.keyframes import Keyframes, Match
-from services.perception.moving_body import is_one_body, is_within_body
-from services.perception.observability import AXES
-from shared.camera import DepthSensor, Intrinsics
-from shared.compiled import compiled
-from shared.geometry import exp_so3, log_so3, orthonormal
+from sextant.services.perception.anchor import AnchorMap, Misfit, surface_points
+from sextant.services.perception.block_frame import BlockFrame
+from sextant.services.perception.keyframes import Keyframes, Match
+from sextant.services.perception.moving_body import is_one_body, is_within_body
+from sextant.services.perception.observability import AXES
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import exp_so3, log_so3, orthonormal
 
 _GATE_NEAR, _GATE_FAR = 0.02, 0.06  # [m] bounds of the farthest plane a point is matched with
 _SLIP = 0.01  # [m] and [rad] first step expected beyond the prior's spread

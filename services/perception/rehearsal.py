@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from services.perception.config import Settings
-from services.perception.service import Perception
-from shared.geometry import Array, from_xyz_rpy
-from shared.messages import ColorImage, DepthImage, Odometry
-from shared.rehearsal import Rehearsal
-from shared.robot import Camera, RobotProfile
+from sextant.services.perception.config import Settings
+from sextant.services.perception.service import Perception
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.messages import ColorImage, DepthImage, Odometry
+from sextant.shared.rehearsal import Rehearsal
+from sextant.shared.robot import Camera, RobotProfile
 
 _TICK_NS = 20_000_000  # [ns] of the odometry
 _BLOCKS = np.array(  # [m] {world} opposite corners; further apart than one body that may move before a robot that stands

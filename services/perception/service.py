@@ -8,21 +8,30 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from services.perception.cameras.watch import EMPTY, is_noise, measured_share
-from services.perception.coloring import Coloring
-from services.perception.config import Settings
-from services.perception.link_care import LinkCare
-from services.perception.motion import Motion, OdometryHistory
-from services.perception.observability import AXES, unobservable_directions
-from services.perception.preview import preview
-from services.perception.reduction import reduce_scan
-from services.perception.registration import HAND_HELD, Registered, Registration, refused
-from services.perception.sights import free_sights
-from shared import topics
-from shared.geometry import Array, inverse, orthonormal, rotation_from_rpy, rpy_from_rotation, to_millimetres, transform, yaw_of
-from shared.messages import BodyPose, ColorImage, DepthImage, Message, Preview, Scan
-from shared.robot import RobotProfile
-from shared.service import AnyTopic, Inbox, Stages
+from sextant.services.perception.cameras.watch import EMPTY, is_noise, measured_share
+from sextant.services.perception.coloring import Coloring
+from sextant.services.perception.config import Settings
+from sextant.services.perception.link_care import LinkCare
+from sextant.services.perception.motion import Motion, OdometryHistory
+from sextant.services.perception.observability import AXES, unobservable_directions
+from sextant.services.perception.preview import preview
+from sextant.services.perception.reduction import reduce_scan
+from sextant.services.perception.registration import HAND_HELD, Registered, Registration, refused
+from sextant.services.perception.sights import free_sights
+from sextant.shared import topics
+from sextant.shared.geometry import (
+    Array,
+    inverse,
+    orthonormal,
+    rotation_from_rpy,
+    rpy_from_rotation,
+    to_millimetres,
+    transform,
+    yaw_of,
+)
+from sextant.shared.messages import BodyPose, ColorImage, DepthImage, Message, Preview, Scan
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic, Inbox, Stages
 
 _MOST_DOUBT_M, _MOST_DOUBT_RAD = 10.0, 3.0  # of a prior: whatever was travelled since the last frame
 _PREVIEW_NS = 180_000_000  # [ns] at least between two pictures for people
@@ -350,7 +359,7 @@ def in_words(found: Registered) -> str:
 
 
 class Registers(Protocol):
-    """A way of finding a frame's pose; `services.perception.registration.Registration` says what the arguments are."""
+    """A way of finding a frame's pose; `sextant.services.perception.registration.Registration` says what the arguments are."""
 
     def update(
         self, depth_raw: NDArray[np.uint16], stamp_ns: int, T_world_camera_prior: Array, prior_covariance: Array
@@ -362,7 +371,7 @@ class Registers(Protocol):
 def _make_registration(profile: RobotProfile, settings: Settings) -> Registers:
     camera = profile.camera
     if settings.method == "kiss-icp":
-        from services.perception.kiss import KissRegistration  # heavy, for those who ask for it
+        from sextant.services.perception.kiss import KissRegistration  # heavy, for those who ask for it
 
         return KissRegistration(camera.intrinsics, camera.sensor)
     return Registration(

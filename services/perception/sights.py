@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.camera import DepthSensor, Intrinsics
-from shared.geometry import Array
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.geometry import Array
 
 _MOST = 2000  # lines of a picture, which a message has room for beside the scan
 _APART = 16  # [px] between lines of sight in a picture; the next picture's lie between them

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import align_rigid, inverse, log_so3
+from sextant.shared.geometry import align_rigid, inverse, log_so3
 
 _SAME_SHAPE = 0.1  # of a trajectory's extent, up to which two of them have one shape
 

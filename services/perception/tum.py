@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shared import config, files, input_file, picture_file
-from shared.camera import DepthSensor, Intrinsics
-from shared.geometry import interpolate, quaternion_from_rotation, rotation_from_quaternion, transform
-from shared.input_file import FileError
+from sextant.shared import config, files, input_file, picture_file
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.geometry import interpolate, quaternion_from_rotation, rotation_from_quaternion, transform
+from sextant.shared.input_file import FileError
 
 _USUAL = DepthSensor()
 _PAIRED_NS = 20_000_000  # [ns] between depth and colour that are taken for one, as in the benchmark's tools

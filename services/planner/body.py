@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from services.planner.terrain import Terrain
-from shared.geometry import Array, apply, inverse, rotation_from_rpy, transform, yaw_of
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array, apply, inverse, rotation_from_rpy, transform, yaw_of
 
 
 def floor_height(ground: Array) -> float:

@@ -10,14 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.planner.body import leaning, slope_under
-from services.planner.config import Settings
-from services.planner.crossing import BESIDE
-from services.planner.stride import Blocked, Situation, Stride, StridePlanner
-from services.planner.terrain import DEEP, Terrain, plane_of, plane_through
-from shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_of
-from shared.messages import VelocityCommand
-from shared.robot import RobotProfile
+from sextant.services.planner.body import leaning, slope_under
+from sextant.services.planner.config import Settings
+from sextant.services.planner.crossing import BESIDE
+from sextant.services.planner.stride import Blocked, Situation, Stride, StridePlanner
+from sextant.services.planner.terrain import DEEP, Terrain, plane_of, plane_through
+from sextant.shared.geometry import Array, from_xyz_rpy, rpy_from_rotation, yaw_of
+from sextant.shared.messages import VelocityCommand
+from sextant.shared.robot import RobotProfile
 
 _DEPTHS = (0.05, 0.04, 0.03, 0.02, 0.01, 0.0)  # [m] below the plane at which a foot is sent, the first that its leg reaches
 _SEEN_FROM, _SEEN_TO, _SEEN_ASIDE = BESIDE, BESIDE + 0.35, 0.15  # [m] of the ground ahead that must be seen, by

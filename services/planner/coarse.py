@@ -6,8 +6,8 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.terrain import Terrain
-from shared.geometry import Array
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array
 
 Mask = NDArray[np.bool_]
 Layer = TypeVar("Layer", bound=NDArray[Any])

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.coarse import Mask, closed, coarse, distance, lowest_around, mean_around, over_square, wide
-from services.planner.terrain import Terrain
-from shared.geometry import Array, apply, inverse
-from shared.robot import Camera
+from sextant.services.planner.coarse import Mask, closed, coarse, distance, lowest_around, mean_around, over_square, wide
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array, apply, inverse
+from sextant.shared.robot import Camera
 
 EDGE = 0.05  # [m] of a cell
 _CELLS = 128  # of the window that is kept, either way

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.terrain import GOOD, NONE, Terrain
-from shared.geometry import Array
-from shared.messages import HAZARDS
+from sextant.services.planner.terrain import GOOD, NONE, Terrain
+from sextant.shared.geometry import Array
+from sextant.shared.messages import HAZARDS
 
 Reachable = Callable[[Array], NDArray[np.bool_]]
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array, from_xyz_rpy
-from shared.messages import GaitName
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.messages import GaitName
 
 _EVEN = 0.005  # [m] and less between two tripods is none; the smaller strides of other gaits ask for less
 _SLOWEST = 0.1  # [1] of the fastest foot's way; feet that move less than that say little

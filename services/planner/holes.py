@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.planner.terrain import Terrain
-from shared.geometry import Array, apply
-from shared.messages import HAZARDS, ActuatorState, TerrainMap
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array, apply
+from sextant.shared.messages import HAZARDS, ActuatorState, TerrainMap
 
 _RADIUS = 0.04  # [m] around such a place
 _KEPT = 64  # places remembered, the newest

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.terrain import Terrain
-from shared.geometry import Array
-from shared.kinematics import leg_inverse, leg_nearest_reachable
-from shared.robot import LEGS, LegLinks, RobotProfile
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import leg_inverse, leg_nearest_reachable
+from sextant.shared.robot import LEGS, LegLinks, RobotProfile
 
 # A swing as it is checked, at shares of its time: it passes below that of the feet.
 SWING_TIME = np.array([0.0, 0.15, 0.32, 0.42, 0.50, 0.57, 0.68, 0.83, 1.0])

@@ -11,14 +11,14 @@ from math import atan2, cos, hypot, pi, radians, sin
 
 import numpy as np
 
-from services.planner.crossing import BESIDE, Crossing, Prices, SeenGround, Size
-from services.planner.gait import GAITS
-from services.planner.progress import Progress
-from services.planner.route import NoWay, Way, cost_of, find_way
-from services.planner.terrain import Terrain
-from shared.geometry import Array, yaw_of
-from shared.messages import MAX_PATH, Goal, TerrainMap, VelocityCommand
-from shared.robot import RobotProfile
+from sextant.services.planner.crossing import BESIDE, Crossing, Prices, SeenGround, Size
+from sextant.services.planner.gait import GAITS
+from sextant.services.planner.progress import Progress
+from sextant.services.planner.route import NoWay, Way, cost_of, find_way
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array, yaw_of
+from sextant.shared.messages import MAX_PATH, Goal, TerrainMap, VelocityCommand
+from sextant.shared.robot import RobotProfile
 
 _SPARE = 0.045  # [m] between the feet and what they must keep away from
 _LIKED = 0.20  # [m] that the robot would like to have beyond that

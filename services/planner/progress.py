@@ -10,7 +10,7 @@ from math import hypot, inf, pi, radians
 
 import numpy as np
 
-from shared.geometry import Array
+from sextant.shared.geometry import Array
 
 _STILL_S = 4.0  # [s] in which it does not move, from which it does not get on, and
 _ASTRAY_S = 16.0  # [s] in which it does move, as where it steps back to look, but comes no nearer

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from services.planner.config import Settings
-from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Roadmap, Stance
-from services.planner.passage.settings import PassageSettings
-from shared import codec
-from shared.messages import PassageMap
-from shared.robot import RobotProfile
+from sextant.services.planner.config import Settings
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.roadmap import Roadmap, Stance
+from sextant.services.planner.passage.settings import PassageSettings
+from sextant.shared import codec
+from sextant.shared.messages import PassageMap
+from sextant.shared.robot import RobotProfile
 
 _CELL, _CELLS = 0.01, (150, 120)  # [m], and how many along and across
 _START, _GOAL = 0.44, 0.80  # [m] of the body along it

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.crossing import FAR, OPEN, WORDS, Crossing
-from services.planner.terrain import LONGEST
-from shared.geometry import Array
+from sextant.services.planner.crossing import FAR, OPEN, WORDS, Crossing
+from sextant.services.planner.terrain import LONGEST
+from sextant.shared.geometry import Array
 
 _ESCAPE = 8.0  # price of a metre out of a place where the robot ought not to be
 _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]

@@ -9,20 +9,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.by_touch import ByTouch
-from services.planner.config import Settings
-from services.planner.gait import GAITS, directions, swing_order
-from services.planner.holes import Holes
-from services.planner.passage.errand import Move, Over, Refused, Standing
-from services.planner.passage.mode import PassageMode
-from services.planner.pilot import Heading, Pilot, objection
-from services.planner.refusals import Refusals, Way
-from services.planner.route import NoWay
-from services.planner.stride import Blocked, Situation, Stride, StridePlanner
-from services.planner.terrain import Terrain, plane_of
-from shared import topics
-from shared.geometry import Array, apply, inverse, yaw_of
-from shared.messages import (
+from sextant.services.planner.by_touch import ByTouch
+from sextant.services.planner.config import Settings
+from sextant.services.planner.gait import GAITS, directions, swing_order
+from sextant.services.planner.holes import Holes
+from sextant.services.planner.passage.errand import Move, Over, Refused, Standing
+from sextant.services.planner.passage.mode import PassageMode
+from sextant.services.planner.pilot import Heading, Pilot, objection
+from sextant.services.planner.refusals import Refusals, Way
+from sextant.services.planner.route import NoWay
+from sextant.services.planner.stride import Blocked, Situation, Stride, StridePlanner
+from sextant.services.planner.terrain import Terrain, plane_of
+from sextant.shared import topics
+from sextant.shared.geometry import Array, apply, inverse, yaw_of
+from sextant.shared.messages import (
     ActuatorState,
     BodyPose,
     Goal,
@@ -33,8 +33,8 @@ from shared.messages import (
     TerrainMap,
     VelocityCommand,
 )
-from shared.robot import RobotProfile
-from shared.service import AnyTopic, Inbox, Stages
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic, Inbox, Stages
 
 State = Literal["waiting", "resting", "stepping", "blocked", "arrived"]
 

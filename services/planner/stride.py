@@ -7,17 +7,17 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.body import clear_of_ground, floor_height, leaning, slope_under
-from services.planner.config import Settings
-from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
-from services.planner.gait import GAITS, carried_on, directions, nominal_touchdowns, swing_order
-from services.planner.leg_clearance import Touching, Way, clearance_to_sink, cleared, rises_clear, stands_clear
-from services.planner.terrain import GOOD, NONE, Terrain
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
-from shared.kinematics import body_inverse, leg_inverse, within_limits
-from shared.messages import VelocityCommand
-from shared.robot import LEGS, RobotProfile
-from shared.stability import resting_centre_of_mass, support_margin
+from sextant.services.planner.body import clear_of_ground, floor_height, leaning, slope_under
+from sextant.services.planner.config import Settings
+from sextant.services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
+from sextant.services.planner.gait import GAITS, carried_on, directions, nominal_touchdowns, swing_order
+from sextant.services.planner.leg_clearance import Touching, Way, clearance_to_sink, cleared, rises_clear, stands_clear
+from sextant.services.planner.terrain import GOOD, NONE, Terrain
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
+from sextant.shared.kinematics import body_inverse, leg_inverse, within_limits
+from sextant.shared.messages import VelocityCommand
+from sextant.shared.robot import LEGS, RobotProfile
+from sextant.shared.stability import resting_centre_of_mass, support_margin
 
 SHARES = (1.0, 0.7, 0.45, 0.25)  # of the commanded travel that are tried when the whole does not work
 _WIDTHS = (1.0, 1.5)  # of the search for footholds: the wider where the narrower leaves no step

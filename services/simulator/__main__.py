@@ -1,8 +1,8 @@
-"""The simulator's process: `python -m services.simulator --set scenario=steps --set bus_port=7450`."""
+"""The simulator's process: `python -m sextant.services.simulator --set scenario=steps --set bus_port=7450`."""
 
-from services.simulator.config import Settings
-from services.simulator.rehearsal import rehearse
-from services.simulator.service import Simulator
-from shared import process
+from sextant.services.simulator.config import Settings
+from sextant.services.simulator.rehearsal import rehearse
+from sextant.services.simulator.service import Simulator
+from sextant.shared import process
 
 process.main("simulator", Settings, Simulator, rehearse)

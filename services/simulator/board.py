@@ -3,9 +3,9 @@
 from collections import deque
 from typing import Protocol
 
-from services.simulator.bus import BusTiming
-from services.simulator.firmware import Firmware
-from services.simulator.wire import Outbox, Outlet, Reply, Wire
+from sextant.services.simulator.bus import BusTiming
+from sextant.services.simulator.firmware import Firmware
+from sextant.services.simulator.wire import Outbox, Outlet, Reply, Wire
 
 _OUTBOX = 8  # frames that wait for a host that does not read; the oldest go
 _START_NS = 300_000_000  # [ns] a microcontroller takes to start

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from services.simulator.servos import ServoBank
-from services.simulator.wire import AnswersOnly, Outbox, Outlet, Reply, Wire
-from shared import dynamixel as dxl
-from shared.dynamixel import Access, Instruction, Packet, PacketParser, Register, ServoError
+from sextant.services.simulator.servos import ServoBank
+from sextant.services.simulator.wire import AnswersOnly, Outbox, Outlet, Reply, Wire
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Access, Instruction, Packet, PacketParser, Register, ServoError
 
 _SEC = 1_000_000_000
 _INTER_BYTE_NS = 100_000_000  # a servo gives a packet up when its next byte takes longer (AX-12 user's manual)

@@ -1,7 +1,7 @@
 """The emulated bus behind all that can go wrong with it: bytes, answers, single servos, the adapter and the supply.
 
 Pure and seeded: the same faults, bytes and times give the same answers. Where no fault is on, it is the bus itself. What each
-fault means is said in `shared.bus_fault.GRID`.
+fault means is said in `sextant.shared.bus_fault.GRID`.
 """
 
 import math
@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from random import Random
 
-from services.simulator.ailments import Ailments
-from services.simulator.bus import ServoBusEmulator
-from services.simulator.servos import ServoBank
-from services.simulator.wire import AnswersOnly, Outlet, Reply
-from shared import dynamixel as dxl
-from shared.bus_fault import BusFault
-from shared.messages import FaultTarget
+from sextant.services.simulator.ailments import Ailments
+from sextant.services.simulator.bus import ServoBusEmulator
+from sextant.services.simulator.servos import ServoBank
+from sextant.services.simulator.wire import AnswersOnly, Outlet, Reply
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bus_fault import BusFault
+from sextant.shared.messages import FaultTarget
 
 _SEC, _MS = 1e9, 1_000_000
 _STREAM_BYTES = 100  # in each millisecond of a line that never rests

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
-from shared import dynamixel as dxl
-from shared.dynamixel import Packet, PacketParser
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Packet, PacketParser
 
 TIMEOUT_NS = 2_000_000  # [ns] from the end of a request: a factory return delay, a whole table, and as much again
 BYTE_NS = 10_000  # [ns] at 1 Mbit/s

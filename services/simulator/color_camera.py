@@ -7,12 +7,12 @@ looked at. Light, white balance and texture are drawn once by the run's seed.
 import numpy as np
 from numpy.typing import NDArray
 
-from services.simulator.render import Renderer
-from services.simulator.solids import Boxes, Capsules
-from services.simulator.terrain import Terrain
-from shared.camera import Intrinsics
-from shared.compiled import compiled
-from shared.geometry import Array
+from sextant.services.simulator.render import Renderer
+from sextant.services.simulator.solids import Boxes, Capsules
+from sextant.services.simulator.terrain import Terrain
+from sextant.shared.camera import Intrinsics
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array
 
 _EXPOSURE = 0.20  # [1] by which the light of a run may be more or less than usual
 _BALANCE = 0.06  # [1] likewise, of red against green and of blue

@@ -13,9 +13,9 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.camera import DepthSensor, Intrinsics
-from shared.compiled import compiled
-from shared.geometry import Array
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array
 
 RANDOM_LOSS = 0.05  # share of pixels that fail for no visible reason
 GRAZING = (0.03, 0.12)  # cosines of incidence below which no pixel returns, and above which all do

@@ -8,11 +8,11 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from services.simulator.bus_master import BusMaster
-from shared import bridge
-from shared import dynamixel as dxl
-from shared.bridge import NEVER, Message, Mode, Receiver, Refusal, RemoteClock, Result
-from shared.dynamixel import BROADCAST_ID, PRESENT_STATE, Instruction, Packet
+from sextant.services.simulator.bus_master import BusMaster
+from sextant.shared import bridge
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bridge import NEVER, Message, Mode, Receiver, Refusal, RemoteClock, Result
+from sextant.shared.dynamixel import BROADCAST_ID, PRESENT_STATE, Instruction, Packet
 
 NAME = "reference firmware, simulated"
 CYCLE_NS = 10_000_000  # [ns] in each of which all servos are read, once, and a state is sent

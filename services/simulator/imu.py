@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from shared.geometry import Array
+from sextant.shared.geometry import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from services.simulator.solids import Boxes, Capsules
-from services.simulator.terrain import Terrain
-from shared.geometry import Array, rotation_z, yaw_of
-from shared.mover import BoxMover, LegsMover, Mover
+from sextant.services.simulator.solids import Boxes, Capsules
+from sextant.services.simulator.terrain import Terrain
+from sextant.shared.geometry import Array, rotation_z, yaw_of
+from sextant.shared.mover import BoxMover, LegsMover, Mover
 
 
 class _Walk:

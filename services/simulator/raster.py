@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.compiled import compiled, written_into
-from shared.geometry import Array
+from sextant.shared.compiled import compiled, written_into
+from sextant.shared.geometry import Array
 
 BLOCK = 16  # cells of a height field culled together
 _NEAR = 1e-3  # [m] faces are clipped here

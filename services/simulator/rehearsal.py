@@ -1,10 +1,10 @@
 """The simulator lets its robot stand for a moment, so that all it calls is compiled before somebody asks its servos."""
 
-from services.simulator.config import Settings
-from services.simulator.service import Simulator
-from shared import dynamixel as dxl
-from shared.rehearsal import Rehearsal
-from shared.robot import RobotProfile
+from sextant.services.simulator.config import Settings
+from sextant.services.simulator.service import Simulator
+from sextant.shared import dynamixel as dxl
+from sextant.shared.rehearsal import Rehearsal
+from sextant.shared.robot import RobotProfile
 
 _FOR_S = 0.2  # [s] simulated, in which several pictures are taken
 

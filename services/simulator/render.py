@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.simulator.raster import BLOCK, Canvas, draw_capsules, draw_field, draw_plane, draw_quads
-from services.simulator.solids import Boxes, Capsules, HeightField
-from services.simulator.terrain import DEPTH, Terrain
-from shared.camera import Intrinsics
-from shared.geometry import Array, inverse
+from sextant.services.simulator.raster import BLOCK, Canvas, draw_capsules, draw_field, draw_plane, draw_quads
+from sextant.services.simulator.solids import Boxes, Capsules, HeightField
+from sextant.services.simulator.terrain import DEPTH, Terrain
+from sextant.shared.camera import Intrinsics
+from sextant.shared.geometry import Array, inverse
 
 _LIGHT = np.array([-0.35, -0.45, 0.82])  # {world} toward the lamp
 _SKY = (178, 200, 220)

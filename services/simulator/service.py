@@ -8,34 +8,34 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from services.simulator.board import Board
-from services.simulator.bus import BusTiming, ServoBusEmulator
-from services.simulator.bus_faults import BusFaults
-from services.simulator.color_camera import ColorCamera
-from services.simulator.config import Settings
-from services.simulator.depth_camera import DepthCamera
-from services.simulator.imu import Imu as ImuSensor
-from services.simulator.imu import ImuNoise
-from services.simulator.movers import Movers, together
-from services.simulator.render import Renderer
-from services.simulator.servos import ServoBank, bank_of
-from services.simulator.solids import Boxes, Capsules
-from services.simulator.tcp_port import TcpBusServer
-from services.simulator.terrain import build_terrain
-from services.simulator.world import TIME_STEP_NS, Factors, World
-from shared import dynamixel as dxl
-from shared import topics
-from shared.bus_fault import BusFault
-from shared.clock import in_use
-from shared.config import ConfigError
-from shared.geometry import Array
-from shared.kinematics import body_inverse
-from shared.lateness import BEAT
-from shared.messages import CameraState, ColorImage, DepthImage, FaultCommand, GroundTruth, Imu, Message, Tick
-from shared.robot import RobotProfile
-from shared.scenario import Scenario, load_scenario
-from shared.service import AnyTopic, Every, Inbox, Stages
-from shared.simulated_time import SimulatedTime
+from sextant.services.simulator.board import Board
+from sextant.services.simulator.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.bus_faults import BusFaults
+from sextant.services.simulator.color_camera import ColorCamera
+from sextant.services.simulator.config import Settings
+from sextant.services.simulator.depth_camera import DepthCamera
+from sextant.services.simulator.imu import Imu as ImuSensor
+from sextant.services.simulator.imu import ImuNoise
+from sextant.services.simulator.movers import Movers, together
+from sextant.services.simulator.render import Renderer
+from sextant.services.simulator.servos import ServoBank, bank_of
+from sextant.services.simulator.solids import Boxes, Capsules
+from sextant.services.simulator.tcp_port import TcpBusServer
+from sextant.services.simulator.terrain import build_terrain
+from sextant.services.simulator.world import TIME_STEP_NS, Factors, World
+from sextant.shared import dynamixel as dxl
+from sextant.shared import topics
+from sextant.shared.bus_fault import BusFault
+from sextant.shared.clock import in_use
+from sextant.shared.config import ConfigError
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import body_inverse
+from sextant.shared.lateness import BEAT
+from sextant.shared.messages import CameraState, ColorImage, DepthImage, FaultCommand, GroundTruth, Imu, Message, Tick
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import Scenario, load_scenario
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.shared.simulated_time import SimulatedTime
 
 _MAX_LAG_NS = 1_000_000_000  # [ns] how far it may fall behind and catch up; goals written meanwhile take effect in their order
 _STALE_NS = 40_000_000  # [ns] by which a live simulation may be late before its servos fall silent

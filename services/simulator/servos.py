@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.simulator.ailments import Ailments
-from shared import dynamixel as dxl
-from shared.compiled import compiled
-from shared.dynamixel import ServoError, ServoModel
+from sextant.services.simulator.ailments import Ailments
+from sextant.shared import dynamixel as dxl
+from sextant.shared.compiled import compiled
+from sextant.shared.dynamixel import ServoError, ServoModel
 
 Array = NDArray[np.float64]
 

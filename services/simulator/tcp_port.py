@@ -7,9 +7,9 @@ import threading
 from collections.abc import Callable
 from types import TracebackType
 
-from services.simulator.wire import Outbox, Outlet, Reply, Wire
-from shared.clock import now_ns
-from shared.simulated_time import REACTION_NS, SERVO_BUS, hold
+from sextant.services.simulator.wire import Outbox, Outlet, Reply, Wire
+from sextant.shared.clock import now_ns
+from sextant.shared.simulated_time import REACTION_NS, SERVO_BUS, hold
 
 log = logging.getLogger(__name__)
 

@@ -13,11 +13,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from services.simulator.solids import Boxes, HeightField
-from shared import array_file, picture_file
-from shared.config import ConfigError
-from shared.geometry import Array, rotation_from_rpy, rotation_z
-from shared.scenario import (
+from sextant.services.simulator.solids import Boxes, HeightField
+from sextant.shared import array_file, picture_file
+from sextant.shared.config import ConfigError
+from sextant.shared.geometry import Array, rotation_from_rpy, rotation_z
+from sextant.shared.scenario import (
     MAX_BLOCKS,
     Blocks,
     Box,
@@ -41,7 +41,7 @@ from shared.scenario import (
     Stones,
     Stretch,
 )
-from shared.scenario import Terrain as Primitive
+from sextant.shared.scenario import Terrain as Primitive
 
 DEPTH = 0.5  # [m] how far rubble and height fields reach below the ground they join
 _BATCH = 256  # rubble candidates drawn at a time

@@ -11,12 +11,12 @@ from datetime import date
 
 import numpy as np
 
-from services.simulator.bus import BusTiming, ServoBusEmulator
-from services.simulator.servos import bank_of
-from services.simulator.wire import Reply
-from shared import dynamixel as dxl
-from shared.geometry import Array
-from shared.robot import JOINTS, LEGS, Calibration, RobotProfile
+from sextant.services.simulator.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.servos import bank_of
+from sextant.services.simulator.wire import Reply
+from sextant.shared import dynamixel as dxl
+from sextant.shared.geometry import Array
+from sextant.shared.robot import JOINTS, LEGS, Calibration, RobotProfile
 
 HORNS_DEG = 6.0  # by which the horns of the emulated robot sit wrong, at most
 _BENT_DEG = 150.0  # by hand, at most: as far as a servo can tell

@@ -14,12 +14,12 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from services.simulator.solids import Boxes, Capsules, HeightField
-from services.simulator.terrain import DEPTH, Terrain
-from shared.config import ConfigError
-from shared.geometry import Array, quaternion_from_rotation, rotation_z, transform
-from shared.robot import JOINTS, RobotProfile
-from shared.scenario import Variation
+from sextant.services.simulator.solids import Boxes, Capsules, HeightField
+from sextant.services.simulator.terrain import DEPTH, Terrain
+from sextant.shared.config import ConfigError
+from sextant.shared.geometry import Array, quaternion_from_rotation, rotation_z, transform
+from sextant.shared.robot import JOINTS, RobotProfile
+from sextant.shared.scenario import Variation
 
 _log = logging.getLogger(__name__)
 

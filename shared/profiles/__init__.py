@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from shared import config
-from shared.kinematics import leg_inverse
-from shared.robot import Foot, Leg, LegLinks, RobotProfile, Stance
-from shared.spelling import hint
+from sextant.shared import config
+from sextant.shared.kinematics import leg_inverse
+from sextant.shared.robot import Foot, Leg, LegLinks, RobotProfile, Stance
+from sextant.shared.spelling import hint
 
 
 def load_profile(name_or_path: str) -> RobotProfile:
@@ -34,7 +34,7 @@ def _shipped(name: str, asked_by: str) -> Traversable:
     if name not in known:
         ways = f"{hint(name, known)}; or give a path that ends in .toml"
         raise config.ConfigError(asked_by, [f"no profile {name[:60]!r}; {ways}"])
-    return resources.files("shared.profiles") / f"{name}.toml"
+    return resources.files("sextant.shared.profiles") / f"{name}.toml"
 
 
 def _table(path: Path, extended_by: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -62,7 +62,7 @@ def _over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
 
 def profile_names() -> list[str]:
     """Names of the profiles that come with Sextant."""
-    files = resources.files("shared.profiles").iterdir()
+    files = resources.files("sextant.shared.profiles").iterdir()
     return sorted(p.name.removesuffix(".toml") for p in files if p.name.endswith(".toml"))
 
 

@@ -4,8 +4,8 @@ import io
 
 import pytest
 
-from deploy.commands.common import warm_up
-from deploy.progress import progress_for
+from sextant.deploy.commands.common import warm_up
+from sextant.deploy.progress import progress_for
 
 
 @pytest.fixture(scope="session", autouse=True)

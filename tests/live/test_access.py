@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
+from sextant.deploy import cli
 
 pytestmark = pytest.mark.live
 

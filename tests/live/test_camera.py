@@ -5,17 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.launch.launcher import free_port
-from services.perception import tum
-from services.simulator.bus import ServoBusEmulator
-from services.simulator.servos import AX_12A_MOTOR, ServoBank
-from services.simulator.tcp_port import TcpBusServer
-from shared import codec, topics
-from shared import dynamixel as dxl
-from shared.messages import CameraState, DepthImage, Health
-from shared.profiles import load_profile
-from shared.service import AnyTopic
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.launch.launcher import free_port
+from sextant.services.perception import tum
+from sextant.services.simulator.bus import ServoBusEmulator
+from sextant.services.simulator.servos import AX_12A_MOTOR, ServoBank
+from sextant.services.simulator.tcp_port import TcpBusServer
+from sextant.shared import codec, topics
+from sextant.shared import dynamixel as dxl
+from sextant.shared.messages import CameraState, DepthImage, Health
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints, ZenohLink
 from tests.support.commands import Command
 
 pytestmark = pytest.mark.live

@@ -13,17 +13,17 @@ from typing import Any
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
-from deploy.bench import browser as browsers
-from deploy.bench import fleet
-from deploy.bench.browser import SMALL
-from deploy.launch.launcher import free_port
-from deploy.network import meeting
-from services.console.door import PROTOCOL
-from shared import codec, topics
-from shared.messages import Mode, ModeCommand, StopOrder
-from shared.profiles import load_profile
-from shared.service import AnyTopic
-from shared.transport import Endpoints, Router, ZenohLink
+from sextant.deploy.bench import browser as browsers
+from sextant.deploy.bench import fleet
+from sextant.deploy.bench.browser import SMALL
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.network import meeting
+from sextant.services.console.door import PROTOCOL
+from sextant.shared import codec, topics
+from sextant.shared.messages import Mode, ModeCommand, StopOrder
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints, Router, ZenohLink
 from tests.support.commands import Command, Process, eventually, write_course
 from tests.support.states import actuator_state
 
@@ -114,7 +114,7 @@ def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp
             base.wait_for(lambda: "off" in robots["alpha"].told, "the order at alpha")
         assert robots["beta"].told == []
         # 3. What dies is started again, also the page that leads to all of them.
-        for module, name in (("services.mapper", "alpha"), ("services.console.lobby", "")):
+        for module, name in (("sextant.services.mapper", "alpha"), ("sextant.services.console.lobby", "")):
             found = process(base, module, name)
             assert found is not None
             os.kill(found.pid, signal.SIGKILL)
@@ -122,20 +122,20 @@ def test_what_fails_of_one_robot_holds_no_other_up(robots: dict[str, Robot], tmp
         base.wait_for(lambda: "alpha: mapper ended (killed by SIGKILL)" in base.text(), "the word of it")
         base.wait_for(lambda: shows(port, "beta", Mode.FAULT), "the page, again")
         # 4. A machine that claims to have started the same is reported, and ends nothing.
-        mapper = process(base, "services.mapper", "alpha")
+        mapper = process(base, "sextant.services.mapper", "alpha")
         robots["alpha"].rival = True
         base.wait_for(lambda: "alpha: a rival (offboard) has started mapper already" in base.text(), "the report of a rival")
         # 5. What does not stay up of one robot is ended with the reason, and the other goes on.
         while "the other robots go on" not in base.text():
-            found = process(base, "services.mapper", "alpha")
+            found = process(base, "sextant.services.mapper", "alpha")
             if found is not None:
                 assert mapper is None or found.pid == mapper.pid, "still the same"
                 os.kill(found.pid, signal.SIGKILL)
                 mapper = None
-                base.wait_for(lambda old=found: process(base, "services.mapper", "alpha") != old, "its end")
-        eventually(lambda: process(base, "services.mapper", "alpha") is None, "alpha's processes gone")
+                base.wait_for(lambda old=found: process(base, "sextant.services.mapper", "alpha") != old, "its end")
+        eventually(lambda: process(base, "sextant.services.mapper", "alpha") is None, "alpha's processes gone")
         assert shows(port, "beta", Mode.FAULT)
-        assert process(base, "services.mapper", "beta") is not None
+        assert process(base, "sextant.services.mapper", "beta") is not None
         # 6. Ctrl-C ends all of it.
         base.interrupt()
         assert base.status() == 130

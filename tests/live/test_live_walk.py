@@ -14,16 +14,16 @@ from pathlib import Path
 
 import pytest
 
-import deploy
-from deploy.judging.report import check
-from deploy.launch.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_UP
-from deploy.launch.launcher import Launcher, free_port
-from deploy.process_table import BUS_PORT
-from deploy.process_table import Command as LaunchedCommand
-from services.console.recording.reader import Recording
-from shared import topics
-from shared.messages import Health
-from shared.transport import Endpoints
+from sextant import deploy
+from sextant.deploy.judging.report import check
+from sextant.deploy.launch.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_UP
+from sextant.deploy.launch.launcher import Launcher, free_port
+from sextant.deploy.process_table import BUS_PORT
+from sextant.deploy.process_table import Command as LaunchedCommand
+from sextant.services.console.recording.reader import Recording
+from sextant.shared import topics
+from sextant.shared.messages import Health
+from sextant.shared.transport import Endpoints
 from tests.support.commands import PATIENCE_S, ROOT, Command, Ear, environment, eventually, skip_where_taken, write_course
 from tests.support.composed import commands_of
 
@@ -253,7 +253,7 @@ def test_two_machines_walk_together_whichever_is_there_first(tmp_path: Path) -> 
 
 def composed(file: str, mounts: dict[str, str], **variables: str) -> tuple[LaunchedCommand, ...]:
     """The commands of a compose file, without its warm-up: what is compiled here is compiled already."""
-    found = commands_of((Path(deploy.__file__).parent / file).read_text(encoding="utf-8"), variables, mounts)
+    found = commands_of((Path(deploy.__file__).resolve().parent / file).read_text(encoding="utf-8"), variables, mounts)
     return tuple(replace(c, after=tuple(n for n in c.after if n != WARM_UP)) for c in found if c.name != WARM_UP)
 
 
@@ -313,7 +313,12 @@ def test_what_compose_offboard_yaml_starts_walks_a_robot_by_certificates_and_eac
                 eventually(walks, "a walk that is led from the base", alive=onboard.running)
             assert launcher.poll() == [], "\n".join(said[-30:])
             for command in commands:
-                check = [sys.executable, "-m", "deploy.healthy", *(("--port", str(ROUTER_PORT)) if command.ready_port else ())]
+                check = [
+                    sys.executable,
+                    "-m",
+                    "sextant.deploy.healthy",
+                    *(("--port", str(ROUTER_PORT)) if command.ready_port else ()),
+                ]
                 around = {**os.environ, **command.environment}
                 done = subprocess.run(check, env=around, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
                 assert done.returncode == 0, f"{command.name}: {done.stderr}"

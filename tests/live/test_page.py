@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.bench import browser as browsers
-from deploy.bench.browser import DESKTOP, PHONE, SMALL, Hand
-from deploy.bench.page_robot import PageRobot
-from services.console.recording.reader import Recording
-from shared.messages import Mode
+from sextant.deploy.bench import browser as browsers
+from sextant.deploy.bench.browser import DESKTOP, PHONE, SMALL, Hand
+from sextant.deploy.bench.page_robot import PageRobot
+from sextant.services.console.recording.reader import Recording
+from sextant.shared.messages import Mode
 from tests.support.commands import PATIENCE_S
 
 pytestmark = [

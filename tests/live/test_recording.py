@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.launch.launcher import host_router
-from services.console.recording.reader import Recording
-from services.console.recording.recovery import recover
-from shared import codec, topics
-from shared.messages import RecordCommand, RecorderState, VelocityCommand
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.launch.launcher import host_router
+from sextant.services.console.recording.reader import Recording
+from sextant.services.console.recording.recovery import recover
+from sextant.shared import codec, topics
+from sextant.shared.messages import RecordCommand, RecorderState, VelocityCommand
+from sextant.shared.transport import Endpoints, ZenohLink
 
 pytestmark = pytest.mark.live
 ROOT = Path(__file__).parents[2]
@@ -47,7 +47,7 @@ def said(endpoints: Endpoints) -> Iterator[threading.Event]:
 
 
 def sextant(*words: str) -> list[str]:
-    return [sys.executable, "-m", "deploy.cli", *words]
+    return [sys.executable, "-m", "sextant.deploy.cli", *words]
 
 
 def met(endpoints: Endpoints) -> tuple[str, ...]:
@@ -99,7 +99,7 @@ def test_a_disk_without_room_is_refused_with_what_to_do(endpoints: Endpoints, tm
 def test_the_process_records_by_order_and_says_how_it_stands(
     endpoints: Endpoints, said: threading.Event, tmp_path: Path
 ) -> None:
-    words = ("-m", "services.console.recorder", *met(endpoints), "--set", f"folder={tmp_path}", "--set", "reserve_mb=0")
+    words = ("-m", "sextant.services.console.recorder", *met(endpoints), "--set", f"folder={tmp_path}", "--set", "reserve_mb=0")
     states: list[RecorderState] = []
     with ZenohLink(endpoints) as link:
         link.subscribe(topics.RECORDER_STATE, lambda _, frame: states.append(codec.decode(frame, RecorderState)[0]))

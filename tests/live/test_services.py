@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.launch.launcher import free_port
-from deploy.launch.units import TARGET
-from shared.transport import Endpoints
+from sextant.deploy import cli
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.launch.units import TARGET
+from sextant.shared.transport import Endpoints
 from tests.support.commands import PATIENCE_S, Ear, environment, eventually, write_course
 from tests.support.unit_files import read_unit, words_of
 

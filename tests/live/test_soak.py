@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.bench import soak
-from deploy.process_table import rows
+from sextant.deploy.bench import soak
+from sextant.deploy.process_table import rows
 from tests.support.commands import Command
 
 pytestmark = pytest.mark.live

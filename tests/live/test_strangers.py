@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.bench import strangers
+from sextant.deploy import cli
+from sextant.deploy.bench import strangers
 
 pytestmark = pytest.mark.live
 

@@ -6,19 +6,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator.config import Settings
-from services.actuator.latch import Latch
-from services.actuator.permit import Permit
-from services.actuator.service import Actuator
-from services.simulator.bus import MemoryPort, ServoBusEmulator
-from services.simulator.servos import ServoBank
-from shared import codec, topics
-from shared import dynamixel as dxl
-from shared.geometry import Array, apply, from_xyz_rpy
-from shared.kinematics import body_forward, body_inverse, joint_torques
-from shared.messages import ActuatorState, Message, ModeCommand, StepPlan, Tick
-from shared.profiles import load_profile
-from shared.service import Inbox
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.permit import Permit
+from sextant.services.actuator.service import Actuator
+from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servos import ServoBank
+from sextant.shared import codec, topics
+from sextant.shared import dynamixel as dxl
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.kinematics import body_forward, body_inverse, joint_torques
+from sextant.shared.messages import ActuatorState, Message, ModeCommand, StepPlan, Tick
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import Inbox
 
 PROFILE = load_profile("phantomx_mk2")
 REST = PROFILE.rest_feet()

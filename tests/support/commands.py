@@ -17,11 +17,11 @@ from typing import Self
 
 import pytest
 
-from deploy.launch.ports import port_taken
-from shared import codec, topics
-from shared.messages import ActuatorState, Mode, PlannerStatus
-from shared.service import AnyTopic
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.launch.ports import port_taken
+from sextant.shared import codec, topics
+from sextant.shared.messages import ActuatorState, Mode, PlannerStatus
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints, ZenohLink
 from tests.support.idle import is_giving_way, weigh_little
 
 ROOT = Path(__file__).parents[2]
@@ -54,7 +54,7 @@ class Process:
 
 
 class Command:
-    """`python -m deploy.cli WORDS` in a process group of its own, as a shell starts it; a context manager."""
+    """`python -m sextant.deploy.cli WORDS` in a process group of its own, as a shell starts it; a context manager."""
 
     def __init__(self, *words: str, cwd: Path):
         self.said: list[str] = []  # lines of stdout and stderr
@@ -64,7 +64,7 @@ class Command:
 
     def __enter__(self) -> Self:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "deploy.cli", *self._words],
+            [sys.executable, "-m", "sextant.deploy.cli", *self._words],
             cwd=self._cwd,
             env={**os.environ, **environment(), _MARK: self._mark},
             stdin=subprocess.DEVNULL,
@@ -113,7 +113,7 @@ class Command:
 
     def service(self, name: str) -> Process | None:
         """The running process of a service."""
-        return next((found for found in self.family() if f"services.{name}" in found.words), None)
+        return next((found for found in self.family() if f"sextant.services.{name}" in found.words), None)
 
     def endpoints(self) -> Endpoints:
         """Where its services meet, once they run."""

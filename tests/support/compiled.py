@@ -5,12 +5,12 @@ python -m tests.support.compiled steps 5.0     a process of its own: what anothe
 
 import sys
 
-from deploy.runs.lockstep_run import assemble
-from deploy.warm_up import rehearse
-from shared.profiles import load_profile
-from shared.scenario import load_scenario
+from sextant.deploy.runs.lockstep_run import assemble
+from sextant.deploy.warm_up import rehearse
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import load_scenario
 
-SERVICES = ("services.perception", "services.mapper", "services.planner", "services.simulator")
+SERVICES = ("sextant.services.perception", "sextant.services.mapper", "sextant.services.planner", "sextant.services.simulator")
 
 
 def signatures() -> set[str]:

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.perception import tum
-from shared.camera import DepthSensor, Intrinsics
+from sextant.services.perception import tum
+from sextant.shared.camera import DepthSensor, Intrinsics
 from tests.support.raycast import depth_image
 
 RATE_HZ = 30.0

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from services.actuator.bus import ServoBus
-from services.simulator.bus import MemoryPort
-from services.simulator.workbench import Workbench
-from shared import dynamixel as dxl
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
+from sextant.services.actuator.bus import ServoBus
+from sextant.services.simulator.bus import MemoryPort
+from sextant.services.simulator.workbench import Workbench
+from sextant.shared import dynamixel as dxl
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
 
 PHANTOMX = load_profile("phantomx_mk2")
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import zenoh
 
-from deploy.network.authority import Authority
-from shared.access import ROLES, Keys
-from shared.topics import Topic
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.network.authority import Authority
+from sextant.shared.access import ROLES, Keys
+from sextant.shared.topics import Topic
+from sextant.shared.transport import Endpoints, ZenohLink
 
 NAMESPACE = "here"
 PATIENCE_S = 10.0  # an event that has not come by then never will

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.mapper.checked_scan import CheckedScan
-from services.mapper.elevation import ElevationGrid, FusionCount
+from sextant.services.mapper.checked_scan import CheckedScan
+from sextant.services.mapper.elevation import ElevationGrid, FusionCount
 
 scan_of = CheckedScan.of
 CAMERA = np.array([0.0, 0.0, 0.25])

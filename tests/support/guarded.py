@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from services.actuator.guard import Act, Guard, Legs
-from services.actuator.health import Verdict
-from shared.geometry import apply, from_xyz_rpy
-from shared.messages import Mode, ModeCommand, StepPlan
-from shared.profiles import load_profile
+from sextant.services.actuator.guard import Act, Guard, Legs
+from sextant.services.actuator.health import Verdict
+from sextant.shared.geometry import apply, from_xyz_rpy
+from sextant.shared.messages import Mode, ModeCommand, StepPlan
+from sextant.shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 START = from_xyz_rpy((0.0, 0.0, PROFILE.stance.body_height), np.zeros(3))

@@ -5,19 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from services.actuator.config import Settings
-from services.actuator.joints import Joints
-from services.simulator.board import Board
-from services.simulator.bus import MemoryPort, ServoBusEmulator
-from services.simulator.bus_faults import BusFaults
-from services.simulator.servos import ServoBank
-from services.simulator.wire import Reply
-from shared import dynamixel as dxl
-from shared.bus_fault import BusFault
-from shared.dynamixel import Instruction, Packet, PacketParser, Register
-from shared.geometry import Array
-from shared.kinematics import body_inverse
-from shared.profiles import load_profile
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.joints import Joints
+from sextant.services.simulator.board import Board
+from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.bus_faults import BusFaults
+from sextant.services.simulator.servos import ServoBank
+from sextant.services.simulator.wire import Reply
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bus_fault import BusFault
+from sextant.shared.dynamixel import Instruction, Packet, PacketParser, Register
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import body_inverse
+from sextant.shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 IDS = PROFILE.servo_ids.ravel().tolist()

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.camera import DepthSensor, Intrinsics
-from shared.compiled import compiled
-from shared.geometry import from_xyz_rpy, transform
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import from_xyz_rpy, transform
 
 INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 SENSOR = DepthSensor()

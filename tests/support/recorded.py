@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from shared import codec, topics
-from shared.messages import (
+from sextant.shared import codec, topics
+from sextant.shared.messages import (
     UNKNOWN,
     Message,
     ModeCommand,
@@ -11,7 +11,7 @@ from shared.messages import (
     TerrainMap,
     VelocityCommand,
 )
-from shared.service import AnyTopic
+from sextant.shared.service import AnyTopic
 
 S = 1_000_000_000
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from shared.messages import Message, ModeCommand, PlannerStatus, VelocityCommand
-from shared.service import AnyTopic, Inbox, Stages
+from sextant.shared.messages import Message, ModeCommand, PlannerStatus, VelocityCommand
+from sextant.shared.service import AnyTopic, Inbox, Stages
 
 
 def velocity(stamp_ns: int = 0, forward: float = 0.1) -> VelocityCommand:

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from shared.messages import ActuatorState, Mode
-from shared.robot import RobotProfile
+from sextant.shared.messages import ActuatorState, Mode
+from sextant.shared.robot import RobotProfile
 
 
 def actuator_state(profile: RobotProfile, **changes: Any) -> ActuatorState:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array
+from sextant.shared.geometry import Array
 
 STEP = 0.02  # [m] grid
 ORIGIN = (-0.8, -1.2)  # [m] of grid point (0, 0)

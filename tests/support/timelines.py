@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from deploy.faults.timeline import Timeline, Truth, Word
-from shared.messages import Mode
-from shared.profiles import load_profile
+from sextant.deploy.faults.timeline import Timeline, Truth, Word
+from sextant.shared.messages import Mode
+from sextant.shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 BEGIN_S, PERIOD_S = 10.0, 0.02

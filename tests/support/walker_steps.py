@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.actuator import plan_check
-from services.actuator.config import Settings
-from services.actuator.walker import Targets, Walker
-from shared.geometry import Array, apply, from_xyz_rpy
-from shared.messages import StepPlan
-from shared.profiles import load_profile
+from sextant.services.actuator import plan_check
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.walker import Targets, Walker
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.messages import StepPlan
+from sextant.shared.profiles import load_profile
 
 Flags = NDArray[np.bool_]
 

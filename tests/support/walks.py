@@ -7,15 +7,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from deploy.judging.report import Report
-from deploy.runs.lockstep_run import LockstepRun, assemble
-from shared import codec, topics
-from shared.geometry import Array
-from shared.messages import ActuatorState, Message, PlannerStatus, TerrainMap
-from shared.profiles import load_profile
-from shared.scenario import Goal, Plane, Scenario, load_scenario
-from shared.service import AnyTopic, Service
-from shared.topics import Topic
+from sextant.deploy.judging.report import Report
+from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
+from sextant.shared import codec, topics
+from sextant.shared.geometry import Array
+from sextant.shared.messages import ActuatorState, Message, PlannerStatus, TerrainMap
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Goal, Plane, Scenario, load_scenario
+from sextant.shared.service import AnyTopic, Service
+from sextant.shared.topics import Topic
 
 S = 1_000_000_000
 LOOK_NS = 100_000_000  # simulated time between two looks at a run

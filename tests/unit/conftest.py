@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.actuator import latch, permit
+from sextant.services.actuator import latch, permit
 
 
 @pytest.fixture(autouse=True, scope="session")

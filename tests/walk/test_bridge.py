@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from services.actuator.bridge import READ_NS, Bridge
-from services.actuator.bus import BusSetupError, open_port
-from services.simulator.board import Board
-from services.simulator.bus import BusTiming, ServoBusEmulator
-from services.simulator.service import Simulator
-from services.simulator.servos import ServoBank
-from services.simulator.tcp_port import TcpBusServer
-from shared.bridge import Mode
+from sextant.deploy import cli
+from sextant.services.actuator.bridge import READ_NS, Bridge
+from sextant.services.actuator.bus import BusSetupError, open_port
+from sextant.services.simulator.board import Board
+from sextant.services.simulator.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.service import Simulator
+from sextant.services.simulator.servos import ServoBank
+from sextant.services.simulator.tcp_port import TcpBusServer
+from sextant.shared.bridge import Mode
 from tests.support.walks import LockstepRun, flat, walk
 
 PATIENCE_S, ANEW_S = 30.0, 3.0  # [s] until an order must have been followed, and after which it is given in a new session

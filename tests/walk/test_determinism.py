@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from deploy.runs.lockstep_run import run_lockstep
-from services.console.recording.reader import Recording
-from shared import topics
-from shared.scenario import Rubble
+from sextant.deploy.runs.lockstep_run import run_lockstep
+from sextant.services.console.recording.reader import Recording
+from sextant.shared import topics
+from sextant.shared.scenario import Rubble
 from tests.support.walks import flat
 
 COURSE = flat(0.25)
@@ -85,7 +85,7 @@ def test_a_run_that_is_stopped_and_continued_at_random_is_the_same_run(tmp_path:
     course = tmp_path / "course.toml"
     course.write_text(TEXT, encoding="utf-8")
     calm, stopped = tmp_path / "calm", tmp_path / "stopped"
-    command = [sys.executable, "-m", "deploy.cli", "run", str(course), "--lockstep", "--seed", "1000", "--out"]
+    command = [sys.executable, "-m", "sextant.deploy.cli", "run", str(course), "--lockstep", "--seed", "1000", "--out"]
     subprocess.run([*command, str(calm)], cwd=ROOT, check=True, capture_output=True)
     chance, stops = random.Random(1000), 0
     with subprocess.Popen([*command, str(stopped)], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as run:

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from deploy.judging.walk_metrics import stability_margin
-from deploy.runs.lockstep_run import LockstepRun
-from services.actuator.bus import ServoBus
-from services.simulator.bus import MemoryPort
-from services.simulator.service import Simulator
-from shared import dynamixel as dxl
-from shared import topics
-from shared.messages import Mode
-from shared.profiles import load_profile
-from shared.scenario import Fault, Scenario
+from sextant.deploy.judging.walk_metrics import stability_margin
+from sextant.deploy.runs.lockstep_run import LockstepRun
+from sextant.services.actuator.bus import ServoBus
+from sextant.services.simulator.bus import MemoryPort
+from sextant.services.simulator.service import Simulator
+from sextant.shared import dynamixel as dxl
+from sextant.shared import topics
+from sextant.shared.messages import Mode
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Fault, Scenario
 from tests.support.walks import Walk, flat, walk
 
 AT_S = 4.5  # the third step is in its middle, three feet are in the air

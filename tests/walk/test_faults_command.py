@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.cli import main
-from deploy.commands.common import SUCCESS
+from sextant.deploy.cli import main
+from sextant.deploy.commands.common import SUCCESS
 
 FAULTS = ("planner-hung", "servo-silent", "overload", "sag", "off-bytes-garbage")
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.runs.lockstep_run import run_lockstep
-from shared.scenario import Goal, load_scenario
+from sextant.deploy import cli
+from sextant.deploy.runs.lockstep_run import run_lockstep
+from sextant.shared.scenario import Goal, load_scenario
 
 _TWO_STEPS = """
 name = "two-steps"

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from deploy.judging.report import as_table, check
-from shared import topics
-from shared.messages import Mode
-from shared.scenario import load_scenario
+from sextant.deploy.judging.report import as_table, check
+from sextant.shared import topics
+from sextant.shared.messages import Mode
+from sextant.shared.scenario import load_scenario
 from tests.support.walks import walk
 
 

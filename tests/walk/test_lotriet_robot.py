@@ -2,10 +2,10 @@
 
 import pytest
 
-from deploy.pictures.thesis_figures import TESTS, Measured
-from deploy.runs.lockstep_run import assemble
-from shared.profiles import load_profile
-from shared.scenario import load_scenario
+from sextant.deploy.pictures.thesis_figures import TESTS, Measured
+from sextant.deploy.runs.lockstep_run import assemble
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import load_scenario
 
 _LOOK_NS = 500_000_000
 

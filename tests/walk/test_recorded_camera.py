@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.replay.tum_recording import record_tum
-from services.mapper.config import Settings as MapperSettings
-from services.mapper.service import Mapper
-from services.perception.cameras.config import Settings as CameraSettings
-from services.perception.cameras.service import CameraService
-from services.perception.config import Settings as PerceptionSettings
-from services.perception.service import Perception
-from services.planner.config import Settings as PlannerSettings
-from services.planner.service import Planner
-from shared import codec, topics
-from shared.geometry import from_xyz_rpy
-from shared.lockstep import Lockstep
-from shared.messages import Message, Odometry, Tick, VelocityCommand
-from shared.profiles import load_profile
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.deploy.replay.tum_recording import record_tum
+from sextant.services.mapper.config import Settings as MapperSettings
+from sextant.services.mapper.service import Mapper
+from sextant.services.perception.cameras.config import Settings as CameraSettings
+from sextant.services.perception.cameras.service import CameraService
+from sextant.services.perception.config import Settings as PerceptionSettings
+from sextant.services.perception.service import Perception
+from sextant.services.planner.config import Settings as PlannerSettings
+from sextant.services.planner.service import Planner
+from sextant.shared import codec, topics
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.lockstep import Lockstep
+from sextant.shared.messages import Message, Odometry, Tick, VelocityCommand
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 from tests.support.states import actuator_state
 from tests.support.walks import Heard, flat
 

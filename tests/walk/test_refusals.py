@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.judging.report import as_table, check
-from shared.messages import Mode
-from shared.robot import LEGS
+from sextant.deploy.judging.report import as_table, check
+from sextant.shared.messages import Mode
+from sextant.shared.robot import LEGS
 from tests.support.walks import course, walk
 
 HEAD = """

@@ -23,5 +23,5 @@ def test_a_walk_compiles_nothing_that_was_not_rehearsed(scenario: str, until_s: 
         command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=PATIENCE_S, check=True
     )
     rehearsed, *new = done.stdout.strip().splitlines()
-    assert {f"services.{name}" for name in SELDOM} <= set(rehearsed.split())
+    assert {f"sextant.services.{name}" for name in SELDOM} <= set(rehearsed.split())
     assert not new

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy import cli
-from deploy.progress import Silent
-from deploy.replay import sequence as replay
-from deploy.replay.tum_recording import record_tum
-from services.perception import tum
-from shared.geometry import apply
-from shared.profiles import load_profile
-from shared.scenario import load_scenario
+from sextant.deploy import cli
+from sextant.deploy.progress import Silent
+from sextant.deploy.replay import sequence as replay
+from sextant.deploy.replay.tum_recording import record_tum
+from sextant.services.perception import tum
+from sextant.shared.geometry import apply
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import load_scenario
 
 ROOT = Path(__file__).parents[2]
 WALKED_S = 7.0  # [s] the robot stands up for two and a half

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy import cli
+from sextant.deploy import cli
 from tests.support.depth_folders import RATE_HZ, room, write_folder
 from tests.support.raycast import camera_pose
 

@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.progress import Silent
-from deploy.replay.walk import Change, replay_recording
-from deploy.runs.attendance import about
-from deploy.runs.lockstep_run import assemble
-from deploy.video.story import Story
-from services.console.recording.foxglove.translation import Foxglove
-from services.console.recording.reader import Recording
-from services.console.recording.writer import Recorder
-from services.simulator.terrain import build_terrain
-from shared.geometry import transform
-from shared.messages import BodyPose, Message, Scan
-from shared.profiles import load_profile
-from shared.scenario import load_scenario
-from shared.service import AnyTopic
+from sextant.deploy.progress import Silent
+from sextant.deploy.replay.walk import Change, replay_recording
+from sextant.deploy.runs.attendance import about
+from sextant.deploy.runs.lockstep_run import assemble
+from sextant.deploy.video.story import Story
+from sextant.services.console.recording.foxglove.translation import Foxglove
+from sextant.services.console.recording.reader import Recording
+from sextant.services.console.recording.writer import Recorder
+from sextant.services.simulator.terrain import build_terrain
+from sextant.shared.geometry import transform
+from sextant.shared.messages import BodyPose, Message, Scan
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import load_scenario
+from sextant.shared.service import AnyTopic
 
 S = 1_000_000_000
 STEPS = load_scenario("steps")

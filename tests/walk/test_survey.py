@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from deploy.bench.model import LENGTH, ORIGIN, WIDTH, Asker
-from services.simulator.terrain import build_terrain
-from shared import codec, topics
-from shared.scenario import Box
+from sextant.deploy.bench.model import LENGTH, ORIGIN, WIDTH, Asker
+from sextant.services.simulator.terrain import build_terrain
+from sextant.shared import codec, topics
+from sextant.shared.scenario import Box
 from tests.support.walks import flat, walk
 
 BLOCK = Box((1.0, 0.35), (0.2, 0.3), 0.06)

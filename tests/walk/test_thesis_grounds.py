@@ -13,23 +13,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from deploy.bench.ride import CarriedCamera, Errors, Ride, ride
-from services.mapper.config import Settings as MapperSettings
-from services.mapper.layers import FootholdLayers
-from services.mapper.score import ScoreWeights, WalkabilityScorer, published_score
-from services.mapper.service import Mapper
-from services.perception.config import Settings as PerceptionSettings
-from services.perception.service import Perception
-from services.planner.foothold import Foothold, nearest_foothold, offsets_by_distance
-from services.planner.terrain import ACCEPTABLE, GOOD, Layer, Terrain
-from services.simulator import terrain as ground
-from services.simulator.terrain import build_terrain
-from shared import codec, topics
-from shared.geometry import Array
-from shared.lockstep import Lockstep
-from shared.messages import UNKNOWN, TerrainMap
-from shared.scenario import load_scenario
-from shared.service import AnyTopic
+from sextant.deploy.bench.ride import CarriedCamera, Errors, Ride, ride
+from sextant.services.mapper.config import Settings as MapperSettings
+from sextant.services.mapper.layers import FootholdLayers
+from sextant.services.mapper.score import ScoreWeights, WalkabilityScorer, published_score
+from sextant.services.mapper.service import Mapper
+from sextant.services.perception.config import Settings as PerceptionSettings
+from sextant.services.perception.service import Perception
+from sextant.services.planner.foothold import Foothold, nearest_foothold, offsets_by_distance
+from sextant.services.planner.terrain import ACCEPTABLE, GOOD, Layer, Terrain
+from sextant.services.simulator import terrain as ground
+from sextant.services.simulator.terrain import build_terrain
+from sextant.shared import codec, topics
+from sextant.shared.geometry import Array
+from sextant.shared.lockstep import Lockstep
+from sextant.shared.messages import UNKNOWN, TerrainMap
+from sextant.shared.scenario import load_scenario
+from sextant.shared.service import AnyTopic
 from tests.support import thesis_grounds as things
 from tests.support.walks import blocked
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.judging.report import check
-from deploy.runs.lockstep_run import run_lockstep
-from shared.scenario import Walk, load_scenario
+from sextant.deploy import cli
+from sextant.deploy.judging.report import check
+from sextant.deploy.runs.lockstep_run import run_lockstep
+from sextant.shared.scenario import Walk, load_scenario
 from tests.support.walks import flat
 
 BODY_HEIGHT = 0.11  # [m] commanded

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from shared.kinematics import body_inverse, within_limits
-from shared.profiles import load_profile
+from sextant.deploy import cli
+from sextant.shared.kinematics import body_inverse, within_limits
+from sextant.shared.profiles import load_profile
 from tests.support.commands import write_course
 
 DOC = (Path(__file__).parents[2] / "docs" / "your_robot.md").read_text(encoding="utf-8")

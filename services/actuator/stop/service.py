@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator
 
-from services.actuator.latch import Latch
-from services.actuator.orders import is_no_time, is_of_now
-from services.actuator.stop.config import Settings
-from shared import topics
-from shared.messages import Message, ModeCommand, StopOrder, Tick
-from shared.robot import RobotProfile
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.orders import is_no_time, is_of_now
+from sextant.services.actuator.stop.config import Settings
+from sextant.shared import topics
+from sextant.shared.messages import Message, ModeCommand, StopOrder, Tick
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 
 _BEAT_HZ = 25.0  # between two looks at what was ordered
 _HOLDERS = 64  # whose newest orders are remembered

@@ -1,4 +1,4 @@
-"""The lobby's process: `python -m services.console.lobby --set robots.alpha=8101 --set robots.beta=8102`."""
+"""The lobby's process: `python -m sextant.services.console.lobby --set robots.alpha=8101 --set robots.beta=8102`."""
 
 import argparse
 import asyncio
@@ -9,18 +9,20 @@ import sys
 import time
 from collections.abc import Sequence
 
-from services.console.lobby.config import Settings
-from services.console.lobby.front import HEAD_BYTES, Front
-from shared.ending import end_with
-from shared.process import load_settings
-from shared.watchdog import Watchdog
+from sextant.services.console.lobby.config import Settings
+from sextant.services.console.lobby.front import HEAD_BYTES, Front
+from sextant.shared.ending import end_with
+from sextant.shared.process import load_settings
+from sextant.shared.watchdog import Watchdog
 
 _BEAT_S = 0.25  # between two signs of life
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Serve until told to stop; 0 then, 1 where the address cannot be listened on, 2 for what the caller got wrong."""
-    parser = argparse.ArgumentParser(prog="python -m services.console.lobby", description="One address for several consoles.")
+    parser = argparse.ArgumentParser(
+        prog="python -m sextant.services.console.lobby", description="One address for several consoles."
+    )
     parser.add_argument("--config", help="TOML file with settings")
     words = "one setting of: host, port, token, robots"
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=words)

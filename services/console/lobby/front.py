@@ -12,9 +12,9 @@ import re
 from http import HTTPStatus
 from typing import NamedTuple
 
-from services.console.door import Door
-from services.console.files import HEADERS, KINDS, headers_of, page_files
-from services.console.lobby.config import Settings
+from sextant.services.console.door import Door
+from sextant.services.console.files import HEADERS, KINDS, headers_of, page_files
+from sextant.services.console.lobby.config import Settings
 
 log = logging.getLogger(__name__)
 

@@ -1,7 +1,7 @@
-"""The recorder's process: `python -m services.console.recorder --connect tcp/127.0.0.1:7447`."""
+"""The recorder's process: `python -m sextant.services.console.recorder --connect tcp/127.0.0.1:7447`."""
 
-from services.console.recorder.config import Settings
-from services.console.recorder.service import RecorderService
-from shared import process
+from sextant.services.console.recorder.config import Settings
+from sextant.services.console.recorder.service import RecorderService
+from sextant.shared import process
 
 process.main("recorder", Settings, RecorderService)

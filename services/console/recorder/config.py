@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from shared import config
+from sextant.shared import config
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,16 +8,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from services.console.recorder.config import Settings
-from services.console.recording.foxglove.translation import Foxglove
-from services.console.recording.live import LiveRecorder
-from services.console.recording.rotation import Rotation
-from services.console.recording.writer import LEFT_OUT, Recorder
-from shared import clock, topics
-from shared.live import Link
-from shared.messages import Message, RecordCommand, RecorderState, Tick
-from shared.robot import RobotProfile
-from shared.service import AHEAD_NS, AnyTopic, Every, Inbox, Stages
+from sextant.services.console.recorder.config import Settings
+from sextant.services.console.recording.foxglove.translation import Foxglove
+from sextant.services.console.recording.live import LiveRecorder
+from sextant.services.console.recording.rotation import Rotation
+from sextant.services.console.recording.writer import LEFT_OUT, Recorder
+from sextant.shared import clock, topics
+from sextant.shared.live import Link
+from sextant.shared.messages import Message, RecordCommand, RecorderState, Tick
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AHEAD_NS, AnyTopic, Every, Inbox, Stages
 
 _LOGGER = logging.getLogger(__name__)
 

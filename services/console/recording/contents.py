@@ -8,9 +8,9 @@ from typing import Any
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from mcap.records import Message as Entry
 
-from services.console.recording.layout import METADATA
-from services.console.recording.reader import Recording, read_records
-from services.console.recording.records import Condition, printable
+from sextant.services.console.recording.layout import METADATA
+from sextant.services.console.recording.reader import Recording, read_records
+from sextant.services.console.recording.records import Condition, printable
 
 
 @dataclass(slots=True)

@@ -5,8 +5,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from shared import codec, messages
-from shared.messages import Message
+from sextant.shared import codec, messages
+from sextant.shared.messages import Message
 
 ENCODING = "sextant"  # of schemas and messages that are the wire's own
 METADATA = "run"  # name of what a file says about itself

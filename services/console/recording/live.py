@@ -7,10 +7,10 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol, Self
 
-from services.console.recording.rotation import NoRoomError
-from shared import topics
-from shared.live import Link
-from shared.service import AnyTopic
+from sextant.services.console.recording.rotation import NoRoomError
+from sextant.shared import topics
+from sextant.shared.live import Link
+from sextant.shared.service import AnyTopic
 
 _QUEUE_FRAMES = 2000  # that may wait for the disk
 _QUEUE_BYTES = 64 << 20  # of them together

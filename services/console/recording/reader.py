@@ -6,11 +6,11 @@ from pathlib import Path
 from mcap.records import Channel, McapRecord, Metadata, Schema
 from mcap.records import Message as Entry
 
-from services.console.recording.layout import ENCODING, METADATA, RecordingError
-from services.console.recording.records import MAGIC, Condition, records
-from shared import codec, topics
-from shared.messages import Message
-from shared.service import AnyTopic
+from sextant.services.console.recording.layout import ENCODING, METADATA, RecordingError
+from sextant.services.console.recording.records import MAGIC, Condition, records
+from sextant.shared import codec, topics
+from sextant.shared.messages import Message
+from sextant.shared.service import AnyTopic
 
 _RECOVERED = ".recovered.mcap"
 _INSTEAD = "give the recording.mcap of a run's folder, or a folder of recordings"

@@ -9,10 +9,10 @@ from mcap.records import Attachment, Channel, Header, McapRecord, Metadata, Sche
 from mcap.records import Message as Entry
 from mcap.writer import CompressionType, Writer
 
-from services.console.recording.layout import RecordingError
-from services.console.recording.reader import read_records
-from services.console.recording.records import Condition
-from shared import files
+from sextant.services.console.recording.layout import RecordingError
+from sextant.services.console.recording.reader import read_records
+from sextant.services.console.recording.records import Condition
+from sextant.shared import files
 
 
 @dataclass(slots=True)

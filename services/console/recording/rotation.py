@@ -4,8 +4,8 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from services.console.recording.writer import Recorder
-from shared.service import AnyTopic
+from sextant.services.console.recording.writer import Recorder
+from sextant.shared.service import AnyTopic
 
 FILE_NS = 60_000_000_000  # [ns] of a file
 RESERVE_BYTES = 500 << 20  # that others keep of the disk

@@ -12,9 +12,9 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message as ProtoMessage
 from mcap.writer import CompressionType, Writer
 
-from services.console.recording.layout import ENCODING, FRAME_LAYOUT, METADATA, describe
-from shared import files, topics
-from shared.service import AnyTopic
+from sextant.services.console.recording.layout import ENCODING, FRAME_LAYOUT, METADATA, describe
+from sextant.shared import files, topics
+from sextant.shared.service import AnyTopic
 
 # What is lost at most when the process dies: the chunk that is being filled.
 _CHUNK_BYTES = 256 << 10

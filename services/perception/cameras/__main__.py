@@ -1,7 +1,7 @@
-"""The camera's process: `python -m services.perception.cameras --connect tcp/127.0.0.1:7447 --set device=realsense`."""
+"""The camera's process: `python -m sextant.services.perception.cameras --connect tcp/127.0.0.1:7447 --set device=realsense`."""
 
-from services.perception.cameras.config import Settings
-from services.perception.cameras.live import live_camera
-from shared import process
+from sextant.services.perception.cameras.config import Settings
+from sextant.services.perception.cameras.live import live_camera
+from sextant.shared import process
 
 process.main("camera", Settings, live_camera)

@@ -7,15 +7,15 @@ from typing import Self
 
 import numpy as np
 
-from services.perception import tum
-from services.perception.cameras.camera import (
+from sextant.services.perception import tum
+from sextant.services.perception.cameras.camera import (
     CameraError,
     Frame,
     RecordingOverError,
     check_depth_scale,
     check_intrinsics,
 )
-from shared.robot import Camera as CameraProfile
+from sextant.shared.robot import Camera as CameraProfile
 
 _REMEDY = "give a folder with depth.txt and camera.toml, as `sextant run --lockstep --record-depth` writes it"
 

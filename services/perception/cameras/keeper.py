@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
-from services.perception.cameras.camera import Camera, CameraError, Frame, RecordingOverError
-from services.perception.cameras.watch import Watch
+from sextant.services.perception.cameras.camera import Camera, CameraError, Frame, RecordingOverError
+from sextant.services.perception.cameras.watch import Watch
 
 FIRST_RETRY_S, LAST_RETRY_S = 1.0, 16.0  # [s] between two attempts at the beginning, and at most
 _FIRST_PICTURE_S = 4.0  # [s] that a device may take to send its first picture

@@ -2,9 +2,9 @@
 
 import time
 
-from services.perception.cameras.config import Settings
-from services.perception.cameras.service import CameraService
-from shared.robot import RobotProfile
+from sextant.services.perception.cameras.config import Settings
+from sextant.services.perception.cameras.service import CameraService
+from sextant.shared.robot import RobotProfile
 
 
 def live_camera(profile: RobotProfile, settings: Settings) -> CameraService:

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Self
 
-from services.perception.cameras.camera import Camera, CameraError, Frame
-from services.perception.cameras.config import Settings
-from services.perception.cameras.keeper import Keeper
-from services.perception.cameras.watch import Watch
-from shared import topics
-from shared.messages import CameraState, ColorImage, DepthImage, Message, Tick
-from shared.robot import RobotProfile
-from shared.service import AnyTopic, Every, Inbox, Stages
+from sextant.services.perception.cameras.camera import Camera, CameraError, Frame
+from sextant.services.perception.cameras.config import Settings
+from sextant.services.perception.cameras.keeper import Keeper
+from sextant.services.perception.cameras.watch import Watch
+from sextant.shared import topics
+from sextant.shared.messages import CameraState, ColorImage, DepthImage, Message, Tick
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic, Every, Inbox, Stages
 
 _LOOKS = 4  # at the device in the time of one picture
 _STATE_NS = 250_000_000  # [ns] between two state messages while nothing changes
@@ -139,11 +139,11 @@ def open_camera(device: str, profile: RobotProfile, settings: Settings, clock: C
         CameraError: It cannot be opened, and why.
     """
     if device == "openni2":
-        from services.perception.cameras.openni import OpenNI
+        from sextant.services.perception.cameras.openni import OpenNI
 
         return OpenNI(profile.camera, clock, settings.delay_s)
     if device == "realsense":
-        from services.perception.cameras.realsense import RealSense
+        from sextant.services.perception.cameras.realsense import RealSense
 
         return RealSense(profile.camera, clock, settings.delay_s)
     if device == "none":
@@ -151,7 +151,7 @@ def open_camera(device: str, profile: RobotProfile, settings: Settings, clock: C
             f"the profile {profile.name} names no camera",
             'set device = "openni2" or "realsense" in its [camera], or give --camera DIR',
         )
-    from services.perception.cameras.folder import FolderCamera
+    from sextant.services.perception.cameras.folder import FolderCamera
 
     return FolderCamera(Path(device), profile.camera, clock, settings.loop)
 
@@ -163,11 +163,11 @@ def find(device: str, profile: RobotProfile) -> list[str]:
         CameraError: It cannot be looked for, or a recording is not as the profile has it.
     """
     if device == "openni2":
-        from services.perception.cameras import openni
+        from sextant.services.perception.cameras import openni
 
         return openni.find()
     if device == "realsense":
-        from services.perception.cameras import realsense
+        from sextant.services.perception.cameras import realsense
 
         return realsense.find()
     with open_camera(device, profile, Settings(), lambda: 0) as camera:

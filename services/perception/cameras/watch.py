@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.camera import DepthSensor
+from sextant.shared.camera import DepthSensor
 
 EMPTY, POOR = 0.02, 0.25  # shares of the picture that are measured, below which it shows nothing, or hardly anything
 _STEADY = 0.1  # share of the newest picture in the mean by which it is told whether they show hardly anything

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from services.planner.passage.field import Field
-from shared.geometry import Array, inverse, is_rigid, rpy_from_rotation
-from shared.messages import PassageMap
+from sextant.services.planner.passage.field import Field
+from sextant.shared.geometry import Array, inverse, is_rigid, rpy_from_rotation
+from sextant.shared.messages import PassageMap
 
 _RESOLUTIONS = (0.002, 0.1)  # [m] finest and coarsest cells that make sense under a foot
 _SAME_PLACE, _SAME_WAY = 0.5, 1e-3  # [cells] and [rad] by which a strip may lie off the one that was asked for

@@ -10,19 +10,19 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.config import Settings
-from services.planner.passage.checked_map import is_near, objection
-from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
-from services.planner.passage.sections import goal_behind, without
-from services.planner.passage.telling import told
-from services.planner.passage.trail import Trail
-from services.planner.stride import Stride, time_to_swing
-from services.planner.terrain import GOOD
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
-from shared.messages import ActuatorState, Mode, PassageMap, PassagePlan, PassageRequest
-from shared.robot import LEGS, RobotProfile
-from shared.stopwatch import stopwatch_ns
+from sextant.services.planner.config import Settings
+from sextant.services.planner.passage.checked_map import is_near, objection
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
+from sextant.services.planner.passage.sections import goal_behind, without
+from sextant.services.planner.passage.telling import told
+from sextant.services.planner.passage.trail import Trail
+from sextant.services.planner.stride import Stride, time_to_swing
+from sextant.services.planner.terrain import GOOD
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from sextant.shared.messages import ActuatorState, Mode, PassageMap, PassagePlan, PassageRequest
+from sextant.shared.robot import LEGS, RobotProfile
+from sextant.shared.stopwatch import stopwatch_ns
 
 STRIP = (2.7, 1.0)  # [m] length and width of the map that is asked for; Masri 2016, section 4.4
 BEHIND = 0.5  # [m] of it behind the body

@@ -19,14 +19,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.passage import search
-from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Crossing, Roadmap, Stance
-from services.planner.passage.settings import PassageSettings
-from services.planner.passage.tables import legs_of, rules_of
-from shared.compiled import compiled
-from shared.geometry import Array
-from shared.robot import RobotProfile
+from sextant.services.planner.passage import search
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.roadmap import Crossing, Roadmap, Stance
+from sextant.services.planner.passage.settings import PassageSettings
+from sextant.services.planner.passage.tables import legs_of, rules_of
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array
+from sextant.shared.robot import RobotProfile
 
 _ATTEMPTS = 24  # of the roadmap, with other samples each
 _WORDS = 2  # of 64 directions each

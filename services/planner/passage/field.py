@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.geometry import Array, from_xyz_rpy, inverse
-from shared.messages import UNKNOWN, PassageMap
+from sextant.shared.geometry import Array, from_xyz_rpy, inverse
+from sextant.shared.messages import UNKNOWN, PassageMap
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,17 +6,17 @@ from math import radians
 
 import numpy as np
 
-from services.planner.config import Settings
-from services.planner.passage.errand import Errand, Outcome, Over, Refused, Standing, Wait
-from services.planner.passage.roadmap import Roadmap
-from services.planner.passage.settings import PassageSettings
-from services.planner.passage.verge import gap_ahead
-from services.planner.pilot import Heading, Pilot, same_goal
-from services.planner.route import NoWay
-from services.planner.terrain import Terrain
-from shared.geometry import Array, yaw_of
-from shared.messages import ActuatorState, Goal, Message, PassageMap, PassagePlan, VelocityCommand
-from shared.robot import RobotProfile
+from sextant.services.planner.config import Settings
+from sextant.services.planner.passage.errand import Errand, Outcome, Over, Refused, Standing, Wait
+from sextant.services.planner.passage.roadmap import Roadmap
+from sextant.services.planner.passage.settings import PassageSettings
+from sextant.services.planner.passage.verge import gap_ahead
+from sextant.services.planner.pilot import Heading, Pilot, same_goal
+from sextant.services.planner.route import NoWay
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array, yaw_of
+from sextant.shared.messages import ActuatorState, Goal, Message, PassageMap, PassagePlan, VelocityCommand
+from sextant.shared.robot import RobotProfile
 
 BEFORE = 0.36  # [m] before the gap where the body stops: its feet keep clear of the edge while it turns
 _AT_VERGE = 0.05  # [m] from there within which it has come

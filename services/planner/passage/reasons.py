@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.passage import search
-from services.planner.passage.field import Field
-from shared.geometry import Array, apply
-from shared.robot import LEGS
+from sextant.services.planner.passage import search
+from sextant.services.planner.passage.field import Field
+from sextant.shared.geometry import Array, apply
+from sextant.shared.robot import LEGS
 
 WORDS = (
     "",

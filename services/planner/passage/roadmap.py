@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.passage import search
-from services.planner.passage.field import Field
-from services.planner.passage.reasons import NOBODY, WORDS, fault_in_words, in_words
-from services.planner.passage.sections import bare
-from services.planner.passage.settings import PassageSettings
-from services.planner.passage.tables import ground_of, legs_of, rules_of, tree_of
-from shared.geometry import Array
-from shared.robot import RobotProfile
+from sextant.services.planner.passage import search
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.reasons import NOBODY, WORDS, fault_in_words, in_words
+from sextant.services.planner.passage.sections import bare
+from sextant.services.planner.passage.settings import PassageSettings
+from sextant.services.planner.passage.tables import ground_of, legs_of, rules_of, tree_of
+from sextant.shared.geometry import Array
+from sextant.shared.robot import RobotProfile
 
 _LIT = 0.3  # [1] share of a row of cells across that is known, below which the known ground ends
 _BAND = 0.35  # [m] either side of the middle line in which it counts

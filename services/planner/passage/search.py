@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.compiled import compiled
-from shared.geometry import Array
+from sextant.shared.compiled import compiled
+from sextant.shared.geometry import Array
 
 OK, REACH, UNDER, LEVEL, APART, FOOTHOLD, UNKNOWN, MARGIN, TORQUE, LEGS, GROUND, SWING = range(12)  # tests, by what fails
 TESTS = 12
@@ -190,7 +190,7 @@ def _leg(
         OK or REACH; horizontal reach from the femur axis and the shank's part of it [m]; femur axis and knee as the
         direction (ux, uy) of the leg {body}, and the knee's reach and height from the femur axis.
 
-    Source: Masri 2016, eq. (3.3)-(3.10) and (3.14)-(3.16), as `shared.kinematics` reads them.
+    Source: Masri 2016, eq. (3.3)-(3.10) and (3.14)-(3.16), as `sextant.shared.kinematics` reads them.
     """
     px, py, pz = x - table[0, leg, _MOUNT], y - table[0, leg, _MOUNT + 1], z - table[0, leg, _MOUNT + 2]
     coxa, f, t = table[0, leg, _LINKS], table[0, leg, _LINKS + 1], table[0, leg, _LINKS + 2]

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from services.planner.passage.field import Field
-from shared.geometry import Array
-from shared.messages import UNKNOWN
+from sextant.services.planner.passage.field import Field
+from sextant.shared.geometry import Array
+from sextant.shared.messages import UNKNOWN
 
 _BEYOND = 0.40  # [m] behind the gap where the body's centre must be for the whole robot to stand behind it
 _ROOM = 0.80  # [m] of ground that carries as anywhere, on which the whole robot stands and walks on

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from services.planner.leg_clearance import LEVEL, SWING_TIME, swing_shape
-from services.planner.passage.field import Field
-from services.planner.passage.search import COUNTS, CROWDS, ROOT_FOOT, TESTS, Ground, Legs, Rules, Tree, nearest_seen
-from services.planner.passage.settings import PassageSettings
-from shared.geometry import Array
-from shared.kinematics import body_inverse, within_limits
-from shared.robot import GRAVITY, RobotProfile
-from shared.stability import resting_centre_of_mass
+from sextant.services.planner.leg_clearance import LEVEL, SWING_TIME, swing_shape
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.search import COUNTS, CROWDS, ROOT_FOOT, TESTS, Ground, Legs, Rules, Tree, nearest_seen
+from sextant.services.planner.passage.settings import PassageSettings
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import body_inverse, within_limits
+from sextant.shared.robot import GRAVITY, RobotProfile
+from sextant.shared.stability import resting_centre_of_mass
 
 ORDER = (4, 3, 5, 2, 0, 1)  # rear to front, sides alternating
 _EASY = 1.0 / 3.0  # of stall: what a servo gives for hours (facts of the AX-12A; RX-64 is taken alike)

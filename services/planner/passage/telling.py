@@ -4,10 +4,10 @@ from typing import Literal
 
 import numpy as np
 
-from services.planner.passage.reasons import NOBODY
-from services.planner.passage.roadmap import Crossing, NoWay
-from shared.geometry import Array, apply, yaw_of
-from shared.messages import MAX_SECTION, MAX_TREE, PassagePlan
+from sextant.services.planner.passage.reasons import NOBODY
+from sextant.services.planner.passage.roadmap import Crossing, NoWay
+from sextant.shared.geometry import Array, apply, yaw_of
+from sextant.shared.messages import MAX_SECTION, MAX_TREE, PassagePlan
 
 
 def told(

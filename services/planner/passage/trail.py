@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.planner.passage.roadmap import PassageStep, Stance
-from shared.geometry import Array
+from sextant.services.planner.passage.roadmap import PassageStep, Stance
+from sextant.shared.geometry import Array
 
 _BACK = 0.12  # [m] of the body's way
 _OFTEN = 3  # at most in one passage

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from services.planner.crossing import MAX_STEP
-from services.planner.terrain import ACCEPTABLE, Terrain
-from shared.geometry import Array
+from sextant.services.planner.crossing import MAX_STEP
+from sextant.services.planner.terrain import ACCEPTABLE, Terrain
+from sextant.shared.geometry import Array
 
 _HALF_WIDTH = 0.20  # [m] of the band ahead that is looked at: about where the feet go
 _CARRYING = 0.8  # [1] share of the band across from which ground carries the robot as anywhere

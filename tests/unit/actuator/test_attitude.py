@@ -5,9 +5,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from services.actuator.attitude import Attitude, AttitudeEstimator
-from services.simulator.imu import Imu, ImuNoise
-from shared.geometry import Array, exp_so3, rotation_from_rpy, rotation_z, yaw_of
+from sextant.services.actuator.attitude import Attitude, AttitudeEstimator
+from sextant.services.simulator.imu import Imu, ImuNoise
+from sextant.shared.geometry import Array, exp_so3, rotation_from_rpy, rotation_z, yaw_of
 
 DT = 0.02
 G = np.array([0.0, 0.0, 9.81])

@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.actuator.bridge import READ_NS, Bridge
-from services.actuator.bus import BusGone, BusSetupError, Lost
-from services.simulator.board import Board
-from services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
-from services.simulator.firmware import CATCH_UP_TICKS_S, CYCLE_NS, FAR_TICKS, NEAR_TICKS
-from services.simulator.servos import ServoBank
-from shared import bridge
-from shared import dynamixel as dxl
-from shared.bridge import AGE_UNIT_US, VERSION, Mode, Refusal, Welcome
-from shared.dynamixel import ServoError
+from sextant.services.actuator.bridge import READ_NS, Bridge
+from sextant.services.actuator.bus import BusGone, BusSetupError, Lost
+from sextant.services.simulator.board import Board
+from sextant.services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
+from sextant.services.simulator.firmware import CATCH_UP_TICKS_S, CYCLE_NS, FAR_TICKS, NEAR_TICKS
+from sextant.services.simulator.servos import ServoBank
+from sextant.shared import bridge
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bridge import AGE_UNIT_US, VERSION, Mode, Refusal, Welcome
+from sextant.shared.dynamixel import ServoError
 
 WILD = settings(deadline=None, derandomize=True, max_examples=40)
 

@@ -15,16 +15,16 @@ import serial
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.actuator.bus import BusGone, BusSetupError, Lost, ServoBus, open_port
-from services.actuator.config import Settings
-from services.actuator.health import SILENT
-from services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
-from services.simulator.servos import ServoBank
-from services.simulator.tcp_port import TcpBusServer
-from shared import clock
-from shared import dynamixel as dxl
-from shared.dynamixel import Dropped, ServoError
-from shared.simulated_time import SERVO_BUS, SimulatedTime
+from sextant.services.actuator.bus import BusGone, BusSetupError, Lost, ServoBus, open_port
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.health import SILENT
+from sextant.services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
+from sextant.services.simulator.servos import ServoBank
+from sextant.services.simulator.tcp_port import TcpBusServer
+from sextant.shared import clock
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Dropped, ServoError
+from sextant.shared.simulated_time import SERVO_BUS, SimulatedTime
 
 WILD = settings(deadline=None, derandomize=True, max_examples=50)
 

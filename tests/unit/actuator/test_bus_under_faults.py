@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.actuator.bus import REPLY_TIMEOUT_NS, BusGone, Lost, ServoBus
-from services.actuator.plausible import Doubt
-from services.simulator.bus import MemoryPort, ServoBusEmulator
-from services.simulator.bus_faults import BusFaults
-from services.simulator.servos import ServoBank
-from shared import dynamixel as dxl
-from shared.bus_fault import GRID, BusFault
-from shared.messages import FaultKind, FaultTarget
+from sextant.services.actuator.bus import REPLY_TIMEOUT_NS, BusGone, Lost, ServoBus
+from sextant.services.actuator.plausible import Doubt
+from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
+from sextant.services.simulator.bus_faults import BusFaults
+from sextant.services.simulator.servos import ServoBank
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bus_fault import GRID, BusFault
+from sextant.shared.messages import FaultKind, FaultTarget
 
 WILD = settings(deadline=None, derandomize=True, max_examples=150)
 IDS = tuple(range(1, 19))

@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from services.actuator import commissioning
-from services.actuator.bus import BAUD_RATE, ServoBus
-from services.actuator.commissioning import USUAL_RATES, Line
-from services.simulator.wire import Reply
-from shared import dynamixel as dxl
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
+from sextant.services.actuator import commissioning
+from sextant.services.actuator.bus import BAUD_RATE, ServoBus
+from sextant.services.actuator.commissioning import USUAL_RATES, Line
+from sextant.services.simulator.wire import Reply
+from sextant.shared import dynamixel as dxl
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
 from tests.support.builder import Answer, Builder
 from tests.support.desk import PHANTOMX, Desk
 

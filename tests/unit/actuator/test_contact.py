@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.actuator.contact import ContactEstimate
-from shared.geometry import Array, apply, from_xyz_rpy
-from shared.kinematics import body_inverse, joint_torques
-from shared.profiles import load_profile
+from sextant.services.actuator.contact import ContactEstimate
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.kinematics import body_inverse, joint_torques
+from sextant.shared.profiles import load_profile
 
 Flags = NDArray[np.bool_]
 

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from services.actuator.exercise import STEP_DEG, exercise
-from services.actuator.gentle import MOVING_SPEED, TORQUE_LIMIT
-from shared import dynamixel as dxl
-from shared.robot import JOINTS, LEGS
+from sextant.services.actuator.exercise import STEP_DEG, exercise
+from sextant.services.actuator.gentle import MOVING_SPEED, TORQUE_LIMIT
+from sextant.shared import dynamixel as dxl
+from sextant.shared.robot import JOINTS, LEGS
 from tests.support.builder import Answer, Builder
 from tests.support.desk import Desk
 

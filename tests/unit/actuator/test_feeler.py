@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.actuator.feeler import FEMUR, Feeler, FemurReading
-from services.actuator.load import link_torques
-from services.simulator.terrain import build_terrain
-from services.simulator.world import World
-from shared import dynamixel as dxl
-from shared.geometry import Array, from_xyz_rpy
-from shared.kinematics import body_inverse
-from shared.profiles import load_profile
-from shared.scenario import Goal, Plane, Scenario
+from sextant.services.actuator.feeler import FEMUR, Feeler, FemurReading
+from sextant.services.actuator.load import link_torques
+from sextant.services.simulator.terrain import build_terrain
+from sextant.services.simulator.world import World
+from sextant.shared import dynamixel as dxl
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.kinematics import body_inverse
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Goal, Plane, Scenario
 
 PROFILE = load_profile("phantomx_mk2")
 SERVO = PROFILE.servo

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from services.actuator.goal_limits import FETCHED, GENTLE, LOWERED, GoalLimits
-from shared.geometry import Array
-from shared.kinematics import body_inverse, within_limits
-from shared.profiles import load_profile
+from sextant.services.actuator.goal_limits import FETCHED, GENTLE, LOWERED, GoalLimits
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import body_inverse, within_limits
+from sextant.shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 LIMITS = PROFILE.joint_limits

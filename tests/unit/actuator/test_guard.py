@@ -7,10 +7,10 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from services.actuator.guard import AWAY_NS, DEADLINE_NS, LEASE_NS, Act, Guard
-from services.actuator.health import Verdict
-from services.actuator.orders import ORDER_AGE_NS
-from shared.messages import Mode, ModeCommand, StepPlan
+from sextant.services.actuator.guard import AWAY_NS, DEADLINE_NS, LEASE_NS, Act, Guard
+from sextant.services.actuator.health import Verdict
+from sextant.services.actuator.orders import ORDER_AGE_NS
+from sextant.shared.messages import Mode, ModeCommand, StepPlan
 from tests.support.guarded import AGE_NS, BAD, BROKEN, CYCLE, ORDERS, PROFILE, SPENT, Robot, rested
 
 PLANS = ["next", "renewal", *BAD]

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from services.actuator.guard import AWAY_NS, LEASE_NS, Act
-from services.actuator.health import Verdict
-from services.actuator.orders import ORDER_AGE_NS
-from shared.messages import Mode, ModeCommand, StopOrder
+from sextant.services.actuator.guard import AWAY_NS, LEASE_NS, Act
+from sextant.services.actuator.health import Verdict
+from sextant.services.actuator.orders import ORDER_AGE_NS
+from sextant.shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import BROKEN, CYCLE, ORDERS, in_mode
 
 MODES = list(Mode)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.actuator.guard import Act, Guard
-from services.actuator.health import Verdict
-from shared.messages import Mode, ModeCommand
+from sextant.services.actuator.guard import Act, Guard
+from sextant.services.actuator.health import Verdict
+from sextant.shared.messages import Mode, ModeCommand
 from tests.support.guarded import BROKEN, EPOCH, PROFILE, SPENT, in_mode, rested
 
 MODES = list(Mode)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.actuator.guard import DEADLINE_NS, LEASE_NS, Act
-from services.actuator.health import Verdict
-from shared.geometry import from_xyz_rpy
-from shared.messages import Mode, ModeCommand
+from sextant.services.actuator.guard import DEADLINE_NS, LEASE_NS, Act
+from sextant.services.actuator.health import Verdict
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.messages import Mode, ModeCommand
 from tests.support.guarded import BAD, BROKEN, CYCLE, EPOCH, FEET, PROFILE, SPENT, in_mode, rested
 
 POWERED = [mode for mode in Mode if mode is not Mode.OFF]

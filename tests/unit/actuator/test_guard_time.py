@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from services.actuator.guard import AWAY_NS, LEASE_NS, Act, Guard
-from services.actuator.health import Verdict
-from services.actuator.orders import AHEAD_NS, ORDER_AGE_NS, WalkOrder
-from shared.messages import Mode, ModeCommand, StopOrder
+from sextant.services.actuator.guard import AWAY_NS, LEASE_NS, Act, Guard
+from sextant.services.actuator.health import Verdict
+from sextant.services.actuator.orders import AHEAD_NS, ORDER_AGE_NS, WalkOrder
+from sextant.shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.guarded import CYCLE, EPOCH, ORDERS, PROFILE, SPENT, in_mode
 
 MOVES = [mode for mode in ORDERS if mode not in ("off", "stop")]

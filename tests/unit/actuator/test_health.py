@@ -8,10 +8,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from services.actuator.health import SILENT, Health, Verdict, Vitals
-from shared.dynamixel import ServoError
-from shared.profiles import load_profile
-from shared.robot import JOINTS, LEGS
+from sextant.services.actuator.health import SILENT, Health, Verdict, Vitals
+from sextant.shared.dynamixel import ServoError
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import JOINTS, LEGS
 
 PROFILE = load_profile("phantomx_mk2")
 PERIOD = 0.02

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.actuator.goal_limits import FETCHED, GENTLE
-from services.actuator.hung_legs import HungLegs
+from sextant.services.actuator.goal_limits import FETCHED, GENTLE
+from sextant.services.actuator.hung_legs import HungLegs
 
 NONE = np.zeros(6, dtype=np.bool_)
 ONE = np.array([True, False, False])

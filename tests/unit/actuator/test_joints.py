@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.actuator.bus import BusSetupError
-from services.actuator.config import Settings
-from services.actuator.goal_limits import GENTLE, LOWERED
-from services.actuator.health import SILENT
-from services.actuator.joints import Joints
-from shared import dynamixel as dxl
-from shared.dynamixel import Instruction
+from sextant.services.actuator.bus import BusSetupError
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.goal_limits import GENTLE, LOWERED
+from sextant.services.actuator.health import SILENT
+from sextant.services.actuator.joints import Joints
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Instruction
 from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
 
 # ---------------------------------------------------------------------------------------------------------- a beginning

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from services.actuator import servos
-from services.actuator.bridge import READ_NS
-from services.actuator.bus import BusGone
-from services.actuator.config import Settings
-from services.simulator.board import Board
-from services.simulator.bus import MemoryPort
-from services.simulator.wire import Reply
-from shared import dynamixel as dxl
-from shared.dynamixel import Instruction, Register
+from sextant.services.actuator import servos
+from sextant.services.actuator.bridge import READ_NS
+from sextant.services.actuator.bus import BusGone
+from sextant.services.actuator.config import Settings
+from sextant.services.simulator.board import Board
+from sextant.services.simulator.bus import MemoryPort
+from sextant.services.simulator.wire import Reply
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Instruction, Register
 from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
 
 # ------------------------------------------------------------------------------------------------------ a port that goes

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.actuator.load import (
+from sextant.services.actuator.load import (
     GRAVITY,
     centre_of_mass,
     foot_forces,
@@ -15,9 +15,9 @@ from services.actuator.load import (
     outward_forces,
     sag_feed_forward,
 )
-from shared.geometry import Array, from_xyz_rpy
-from shared.kinematics import body_forward, body_inverse, joint_torques, leg_points
-from shared.profiles import load_profile
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.kinematics import body_forward, body_inverse, joint_torques, leg_points
+from sextant.shared.profiles import load_profile
 
 Flags = NDArray[np.bool_]
 

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.actuator.odometry import LegOdometry
-from shared.geometry import Array, apply, exp_so3, from_xyz_rpy, inverse, skew, transform
-from shared.kinematics import body_inverse, leg_points
-from shared.profiles import load_profile
-from shared.robot import Foot, RobotProfile
+from sextant.services.actuator.odometry import LegOdometry
+from sextant.shared.geometry import Array, apply, exp_so3, from_xyz_rpy, inverse, skew, transform
+from sextant.shared.kinematics import body_inverse, leg_points
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import Foot, RobotProfile
 
 Flags = NDArray[np.bool_]
 

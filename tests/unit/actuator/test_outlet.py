@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.actuator import servos, usb_adapter
-from services.actuator.bus import BusGone
-from services.actuator.config import Settings
+from sextant.services.actuator import servos, usb_adapter
+from sextant.services.actuator.bus import BusGone
+from sextant.services.actuator.config import Settings
 
 
 class Adapter:

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.actuator import permit as permit_files
-from services.actuator.orders import WalkOrder
-from services.actuator.permit import Permit
+from sextant.services.actuator import permit as permit_files
+from sextant.services.actuator.orders import WalkOrder
+from sextant.services.actuator.permit import Permit
 
 ORDER = WalkOrder("page 1 at a console", 123_456_789)
 

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from services.actuator.plan_check import PlanCheck, reaches
-from shared.geometry import Array, apply, from_xyz_rpy, inverse
-from shared.kinematics import body_inverse, within_limits
-from shared.messages import StepPlan
-from shared.profiles import load_profile
-from shared.stability import resting_centre_of_mass, support_margin
+from sextant.services.actuator.plan_check import PlanCheck, reaches
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
+from sextant.shared.kinematics import body_inverse, within_limits
+from sextant.shared.messages import StepPlan
+from sextant.shared.profiles import load_profile
+from sextant.shared.stability import resting_centre_of_mass, support_margin
 
 Flags = NDArray[np.bool_]
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.actuator.loss import LossRate
-from services.actuator.plausible import Doubt, Plausibility, State
-from shared import dynamixel as dxl
+from sextant.services.actuator.loss import LossRate
+from sextant.services.actuator.plausible import Doubt, Plausibility, State
+from sextant.shared import dynamixel as dxl
 
 WILD = settings(deadline=None, derandomize=True)
 MS = 1_000_000

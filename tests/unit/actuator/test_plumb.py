@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.actuator.plumb import Plumb
-from shared.geometry import Array, exp_so3, from_xyz_rpy, is_rigid, log_so3, rotation_from_rpy, transform, yaw_of
-from shared.messages import Imu
-from shared.profiles import load_profile
+from sextant.services.actuator.plumb import Plumb
+from sextant.shared.geometry import Array, exp_so3, from_xyz_rpy, is_rigid, log_so3, rotation_from_rpy, transform, yaw_of
+from sextant.shared.messages import Imu
+from sextant.shared.profiles import load_profile
 
 G = np.array([0.0, 0.0, 9.81])
 MS = 1_000_000

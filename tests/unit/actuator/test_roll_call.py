@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.actuator import roll_call
-from services.actuator.bus import BusSetupError, ServoBus
-from services.actuator.roll_call import NotAServoBusError, Voice, look
-from services.simulator.bus import Reply
-from shared import dynamixel as dxl
+from sextant.services.actuator import roll_call
+from sextant.services.actuator.bus import BusSetupError, ServoBus
+from sextant.services.actuator.roll_call import NotAServoBusError, Voice, look
+from sextant.services.simulator.bus import Reply
+from sextant.shared import dynamixel as dxl
 from tests.support.desk import Desk
 
 NAMES = Desk().profile.servo_names

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.actuator.config import Settings
-from services.actuator.goal_limits import GENTLE
-from services.actuator.latch import Latch
-from services.simulator.bus import ServoBusEmulator
-from services.simulator.servos import ServoBank
-from shared import dynamixel as dxl
-from shared.geometry import apply, from_xyz_rpy, inverse
-from shared.kinematics import body_forward, joint_torques
-from shared.messages import Mode, ModeCommand, Odometry
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.goal_limits import GENTLE
+from sextant.services.actuator.latch import Latch
+from sextant.services.simulator.bus import ServoBusEmulator
+from sextant.services.simulator.servos import ServoBank
+from sextant.shared import dynamixel as dxl
+from sextant.shared.geometry import apply, from_xyz_rpy, inverse
+from sextant.shared.kinematics import body_forward, joint_torques
+from sextant.shared.messages import Mode, ModeCommand, Odometry
 from tests.support.actuator_rig import CRAWL, OUT, PERIOD, PROFILE, REST, TRIPOD, Rig
 
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from services.actuator.goal_limits import GENTLE, LOWERED
-from services.actuator.load import lag_feed_forward
-from shared import dynamixel as dxl
-from shared.geometry import Array, apply, from_xyz_rpy
-from shared.kinematics import body_forward
-from shared.messages import Mode
-from shared.robot import RobotProfile
+from sextant.services.actuator.goal_limits import GENTLE, LOWERED
+from sextant.services.actuator.load import lag_feed_forward
+from sextant.shared import dynamixel as dxl
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.kinematics import body_forward
+from sextant.shared.messages import Mode
+from sextant.shared.robot import RobotProfile
 from tests.support.actuator_rig import CRAWL, IDS, PROFILE, REST, TICK, TRIPOD, UP, Rig
 
 
@@ -299,7 +299,7 @@ def test_legs_that_begin_anew_are_on_no_way_from_where_they_were_wanted_before(
         rates.append(float(np.abs(q_rate).max()))
         return lag_feed_forward(profile, q_rate, held_s)
 
-    monkeypatch.setattr("services.actuator.service.lag_feed_forward", noted)
+    monkeypatch.setattr("sextant.services.actuator.service.lag_feed_forward", noted)
     rig = Rig()
     rig.hear(rig.plan(rig.walking()))
     epoch = rig.cycle(cycles).epoch

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from services.actuator.config import Settings
-from services.actuator.walker import Walker
-from shared import dynamixel as dxl
-from shared.geometry import Array, apply, from_xyz_rpy, rotation_from_rpy
-from shared.kinematics import body_forward
-from shared.messages import ActuatorState, Imu, Mode
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.walker import Walker
+from sextant.shared import dynamixel as dxl
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, rotation_from_rpy
+from sextant.shared.kinematics import body_forward
+from sextant.shared.messages import ActuatorState, Imu, Mode
 from tests.support.actuator_rig import PROFILE, REST, STILL, UP, Rig
 
 

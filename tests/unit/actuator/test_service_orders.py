@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.actuator.latch import Latch
-from services.actuator.orders import WalkOrder
-from services.actuator.permit import Permit
-from shared import dynamixel as dxl
-from shared.messages import Mode, ModeCommand, StopOrder
+from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.orders import WalkOrder
+from sextant.services.actuator.permit import Permit
+from sextant.shared import dynamixel as dxl
+from sextant.shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.actuator_rig import STILL, Rig
 
 

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import polynomial
 
-from services.actuator.sixth_order_arc import SixthOrderArc, arc_coefficients, on_arc
-from shared.geometry import Array
+from sextant.services.actuator.sixth_order_arc import SixthOrderArc, arc_coefficients, on_arc
+from sextant.shared.geometry import Array
 
 WILD = settings(max_examples=30)
 CYCLES = 40

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.actuator.stand_up import LieDown, StandUp
-from shared.geometry import Array
-from shared.kinematics import body_inverse, within_limits
-from shared.profiles import load_profile
+from sextant.services.actuator.stand_up import LieDown, StandUp
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import body_inverse, within_limits
+from sextant.shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 REST = PROFILE.rest_feet()

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.actuator import latch as latch_files
-from services.actuator.latch import Latch
-from services.actuator.stop.config import Settings
-from services.actuator.stop.service import Stop
-from shared import codec, topics
-from shared.messages import ModeCommand, StopOrder, Tick
-from shared.profiles import load_profile
-from shared.service import Inbox
+from sextant.services.actuator import latch as latch_files
+from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.stop.config import Settings
+from sextant.services.actuator.stop.service import Stop
+from sextant.shared import codec, topics
+from sextant.shared.messages import ModeCommand, StopOrder, Tick
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import Inbox
 
 PROFILE = load_profile("phantomx_mk2")
 PORT = "/dev/ttyUSB0"

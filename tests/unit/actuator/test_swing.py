@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.actuator.swing import Swing
-from shared.geometry import Array
+from sextant.services.actuator.swing import Swing
+from sextant.shared.geometry import Array
 
 WILD = settings(max_examples=30)
 CYCLES = 30

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from services.actuator import usb_adapter
+from sextant.services.actuator import usb_adapter
 
 
 class Port:

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.actuator.feeler import Felt
-from services.actuator.walker import Targets, Walker
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
-from shared.robot import LEGS
+from sextant.services.actuator.feeler import Felt
+from sextant.services.actuator.walker import Targets, Walker
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from sextant.shared.robot import LEGS
 from tests.support.walker_steps import (
     ALL,
     DT,

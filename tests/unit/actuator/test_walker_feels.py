@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.actuator.feeler import Felt
-from services.actuator.walker import Targets, Walker
-from shared.geometry import apply, from_xyz_rpy
-from shared.messages import StepPlan
+from sextant.services.actuator.feeler import Felt
+from sextant.services.actuator.walker import Targets, Walker
+from sextant.shared.geometry import apply, from_xyz_rpy
+from sextant.shared.messages import StepPlan
 from tests.support.walker_steps import (
     ALL,
     DT,

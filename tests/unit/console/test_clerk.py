@@ -1,9 +1,9 @@
 from dataclasses import replace
 from typing import Any
 
-from services.console.clerk import Clerk
-from services.console.diary import Diary
-from shared.messages import RecordCommand, RecorderState
+from sextant.services.console.clerk import Clerk
+from sextant.services.console.diary import Diary
+from sextant.shared.messages import RecordCommand, RecorderState
 
 S = 1_000_000_000
 RESTING = RecorderState(0, False, -1, "", 0.0, 0, 5 * 10**9, 0, "")

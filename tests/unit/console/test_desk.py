@@ -6,10 +6,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from services.console.desk import DEAD_MAN_NS, SEATS, Desk
-from services.console.requests import Command, Drive, GiveUp, GoTo, Here, Name, Release, TakeOver, Walk
-from shared.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
-from shared.profiles import load_profile
+from sextant.services.console.desk import DEAD_MAN_NS, SEATS, Desk
+from sextant.services.console.requests import Command, Drive, GiveUp, GoTo, Here, Name, Release, TakeOver, Walk
+from sextant.shared.messages import ActuatorState, Goal, Message, Mode, ModeCommand, PlannerStatus, VelocityCommand
+from sextant.shared.profiles import load_profile
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.console.diary import KEPT, Diary
-from shared.messages import CameraState, Health, Mode, PlannerStatus
-from shared.profiles import load_profile
+from sextant.services.console.diary import KEPT, Diary
+from sextant.shared.messages import CameraState, Health, Mode, PlannerStatus
+from sextant.shared.profiles import load_profile
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

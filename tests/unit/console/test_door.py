@@ -6,7 +6,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.console.door import Porter
+from sextant.services.console.door import Porter
 
 REFUSAL = "the token is wrong"
 

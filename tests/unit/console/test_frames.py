@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.console.frames import NO_HEIGHT, NO_VALUE, framed, map_frame, picture_frame
-from shared.messages import UNKNOWN, Preview, TerrainMap
+from sextant.services.console.frames import NO_HEIGHT, NO_VALUE, framed, map_frame, picture_frame
+from sextant.shared.messages import UNKNOWN, Preview, TerrainMap
 
 NX, NY = 7, 5
 

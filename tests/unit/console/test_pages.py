@@ -1,6 +1,6 @@
 """What a page is sent next: the newest of everything, and no more than it can draw."""
 
-from services.console.pages import Page
+from sextant.services.console.pages import Page
 
 
 def test_of_states_the_newest_is_sent_and_of_the_log_every_line() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.console.requests import (
+from sextant.services.console.requests import (
     MAX_BYTES,
     Command,
     Drive,

@@ -16,11 +16,11 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from services.console.config import Settings
-from services.console.desk import DEAD_MAN_NS
-from services.console.door import PROTOCOL
-from services.console.requests import Drive, Release, Walk
-from services.console.server import Event, PageServer
+from sextant.services.console.config import Settings
+from sextant.services.console.desk import DEAD_MAN_NS
+from sextant.services.console.door import PROTOCOL
+from sextant.services.console.requests import Drive, Release, Walk
+from sextant.services.console.server import Event, PageServer
 from tests.support.served import Serving
 
 PAGE = Path("services/console/page")

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
-from services.console.config import Settings
-from services.console.door import PROTOCOL
-from services.console.service import Console
-from shared import codec, topics
-from shared.messages import (
+from sextant.services.console.config import Settings
+from sextant.services.console.door import PROTOCOL
+from sextant.services.console.service import Console
+from sextant.shared import codec, topics
+from sextant.shared.messages import (
     BodyPose,
     CameraState,
     Health,
@@ -34,8 +34,8 @@ from shared.messages import (
     Tick,
     VelocityCommand,
 )
-from shared.profiles import load_profile
-from shared.service import Inbox
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import Inbox
 from tests.support.served import Serving
 from tests.support.states import actuator_state
 from tests.unit.console.test_frames import read, read_map, terrain

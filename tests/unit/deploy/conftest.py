@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from deploy.judging.scorer import Scorer
-from services.simulator.terrain import build_terrain
-from shared import codec, topics
-from shared.geometry import from_xyz_rpy
-from shared.messages import (
+from sextant.deploy.judging.scorer import Scorer
+from sextant.services.simulator.terrain import build_terrain
+from sextant.shared import codec, topics
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.messages import (
     ActuatorState,
     BodyPose,
     GroundTruth,
@@ -24,9 +24,9 @@ from shared.messages import (
     StepPlan,
     TerrainMap,
 )
-from shared.profiles import load_profile
-from shared.scenario import Goal, Plane, Scenario
-from shared.service import Inbox
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Goal, Plane, Scenario
+from sextant.shared.service import Inbox
 from tests.support.states import actuator_state
 
 _MS = 1_000_000

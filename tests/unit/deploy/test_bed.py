@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.bed.air import QUEUE_BYTES, Way
-from deploy.bed.bed import Namespaces, OneMachine, two_machines
-from deploy.bed.cuts import judge
-from deploy.bed.ear import Heard
-from deploy.bed.namespace import BedError
-from deploy.bed.stream import AGAIN_NS, SEGMENT, Air, Stream
-from deploy.launch.launcher import free_port
-from shared.messages import Mode
-from shared.scenario import Link
+from sextant.deploy.bed.air import QUEUE_BYTES, Way
+from sextant.deploy.bed.bed import Namespaces, OneMachine, two_machines
+from sextant.deploy.bed.cuts import judge
+from sextant.deploy.bed.ear import Heard
+from sextant.deploy.bed.namespace import BedError
+from sextant.deploy.bed.stream import AGAIN_NS, SEGMENT, Air, Stream
+from sextant.deploy.launch.launcher import free_port
+from sextant.shared.messages import Mode
+from sextant.shared.scenario import Link
 
 _MS, _SEC = 1_000_000, 1_000_000_000
 _FOREVER = 10**15
@@ -271,7 +271,7 @@ def test_a_relay_carries_connections_of_one_machine_as_a_radio_would() -> None:
 
 
 def test_a_bed_that_cannot_be_made_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Namespaces, "_command", lambda _: ("-m", "deploy.bed.not_there"))
+    monkeypatch.setattr(Namespaces, "_command", lambda _: ("-m", "sextant.deploy.bed.not_there"))
     with pytest.raises(BedError, match=r"no two machines here: .*not_there"):
         Namespaces(Link()).__enter__()
     # It is one machine then, and a report says so.
@@ -284,6 +284,8 @@ def test_a_bed_that_cannot_be_made_says_why(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize("words", [(), ("robot", "true"), ("12",)])
 def test_entering_nowhere_says_what_was_expected(words: tuple[str, ...]) -> None:
-    done = subprocess.run([sys.executable, "-m", "deploy.bed.enter", *words], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "sextant.deploy.bed.enter", *words], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
     assert "a process id and a command expected" in done.stderr

@@ -9,16 +9,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy import cli
-from deploy.bench import accuracy, full_frame, model, reduction_peers, registration_peers, score_peers, speed, stages, timing
-from deploy.bench.ride import CarriedCamera, Errors, ride
-from deploy.bench.scenes import MAPPED, REGISTERED
-from deploy.judging.true_ground import TrueGround
-from services.perception.registration import Registration
-from services.simulator.terrain import Terrain
-from shared.geometry import inverse
-from shared.messages import PassageMap, TerrainMap
-from shared.profiles import load_profile
+from sextant.deploy import cli
+from sextant.deploy.bench import (
+    accuracy,
+    full_frame,
+    model,
+    reduction_peers,
+    registration_peers,
+    score_peers,
+    speed,
+    stages,
+    timing,
+)
+from sextant.deploy.bench.ride import CarriedCamera, Errors, ride
+from sextant.deploy.bench.scenes import MAPPED, REGISTERED
+from sextant.deploy.judging.true_ground import TrueGround
+from sextant.services.perception.registration import Registration
+from sextant.services.simulator.terrain import Terrain
+from sextant.shared.geometry import inverse
+from sextant.shared.messages import PassageMap, TerrainMap
+from sextant.shared.profiles import load_profile
 
 SCENES = {**MAPPED, **REGISTERED}
 
@@ -295,7 +305,7 @@ def test_the_passage_command_leaves_its_table(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_what_the_page_costs_is_told_with_how_often_each_limit_was_kept() -> None:
-    from deploy.bench import page
+    from sextant.deploy.bench import page
 
     cost = page.Cost(0.021, 0.01, 1.2e6, 14.0, 61.0, "a renderer")
     delays = (page.Delay("pad let go", 0.35, (0.1, 0.2, 0.4)), page.Delay("feet down", math.nan, (0.3, math.inf, 0.2)))
@@ -314,7 +324,7 @@ def test_what_the_page_costs_is_told_with_how_often_each_limit_was_kept() -> Non
 
 
 def test_what_recording_does_to_a_walk_is_told_beside_one_that_nobody_records() -> None:
-    from deploy.bench import recording
+    from sextant.deploy.bench import recording
 
     usual = recording.Way("nobody records", [np.array([0.02, 0.02, 0.021])])
     killed = recording.Way("the recorder is killed", [np.array([0.02, 0.02, 0.023])], [0.4, math.inf], [0.3, 0.25])

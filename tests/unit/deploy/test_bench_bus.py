@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.bench import bus
+from sextant.deploy import cli
+from sextant.deploy.bench import bus
 
 DEGREES = 12.0  # of a position: 3 beside the goals of three cycles, which at 2.7 rad/s are 6 apart, and some more of a late one
 

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy.bench import fleet
-from deploy.bench.fleet import Load
-from deploy.bench.played_robot import Heard, Player
-from services.console.recording.writer import Recorder
-from shared import codec, topics
-from shared.messages import ActuatorState, PlannerStatus, ScanReceipt, StepPlan
-from shared.profiles import load_profile
-from shared.service import AnyTopic
+from sextant.deploy.bench import fleet
+from sextant.deploy.bench.fleet import Load
+from sextant.deploy.bench.played_robot import Heard, Player
+from sextant.services.console.recording.writer import Recorder
+from sextant.shared import codec, topics
+from sextant.shared.messages import ActuatorState, PlannerStatus, ScanReceipt, StepPlan
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import AnyTopic
 from tests.support.recorded import scan, terrain
 from tests.support.states import actuator_state
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from deploy.bench.passage import LENGTH, SHIFT, TWO, Y
-from deploy.bench.passage_fields import GAP, thesis_blocks
-from shared.scenario import Course, Gap, Pillars, load_scenario
+from sextant.deploy.bench.passage import LENGTH, SHIFT, TWO, Y
+from sextant.deploy.bench.passage_fields import GAP, thesis_blocks
+from sextant.shared.scenario import Course, Gap, Pillars, load_scenario
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])

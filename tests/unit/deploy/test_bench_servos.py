@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.bench import servo_bus
-from services.simulator.bus import MemoryPort
-from shared import dynamixel as dxl
-from shared.dynamixel import PacketParser
+from sextant.deploy import cli
+from sextant.deploy.bench import servo_bus
+from sextant.services.simulator.bus import MemoryPort
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import PacketParser
 from tests.support.desk import PHANTOMX, Desk
 
 IDS = list(PHANTOMX.servo_names)

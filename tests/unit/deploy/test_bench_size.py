@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.bench import size
+from sextant.deploy import cli
+from sextant.deploy.bench import size
 
 
 @pytest.mark.parametrize("role", size.LIMITS_MB)

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from deploy.bench import soak
-from deploy.bench.soak import PARTS, WARM_UP, Soak
+from sextant.deploy.bench import soak
+from sextant.deploy.bench.soak import PARTS, WARM_UP, Soak
 
 HOUR = 3600.0
 PART = np.arange(PARTS)

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.bench import start
-from shared import dynamixel as dxl
+from sextant.deploy import cli
+from sextant.deploy.bench import start
+from sextant.shared import dynamixel as dxl
 from tests.support.desk import PHANTOMX
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.bench.strangers import Found, Silent, from_json, in_words, to_json
-from deploy.network.authority import Authority
+from sextant.deploy.bench.strangers import Found, Silent, from_json, in_words, to_json
+from sextant.deploy.network.authority import Authority
 
 ROOT = Path(__file__).parents[3]
 PATIENCE_S = 60.0
@@ -63,7 +63,7 @@ def test_strangers_of_all_kinds_come_at_an_exact_rate(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0), backlog=1000) as server:
         threading.Thread(target=accepting, args=(server, kept, said), daemon=True).start()
         words = ["--port", str(server.getsockname()[1]), "--rate", "200", "--keys", str(tmp_path / "foreign"), "--seconds", "1"]
-        command = [sys.executable, "-m", "deploy.bench.stranger_load", *words]
+        command = [sys.executable, "-m", "sextant.deploy.bench.stranger_load", *words]
         with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             found = json.loads(process.stdout.readline())

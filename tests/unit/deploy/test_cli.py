@@ -10,25 +10,25 @@ from typing import get_args
 
 import pytest
 
-from deploy import cli
-from deploy.commands.common import out_folder
-from deploy.judging.report import Report, write
-from deploy.process_table import Command
-from deploy.trials import batch
-from shared.messages import GaitName
-from shared.scenario import Scenario
-from shared.topics import TOPICS
+from sextant.deploy import cli
+from sextant.deploy.commands.common import out_folder
+from sextant.deploy.judging.report import Report, write
+from sextant.deploy.process_table import Command
+from sextant.deploy.trials import batch
+from sextant.shared.messages import GaitName
+from sextant.shared.scenario import Scenario
+from sextant.shared.topics import TOPICS
 
-ROOT = Path(cli.__file__).parents[1]
+ROOT = Path(cli.__file__).resolve().parents[1]
 
 
 def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
     code = (
-        "import sys; sys.argv[1:] = ['--help']; from deploy import cli\ntry:\n    cli.main()\nfinally:\n    print(*sys.modules)"
+        "import sys; sys.argv[1:] = ['--help']; from sextant.deploy import cli\ntry:\n    cli.main()\nfinally:\n    print(*sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
     loaded = set(done.stdout.split())
-    assert "deploy.cli" in loaded, done.stderr
+    assert "sextant.deploy.cli" in loaded, done.stderr
     assert not loaded & {"numpy", "zenoh", "cv2", "numba", "mujoco", "mcap"}
     for command in ("demo", "run", "trials", "up", "replay", "topics", "doctor", "compose", "service"):
         assert command in loaded, f"{command} is not offered"
@@ -114,7 +114,7 @@ class NoLink:
 def test_what_is_up_is_the_robot_that_is_asked_for(
     words: list[str], robot: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy.launch import half
+    from sextant.deploy.launch import half
 
     started: list[tuple[str, ...]] = []
 
@@ -148,7 +148,7 @@ def test_compose_prints_the_committed_file(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_the_doctor_fails_when_a_check_does(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from deploy import doctor
+    from sextant.deploy import doctor
 
     for level, status in ((doctor.Level.WARN, 0), (doctor.Level.FAIL, 1)):
         monkeypatch.setattr(doctor, "examine", lambda *_, level=level: [doctor.Check("a", level, "so so", "mend it")])
@@ -157,7 +157,7 @@ def test_the_doctor_fails_when_a_check_does(capsys: pytest.CaptureFixture[str], 
 
 
 def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    from deploy import doctor
+    from sextant.deploy import doctor
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
@@ -168,7 +168,7 @@ def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
 
 
 def test_a_mistake_of_ours_is_not_passed_off_as_the_callers(monkeypatch: pytest.MonkeyPatch) -> None:
-    from deploy import doctor
+    from sextant.deploy import doctor
 
     def broken(*_: object) -> None:
         raise ValueError("a bug")
@@ -207,7 +207,7 @@ def report(success: bool, seed: int = 3) -> Report:
 def test_a_run_ends_in_0_only_on_success(
     success: bool, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy.runs import lockstep_run
+    from sextant.deploy.runs import lockstep_run
 
     def walk(_scenario: Scenario, seed: int, out: Path, *_: object) -> Report:
         write(report(success, seed), out)
@@ -232,7 +232,7 @@ def test_a_live_run_and_the_demo_end_as_the_walk_does(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    from deploy.runs import live_run
+    from sextant.deploy.runs import live_run
 
     asked: list[tuple[str, str, int, bool]] = []
 
@@ -262,7 +262,7 @@ def test_only_what_a_run_starts_live_slows_down(words: list[str], capsys: pytest
 def test_a_run_on_a_slow_computer_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy.runs import live_run
+    from sextant.deploy.runs import live_run
 
     slow = "this computer is too slow: maps are 1.6 s old, 0.8 s allowed"
     write(report(True), tmp_path)
@@ -286,7 +286,7 @@ def test_a_demo_of_another_course_is_refused(capsys: pytest.CaptureFixture[str])
 def test_a_machine_that_cannot_warm_up_does_not_walk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy.runs import live_run
+    from sextant.deploy.runs import live_run
 
     monkeypatch.setattr(live_run, "warm_up", lambda *_: "warm-up ended (exit status 1); its last words: no mujoco")
     assert cli.main(["run", "flat", "--out", str(tmp_path)]) == 1
@@ -314,7 +314,7 @@ service = "mapper"
 def test_trials_tell_the_rate_and_the_baseline_beside_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy.runs import lockstep_run
+    from sextant.deploy.runs import lockstep_run
 
     def run(scenario: Scenario, seed: int) -> Report:
         return replace(report(not scenario.walk.blind, seed), blind=scenario.walk.blind)
@@ -330,7 +330,7 @@ def test_trials_tell_the_rate_and_the_baseline_beside_it(
 
 
 def test_the_commit_gives_seeds_that_nobody_chose(monkeypatch: pytest.MonkeyPatch) -> None:
-    from deploy import provenance
+    from sextant.deploy import provenance
 
     words = ["trials", "all", "--seeds", "commit:7"]
     monkeypatch.setattr(provenance, "seeds_of_commit", lambda count: list(range(count)))
@@ -344,8 +344,8 @@ def test_the_commit_gives_seeds_that_nobody_chose(monkeypatch: pytest.MonkeyPatc
 def test_trials_of_all_terrains_print_one_table(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy.runs import lockstep_run
-    from deploy.trials import campaign_table
+    from sextant.deploy.runs import lockstep_run
+    from sextant.deploy.trials import campaign_table
 
     left: list[Path] = []
 
@@ -375,9 +375,9 @@ def test_trials_of_all_terrains_print_one_table(
 def test_trials_of_all_passages_print_their_table_and_the_thesis_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy.judging.report import Passage, Section
-    from deploy.runs import lockstep_run
-    from deploy.trials import campaign_table
+    from sextant.deploy.judging.report import Passage, Section
+    from sextant.deploy.runs import lockstep_run
+    from sextant.deploy.trials import campaign_table
 
     passage = Passage(30, sections=(Section("complete", "", 640, 70, 9.0, 40),))
     monkeypatch.setattr(
@@ -396,9 +396,9 @@ def test_trials_of_all_passages_print_their_table_and_the_thesis_one(
 def test_trials_troubles_tells_of_every_trouble_on_every_terrain(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy.runs import lockstep_run
-    from deploy.trials import campaign_table
-    from shared.scenario import trouble_names
+    from sextant.deploy.runs import lockstep_run
+    from sextant.deploy.trials import campaign_table
+    from sextant.shared.scenario import trouble_names
 
     monkeypatch.setattr(lockstep_run, "run_lockstep", lambda s, seed, *_: replace(report(True, seed), scenario=s.name))
     assert cli.main(["trials", "troubles", "--seeds", "5:7", "--out", str(tmp_path)]) == 0
@@ -436,7 +436,7 @@ def test_trials_of_a_changed_program_are_refused_in_words(
 def test_another_robot_and_gait_walk_in_place_of_the_scenarios(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from deploy.runs import lockstep_run
+    from sextant.deploy.runs import lockstep_run
 
     walked: list[str] = []
     ways: list[tuple[str, float]] = []
@@ -467,7 +467,7 @@ def test_every_gait_can_be_asked_for_and_no_other() -> None:
 
 
 def test_a_reader_that_has_had_enough_is_no_traceback() -> None:
-    code = "import sys; sys.argv = ['sextant', 'topics', 'list']; from deploy.cli import main; sys.exit(main())"
+    code = "import sys; sys.argv = ['sextant', 'topics', 'list']; from sextant.deploy.cli import main; sys.exit(main())"
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "wb") as pipe:

@@ -8,10 +8,10 @@ from types import ModuleType
 
 import pytest
 
-from deploy import doctor, rehearsal
-from deploy.checks import Check, Level
-from deploy.rehearsal import StageLoad
-from shared import host
+from sextant.deploy import doctor, rehearsal
+from sextant.deploy.checks import Check, Level
+from sextant.deploy.rehearsal import StageLoad
+from sextant.shared import host
 
 
 def test_every_complaint_says_what_to_do() -> None:
@@ -166,7 +166,7 @@ def test_a_missing_wheel_is_named_with_the_role_that_lacks_it(monkeypatch: pytes
 def test_the_roles_are_those_of_the_package() -> None:
     import tomllib
 
-    root = Path(doctor.__file__).parents[1]
+    root = Path(doctor.__file__).resolve().parents[1]
     extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     assert set(doctor._ROLES) - {"core"} <= set(extras)
 
@@ -193,7 +193,7 @@ def test_a_camera_that_is_absent_is_a_warning_unless_it_was_asked_for(tmp_path: 
 
 @pytest.mark.parametrize("plugged", [True, False])
 def test_a_camera_that_is_there_is_named(plugged: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    from services.perception.cameras import realsense
+    from sextant.services.perception.cameras import realsense
 
     monkeypatch.setattr(realsense, "find", lambda: ["Intel RealSense D435I"] * plugged)
     check = doctor.depth_camera("phantomx_mk2", "realsense")

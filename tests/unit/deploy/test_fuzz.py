@@ -8,12 +8,12 @@ from random import Random
 
 import pytest
 
-from deploy import cli
-from deploy.fuzz import fuzzing, table
-from deploy.fuzz.broken import broken, odd
-from deploy.fuzz.target import Target
-from deploy.fuzz.targets import targets
-from shared.topics import TOPICS
+from sextant.deploy import cli
+from sextant.deploy.fuzz import fuzzing, table
+from sextant.deploy.fuzz.broken import broken, odd
+from sextant.deploy.fuzz.target import Target
+from sextant.deploy.fuzz.targets import targets
+from sextant.shared.topics import TOPICS
 
 MESSAGES = 500  # for each
 
@@ -86,7 +86,7 @@ def test_a_message_that_ends_the_process_is_left_behind(monkeypatch: pytest.Monk
 
 
 def test_the_command_says_what_it_found_and_gives_a_message_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [sys.executable, "-m", "deploy.cli", "fuzz", "--messages", "20000", "--jobs", "2", "--out", str(tmp_path)]
+    words = [sys.executable, "-m", "sextant.deploy.cli", "fuzz", "--messages", "20000", "--jobs", "2", "--out", str(tmp_path)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300.0)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "20,000 messages; memory of the process that grew most" in done.stdout

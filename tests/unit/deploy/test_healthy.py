@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from deploy import healthy
-from deploy.launch.launcher import free_port
+from sextant.deploy import healthy
+from sextant.deploy.launch.launcher import free_port
 
 # Gives signs of life as a service does, until it reads a line; then it hangs.
 _LIVING = """
 import os, sys, threading, time
-from shared.watchdog import Watchdog
+from sextant.shared.watchdog import Watchdog
 hung = threading.Event()
 threading.Thread(target=lambda: (sys.stdin.readline(), hung.set()), daemon=True).start()
 with Watchdog(os.environ) as watchdog:
@@ -91,6 +91,6 @@ def test_a_port_that_nobody_listens_on_is_told(monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_it_is_cheap_to_ask() -> None:
-    code = "import sys, deploy.healthy; print(*sys.modules)"
+    code = "import sys, sextant.deploy.healthy; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert not set(done.stdout.split()) & {"numpy", "zenoh", "cv2", "numba"}

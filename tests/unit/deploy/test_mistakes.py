@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from deploy import cli
+from sextant.deploy import cli
 
 SCENARIO = """name = "mine"
 [goal]

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.order import Order
-from shared import codec, topics
-from shared.messages import ActuatorState, Health, Mode, ModeCommand, StopOrder, Tick
-from shared.profiles import load_profile
-from shared.service import Inbox
+from sextant.deploy.order import Order
+from sextant.shared import codec, topics
+from sextant.shared.messages import ActuatorState, Health, Mode, ModeCommand, StopOrder, Tick
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import Inbox
 from tests.support.states import actuator_state
 
 MS = 1_000_000

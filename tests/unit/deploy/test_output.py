@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from deploy.progress import Lines, Terminal, View
+from sextant.deploy.progress import Lines, Terminal, View
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def info(recording: Path, stdout: int, env: dict[str, str] | None = None, closed: bool = False) -> tuple[int, str]:
     """Exit status and stderr of `sextant info`."""
-    words = [sys.executable, "-m", "deploy.cli", "info", str(recording)]
+    words = [sys.executable, "-m", "sextant.deploy.cli", "info", str(recording)]
     if closed:
         words = ["sh", "-c", 'exec "$@" >&-', "sh", *words]
     ended = subprocess.run(
@@ -44,7 +44,7 @@ def test_a_full_device_is_said_in_one_sentence(recording: Path) -> None:
 @pytest.mark.parametrize("words", [("--help",), ("trials", "--help")])
 def test_help_that_cannot_be_written_is_a_failure(words: tuple[str, ...]) -> None:
     with Path("/dev/full").open("w") as full:
-        command = [sys.executable, "-m", "deploy.cli", *words]
+        command = [sys.executable, "-m", "sextant.deploy.cli", *words]
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert ended.returncode == 1
     assert ended.stderr.endswith("standard output cannot be written: the disk is full; make room\n")

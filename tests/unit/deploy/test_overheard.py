@@ -12,14 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy import cli, rates, shown
-from deploy.launch.launcher import free_port
-from deploy.overheard import ONLY_BY_NAME, Heard, Mailbox, age_ns, listen, topics_named
-from shared import codec, topics
-from shared.codec import DecodeError, Timing
-from shared.messages import CameraState, Odometry, TerrainMap, VelocityCommand
-from shared.topics import TOPICS, Lane
-from shared.transport import Endpoints, Router, ZenohLink
+from sextant.deploy import cli, rates, shown
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.overheard import ONLY_BY_NAME, Heard, Mailbox, age_ns, listen, topics_named
+from sextant.shared import codec, topics
+from sextant.shared.codec import DecodeError, Timing
+from sextant.shared.messages import CameraState, Odometry, TerrainMap, VelocityCommand
+from sextant.shared.topics import TOPICS, Lane
+from sextant.shared.transport import Endpoints, Router, ZenohLink
 
 MS, S = 1_000_000, 1_000_000_000
 NOW = 50 * S
@@ -237,7 +237,7 @@ def test_echo_names_what_it_cannot_decode_and_goes_on(robot: list[str], capsys: 
 def test_a_terminal_that_is_slow_misses_states_and_is_told_how_many(
     robot: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from deploy.commands import topics as commands
+    from sextant.deploy.commands import topics as commands
 
     others = Mailbox()  # somebody else, who is not held up meanwhile
     said: list[dict[str, Any]] = []
@@ -259,7 +259,7 @@ def test_a_terminal_that_is_slow_misses_states_and_is_told_how_many(
 
 
 def test_echo_ends_at_ctrl_c(robot: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from deploy.interrupts import Interrupts
+    from sextant.deploy.interrupts import Interrupts
 
     looks = iter([False] * 3)
     monkeypatch.setattr(Interrupts, "asked", lambda _: next(looks, True))

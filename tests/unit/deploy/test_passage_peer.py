@@ -4,13 +4,13 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deploy.bench.passage_fields import GAP, NEAR, field_of, heights, random_blocks, thesis_blocks
-from deploy.bench.passage_peer import NumpyTests
-from services.planner.passage import search
-from services.planner.passage.settings import PassageSettings
-from services.planner.passage.tables import ground_of, legs_of, rules_of
-from shared.geometry import Array
-from shared.profiles import load_profile
+from sextant.deploy.bench.passage_fields import GAP, NEAR, field_of, heights, random_blocks, thesis_blocks
+from sextant.deploy.bench.passage_peer import NumpyTests
+from sextant.services.planner.passage import search
+from sextant.services.planner.passage.settings import PassageSettings
+from sextant.services.planner.passage.tables import ground_of, legs_of, rules_of
+from sextant.shared.geometry import Array
+from sextant.shared.profiles import load_profile
 
 PASSAGE = PassageSettings(body_height=0.11)
 PROFILES = [load_profile(name) for name in ("phantomx_mk2", "lotriet_rx64")]

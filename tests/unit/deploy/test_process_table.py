@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy import process_table
-from deploy.process_table import Choices, assignment, choices, commands, rows
-from shared import process
-from shared.scenario import Goal, MapOptions, Plane, Scenario, Variation, Walk
-from shared.transport import Endpoints
+from sextant.deploy import process_table
+from sextant.deploy.process_table import Choices, assignment, choices, commands, rows
+from sextant.shared import process
+from sextant.shared.scenario import Goal, MapOptions, Plane, Scenario, Variation, Walk
+from sextant.shared.transport import Endpoints
 
 ENDPOINTS = Endpoints(("tcp/127.0.0.1:7447",), namespace="test")
 

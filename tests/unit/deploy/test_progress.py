@@ -4,13 +4,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deploy.progress import Lines, Monitor, Terminal, View, block, progress_for
-from shared import codec, topics
-from shared.lateness import SlowComputer
-from shared.lockstep import Lockstep
-from shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus
-from shared.profiles import load_profile
-from shared.service import Every, Worker
+from sextant.deploy.progress import Lines, Monitor, Terminal, View, block, progress_for
+from sextant.shared import codec, topics
+from sextant.shared.lateness import SlowComputer
+from sextant.shared.lockstep import Lockstep
+from sextant.shared.messages import ActuatorState, BodyPose, CameraState, Health, Message, Mode, PlannerStatus
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import Every, Worker
 from tests.support.scripted_service import Scripted
 from tests.support.states import actuator_state
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy import provenance
-from deploy.provenance import Made
+from sextant.deploy import provenance
+from sextant.deploy.provenance import Made
 
 
 def test_a_checkout_says_its_commit_and_whether_files_have_changed(tmp_path, monkeypatch):

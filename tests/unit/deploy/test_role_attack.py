@@ -6,15 +6,15 @@ from random import Random
 
 import pytest
 
-from deploy import cli
-from deploy.fuzz import role_attack
-from deploy.fuzz.role_attack import Row
-from deploy.fuzz.worst import worst
-from shared import codec
-from shared.access import ROLE_NAMED
-from shared.messages import schema
-from shared.service import AnyTopic
-from shared.topics import TOPICS
+from sextant.deploy import cli
+from sextant.deploy.fuzz import role_attack
+from sextant.deploy.fuzz.role_attack import Row
+from sextant.deploy.fuzz.worst import worst
+from sextant.shared import codec
+from sextant.shared.access import ROLE_NAMED
+from sextant.shared.messages import schema
+from sextant.shared.service import AnyTopic
+from sextant.shared.topics import TOPICS
 
 NOW_NS = 10_000_000_000
 

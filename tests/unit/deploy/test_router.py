@@ -14,12 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from deploy.launch.launcher import free_port
-from deploy.network import meeting
-from deploy.provenance import version
-from shared import codec, topics
-from shared.messages import Health, Presence
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.network import meeting
+from sextant.deploy.provenance import version
+from sextant.shared import codec, topics
+from sextant.shared.messages import Health, Presence
+from sextant.shared.transport import Endpoints, ZenohLink
 
 ROOT = Path(__file__).parents[3]
 PATIENCE_S = 60.0
@@ -30,7 +30,9 @@ def router(*words: str, port: int | None = None) -> Iterator[tuple[subprocess.Po
     """A router, at a free port or a given one, and a link of its machine."""
     endpoint = f"tcp/127.0.0.1:{port or free_port()}"
     arguments = ("--listen", endpoint, *words, "--parent", str(os.getpid()))
-    process = subprocess.Popen([sys.executable, "-m", "deploy.router", *arguments], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "sextant.deploy.router", *arguments], cwd=ROOT, stderr=subprocess.PIPE, text=True
+    )
     assert process.stderr is not None
     with process.stderr:
         try:

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy import servo_checks
-from deploy.checks import Check, Level
-from deploy.launch.launcher import free_port
-from services.simulator.tcp_port import TcpBusServer
-from services.simulator.workbench import Workbench
-from shared import dynamixel as dxl
-from shared.profiles import load_profile
-from shared.robot import LEGS, Calibration
+from sextant.deploy import servo_checks
+from sextant.deploy.checks import Check, Level
+from sextant.deploy.launch.launcher import free_port
+from sextant.services.simulator.tcp_port import TcpBusServer
+from sextant.services.simulator.workbench import Workbench
+from sextant.shared import dynamixel as dxl
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import LEGS, Calibration
 
 PROFILE = load_profile("phantomx_mk2")
 TODAY = date(2026, 7, 30)

@@ -15,19 +15,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy import cli
-from deploy.launch.launcher import free_port
-from services.actuator import latch as latch_files
-from services.actuator.bus import open_port
-from services.actuator.latch import Latch
-from services.simulator.board import Board
-from services.simulator.tcp_port import TcpBusServer
-from services.simulator.wire import Reply
-from services.simulator.workbench import Workbench
-from shared import dynamixel as dxl
-from shared.clock import now_ns
-from shared.profiles import load_profile
-from shared.robot import LEGS
+from sextant.deploy import cli
+from sextant.deploy.launch.launcher import free_port
+from sextant.services.actuator import latch as latch_files
+from sextant.services.actuator.bus import open_port
+from sextant.services.actuator.latch import Latch
+from sextant.services.simulator.board import Board
+from sextant.services.simulator.tcp_port import TcpBusServer
+from sextant.services.simulator.wire import Reply
+from sextant.services.simulator.workbench import Workbench
+from sextant.shared import dynamixel as dxl
+from sextant.shared.clock import now_ns
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import LEGS
 
 PROFILE = load_profile("phantomx_mk2")
 

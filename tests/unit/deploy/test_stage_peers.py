@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from deploy.bench import score_peers
-from deploy.bench.map_peer import NumpyGrid
-from deploy.bench.reduction_peers import NumpyReduction, Open3dCloud
-from deploy.bench.ride import CarriedCamera, Errors, ride
-from deploy.bench.scenes import MAPPED
-from services.mapper.checked_scan import CheckedScan
-from services.mapper.elevation import ElevationGrid
-from services.mapper.foothold_map import FootholdRules
-from services.mapper.fusion import FusionModel
-from services.mapper.holes import fill_small_holes
-from services.mapper.layers import FootholdLayers, Margin
-from services.mapper.score import ScoreWeights
-from services.perception.reduction import reduce_scan
+from sextant.deploy.bench import score_peers
+from sextant.deploy.bench.map_peer import NumpyGrid
+from sextant.deploy.bench.reduction_peers import NumpyReduction, Open3dCloud
+from sextant.deploy.bench.ride import CarriedCamera, Errors, ride
+from sextant.deploy.bench.scenes import MAPPED
+from sextant.services.mapper.checked_scan import CheckedScan
+from sextant.services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.foothold_map import FootholdRules
+from sextant.services.mapper.fusion import FusionModel
+from sextant.services.mapper.holes import fill_small_holes
+from sextant.services.mapper.layers import FootholdLayers, Margin
+from sextant.services.mapper.score import ScoreWeights
+from sextant.services.perception.reduction import reduce_scan
 
 WEIGHTS = ScoreWeights(unknown_clearance=0.02)
 MODEL = FusionModel()

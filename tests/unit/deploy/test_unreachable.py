@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.launch.launcher import free_port
-from shared import endpoint, transport
+from sextant.deploy import cli
+from sextant.deploy.launch.launcher import free_port
+from sextant.shared import endpoint, transport
 
 COMMANDS = (
     ["order", "stand"],

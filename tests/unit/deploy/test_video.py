@@ -10,24 +10,24 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from deploy import cli
-from deploy.video import files, ground
-from deploy.video.film import Cut, Film
-from deploy.video.painter import Figure, Mark, Painter, View
-from deploy.video.raster import blank, draw_faces, draw_field, draw_limbs
-from deploy.video.robot_figure import CARRIES, COLORS, SWINGS, Solids
-from deploy.video.sinking import Sinking
-from deploy.video.story import Maps, Moment, Story, Track
-from deploy.video.words import Caption
-from services.console.recording.reader import Recording
-from services.console.recording.writer import Recorder
-from services.simulator.solids import Boxes
-from services.simulator.terrain import Terrain, Weak
-from shared import codec
-from shared.files import WriteError
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, transform
-from shared.kinematics import body_forward, body_inverse
-from shared.messages import (
+from sextant.deploy import cli
+from sextant.deploy.video import files, ground
+from sextant.deploy.video.film import Cut, Film
+from sextant.deploy.video.painter import Figure, Mark, Painter, View
+from sextant.deploy.video.raster import blank, draw_faces, draw_field, draw_limbs
+from sextant.deploy.video.robot_figure import CARRIES, COLORS, SWINGS, Solids
+from sextant.deploy.video.sinking import Sinking
+from sextant.deploy.video.story import Maps, Moment, Story, Track
+from sextant.deploy.video.words import Caption
+from sextant.services.console.recording.reader import Recording
+from sextant.services.console.recording.writer import Recorder
+from sextant.services.simulator.solids import Boxes
+from sextant.services.simulator.terrain import Terrain, Weak
+from sextant.shared import codec
+from sextant.shared.files import WriteError
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rotation_z, transform
+from sextant.shared.kinematics import body_forward, body_inverse
+from sextant.shared.messages import (
     ActuatorState,
     BodyPose,
     GroundTruth,
@@ -38,9 +38,9 @@ from shared.messages import (
     StepPlan,
     TerrainMap,
 )
-from shared.profiles import load_profile
-from shared.service import AnyTopic
-from shared.topics import OF_TYPE
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import AnyTopic
+from sextant.shared.topics import OF_TYPE
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deploy import cli
-from services.console.recording.writer import Recorder
-from shared import codec, topics
-from shared.profiles import load_profile
+from sextant.deploy import cli
+from sextant.services.console.recording.writer import Recorder
+from sextant.shared import codec, topics
+from sextant.shared.profiles import load_profile
 from tests.support.recorded import scan, terrain
 from tests.support.states import actuator_state
 
@@ -44,7 +44,7 @@ def test_foxglove_is_told_of_each_channel_and_gets_what_it_subscribes_to() -> No
     pytest.importorskip("foxglove", reason="foxglove-sdk, of the extra foxglove: pip install -e '.[foxglove]'")
     from websockets.sync.client import connect
 
-    from deploy.foxglove_server import FoxgloveServer
+    from sextant.deploy.foxglove_server import FoxgloveServer
 
     with FoxgloveServer(PROFILE, "127.0.0.1", 0) as server:
         state = codec.encode(actuator_state(PROFILE, stamp_ns=7 * S))
@@ -75,7 +75,7 @@ def test_foxglove_is_told_of_each_channel_and_gets_what_it_subscribes_to() -> No
 
 def test_a_port_that_is_taken_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("foxglove", reason="foxglove-sdk, of the extra foxglove: pip install -e '.[foxglove]'")
-    from deploy.foxglove_server import FoxgloveServer
+    from sextant.deploy.foxglove_server import FoxgloveServer
 
     with FoxgloveServer(PROFILE, "127.0.0.1", 0) as server:
         port = server.target.rpartition(":")[2]

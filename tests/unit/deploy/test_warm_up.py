@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from deploy import warm_up
-from services.planner.passage import search
+from sextant.deploy import warm_up
+from sextant.services.planner.passage import search
 
 
 @pytest.mark.parametrize(("compiled", "cores", "jobs"), [(False, 1, 1), (False, 2, 2), (False, 16, 2), (True, 16, 1)])

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.mapper.checked_scan import CheckedScan
-from services.mapper.elevation import ElevationGrid, FusionCount
+from sextant.services.mapper.checked_scan import CheckedScan
+from sextant.services.mapper.elevation import ElevationGrid, FusionCount
 from tests.support.grid_scans import CAMERA, scan, scan_of
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.mapper.cloud import Strip, VoxelCloud
-from shared.geometry import Array
+from sextant.services.mapper.cloud import Strip, VoxelCloud
+from sextant.shared.geometry import Array
 
 STRIP = Strip((0.0, 0.0), 0.0, 1.0, 0.6)
 

@@ -1,6 +1,6 @@
 import pytest
 
-from services.mapper.config import Settings
+from sextant.services.mapper.config import Settings
 
 
 @pytest.mark.parametrize(

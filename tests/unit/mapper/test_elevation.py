@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.mapper.elevation import ElevationGrid
-from services.mapper.fusion import FusionModel
-from shared.camera import DepthSensor
+from sextant.services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.fusion import FusionModel
+from sextant.shared.camera import DepthSensor
 from tests.support.grid_scans import CAMERA, centres, scan, scan_of
 
 

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.mapper.checked_scan import CheckedScan
-from services.mapper.elevation import ElevationGrid
-from services.mapper.faces import RIM, TALL
-from shared.geometry import Array
+from sextant.services.mapper.checked_scan import CheckedScan
+from sextant.services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.faces import RIM, TALL
+from sextant.shared.geometry import Array
 
 CAMERA = np.array([0.0, 0.0, 0.26])
 WALL_X = 0.805  # [m] middle of the cells that hold the wall's face

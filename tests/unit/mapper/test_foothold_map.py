@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.mapper.foothold_map import (
+from sextant.services.mapper.foothold_map import (
     EvaluationFunction,
     FootholdRules,
     closed,
@@ -16,7 +16,7 @@ from services.mapper.foothold_map import (
     published_evaluation,
     signed_manhattan,
 )
-from shared.messages import UNKNOWN
+from sextant.shared.messages import UNKNOWN
 
 Mask = NDArray[np.uint8]
 

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.mapper.config import Settings
-from services.mapper.elevation import ElevationGrid
-from services.mapper.service import Mapper
-from shared import codec, topics
-from shared.geometry import Array, from_xyz_rpy
-from shared.messages import BodyPose, Scan, TerrainMap
-from shared.profiles import load_profile
-from shared.service import Inbox
+from sextant.services.mapper.config import Settings
+from sextant.services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.service import Mapper
+from sextant.shared import codec, topics
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.messages import BodyPose, Scan, TerrainMap
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import Inbox
 
 PROFILE = load_profile("phantomx_mk2")
 CAMERA = (0.1, 0.0, 0.25)

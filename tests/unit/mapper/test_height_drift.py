@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.elevation import ElevationGrid
 from tests.support.grid_scans import centres, take
 
 

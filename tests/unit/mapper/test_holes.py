@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from services.mapper.holes import fill_small_holes
+from sextant.services.mapper.holes import fill_small_holes
 
 
 def test_small_holes_are_bridged_exactly_on_a_plane_and_nothing_else_is_touched() -> None:

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.mapper.layers import FootholdLayers, Layers, Margin
-from services.mapper.score import ScoreWeights, published_score
-from shared.messages import UNKNOWN
+from sextant.services.mapper.layers import FootholdLayers, Layers, Margin
+from sextant.services.mapper.score import ScoreWeights, published_score
+from sextant.shared.messages import UNKNOWN
 
 Heights = NDArray[np.float32]
 

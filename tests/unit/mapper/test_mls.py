@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.mapper.mls import smooth
-from shared.geometry import Array, exp_so3
+from sextant.services.mapper.mls import smooth
+from sextant.shared.geometry import Array, exp_so3
 
 RADIUS = 0.025
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from services.mapper.cloud import Strip, VoxelCloud
-from services.mapper.passage import cell_centres, feet_plane, local_centres, passage_grid, with_assumed
-from shared.geometry import Array
+from sextant.services.mapper.cloud import Strip, VoxelCloud
+from sextant.services.mapper.passage import cell_centres, feet_plane, local_centres, passage_grid, with_assumed
+from sextant.shared.geometry import Array
 
 HEADINGS = [0.0, 0.5, -2.2]
 SLOPE = np.array([0.2, -0.1])  # [m/m] along x and y

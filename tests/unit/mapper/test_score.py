@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.mapper.score import ScoreTerms, ScoreWeights, Walkability, WalkabilityScorer
+from sextant.services.mapper.score import ScoreTerms, ScoreWeights, Walkability, WalkabilityScorer
 
 RESOLUTION = 0.01
 

@@ -7,15 +7,25 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.mapper.config import Settings
-from services.mapper.service import Mapper
-from services.planner.terrain import Terrain
-from shared import codec, topics
-from shared.color import codes, ycocg_from_rgb
-from shared.geometry import Array, apply, from_xyz_rpy
-from shared.messages import ActuatorState, BodyPose, Message, Mode, PassageMap, PassageRequest, Scan, ScanReceipt, TerrainMap
-from shared.profiles import load_profile
-from shared.service import Inbox
+from sextant.services.mapper.config import Settings
+from sextant.services.mapper.service import Mapper
+from sextant.services.planner.terrain import Terrain
+from sextant.shared import codec, topics
+from sextant.shared.color import codes, ycocg_from_rgb
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.messages import (
+    ActuatorState,
+    BodyPose,
+    Message,
+    Mode,
+    PassageMap,
+    PassageRequest,
+    Scan,
+    ScanReceipt,
+    TerrainMap,
+)
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import Inbox
 from tests.support.states import actuator_state
 
 Flags = NDArray[np.bool_]

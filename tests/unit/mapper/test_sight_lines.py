@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.mapper.elevation import ElevationGrid
+from sextant.services.mapper.elevation import ElevationGrid
 from tests.support.grid_scans import take
 
 RAYS_U, RAYS_V = np.meshgrid(np.linspace(-0.45, 0.45, 181), np.linspace(-0.38, 0.38, 181), indexing="ij")

@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.mapper.cloud import Strip
-from services.mapper.elevation import ElevationGrid, ElevationSnapshot
-from services.mapper.passage import PassageGrid, cell_centres
-from services.mapper.survey import Outlook, Survey
-from services.perception.reduction import reduce_scan
-from services.simulator.depth_camera import DepthCamera
-from services.simulator.render import Renderer
-from services.simulator.terrain import build_terrain
-from shared.geometry import Array, apply, from_xyz_rpy, inverse
-from shared.profiles import load_profile
-from shared.scenario import Box, Goal, Pillars, Plane, Scenario
+from sextant.services.mapper.cloud import Strip
+from sextant.services.mapper.elevation import ElevationGrid, ElevationSnapshot
+from sextant.services.mapper.passage import PassageGrid, cell_centres
+from sextant.services.mapper.survey import Outlook, Survey
+from sextant.services.perception.reduction import reduce_scan
+from sextant.services.simulator.depth_camera import DepthCamera
+from sextant.services.simulator.render import Renderer
+from sextant.services.simulator.terrain import build_terrain
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Box, Goal, Pillars, Plane, Scenario
 
 PROFILE = load_profile("phantomx_mk2")
 CAMERA = PROFILE.camera

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.mapper.terrain_type import Palette, TerrainType, Type, TypeMap, TypeModel
-from shared.color import ycocg_from_rgb
-from shared.geometry import Array
+from sextant.services.mapper.terrain_type import Palette, TerrainType, Type, TypeMap, TypeModel
+from sextant.shared.color import ycocg_from_rgb
+from sextant.shared.geometry import Array
 
 N, R = 80, 0.01
 MODEL = TypeModel()

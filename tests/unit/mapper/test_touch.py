@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.mapper.touch import Touch, TouchWatch
-from shared.geometry import from_xyz_rpy
-from shared.messages import ActuatorState, BodyPose
-from shared.profiles import load_profile
+from sextant.services.mapper.touch import Touch, TouchWatch
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.messages import ActuatorState, BodyPose
+from sextant.shared.profiles import load_profile
 from tests.unit.mapper.test_service import legs
 
 PROFILE = load_profile("phantomx_mk2")

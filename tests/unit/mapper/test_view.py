@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.mapper.cloud import Strip, VoxelCloud
-from services.mapper.passage import PassageGrid, cell_centres, local_centres, passage_grid
-from services.mapper.view import (
+from sextant.services.mapper.cloud import Strip, VoxelCloud
+from sextant.services.mapper.passage import PassageGrid, cell_centres, local_centres, passage_grid
+from sextant.services.mapper.view import (
     BESIDE,
     FAR,
     HIDDEN,
@@ -20,15 +20,15 @@ from services.mapper.view import (
     sights,
     unseen_in_words,
 )
-from services.perception.reduction import reduce_scan
-from services.simulator.depth_camera import DepthCamera
-from services.simulator.render import Renderer
-from services.simulator.terrain import Terrain, build_terrain
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
-from shared.kinematics import body_inverse, within_limits
-from shared.profiles import load_profile
-from shared.scenario import Box, Goal, Pillars, Plane, Scenario
-from shared.scenario import Terrain as Part
+from sextant.services.perception.reduction import reduce_scan
+from sextant.services.simulator.depth_camera import DepthCamera
+from sextant.services.simulator.render import Renderer
+from sextant.services.simulator.terrain import Terrain, build_terrain
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from sextant.shared.kinematics import body_inverse, within_limits
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Box, Goal, Pillars, Plane, Scenario
+from sextant.shared.scenario import Terrain as Part
 
 PROFILE = load_profile("phantomx_mk2")
 CAMERA = PROFILE.camera

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from services.perception.anchor import AnchorMap
-from shared.geometry import from_xyz_rpy
+from sextant.services.perception.anchor import AnchorMap
+from sextant.shared.geometry import from_xyz_rpy
 
 SIGMA = 0.0016  # [1/m]
 LEVEL = from_xyz_rpy([0.0, 0.0, 0.5], [0.0, 0.0, 0.0])  # points are given in axes like the world's, 0.5 m over the floor

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from services.perception.coloring import KEPT, Coloring
-from shared import codec
-from shared.camera import Intrinsics
-from shared.color import NO_COLOR, codes, from_codes, ycocg_from_rgb
-from shared.geometry import Array, apply, from_xyz_rpy
-from shared.messages import Scan
+from sextant.services.perception.coloring import KEPT, Coloring
+from sextant.shared import codec
+from sextant.shared.camera import Intrinsics
+from sextant.shared.color import NO_COLOR, codes, from_codes, ycocg_from_rgb
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.messages import Scan
 
 CAMERA = Intrinsics(160, 120, 146.0, 146.0, 79.5, 59.5)
 SHAPE = CAMERA.height, CAMERA.width

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from services.perception.config import Settings
-from services.perception.service import Perception
-from shared import codec, topics
-from shared.camera import Intrinsics
-from shared.geometry import Array, from_xyz_rpy
-from shared.messages import BodyPose, DepthImage, Message, Odometry, Scan
-from shared.profiles import load_profile
-from shared.service import Inbox
+from sextant.services.perception.config import Settings
+from sextant.services.perception.service import Perception
+from sextant.shared import codec, topics
+from sextant.shared.camera import Intrinsics
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.messages import BodyPose, DepthImage, Message, Odometry, Scan
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import Inbox
 
 PHANTOM = load_profile("phantomx_mk2")
 PROFILE = replace(PHANTOM, camera=replace(PHANTOM.camera, intrinsics=Intrinsics(320, 240, 292.5, 292.5, 159.5, 119.5)))

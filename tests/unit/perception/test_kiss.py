@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from services.perception.kiss import KissRegistration
-from services.perception.registration import error_twist
-from shared.camera import DepthSensor, Intrinsics
-from shared.geometry import inverse
+from sextant.services.perception.kiss import KissRegistration
+from sextant.services.perception.registration import error_twist
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.geometry import inverse
 
 WIDE_CAMERA = Intrinsics(320, 240, 160.0, 160.0, 159.5, 119.5)  # 90 degrees across
 WIDE_SENSOR = DepthSensor(min_range=0.2, max_range=3.0, baseline=0.25)

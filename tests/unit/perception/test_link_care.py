@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.perception.link_care import LinkCare
+from sextant.services.perception.link_care import LinkCare
 
 MS, SEC = 1_000_000, 1_000_000_000
 FRAME_NS = 66_666_667

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.perception.motion import OdometryHistory, VelocityPrior
-from shared.geometry import Array, exp_se3, from_xyz_rpy
-from shared.messages import Odometry
+from sextant.services.perception.motion import OdometryHistory, VelocityPrior
+from sextant.shared.geometry import Array, exp_se3, from_xyz_rpy
+from sextant.shared.messages import Odometry
 
 MS = 1_000_000
 PERIOD = 20 * MS

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from services.perception.moving_body import is_one_body, is_within_body
+from sextant.services.perception.moving_body import is_one_body, is_within_body
 
 RADIUS = 0.45
 FLOOR = np.random.default_rng(0).uniform(-1.5, 1.5, (4000, 2))

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.perception.observability import AXES, unobservable_directions
+from sextant.services.perception.observability import AXES, unobservable_directions
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from services.perception.preview import preview
-from shared import codec, topics
-from shared.camera import DepthSensor
-from shared.messages import MAX_PREVIEW
+from sextant.services.perception.preview import preview
+from sextant.shared import codec, topics
+from sextant.shared.camera import DepthSensor
+from sextant.shared.messages import MAX_PREVIEW
 
 SENSOR = DepthSensor()
 

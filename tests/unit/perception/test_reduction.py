@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.perception.reduction import reduce_scan
+from sextant.services.perception.reduction import reduce_scan
 
 BLOCK = np.array([[0.9, -0.2, 0.0, 1.1, 0.2, 0.05]])
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from services.perception.anchor import AnchorMap, Found, Misfit
-from services.perception.keyframes import Match
-from services.perception.registration import Acceptance, Registration, _Aligned, belief, error_twist, jump, moved
-from shared.camera import DepthSensor, Intrinsics
-from shared.geometry import exp_so3, from_xyz_rpy, inverse, orthonormal, transform
+from sextant.services.perception.anchor import AnchorMap, Found, Misfit
+from sextant.services.perception.keyframes import Match
+from sextant.services.perception.registration import Acceptance, Registration, _Aligned, belief, error_twist, jump, moved
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.geometry import exp_so3, from_xyz_rpy, inverse, orthonormal, transform
 
 TIGHT = 1e-6 * np.eye(6)
 WIDE = np.diag([0.02] * 3 + [0.02] * 3) ** 2

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.perception.config import Settings
-from services.perception.service import Perception
-from shared import codec, topics
-from shared.camera import Intrinsics
-from shared.geometry import Array, from_xyz_rpy, inverse, is_rigid, yaw_of
-from shared.messages import BodyPose, DepthImage, Message, Odometry, Preview, Scan
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.service import AnyTopic, Inbox
+from sextant.services.perception.config import Settings
+from sextant.services.perception.service import Perception
+from sextant.shared import codec, topics
+from sextant.shared.camera import Intrinsics
+from sextant.shared.geometry import Array, from_xyz_rpy, inverse, is_rigid, yaw_of
+from sextant.shared.messages import BodyPose, DepthImage, Message, Odometry, Preview, Scan
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic, Inbox
 
 MS = 1_000_000
 FRAME = 33 * MS

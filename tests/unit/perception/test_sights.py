@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from services.perception.sights import free_sights
-from shared.camera import DepthSensor, Intrinsics
+from sextant.services.perception.sights import free_sights
+from sextant.shared.camera import DepthSensor, Intrinsics
 
 WALL = np.array([[1.2, -0.3, 0.0, 1.3, 0.3, 0.1]])
 

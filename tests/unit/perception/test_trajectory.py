@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from services.perception.trajectory import trajectory_error
-from shared.geometry import from_xyz_rpy
+from sextant.services.perception.trajectory import trajectory_error
+from sextant.shared.geometry import from_xyz_rpy
 
 
 def poses(n=20, seed=0):

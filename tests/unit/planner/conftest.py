@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from services.planner.terrain import Terrain
-from shared.geometry import Array
-from shared.messages import TerrainMap
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array
+from sextant.shared.messages import TerrainMap
 
 RESOLUTION = 0.01
 

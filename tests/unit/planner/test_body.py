@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from services.planner.body import clear_of_ground, floor_height, leaning, slope_under
-from services.planner.terrain import Terrain, flat_terrain
-from shared.geometry import Array, from_xyz_rpy, yaw_of
+from sextant.services.planner.body import clear_of_ground, floor_height, leaning, slope_under
+from sextant.services.planner.terrain import Terrain, flat_terrain
+from sextant.shared.geometry import Array, from_xyz_rpy, yaw_of
 
 SIZE = (0.24, 0.12, 0.04)
 heights = hnp.arrays(np.float64, 6, elements=st.floats(-0.2, 0.2))

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.planner.crossing import BARE, HOLE, MAX_STEP, OPEN, STEP, STUCK, Crossing, Prices, SeenGround, Size
-from services.planner.terrain import Terrain
-from shared.geometry import Array, from_xyz_rpy
-from shared.profiles import load_profile
+from sextant.services.planner.crossing import BARE, HOLE, MAX_STEP, OPEN, STEP, STUCK, Crossing, Prices, SeenGround, Size
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.profiles import load_profile
 
 CAMERA = load_profile("phantomx_mk2").camera
 SIZE = Size(0.25, 0.18, 0.40)

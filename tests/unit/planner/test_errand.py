@@ -6,13 +6,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.planner.config import Settings
-from services.planner.passage.errand import ATTEMPTS, PLANNINGS, STRIP, Errand, Move, Outcome, Over, Refused, Standing, Wait
-from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
-from shared.geometry import Array, apply, from_xyz_rpy, inverse
-from shared.messages import UNKNOWN, Mode, PassageMap
-from shared.profiles import load_profile
+from sextant.services.planner.config import Settings
+from sextant.services.planner.passage.errand import (
+    ATTEMPTS,
+    PLANNINGS,
+    STRIP,
+    Errand,
+    Move,
+    Outcome,
+    Over,
+    Refused,
+    Standing,
+    Wait,
+)
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.roadmap import Crossing, NoWay, PassageStep, Stance
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
+from sextant.shared.messages import UNKNOWN, Mode, PassageMap
+from sextant.shared.profiles import load_profile
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

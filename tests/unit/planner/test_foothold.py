@@ -10,9 +10,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
-from services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
-from shared.geometry import Array
+from sextant.services.planner.foothold import Foothold, NoFoothold, nearest_foothold, offsets_by_distance
+from sextant.services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
+from sextant.shared.geometry import Array
 
 Flags = NDArray[np.bool_]
 

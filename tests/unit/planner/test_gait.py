@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.planner.gait import GAITS, Gait, active_sextant, carried_on, directions, nominal_touchdowns, swing_order
-from shared.geometry import Array, apply, from_xyz_rpy, inverse
-from shared.profiles import load_profile
-from shared.robot import LEGS
+from sextant.services.planner.gait import GAITS, Gait, active_sextant, carried_on, directions, nominal_touchdowns, swing_order
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import LEGS
 
 REST = load_profile("phantomx_mk2").rest_feet()
 EVEN = np.arange(6) % 2 == 0

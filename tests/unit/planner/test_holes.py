@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from services.planner.holes import Holes
-from services.planner.terrain import GOOD, NONE, flat_terrain
-from shared.geometry import from_xyz_rpy
-from shared.messages import HAZARDS, ActuatorState
+from sextant.services.planner.holes import Holes
+from sextant.services.planner.terrain import GOOD, NONE, flat_terrain
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.messages import HAZARDS, ActuatorState
 from tests.unit.planner.test_service import Rig
 
 FLAT = flat_terrain(0, np.zeros(2), 0.0)

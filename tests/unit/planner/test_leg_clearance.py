@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.planner.leg_clearance import Touching, Way, cleared, links_at, rises_clear, stands_clear, swing_shape
-from services.planner.terrain import Terrain, flat_terrain, plane_terrain
-from shared.geometry import Array, apply, from_xyz_rpy
-from shared.kinematics import body_inverse, leg_points
-from shared.profiles import load_profile
-from shared.robot import LEGS
+from sextant.services.planner.leg_clearance import Touching, Way, cleared, links_at, rises_clear, stands_clear, swing_shape
+from sextant.services.planner.terrain import Terrain, flat_terrain, plane_terrain
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.kinematics import body_inverse, leg_points
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import LEGS
 
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = PROFILE.stance.body_height

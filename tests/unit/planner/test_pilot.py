@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.planner.pilot import Heading, Pilot
-from services.planner.route import NoWay
-from services.planner.terrain import Terrain
-from shared.geometry import Array, from_xyz_rpy, rotation_z, yaw_of
-from shared.messages import MAX_WAYPOINTS, Goal, VelocityCommand
-from shared.profiles import load_profile
+from sextant.services.planner.pilot import Heading, Pilot
+from sextant.services.planner.route import NoWay
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array, from_xyz_rpy, rotation_z, yaw_of
+from sextant.shared.messages import MAX_WAYPOINTS, Goal, VelocityCommand
+from sextant.shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 STEP_S = PROFILE.stance.step_s

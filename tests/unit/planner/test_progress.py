@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.planner.progress import Progress
-from shared.geometry import Array
+from sextant.services.planner.progress import Progress
+from sextant.shared.geometry import Array
 
 S = 1_000_000_000
 SPEED = 0.1

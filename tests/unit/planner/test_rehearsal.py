@@ -4,22 +4,22 @@ import sys
 
 import numpy as np
 
-from deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, stance_at, thesis_blocks
-from services.planner.config import Settings
-from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Roadmap
-from services.planner.passage.settings import PassageSettings
-from services.planner.rehearsal import rehearse
-from shared import codec
-from shared.messages import PassageMap
-from shared.profiles import load_profile
+from sextant.deploy.bench.passage_fields import BEYOND, NEAR, START, field_of, heights, stance_at, thesis_blocks
+from sextant.services.planner.config import Settings
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.roadmap import Roadmap
+from sextant.services.planner.passage.settings import PassageSettings
+from sextant.services.planner.rehearsal import rehearse
+from sextant.shared import codec
+from sextant.shared.messages import PassageMap
+from sextant.shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 
 
 def compiled() -> int:
     """How many signatures of functions of the passage planner have been compiled or loaded."""
-    modules = [module for name, module in sys.modules.items() if name.startswith("services.planner.passage.")]
+    modules = [module for name, module in sys.modules.items() if name.startswith("sextant.services.planner.passage.")]
     found = {id(f): f for module in modules for f in vars(module).values() if hasattr(f, "signatures")}
     return sum(len(f.signatures) for f in found.values())
 

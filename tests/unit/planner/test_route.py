@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.planner.crossing import BARE, FAR, HOLE, OPEN, STEP, WORDS, Crossing
-from services.planner.route import NoWay, Way, cheapest_cells, cost_of, find_way, straightened, widest
-from shared.geometry import Array
+from sextant.services.planner.crossing import BARE, FAR, HOLE, OPEN, STEP, WORDS, Crossing
+from sextant.services.planner.route import NoWay, Way, cheapest_cells, cost_of, find_way, straightened, widest
+from sextant.shared.geometry import Array
 
 EDGE = 0.05
 HALF = 0.25  # [m] of the robot's width

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.planner.config import Settings
-from services.planner.pilot import Heading
-from services.planner.route import NoWay
-from services.planner.service import Planner
-from services.planner.stride import SHARES, Blocked
-from services.planner.terrain import Terrain, flat_terrain
-from shared import codec, topics
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
-from shared.messages import (
+from sextant.services.planner.config import Settings
+from sextant.services.planner.pilot import Heading
+from sextant.services.planner.route import NoWay
+from sextant.services.planner.service import Planner
+from sextant.services.planner.stride import SHARES, Blocked
+from sextant.services.planner.terrain import Terrain, flat_terrain
+from sextant.shared import codec, topics
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation, yaw_of
+from sextant.shared.messages import (
     BodyPose,
     CameraState,
     Goal,
@@ -28,8 +28,8 @@ from shared.messages import (
     TerrainMap,
     VelocityCommand,
 )
-from shared.profiles import load_profile
-from shared.service import Inbox
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import Inbox
 from tests.support.states import actuator_state
 from tests.unit.planner.conftest import terrain_of
 

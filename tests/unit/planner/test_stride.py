@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.planner.config import Settings
-from services.planner.gait import GAITS, directions, swing_order
-from services.planner.leg_clearance import clearance_to_sink
-from services.planner.stride import SHARES, Blocked, Situation, Stride, StridePlanner
-from services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
-from shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
-from shared.kinematics import body_inverse, within_limits
-from shared.messages import GaitName, VelocityCommand
-from shared.profiles import load_profile
-from shared.stability import support_margin
+from sextant.services.planner.config import Settings
+from sextant.services.planner.gait import GAITS, directions, swing_order
+from sextant.services.planner.leg_clearance import clearance_to_sink
+from sextant.services.planner.stride import SHARES, Blocked, Situation, Stride, StridePlanner
+from sextant.services.planner.terrain import ACCEPTABLE, Terrain, flat_terrain
+from sextant.shared.geometry import Array, apply, from_xyz_rpy, inverse, rpy_from_rotation
+from sextant.shared.kinematics import body_inverse, within_limits
+from sextant.shared.messages import GaitName, VelocityCommand
+from sextant.shared.profiles import load_profile
+from sextant.shared.stability import support_margin
 
 Flags = NDArray[np.bool_]
 

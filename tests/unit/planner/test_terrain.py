@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from services.planner.terrain import STEEPEST, Terrain, flat_terrain, plane_of
-from shared.geometry import Array
+from sextant.services.planner.terrain import STEEPEST, Terrain, flat_terrain, plane_of
+from sextant.shared.geometry import Array
 
 Maker = Callable[..., Terrain]
 

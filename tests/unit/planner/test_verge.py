@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from services.planner.passage.verge import Verge, gap_ahead
-from services.planner.terrain import Terrain
-from shared.geometry import Array
+from sextant.services.planner.passage.verge import Verge, gap_ahead
+from sextant.services.planner.terrain import Terrain
+from sextant.shared.geometry import Array
 
 Maker = Callable[..., Terrain]
 GOAL = np.array([1.6, 0.0])

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from deploy import access_page
-from deploy.keys_page import _service
-from deploy.network.authority import Authority, held
-from deploy.process_table import TABLE, rows
-from services.console.recording.writer import LEFT_OUT
-from shared import access, topics
-from shared.access import ROLE_NAMED, ROLES, SITE, AccessError, Keys, Role
-from shared.service import AnyTopic
-from shared.topics import TOPICS
+from sextant.deploy import access_page
+from sextant.deploy.keys_page import _service
+from sextant.deploy.network.authority import Authority, held
+from sextant.deploy.process_table import TABLE, rows
+from sextant.services.console.recording.writer import LEFT_OUT
+from sextant.shared import access, topics
+from sextant.shared.access import ROLE_NAMED, ROLES, SITE, AccessError, Keys, Role
+from sextant.shared.service import AnyTopic
+from sextant.shared.topics import TOPICS
 
 HEARD_OF = ("robot", "base", "console", "site")  # on other machines
 LOCAL: set[AnyTopic] = {topics.HEALTH_OF["viewer"], topics.PRESENCE_OF["viewer"]}

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.array_file import read_numbers
-from shared.input_file import FileError
+from sextant.shared.array_file import read_numbers
+from sextant.shared.input_file import FileError
 
 
 def header(text: str, major: int = 1) -> bytes:

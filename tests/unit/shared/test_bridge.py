@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared import bridge
-from shared import dynamixel as dxl
-from shared.bridge import FROM_HOST, MESSAGES, TO_HOST, Message, Receiver, RemoteClock
-from shared.codec import DecodeError, pack_values
-from shared.fields import Choice, Kind, Octets, Text, Whole, Words
-from shared.framing import frame
+from sextant.shared import bridge
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bridge import FROM_HOST, MESSAGES, TO_HOST, Message, Receiver, RemoteClock
+from sextant.shared.codec import DecodeError, pack_values
+from sextant.shared.fields import Choice, Kind, Octets, Text, Whole, Words
+from sextant.shared.framing import frame
 
 WILD = settings(deadline=None, derandomize=True, max_examples=150)
 DOCUMENT = (Path(__file__).parents[3] / "docs" / "bridge.md").read_text(encoding="utf-8")

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared import codec, config
-from shared.bus_fault import GRID, BusFault
-from shared.messages import FaultCommand, FaultKind, FaultTarget
-from shared.scenario import Scenario
+from sextant.shared import codec, config
+from sextant.shared.bus_fault import GRID, BusFault
+from sextant.shared.messages import FaultCommand, FaultKind, FaultTarget
+from sextant.shared.scenario import Scenario
 
 KINDS, TARGETS = get_args(FaultKind), get_args(FaultTarget)
 

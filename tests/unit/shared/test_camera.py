@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.camera import DepthSensor, Intrinsics
+from sextant.shared.camera import DepthSensor, Intrinsics
 
 SMALL = Intrinsics(64, 48, 58.5, 58.5, 31.5, 23.5)
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared import clock
-from shared.clock import ClockError, RobotClock, SuspendedTime
+from sextant.shared import clock
+from sextant.shared.clock import ClockError, RobotClock, SuspendedTime
 
 MS = 1_000_000
 SEC = 1000 * MS

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from shared import codec, topics
-from shared import messages as m
-from shared.geometry import from_xyz_rpy
-from shared.messages import Message
+from sextant.shared import codec, topics
+from sextant.shared import messages as m
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.messages import Message
 
 KINDS = list(topics.OF_TYPE)
 int64 = st.integers(-(1 << 63) + 1, (1 << 63) - 1)

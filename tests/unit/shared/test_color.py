@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from shared.color import NO_COLOR, codes, from_codes, rgb_from_ycocg, ycocg_from_rgb
+from sextant.shared.color import NO_COLOR, codes, from_codes, rgb_from_ycocg, ycocg_from_rgb
 
 PICTURES = arrays(np.uint8, st.tuples(st.integers(1, 30), st.just(3)))
 

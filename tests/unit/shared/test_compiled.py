@@ -15,7 +15,7 @@ def borrowed(source: str) -> Iterator[str]:
     imported = {
         alias.asname or alias.name
         for node in ast.walk(module)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in OURS
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("sextant.")
         for alias in node.names
     }
     for function in module.body:
@@ -25,7 +25,7 @@ def borrowed(source: str) -> Iterator[str]:
 
 
 def test_borrowed_names_are_found() -> None:
-    source = "from shared.a import B, c\nD = 1\n@compiled\ndef f(x):\n    return c(x) + B + D\ndef g():\n    return B\n"
+    source = "from sextant.shared.a import B, c\nD = 1\n@compiled\ndef f(x):\n    return c(x) + B + D\ndef g():\n    return B\n"
     assert list(borrowed(source)) == ["f uses B", "f uses c"]
     assert list(borrowed(source.replace("@compiled", "@written_into"))) == ["f uses B", "f uses c"]
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared import config
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.scenario import Scenario, load_scenario, scenario_names
+from sextant.shared import config
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import Scenario, load_scenario, scenario_names
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared import dynamixel as dxl
-from shared.dynamixel import Access, Dropped, Instruction, PacketParser, ServoError
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Access, Dropped, Instruction, PacketParser, ServoError
 
 WILD = settings(deadline=None, derandomize=True)
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 
-from shared import ending
-from shared.ending import ToldToEnd
+from sextant.shared import ending
+from sextant.shared.ending import ToldToEnd
 
 PATIENCE_S = 180.0  # for a process of its own on a busy machine
 
 _BEGINS = """
 import ctypes, os, signal, sys, threading
-from shared import ending
+from sextant.shared import ending
 ending._END_S = float(sys.argv[1])
 with ending.ToldToEnd() as told:
     told.open()
@@ -38,13 +38,13 @@ _HANGS_WHILE_IT_CLOSES = f"""{_BEGINS}
     threading.Event().wait()
 """
 _FAILS = """
-from shared import ending
+from sextant.shared import ending
 ending.leave_at_errors()
 raise RuntimeError("no more ground")
 """
 _FAILS_IN_A_THREAD = """
 import threading
-from shared import ending
+from sextant.shared import ending
 def fail():
     raise RuntimeError("no more ground")
 ending.leave_at_errors_of_threads()

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared import endpoint
-from shared.endpoint import cannot_connect, cannot_listen, fault, obstacle, occupied, place, unknown_host
+from sextant.shared import endpoint
+from sextant.shared.endpoint import cannot_connect, cannot_listen, fault, obstacle, occupied, place, unknown_host
 
 AT = "tcp/robot.local:7447"
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from shared import files
-from shared.files import WriteError
+from sextant.shared import files
+from sextant.shared.files import WriteError
 
 OLD, NEW = "the old text", "the new text"
 
@@ -58,7 +58,7 @@ def test_two_writers_of_one_file_do_not_mix(tmp_path: Path) -> None:
 def test_a_partial_file_that_a_killed_process_left_is_taken_over(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     code = (
-        "import os, pathlib, sys; from shared import files\n"
+        "import os, pathlib, sys; from sextant.shared import files\n"
         "with files.replacing(pathlib.Path(sys.argv[1])) as file:\n"
         "    file.write(b'x' * 100_000); file.flush(); os.kill(os.getpid(), 9)"
     )
@@ -84,7 +84,7 @@ def limited(code: str, path: Path) -> subprocess.CompletedProcess[str]:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 
-    begin = "import pathlib, sys; sys.dont_write_bytecode = True; from shared import files; path = pathlib.Path(sys.argv[1])\n"
+    begin = "import pathlib, sys; sys.dont_write_bytecode = True; from sextant.shared import files; path = pathlib.Path(sys.argv[1])\n"
     return subprocess.run(
         [sys.executable, "-c", begin + code, str(path)], preexec_fn=limit, capture_output=True, text=True, check=False
     )
@@ -163,7 +163,7 @@ def test_what_goes_on_without_a_file_warns() -> None:
     assert told == ["warning: /dev/null/a.txt cannot be written: its folder is a file; write to another one"]
 
 
-# What is not written whole by `shared.files`, and why.
+# What is not written whole by `sextant.shared.files`, and why.
 APART = {
     "deploy/bed/namespace.py": "the kernel's own files",
     "deploy/bench/link.py": "a folder that is removed at the end",

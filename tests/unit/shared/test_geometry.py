@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from shared import geometry as g
+from sextant.shared import geometry as g
 
 Array = NDArray[np.float64]
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from services.console import view
-from services.console.diary import Diary
-from shared import codec, topics
-from shared.health_table import FORGOTTEN_NS, MOST_SERVICES, HealthTable
-from shared.messages import MAX_ITEMS, MAX_TEXT, Health
-from shared.service import Inbox, Stages
+from sextant.services.console import view
+from sextant.services.console.diary import Diary
+from sextant.shared import codec, topics
+from sextant.shared.health_table import FORGOTTEN_NS, MOST_SERVICES, HealthTable
+from sextant.shared.messages import MAX_ITEMS, MAX_TEXT, Health
+from sextant.shared.service import Inbox, Stages
 
 SEC = 1_000_000_000
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.actuator.line import REPLY_TIMEOUT_NS
-from shared.host import allow_many_files, go_first, spare_collector, switch_often
+from sextant.services.actuator.line import REPLY_TIMEOUT_NS
+from sextant.shared.host import allow_many_files, go_first, spare_collector, switch_often
 
 
 @pytest.fixture(autouse=True)

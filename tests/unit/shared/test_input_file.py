@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.input_file import FileError, parse_json, parse_toml, read_bytes, read_json, read_text, read_toml
+from sextant.shared.input_file import FileError, parse_json, parse_toml, read_bytes, read_json, read_text, read_toml
 
 FILE = Path("some.file")
 

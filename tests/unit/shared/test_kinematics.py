@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from shared import kinematics
-from shared.profiles import load_profile
-from shared.robot import LEGS, LegLinks, RobotProfile
+from sextant.shared import kinematics
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import LEGS, LegLinks, RobotProfile
 
 Array = NDArray[np.float64]
 

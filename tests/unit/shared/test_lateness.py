@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from shared import topics
-from shared.lateness import BEAT, STALL, InputAge, InputAges, SlowComputer, ages_of
-from shared.messages import Health
+from sextant.shared import topics
+from sextant.shared.lateness import BEAT, STALL, InputAge, InputAges, SlowComputer, ages_of
+from sextant.shared.messages import Health
 
 MS = 1_000_000
 S = 1000 * MS

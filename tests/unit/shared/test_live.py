@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared import clock, codec, topics
-from shared.lateness import STALL
-from shared.live import Beats, run_live
-from shared.messages import Health, Message, PlannerStatus
-from shared.service import AnyTopic, Every, Inbox, Service
+from sextant.shared import clock, codec, topics
+from sextant.shared.lateness import STALL
+from sextant.shared.live import Beats, run_live
+from sextant.shared.messages import Health, Message, PlannerStatus
+from sextant.shared.service import AnyTopic, Every, Inbox, Service
 from tests.support.scripted_service import Kept, Scripted, order, status, velocity
 
 MS = 1_000_000

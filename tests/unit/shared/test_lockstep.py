@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from shared import codec, topics
-from shared.lockstep import Lockstep, Outage, ServiceFailedError
-from shared.messages import Message, ModeCommand, PlannerStatus, Tick
-from shared.service import AnyTopic, Every, Inbox
+from sextant.shared import codec, topics
+from sextant.shared.lockstep import Lockstep, Outage, ServiceFailedError
+from sextant.shared.messages import Message, ModeCommand, PlannerStatus, Tick
+from sextant.shared.service import AnyTopic, Every, Inbox
 from tests.support.scripted_service import Scripted, order, status, velocity
 
 MS = 1_000_000

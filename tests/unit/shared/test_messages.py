@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared import messages as m
-from shared import topics
-from shared.messages import Message
+from sextant.shared import messages as m
+from sextant.shared import topics
+from sextant.shared.messages import Message
 
 KINDS = list(topics.OF_TYPE)
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from shared.input_file import FileError
-from shared.picture_file import read_color, read_grey
+from sextant.shared.input_file import FileError
+from sextant.shared.picture_file import read_color, read_grey
 
 GREY = np.arange(12, dtype=np.uint16).reshape(3, 4) * 5000
 

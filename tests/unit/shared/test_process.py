@@ -15,12 +15,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared import ending, process
-from shared.config import ConfigError
-from shared.messages import Message
-from shared.robot import RobotProfile
-from shared.service import Every, Inbox, Stages
-from shared.transport import Endpoints, TransportError
+from sextant.shared import ending, process
+from sextant.shared.config import ConfigError
+from sextant.shared.messages import Message
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import Every, Inbox, Stages
+from sextant.shared.transport import Endpoints, TransportError
 
 PATIENCE_S = 180.0  # for what a busy machine may take long to do
 

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared import config
-from shared import dynamixel as dxl
-from shared.camera import DepthSensor, Intrinsics
-from shared.geometry import apply
-from shared.kinematics import body_inverse, within_limits
-from shared.profiles import load_profile, profile_names
-from shared.robot import LEGS, Body, Calibration, Foot, Leg, LegLinks, RobotProfile, Servo
+from sextant.shared import config
+from sextant.shared import dynamixel as dxl
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.geometry import apply
+from sextant.shared.kinematics import body_inverse, within_limits
+from sextant.shared.profiles import load_profile, profile_names
+from sextant.shared.robot import LEGS, Body, Calibration, Foot, Leg, LegLinks, RobotProfile, Servo
 
 PROFILE = load_profile("phantomx_mk2")
 TABLE = config.as_table(PROFILE)

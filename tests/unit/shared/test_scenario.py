@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from shared import config
-from shared.profiles import load_profile
-from shared.scenario import (
+from sextant.shared import config
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import (
     Box,
     Course,
     Fault,

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from shared import codec, topics
-from shared.lateness import BEAT
-from shared.messages import Health, ModeCommand, Tick
-from shared.service import QUEUE_LENGTH, AnyTopic, Every, Inbox, Service, Stages, Worker
+from sextant.shared import codec, topics
+from sextant.shared.lateness import BEAT
+from sextant.shared.messages import Health, ModeCommand, Tick
+from sextant.shared.service import QUEUE_LENGTH, AnyTopic, Every, Inbox, Service, Stages, Worker
 from tests.support.scripted_service import Kept, Scripted, order, status, velocity
 
 MS = 1_000_000

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared import clock
-from shared.simulated_time import SPAN_NS, SimulatedTime, hold
+from sextant.shared import clock
+from sextant.shared.simulated_time import SPAN_NS, SimulatedTime, hold
 
 MS = 1_000_000
 SEC = 1000 * MS

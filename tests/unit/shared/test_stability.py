@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from shared.geometry import Array
-from shared.kinematics import body_inverse
-from shared.profiles import load_profile, profile_names
-from shared.stability import centre_of_mass, resting_centre_of_mass, support_margin
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import body_inverse
+from sextant.shared.profiles import load_profile, profile_names
+from sextant.shared.stability import centre_of_mass, resting_centre_of_mass, support_margin
 
 SQUARE = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from shared import codec, messages, topics
-from shared.topics import TOPICS, Delivery, Lane, Topic
+from sextant.shared import codec, messages, topics
+from sextant.shared.topics import TOPICS, Delivery, Lane, Topic
 
 
 def test_keys_and_types_stand_once() -> None:

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 import zenoh
 
-from shared import topics, transport
-from shared.transport import Endpoints, ForeignLink, Router, TransportError, ZenohLink
+from sextant.shared import topics, transport
+from sextant.shared.transport import Endpoints, ForeignLink, Router, TransportError, ZenohLink
 
 MODE, VELOCITY, DEPTH, COLOR = topics.MODE, topics.VELOCITY, topics.DEPTH, topics.COLOR
 PATIENCE_S = 10.0  # an event that has not come by then never will

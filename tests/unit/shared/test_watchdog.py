@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.watchdog import Watchdog
+from sextant.shared.watchdog import Watchdog
 
 S = 1_000_000_000
 LONG = "60000000"

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.simulator.bus import BusTiming, MemoryPort, Reply, ServoBusEmulator
-from services.simulator.servos import ServoBank
-from services.simulator.tcp_port import TcpBusServer
-from shared import dynamixel as dxl
-from shared.dynamixel import Instruction, Packet, PacketParser, Register, ServoError
+from sextant.services.simulator.bus import BusTiming, MemoryPort, Reply, ServoBusEmulator
+from sextant.services.simulator.servos import ServoBank
+from sextant.services.simulator.tcp_port import TcpBusServer
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Instruction, Packet, PacketParser, Register, ServoError
 
 WILD = settings(deadline=None, derandomize=True)
 

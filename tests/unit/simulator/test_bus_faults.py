@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
-from services.simulator.bus_faults import BusFaults
-from services.simulator.servos import ServoBank
-from services.simulator.tcp_port import TcpBusServer
-from services.simulator.wire import Outlet, Reply
-from shared import dynamixel as dxl
-from shared.bus_fault import GRID, BusFault
-from shared.dynamixel import PRESENT_STATE, Packet, PacketParser, Register, ServoError
-from shared.messages import FaultKind, FaultTarget
+from sextant.services.simulator.bus import BusTiming, MemoryPort, ServoBusEmulator
+from sextant.services.simulator.bus_faults import BusFaults
+from sextant.services.simulator.servos import ServoBank
+from sextant.services.simulator.tcp_port import TcpBusServer
+from sextant.services.simulator.wire import Outlet, Reply
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bus_fault import GRID, BusFault
+from sextant.shared.dynamixel import PRESENT_STATE, Packet, PacketParser, Register, ServoError
+from sextant.shared.messages import FaultKind, FaultTarget
 
 WILD = settings(deadline=None, derandomize=True, max_examples=60)
 IDS = (1, 2, 3)

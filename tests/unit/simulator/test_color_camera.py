@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from services.simulator.color_camera import ColorCamera
-from services.simulator.render import Renderer
-from services.simulator.terrain import build_terrain
-from shared.color import ycocg_from_rgb
-from shared.geometry import Array, apply, from_xyz_rpy
-from shared.profiles import load_profile
-from shared.scenario import Box, Goal, Plane, Puddle, Scenario
+from sextant.services.simulator.color_camera import ColorCamera
+from sextant.services.simulator.render import Renderer
+from sextant.services.simulator.terrain import build_terrain
+from sextant.shared.color import ycocg_from_rgb
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Box, Goal, Plane, Puddle, Scenario
 
 PROFILE = load_profile("phantomx_mk2_rgbd")
 WET = Scenario(

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.simulator.depth_camera import RANDOM_LOSS, DepthCamera
-from services.simulator.render import Renderer
-from services.simulator.terrain import build_terrain
-from services.simulator.world import World
-from shared.camera import DepthSensor, Intrinsics
-from shared.geometry import from_xyz_rpy
-from shared.profiles import load_profile
-from shared.scenario import Goal, Pillars, Scenario, load_scenario
+from sextant.services.simulator.depth_camera import RANDOM_LOSS, DepthCamera
+from sextant.services.simulator.render import Renderer
+from sextant.services.simulator.terrain import build_terrain
+from sextant.services.simulator.world import World
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Goal, Pillars, Scenario, load_scenario
 
 PROFILE = load_profile("phantomx_mk2")
 XTION, SENSOR = PROFILE.camera.intrinsics, PROFILE.camera.sensor

@@ -6,15 +6,15 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.simulator.board import Board
-from services.simulator.bus import BusTiming, ServoBusEmulator
-from services.simulator.firmware import CYCLE_NS, GREETING_NS, Firmware
-from services.simulator.servos import ServoBank
-from services.simulator.wire import Reply
-from shared import bridge
-from shared import dynamixel as dxl
-from shared.bridge import Message, Mode, Receiver, Refusal, Result
-from shared.dynamixel import Instruction, Packet, PacketParser
+from sextant.services.simulator.board import Board
+from sextant.services.simulator.bus import BusTiming, ServoBusEmulator
+from sextant.services.simulator.firmware import CYCLE_NS, GREETING_NS, Firmware
+from sextant.services.simulator.servos import ServoBank
+from sextant.services.simulator.wire import Reply
+from sextant.shared import bridge
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bridge import Message, Mode, Receiver, Refusal, Result
+from sextant.shared.dynamixel import Instruction, Packet, PacketParser
 
 WILD = settings(deadline=None, derandomize=True, max_examples=100)
 MS = 1_000_000

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.simulator.config import Settings
-from services.simulator.movers import Movers
-from services.simulator.service import Simulator
-from services.simulator.terrain import build_terrain
-from shared.geometry import Array, from_xyz_rpy
-from shared.messages import DepthImage, Tick
-from shared.mover import BoxMover, LegsMover, Mover
-from shared.profiles import load_profile
-from shared.scenario import Box, Goal, Plane, Scenario
-from shared.service import Inbox
+from sextant.services.simulator.config import Settings
+from sextant.services.simulator.movers import Movers
+from sextant.services.simulator.service import Simulator
+from sextant.services.simulator.terrain import build_terrain
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.messages import DepthImage, Tick
+from sextant.shared.mover import BoxMover, LegsMover, Mover
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Box, Goal, Plane, Scenario
+from sextant.shared.service import Inbox
 
 STEP = Scenario("step", (Plane(), Box((1.0, 0.0), (0.4, 0.4), 0.1)), Goal(1.0))
 LEGS = LegsMover(((1.0, -2.0), (1.0, 2.0)), speed=1.2, stride=0.6)

@@ -3,15 +3,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.simulator.render import Renderer
-from services.simulator.solids import Boxes, HeightField
-from services.simulator.terrain import Terrain, build_terrain
-from services.simulator.world import ROBOT_GROUP, World
-from shared.camera import Intrinsics
-from shared.geometry import Array, from_xyz_rpy, transform
-from shared.profiles import load_profile
-from shared.scenario import Box, Goal, Pillars, Plane, Rubble, Scenario, Slope, Stairs
-from shared.scenario import Terrain as Primitive
+from sextant.services.simulator.render import Renderer
+from sextant.services.simulator.solids import Boxes, HeightField
+from sextant.services.simulator.terrain import Terrain, build_terrain
+from sextant.services.simulator.world import ROBOT_GROUP, World
+from sextant.shared.camera import Intrinsics
+from sextant.shared.geometry import Array, from_xyz_rpy, transform
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Box, Goal, Pillars, Plane, Rubble, Scenario, Slope, Stairs
+from sextant.shared.scenario import Terrain as Primitive
 
 PROFILE = load_profile("phantomx_mk2")
 XTION = PROFILE.camera.intrinsics

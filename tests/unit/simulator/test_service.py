@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.simulator.config import Settings
-from services.simulator.service import Simulator
-from services.simulator.world import TIME_STEP_NS
-from shared import codec, topics
-from shared import dynamixel as dxl
-from shared.bus_fault import BusFault
-from shared.config import ConfigError
-from shared.lockstep import Lockstep
-from shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
-from shared.profiles import load_profile
-from shared.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Start, Variation
-from shared.service import AnyTopic, Inbox
+from sextant.services.simulator.config import Settings
+from sextant.services.simulator.service import Simulator
+from sextant.services.simulator.world import TIME_STEP_NS
+from sextant.shared import codec, topics
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bus_fault import BusFault
+from sextant.shared.config import ConfigError
+from sextant.shared.lockstep import Lockstep
+from sextant.shared.messages import CameraState, ColorImage, DepthImage, GroundTruth, Imu, Message, Tick
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import CameraOptions, Fault, Goal, Plane, Scenario, Start, Variation
+from sextant.shared.service import AnyTopic, Inbox
 
 PROFILE = load_profile("phantomx_mk2")
 FLAT = Scenario("flat", (Plane(),), Goal(1.0))

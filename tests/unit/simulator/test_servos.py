@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.simulator.servos import (
+from sextant.services.simulator.servos import (
     AX_12A_MOTOR,
     RX_64_MOTOR,
     RX_64_SUPPLY,
@@ -17,9 +17,9 @@ from services.simulator.servos import (
     Supply,
     bank_of,
 )
-from shared import dynamixel as dxl
-from shared.dynamixel import Register, ServoError
-from shared.profiles import load_profile, profile_names
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Register, ServoError
+from sextant.shared.profiles import load_profile, profile_names
 
 DT = 0.01
 OVERLOAD, HOT = int(ServoError.OVERLOAD), int(ServoError.OVERHEATING)

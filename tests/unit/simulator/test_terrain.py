@@ -7,13 +7,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from services.simulator.solids import Boxes, HeightField
-from services.simulator.terrain import Terrain, build_terrain
-from services.simulator.world import World
-from shared.config import ConfigError
-from shared.geometry import Array
-from shared.profiles import load_profile
-from shared.scenario import (
+from sextant.services.simulator.solids import Boxes, HeightField
+from sextant.services.simulator.terrain import Terrain, build_terrain
+from sextant.services.simulator.world import World
+from sextant.shared.config import ConfigError
+from sextant.shared.geometry import Array
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import (
     Blocks,
     Box,
     Course,
@@ -37,7 +37,7 @@ from shared.scenario import (
     load_scenario,
     scenario_names,
 )
-from shared.scenario import Terrain as Primitive
+from sextant.shared.scenario import Terrain as Primitive
 from tests.support.recordings import recording
 
 
@@ -517,7 +517,7 @@ def test_over_a_gap_nothing_reaches_from_platform_to_platform(name: str) -> None
 
 
 def test_blocks_that_cannot_fit_are_refused_without_trying(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.simulator.terrain._place_rectangles", lambda *_: pytest.fail("tried"))
+    monkeypatch.setattr("sextant.services.simulator.terrain._place_rectangles", lambda *_: pytest.fail("tried"))
     with pytest.raises(ValueError, match="room for 500 blocks of rubble expected, found room for about"):
         build(Rubble((0.0, 1.0), (0.0, 1.0), 500, (0.1, 0.2), (0.01, 0.05)))
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from services.simulator import servos
-from services.simulator.workbench import HORNS_DEG, Workbench
-from shared import dynamixel as dxl
-from shared.dynamixel import PacketParser
-from shared.profiles import load_profile
+from sextant.services.simulator import servos
+from sextant.services.simulator.workbench import HORNS_DEG, Workbench
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import PacketParser
+from sextant.shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 MS = 1_000_000

@@ -3,15 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.simulator.imu import Imu, ImuNoise
-from services.simulator.solids import Boxes, HeightField
-from services.simulator.terrain import Terrain, build_terrain
-from services.simulator.world import TIME_STEP_NS, Factors, World
-from shared.geometry import Array, apply, from_xyz_rpy
-from shared.profiles import load_profile
-from shared.robot import RobotProfile
-from shared.scenario import Goal, Pillars, Plane, Rubble, Scenario, Slope, Variation, load_scenario
-from shared.stability import centre_of_mass
+from sextant.services.simulator.imu import Imu, ImuNoise
+from sextant.services.simulator.solids import Boxes, HeightField
+from sextant.services.simulator.terrain import Terrain, build_terrain
+from sextant.services.simulator.world import TIME_STEP_NS, Factors, World
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from sextant.shared.scenario import Goal, Pillars, Plane, Rubble, Scenario, Slope, Variation, load_scenario
+from sextant.shared.stability import centre_of_mass
 
 NO_BOXES = Boxes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 FLAT = Terrain(NO_BOXES, plane=0.0)

@@ -10,8 +10,8 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.Vector2_pb2 import Vector2
 from numpy.typing import NDArray
 
-from services.console.recording.foxglove import parts
-from shared.messages import UNKNOWN, Scan, TerrainMap
+from sextant.services.console.recording.foxglove import parts
+from sextant.shared.messages import UNKNOWN, Scan, TerrainMap
 
 _LAYERS = np.dtype([("elevation", "<f4"), ("score", "<f4"), ("variance", "<f4"), ("evaluation", "<f4")])
 _CELL = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("score", "<f4"), ("evaluation", "<f4")])

@@ -9,8 +9,8 @@ from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from shared.geometry import Array, rpy_from_rotation
-from shared.messages import ActuatorState
+from sextant.shared.geometry import Array, rpy_from_rotation
+from sextant.shared.messages import ActuatorState
 
 _NUMBERS = (
     "height",  # [m] of the body in the world

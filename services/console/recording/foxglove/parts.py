@@ -11,7 +11,7 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from shared.geometry import Array, quaternion_from_rotation
+from sextant.shared.geometry import Array, quaternion_from_rotation
 
 Rgba = tuple[float, float, float, float]
 

@@ -12,11 +12,11 @@ from foxglove_schemas_protobuf.Odometry_pb2 import Odometry
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from services.console.recording.foxglove import parts
-from shared.geometry import Array
-from shared.kinematics import leg_points
-from shared.messages import ActuatorState, PassagePlan, PlannerStatus, StepPlan
-from shared.robot import JOINTS, LEGS, RobotProfile
+from sextant.services.console.recording.foxglove import parts
+from sextant.shared.geometry import Array
+from sextant.shared.kinematics import leg_points
+from sextant.shared.messages import ActuatorState, PassagePlan, PlannerStatus, StepPlan
+from sextant.shared.robot import JOINTS, LEGS, RobotProfile
 
 JOINT_NAMES = tuple(f"{leg} {joint}".replace(" ", "_") for leg in LEGS for joint in JOINTS)
 

@@ -8,12 +8,12 @@ import numpy as np
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import Message
 
-from services.console.diary import Diary
-from services.console.recording.foxglove import ground, numbers, robot
-from services.console.recording.foxglove.parts import time
-from shared import codec, topics
-from shared.health_table import HealthTable
-from shared.messages import (
+from sextant.services.console.diary import Diary
+from sextant.services.console.recording.foxglove import ground, numbers, robot
+from sextant.services.console.recording.foxglove.parts import time
+from sextant.shared import codec, topics
+from sextant.shared.health_table import HealthTable
+from sextant.shared.messages import (
     ActuatorState,
     BodyPose,
     CameraState,
@@ -25,8 +25,8 @@ from shared.messages import (
     StepPlan,
     TerrainMap,
 )
-from shared.robot import RobotProfile
-from shared.service import AnyTopic
+from sextant.shared.robot import RobotProfile
+from sextant.shared.service import AnyTopic
 
 Told = tuple[str, Message]  # topic of Foxglove, message
 

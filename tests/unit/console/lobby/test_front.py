@@ -14,13 +14,13 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from services.console.config import Settings as ConsoleSettings
-from services.console.door import PROTOCOL
-from services.console.lobby.config import Settings
-from services.console.lobby.front import HEAD_BYTES, Front
-from services.console.requests import Command
-from services.console.server import PageServer
-from shared.config import ConfigError, build
+from sextant.services.console.config import Settings as ConsoleSettings
+from sextant.services.console.door import PROTOCOL
+from sextant.services.console.lobby.config import Settings
+from sextant.services.console.lobby.front import HEAD_BYTES, Front
+from sextant.services.console.requests import Command
+from sextant.services.console.server import PageServer
+from sextant.shared.config import ConfigError, build
 from tests.support.served import Serving
 
 PATIENCE_S = 20.0

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from services.console.recording.foxglove import ground, numbers, robot
-from services.console.recording.foxglove.translation import Foxglove
-from services.console.recording.writer import Recorder
-from shared import codec, topics
-from shared.geometry import exp_se3, rotation_from_quaternion, transform
-from shared.kinematics import body_forward
-from shared.messages import (
+from sextant.services.console.recording.foxglove import ground, numbers, robot
+from sextant.services.console.recording.foxglove.translation import Foxglove
+from sextant.services.console.recording.writer import Recorder
+from sextant.shared import codec, topics
+from sextant.shared.geometry import exp_se3, rotation_from_quaternion, transform
+from sextant.shared.kinematics import body_forward
+from sextant.shared.messages import (
     BodyPose,
     CameraState,
     Health,
@@ -28,7 +28,7 @@ from shared.messages import (
     Preview,
     StepPlan,
 )
-from shared.profiles import load_profile
+from sextant.shared.profiles import load_profile
 from tests.support.recorded import scan, terrain
 from tests.support.states import actuator_state
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from services.console.recording.live import LiveRecorder
-from services.console.recording.reader import is_whole, read
-from services.console.recording.rotation import NoRoomError, Rotation
-from services.console.recording.writer import Recorder, Unwritable
-from shared import codec, topics
-from shared.files import WriteError
-from shared.service import AnyTopic
+from sextant.services.console.recording.live import LiveRecorder
+from sextant.services.console.recording.reader import is_whole, read
+from sextant.services.console.recording.rotation import NoRoomError, Rotation
+from sextant.services.console.recording.writer import Recorder, Unwritable
+from sextant.shared import codec, topics
+from sextant.shared.files import WriteError
+from sextant.shared.service import AnyTopic
 from tests.support.recorded import frames, some_messages
 
 ABOUT = {"scenario": "steps"}
@@ -40,7 +40,7 @@ def test_all_that_fits_the_queue_is_kept(tmp_path: Path) -> None:
 def test_a_full_queue_drops_and_counts_and_never_blocks(tmp_path: Path, limit: str, monkeypatch: pytest.MonkeyPatch) -> None:
     messages = frames(some_messages(n=10))
     most = {"_QUEUE_FRAMES": 10, "_QUEUE_BYTES": sum(len(frame) for _, frame, _ in messages[:10])}[limit]
-    monkeypatch.setattr(f"services.console.recording.live.{limit}", most)
+    monkeypatch.setattr(f"sextant.services.console.recording.live.{limit}", most)
     live = LiveRecorder(recorder(tmp_path / "r"))
     for topic, frame, at_ns in messages:  # nobody writes yet
         live.take(topic, frame, at_ns)
@@ -147,7 +147,7 @@ def test_a_recording_that_cannot_begin_says_why_and_takes_nothing(tmp_path: Path
 
 
 def test_a_disk_that_is_nearly_full_ends_a_recording_with_a_whole_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.console.recording.writer.RESERVE_BYTES", 1 << 60)
+    monkeypatch.setattr("sextant.services.console.recording.writer.RESERVE_BYTES", 1 << 60)
     live = LiveRecorder(recorder(tmp_path / "r.mcap"))
     with live:
         feed(live)

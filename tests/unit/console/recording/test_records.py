@@ -14,11 +14,11 @@ from mcap.records import Channel
 from mcap.records import Message as Entry
 from mcap.writer import CompressionType, IndexType, Writer
 
-from deploy import cli
-from services.console.recording.layout import RecordingError
-from services.console.recording.reader import Recording, is_whole, recovered
-from services.console.recording.records import LARGEST_BYTES, MAGIC, Condition, records
-from services.console.recording.recovery import recover
+from sextant.deploy import cli
+from sextant.services.console.recording.layout import RecordingError
+from sextant.services.console.recording.reader import Recording, is_whole, recovered
+from sextant.services.console.recording.records import LARGEST_BYTES, MAGIC, Condition, records
+from sextant.services.console.recording.recovery import recover
 
 COUNT = 300
 

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from deploy import cli
-from services.console.recording.layout import RecordingError
-from services.console.recording.reader import Recording, newest_ns
-from services.console.recording.recovery import recover
-from services.console.recording.writer import Recorder
-from shared.files import partial
+from sextant.deploy import cli
+from sextant.services.console.recording.layout import RecordingError
+from sextant.services.console.recording.reader import Recording, newest_ns
+from sextant.services.console.recording.recovery import recover
+from sextant.services.console.recording.writer import Recorder
+from sextant.shared.files import partial
 from tests.support.recorded import frames, some_messages
 
 WRITTEN = frames(some_messages(n=200))
@@ -135,7 +135,7 @@ def recover_within(folder: Path, most_bytes: int) -> subprocess.CompletedProcess
         resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
 
     return subprocess.run(
-        [sys.executable, "-B", "-m", "deploy.cli", "recover", str(folder)],
+        [sys.executable, "-B", "-m", "sextant.deploy.cli", "recover", str(folder)],
         preexec_fn=limit,
         capture_output=True,
         text=True,

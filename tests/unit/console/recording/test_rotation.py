@@ -4,10 +4,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.console.recording.contents import contents
-from services.console.recording.reader import Recording
-from services.console.recording.rotation import FILE_NS, Rotation
-from services.console.recording.writer import Recorder
+from sextant.services.console.recording.contents import contents
+from sextant.services.console.recording.reader import Recording
+from sextant.services.console.recording.rotation import FILE_NS, Rotation
+from sextant.services.console.recording.writer import Recorder
 from tests.support.recorded import S, frames, some_messages
 
 ABOUT = {"robot": "phantomx_mk2"}

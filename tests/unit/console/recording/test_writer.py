@@ -8,12 +8,12 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from services.console.recording.layout import RecordingError, describe
-from services.console.recording.reader import Recording, read
-from services.console.recording.writer import Recorder
-from shared import codec, topics
-from shared.messages import DepthImage, Health, Message, Mode, Scan
-from shared.service import AnyTopic
+from sextant.services.console.recording.layout import RecordingError, describe
+from sextant.services.console.recording.reader import Recording, read
+from sextant.services.console.recording.writer import Recorder
+from sextant.shared import codec, topics
+from sextant.shared.messages import DepthImage, Health, Message, Mode, Scan
+from sextant.shared.service import AnyTopic
 from tests.support.frames import of_another_version
 from tests.support.recorded import S, some_messages, terrain, velocity
 
@@ -123,7 +123,7 @@ def test_a_description_gives_shapes_types_and_words() -> None:
 def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(
     tmp_path: Path, share: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.console.recording.writer._CHUNK_BYTES", 2000)
+    monkeypatch.setattr("sextant.services.console.recording.writer._CHUNK_BYTES", 2000)
     written = some_messages(n=400)
     write(tmp_path / "whole", written)
     data = (tmp_path / "whole").read_bytes()
@@ -137,7 +137,7 @@ def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes(
 
 
 def test_a_recording_that_was_never_closed_is_read_up_to_half_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.console.recording.writer._CHUNK_BYTES", 2000)
+    monkeypatch.setattr("sextant.services.console.recording.writer._CHUNK_BYTES", 2000)
     written = some_messages(n=400)  # two frames a second
     recorder = Recorder(tmp_path / "r", ABOUT)
     for topic, message, at_ns in written:
@@ -165,7 +165,7 @@ def test_messages_of_a_channel_that_is_not_declared_are_passed_over(tmp_path: Pa
 
 
 def test_behind_a_damaged_chunk_the_reading_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.console.recording.writer._CHUNK_BYTES", 2000)
+    monkeypatch.setattr("sextant.services.console.recording.writer._CHUNK_BYTES", 2000)
     write(tmp_path / "r", some_messages(n=400))
     with (tmp_path / "r").open("r+b") as file:
         summary = make_reader(file).get_summary()

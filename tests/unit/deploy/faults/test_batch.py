@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from deploy import provenance
-from deploy.faults import table as tables
-from deploy.faults.batch import FILE, Injection, read, run_faults
-from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES
-from deploy.faults.score import score
-from deploy.trials import kept
+from sextant.deploy import provenance
+from sextant.deploy.faults import table as tables
+from sextant.deploy.faults.batch import FILE, Injection, read, run_faults
+from sextant.deploy.faults.cases import BY_NAME, CASES, LIVE_CASES
+from sextant.deploy.faults.score import score
+from sextant.deploy.trials import kept
 from tests.support.timelines import PROFILE, timeline
 
 KILLED, SAG, OFF = (BY_NAME[name] for name in ("planner-killed", "sag", "off-lost-10"))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.faults.cases import BY_NAME, CASES, Limits, Off, OnBus
+from sextant.deploy.faults.cases import BY_NAME, CASES, Limits, Off, OnBus
 
 _KINDS = ("silent", "stuck", "garbage", "wrong", "slow", "intermittent")
 _CYCLE_S, _WINDOW = 0.02, 10  # [cycles] of the watch on lost answers

@@ -2,9 +2,9 @@
 
 import pytest
 
-from deploy.cli import main
-from deploy.commands.common import SUCCESS, WRONG_INPUT
-from deploy.faults.cases import CASES, LIVE_CASES
+from sextant.deploy.cli import main
+from sextant.deploy.commands.common import SUCCESS, WRONG_INPUT
+from sextant.deploy.faults.cases import CASES, LIVE_CASES
 
 
 def listed(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:

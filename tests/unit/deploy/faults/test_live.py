@@ -8,19 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy import process_table
-from deploy.faults import hog, live
-from deploy.faults.cases import BY_NAME, CASES, LIVE_CASES, Away, Case, Hogs, Off, OnBus
-from deploy.faults.live import LiveWalk
-from deploy.launch.tapped_robot import Places
-from deploy.process_table import Command
-from services.actuator.latch import Latch
-from services.console.recording.writer import Recorder
-from shared import codec, topics
-from shared import dynamixel as dxl
-from shared.messages import Health, Message, Mode
-from shared.service import AnyTopic
-from shared.transport import Endpoints
+from sextant.deploy import process_table
+from sextant.deploy.faults import hog, live
+from sextant.deploy.faults.cases import BY_NAME, CASES, LIVE_CASES, Away, Case, Hogs, Off, OnBus
+from sextant.deploy.faults.live import LiveWalk
+from sextant.deploy.launch.tapped_robot import Places
+from sextant.deploy.process_table import Command
+from sextant.services.actuator.latch import Latch
+from sextant.services.console.recording.writer import Recorder
+from sextant.shared import codec, topics
+from sextant.shared import dynamixel as dxl
+from sextant.shared.messages import Health, Message, Mode
+from sextant.shared.service import AnyTopic
+from sextant.shared.transport import Endpoints
 from tests.support.states import actuator_state
 from tests.support.timelines import PROFILE
 

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from deploy.faults.planner import PLANS_PER_STEP, Meddler, fuzzed
-from services.actuator.plan_check import PlanCheck
-from shared import codec
-from shared.messages import Message, PlannerStatus, StepPlan
+from sextant.deploy.faults.planner import PLANS_PER_STEP, Meddler, fuzzed
+from sextant.services.actuator.plan_check import PlanCheck
+from sextant.shared import codec
+from sextant.shared.messages import Message, PlannerStatus, StepPlan
 from tests.support.timelines import PROFILE
 
 STATUS = PlannerStatus(0, "stepping", "", 1, 0, -1)

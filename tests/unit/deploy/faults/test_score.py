@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.faults.cases import BY_NAME
-from deploy.faults.score import cycles, off_time, score
-from deploy.faults.timeline import Timeline
-from deploy.faults.wire import Goals, Switch
-from shared import dynamixel as dxl
-from shared.messages import Mode
+from sextant.deploy.faults.cases import BY_NAME
+from sextant.deploy.faults.score import cycles, off_time, score
+from sextant.deploy.faults.timeline import Timeline
+from sextant.deploy.faults.wire import Goals, Switch
+from sextant.shared import dynamixel as dxl
+from sextant.shared.messages import Mode
 from tests.support.timelines import BEGIN_S, PERIOD_S, PROFILE, standing, timeline, word
 
 KILLED, SILENT, OFF, HEAT = (BY_NAME[name] for name in ("planner-killed", "servo-silent", "off-bus-gone", "heat"))

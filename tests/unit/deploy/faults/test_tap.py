@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.faults import tap
-from deploy.faults.tap import Opened, Sent
+from sextant.deploy.faults import tap
+from sextant.deploy.faults.tap import Opened, Sent
 
 _WAIT_S = 10.0
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from deploy.faults.cases import BY_NAME
-from deploy.faults.score import score
-from deploy.faults.walk import FaultWalk, gap_after
+from sextant.deploy.faults.cases import BY_NAME
+from sextant.deploy.faults.score import score
+from sextant.deploy.faults.walk import FaultWalk, gap_after
 
 NOW_AND_THEN = ("bus-intermittent", "noise-bursts", "off-bus-intermittent", "off-noise-bursts")
 
@@ -60,7 +60,7 @@ def test_a_service_that_fails_under_a_fault_is_named_by_that_injection(monkeypat
         def crash(*_: object) -> None:
             raise IndexError("index 5 is out of bounds")
 
-        monkeypatch.setattr("services.planner.service.Planner.step", crash)
+        monkeypatch.setattr("sextant.services.planner.service.Planner.step", crash)
         line = walk.what_happens(np.random.default_rng(0))
         assert not walk.walks
     stuck = score(line, case, walk.profile).stuck

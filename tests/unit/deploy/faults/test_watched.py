@@ -6,11 +6,11 @@ from typing import Self
 import numpy as np
 import pytest
 
-from deploy.faults.cases import BY_NAME, Case
-from deploy.faults.timeline import Timeline
-from deploy.faults.watched import NoWalkError, Seen, Watched, in_walks
-from shared import codec
-from shared.messages import Mode
+from sextant.deploy.faults.cases import BY_NAME, Case
+from sextant.deploy.faults.timeline import Timeline
+from sextant.deploy.faults.watched import NoWalkError, Seen, Watched, in_walks
+from sextant.shared import codec
+from sextant.shared.messages import Mode
 from tests.support.states import actuator_state
 from tests.support.timelines import timeline
 

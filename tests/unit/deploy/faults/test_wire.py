@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.faults.wire import Recorder
-from shared import dynamixel as dxl
+from sextant.deploy.faults.wire import Recorder
+from sextant.shared import dynamixel as dxl
 from tests.support.timelines import PROFILE
 
 IDS = PROFILE.servo_ids.ravel().tolist()

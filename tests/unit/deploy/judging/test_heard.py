@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from deploy.judging.heard import Heard
-from shared import codec, topics
-from shared.messages import ActuatorState, GroundTruth, Mode
-from shared.profiles import load_profile
-from shared.service import Inbox, Stages
+from sextant.deploy.judging.heard import Heard
+from sextant.shared import codec, topics
+from sextant.shared.messages import ActuatorState, GroundTruth, Mode
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import Inbox, Stages
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

@@ -4,10 +4,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from deploy.judging.moment import MISSED, decisive_moment, missed_by, refusal, signs
-from deploy.judging.said import kind_of
-from shared.messages import Mode
-from shared.robot import LEGS
+from sextant.deploy.judging.moment import MISSED, decisive_moment, missed_by, refusal, signs
+from sextant.deploy.judging.said import kind_of
+from sextant.shared.messages import Mode
+from sextant.shared.robot import LEGS
 
 
 def _moment(scorer):

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.judging import report as reports
-from deploy.judging.course import Course
-from deploy.judging.passage_figures import feet_off, steps_of
-from deploy.judging.report import FootholdEdge, Passage, Section
-from shared.geometry import from_xyz_rpy
-from shared.scenario import Box, Goal, Pillars, Plane, Scenario
+from sextant.deploy.judging import report as reports
+from sextant.deploy.judging.course import Course
+from sextant.deploy.judging.passage_figures import feet_off, steps_of
+from sextant.deploy.judging.report import FootholdEdge, Passage, Section
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.scenario import Box, Goal, Pillars, Plane, Scenario
 
 PLATFORM = Box((0.0, 0.0), (1.0, 1.0), 0.0)
 GAP = Scenario("gap", (Plane(height=-0.4), PLATFORM, Pillars(((0.7, 0.1), (0.9, -0.1)), 0.10, 0.02)), Goal(1.0))

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.judging import report as reports
-from deploy.judging.report import MapError, Report, Spread, StageTime
+from sextant.deploy.judging import report as reports
+from sextant.deploy.judging.report import MapError, Report, Spread, StageTime
 
 CONTRACT = {
     "scenario": None,

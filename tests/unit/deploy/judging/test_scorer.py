@@ -4,11 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.judging import report as reports
-from shared.messages import TerrainMap
-from shared.profiles import load_profile
-from shared.scenario import Box, Goal, Plane, Scenario, Stairs
-from shared.service import Inbox
+from sextant.deploy.judging import report as reports
+from sextant.shared.messages import TerrainMap
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Box, Goal, Plane, Scenario, Stairs
+from sextant.shared.service import Inbox
 
 STEPS = Scenario(
     "blocks",

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.judging.walk_metrics import (
+from sextant.deploy.judging.walk_metrics import (
     angle_between,
     debounced,
     is_foothold,
@@ -16,10 +16,10 @@ from deploy.judging.walk_metrics import (
     touchdowns,
     walked_into,
 )
-from services.simulator.terrain import build_terrain
-from shared.geometry import from_xyz_rpy
-from shared.profiles import load_profile
-from shared.scenario import Box, Goal, Hole, Plane, Scenario, Slope
+from sextant.services.simulator.terrain import build_terrain
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Box, Goal, Hole, Plane, Scenario, Slope
 
 
 def test_what_is_walked_into_is_counted_and_a_step_is_not():

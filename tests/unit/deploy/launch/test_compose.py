@@ -9,14 +9,22 @@ from typing import Any
 import pytest
 import yaml
 
-import deploy
-from deploy.launch.compose import KEYS, NOTIFY_SOCKET, WARM_UP, compose_commands, compose_yaml, offboard_commands, offboard_yaml
-from deploy.process_table import TABLE
-from shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE
-from shared.config import ConfigError
+from sextant import deploy
+from sextant.deploy.launch.compose import (
+    KEYS,
+    NOTIFY_SOCKET,
+    WARM_UP,
+    compose_commands,
+    compose_yaml,
+    offboard_commands,
+    offboard_yaml,
+)
+from sextant.deploy.process_table import TABLE
+from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE
+from sextant.shared.config import ConfigError
 from tests.support.composed import commands_of, services_of
 
-DEPLOY = Path(deploy.__file__).parent
+DEPLOY = Path(deploy.__file__).resolve().parent
 ROOT = DEPLOY.parent
 VARIABLES = {"SEXTANT_ROBOT": "tls/robot.local:7448", "SEXTANT_KEYS": "/home/me/keys/base"}
 MADE = {"compose.yaml": compose_yaml("steps", 3), "compose.offboard.yaml": offboard_yaml()}
@@ -73,7 +81,7 @@ def test_whoever_gives_signs_of_life_is_listened_to_for_as_long_as_the_table_all
             continue
         assert service["environment"]["NOTIFY_SOCKET"] == NOTIFY_SOCKET
         assert int(service["environment"]["WATCHDOG_USEC"]) == patience[name] * 1e6
-        assert service["healthcheck"]["test"][:4] == ["CMD", "python", "-m", "deploy.healthy"]
+        assert service["healthcheck"]["test"][:4] == ["CMD", "python", "-m", "sextant.deploy.healthy"]
         assert float(service["healthcheck"]["timeout"].removesuffix("s")) > patience[name]
 
 

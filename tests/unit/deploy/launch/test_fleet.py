@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.launch import fleet
-from deploy.launch.fleet import Base, FleetError
-from services.console.lobby.config import Settings
-from shared.config import ConfigError
-from shared.process import load_settings
+from sextant.deploy import cli
+from sextant.deploy.launch import fleet
+from sextant.deploy.launch.fleet import Base, FleetError
+from sextant.services.console.lobby.config import Settings
+from sextant.shared.config import ConfigError
+from sextant.shared.process import load_settings
 
 TWO = """
 [robots.alpha-1]

@@ -6,16 +6,16 @@ from typing import Any
 
 import pytest
 
-from deploy import process_table
-from deploy.launch import half
-from deploy.launch.half import Half
-from deploy.launch.launcher import Ended
-from deploy.network import meeting
-from deploy.network.gate import Gate
-from deploy.process_table import Choices, Role
-from deploy.provenance import version
-from shared import codec, topics
-from shared.service import AnyTopic
+from sextant.deploy import process_table
+from sextant.deploy.launch import half
+from sextant.deploy.launch.half import Half
+from sextant.deploy.launch.launcher import Ended
+from sextant.deploy.network import meeting
+from sextant.deploy.network.gate import Gate
+from sextant.deploy.process_table import Choices, Role
+from sextant.deploy.provenance import version
+from sextant.shared import codec, topics
+from sextant.shared.service import AnyTopic
 
 OWN = "tcp/127.0.0.1:7447"
 

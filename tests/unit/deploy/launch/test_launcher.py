@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from deploy import process_table
-from deploy.launch import launcher as launcher_module
-from deploy.launch.launcher import Ended, Launcher, free_port, how_it_ended, last_words, port_taken
-from deploy.process_table import Command
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy import process_table
+from sextant.deploy.launch import launcher as launcher_module
+from sextant.deploy.launch.launcher import Ended, Launcher, free_port, how_it_ended, last_words, port_taken
+from sextant.deploy.process_table import Command
+from sextant.shared.transport import Endpoints, ZenohLink
 
 STAND_IN = str(Path(__file__).parents[3] / "support" / "stand_in.py")
 PATIENCE_S = 20.0  # for a busy machine; nothing waits that long when all is well
@@ -257,10 +257,10 @@ def test_a_stop_in_between_leaves_what_waits_unstarted(ear: Ear) -> None:
 
 DRIVER = """
 import sys
-from deploy.interrupts import Interrupts
-from deploy.launch.launcher import Launcher
-from deploy.process_table import Command
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.interrupts import Interrupts
+from sextant.deploy.launch.launcher import Launcher
+from sextant.deploy.process_table import Command
+from sextant.shared.transport import Endpoints, ZenohLink
 
 def hear(name, line):
     sys.stdout.write(line + "\\n")
@@ -277,7 +277,7 @@ sys.exit(130)
 
 def drive(*words: str) -> tuple[subprocess.Popen[str], int]:
     """A launcher in a process of its own with one stand-in, and the stand-in's pidfd."""
-    root = Path(launcher_module.__file__).parents[1]
+    root = Path(launcher_module.__file__).parents[3]
     driver = subprocess.Popen(
         [sys.executable, "-c", DRIVER, STAND_IN, *words],
         stdout=subprocess.PIPE,

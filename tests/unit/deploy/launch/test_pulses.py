@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.launch.pulses import Pulses, unwatched
-from shared.watchdog import Watchdog
+from sextant.deploy.launch.pulses import Pulses, unwatched
+from sextant.shared.watchdog import Watchdog
 
 ME = os.getpid()
 SEND = "import socket; socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).sendto(b'WATCHDOG=1', {!r})"

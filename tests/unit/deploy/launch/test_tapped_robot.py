@@ -2,8 +2,8 @@
 
 import pytest
 
-from deploy.launch.tapped_robot import BASE_ROUTER, WORLD_ROUTER, Page, Places, commands
-from deploy.process_table import Command
+from sextant.deploy.launch.tapped_robot import BASE_ROUTER, WORLD_ROUTER, Page, Places, commands
+from sextant.deploy.process_table import Command
 
 
 def made(places: Places, page: Page | None = None) -> dict[str, Command]:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.launch import units
-from deploy.launch.units import TARGET, Manager, UnitError
-from deploy.process_table import ROUTER_ENDPOINT, Choices, Command, commands, router_command, rows
-from services.actuator.latch import SHARED
-from shared.transport import Endpoints
+from sextant.deploy import cli
+from sextant.deploy.launch import units
+from sextant.deploy.launch.units import TARGET, Manager, UnitError
+from sextant.deploy.process_table import ROUTER_ENDPOINT, Choices, Command, commands, router_command, rows
+from sextant.services.actuator.latch import SHARED
+from sextant.shared.transport import Endpoints
 from tests.support.unit_files import read_unit, words_of
 
 MINE, MACHINE = Manager("/opt/sextant/bin/python"), Manager("/opt/sextant/bin/python", user="root")

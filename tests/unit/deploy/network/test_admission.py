@@ -5,7 +5,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.network.admission import HandshakeLimit, Limits, Pending, source_of
+from sextant.deploy.network.admission import HandshakeLimit, Limits, Pending, source_of
 
 LIMITS = Limits(handshakes_hz=10.0, handshakes_burst=5, pending=8, timeout_s=2.0, addresses=16)
 

@@ -11,16 +11,16 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from deploy import cli
-from deploy.commands import up
-from deploy.commands.common import role_of
-from deploy.launch.launcher import free_port
-from deploy.network import gate
-from deploy.network.gate import Gate
-from deploy.network.hosting import hosted
-from shared import topics
-from shared.access import PROXY, ROLES, AccessError, Keys
-from shared.transport import Endpoints, TransportError, ZenohLink
+from sextant.deploy import cli
+from sextant.deploy.commands import up
+from sextant.deploy.commands.common import role_of
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.network import gate
+from sextant.deploy.network.gate import Gate
+from sextant.deploy.network.hosting import hosted
+from sextant.shared import topics
+from sextant.shared.access import PROXY, ROLES, AccessError, Keys
+from sextant.shared.transport import Endpoints, TransportError, ZenohLink
 from tests.support import gated
 from tests.support.gated import NAMESPACE, Inside, again, put_until, session, stranger, tls_of
 

@@ -13,12 +13,12 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.launch.launcher import free_port, port_taken
-from deploy.network.gatekeeper import Gatekeeper
-from deploy.network.refusals import Refusals, RefusedConnections
-from shared import codec, topics
-from shared.messages import Health
-from shared.transport import Endpoints, ZenohLink
+from sextant.deploy.launch.launcher import free_port, port_taken
+from sextant.deploy.network.gatekeeper import Gatekeeper
+from sextant.deploy.network.refusals import Refusals, RefusedConnections
+from sextant.shared import codec, topics
+from sextant.shared.messages import Health
+from sextant.shared.transport import Endpoints, ZenohLink
 from tests.support import gated
 from tests.support.gated import NAMESPACE, PATIENCE_S, session, stranger, tls_of
 
@@ -148,7 +148,7 @@ def test_it_speaks_once_a_second_and_soon_when_there_is_news() -> None:
 CATCH = """
 import os, sys
 sys.path.insert(0, {root!r})
-from deploy.network.gatekeeper import CaughtOutput
+from sextant.deploy.network.gatekeeper import CaughtOutput
 with CaughtOutput() as caught:
     found = []
     for k in range(40):
@@ -182,7 +182,7 @@ def router(keys: Path) -> Iterator[tuple[str, str]]:
     plain, secure = (f"{kind}/127.0.0.1:{free_port()}" for kind in ("tcp", "tls"))
     words = ["--listen", plain, "--listen", secure, "--keys", str(keys / "robot"), "--namespace", NAMESPACE]
     process = subprocess.Popen(
-        [sys.executable, "-m", "deploy.router", *words, "--parent", str(os.getpid())],
+        [sys.executable, "-m", "sextant.deploy.router", *words, "--parent", str(os.getpid())],
         cwd=Path(__file__).parents[4],
         stderr=subprocess.PIPE,
         text=True,

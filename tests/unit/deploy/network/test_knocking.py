@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from deploy.launch.launcher import free_port
-from deploy.network.gate import Gate
-from deploy.network.hosting import hosted
-from deploy.network.knocking import Knocking
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.network.gate import Gate
+from sextant.deploy.network.hosting import hosted
+from sextant.deploy.network.knocking import Knocking
 from tests.support import gated
 
 

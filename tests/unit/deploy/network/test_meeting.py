@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from deploy.network import meeting
-from deploy.network.meeting import Meeting, objection
-from shared import codec, topics
-from shared.messages import Health, Presence
-from shared.service import AnyTopic
+from sextant.deploy.network import meeting
+from sextant.deploy.network.meeting import Meeting, objection
+from sextant.shared import codec, topics
+from sextant.shared.messages import Health, Presence
+from sextant.shared.service import AnyTopic
 from tests.support.frames import of_another_version
 
 SEC = 1_000_000_000

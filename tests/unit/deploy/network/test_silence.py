@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.network.silence import SilenceLimit
+from sextant.deploy.network.silence import SilenceLimit
 
 _LIMIT_MS = 1500
 
@@ -69,5 +69,5 @@ def test_what_is_no_tcp_is_left_alone_and_nothing_is_closed(stack: ExitStack) ->
 def test_a_descriptor_that_was_closed_behind_its_back_is_no_trouble(stack: ExitStack, monkeypatch: pytest.MonkeyPatch) -> None:
     closed = _listener(stack).fileno() + 100
     assert str(closed) not in _descriptors()
-    monkeypatch.setattr("deploy.network.silence._open_sockets", lambda: {str(closed): "socket:[1]"})
+    monkeypatch.setattr("sextant.deploy.network.silence._open_sockets", lambda: {str(closed): "socket:[1]"})
     SilenceLimit(1.0).look()

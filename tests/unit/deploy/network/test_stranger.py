@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from deploy import cli
-from deploy.checks import Check, Level
-from deploy.launch.launcher import free_port
-from deploy.network import authority, stranger
-from deploy.network.gate import Gate
-from deploy.network.hosting import hosted
-from shared import topics
-from shared.access import AUTHORITY, CERTIFICATE, KEY
-from shared.transport import Router
+from sextant.deploy import cli
+from sextant.deploy.checks import Check, Level
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.network import authority, stranger
+from sextant.deploy.network.gate import Gate
+from sextant.deploy.network.hosting import hosted
+from sextant.shared import topics
+from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY
+from sextant.shared.transport import Router
 from tests.support.gated import NAMESPACE, Inside
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.network import tls_dialer
-from deploy.network.tls_dialer import TlsDialer
-from shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROUTER, Keys
+from sextant.deploy.network import tls_dialer
+from sextant.deploy.network.tls_dialer import TlsDialer
+from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROUTER, Keys
 from tests.support import gated
 from tests.support.echo_server import EchoServer, read
 

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import pytest
 
-from deploy.network import tls_proxy
-from deploy.network.admission import Limits
-from deploy.network.authority import Authority
-from deploy.network.tls_proxy import TlsProxy
-from shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROUTER, Keys
-from shared.handshake import verdict
-from shared.transport import TransportError
+from sextant.deploy.network import tls_proxy
+from sextant.deploy.network.admission import Limits
+from sextant.deploy.network.authority import Authority
+from sextant.deploy.network.tls_proxy import TlsProxy
+from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, PROXY, ROUTER, Keys
+from sextant.shared.handshake import verdict
+from sextant.shared.transport import TransportError
 from tests.support import gated
 from tests.support.echo_server import EchoServer, read
 

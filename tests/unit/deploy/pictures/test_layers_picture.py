@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from deploy.pictures import layers_picture
-from shared.geometry import from_xyz_rpy
-from shared.messages import TerrainMap
+from sextant.deploy.pictures import layers_picture
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.messages import TerrainMap
 
 
 def terrain(known: slice, relief: float = 0.05, good: bool = True) -> TerrainMap:

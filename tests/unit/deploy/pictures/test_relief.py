@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from deploy.pictures.relief import shaded
+from sextant.deploy.pictures.relief import shaded
 
 
 def test_level_ground_keeps_its_colours_known_or_not() -> None:

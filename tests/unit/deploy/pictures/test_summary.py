@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.pictures import summary
+from sextant.deploy.pictures import summary
 
 _UNKNOWN = (0xE4, 0xE4, 0xE4)
 

@@ -2,8 +2,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.pictures.terrain_mesh import terrain_mesh
-from shared.messages import TerrainMap
+from sextant.deploy.pictures.terrain_mesh import terrain_mesh
+from sextant.shared.messages import TerrainMap
 from tests.support.recorded import terrain
 
 

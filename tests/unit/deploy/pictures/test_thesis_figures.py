@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from deploy.pictures import walk_picture
-from deploy.pictures.thesis_figures import TESTS, Measured, Published, side_by_side
-from shared.profiles import load_profile
-from shared.scenario import load_scenario
+from sextant.deploy.pictures import walk_picture
+from sextant.deploy.pictures.thesis_figures import TESTS, Measured, Published, side_by_side
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import load_scenario
 
 
 def test_the_tests_of_the_thesis_are_walked_by_its_robot_with_its_stride_and_height():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from deploy.pictures import walk_picture
+from sextant.deploy.pictures import walk_picture
 
 
 def test_a_walk_is_drawn_and_standing_is_not(tmp_path, story):

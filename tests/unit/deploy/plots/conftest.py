@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from deploy.judging import report as reports
-from deploy.plots.recorded import RecordedRun, recorded_run
-from services.console.recording.writer import Recorder
-from shared import codec, topics
+from sextant.deploy.judging import report as reports
+from sextant.deploy.plots.recorded import RecordedRun, recorded_run
+from sextant.services.console.recording.writer import Recorder
+from sextant.shared import codec, topics
 
 SCENARIO = 'name = "story"\n[goal]\ndistance = 0.5\n[[terrain]]\nkind = "plane"\n'
 

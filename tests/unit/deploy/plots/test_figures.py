@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy import cli
-from deploy.plots import figures
-from deploy.plots.figures import FIGURES, RUN_COLORS
-from deploy.plots.numbers import comparison, markdown
+from sextant.deploy import cli
+from sextant.deploy.plots import figures
+from sextant.deploy.plots.figures import FIGURES, RUN_COLORS
+from sextant.deploy.plots.numbers import comparison, markdown
 
 cv2 = pytest.importorskip("cv2")
 

@@ -4,14 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.judging import report as reports
-from deploy.plots.own_words import WORDS, MappedGround
-from deploy.plots.recorded import recorded_run
-from services.console.recording.layout import RecordingError
-from services.console.recording.writer import Recorder
-from shared import codec, topics
-from shared.config import ConfigError
-from shared.messages import BodyPose, TerrainMap
+from sextant.deploy.judging import report as reports
+from sextant.deploy.plots.own_words import WORDS, MappedGround
+from sextant.deploy.plots.recorded import recorded_run
+from sextant.services.console.recording.layout import RecordingError
+from sextant.services.console.recording.writer import Recorder
+from sextant.shared import codec, topics
+from sextant.shared.config import ConfigError
+from sextant.shared.messages import BodyPose, TerrainMap
 
 
 def test_a_run_that_is_heard_again_is_the_run_that_was_judged(story, kept, scenario):

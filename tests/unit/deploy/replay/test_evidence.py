@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.replay.evidence import (
+from sextant.deploy.replay.evidence import (
     Evidence,
     PictureEvidence,
     TrueComparison,
@@ -15,10 +15,10 @@ from deploy.replay.evidence import (
     in_words,
     picture_evidence,
 )
-from services.perception.trajectory import relative_size
-from shared.camera import DepthSensor
-from shared.geometry import exp_so3
-from shared.messages import BodyPose
+from sextant.services.perception.trajectory import relative_size
+from sextant.shared.camera import DepthSensor
+from sextant.shared.geometry import exp_so3
+from sextant.shared.messages import BodyPose
 
 SENSOR = DepthSensor(max_range=2.5)
 DEPTH = depth_range(np.full((48, 64), 1500, np.uint16), SENSOR)

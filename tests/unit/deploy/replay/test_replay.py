@@ -8,24 +8,24 @@ import cv2
 import numpy as np
 import pytest
 
-from deploy import cli
-from deploy.progress import Silent
-from deploy.replay import sequence as replay
-from deploy.replay.error import ReplayError
-from deploy.replay.sequence import HandHeld, Player
-from deploy.replay.walk import in_words, map_difference, problem_of, replay_recording
-from deploy.runs.attendance import about
-from services.console.recording.writer import Recorder
-from services.mapper.config import Settings
-from services.mapper.service import Mapper
-from services.perception import tum
-from shared import codec, topics
-from shared.camera import DepthSensor, Intrinsics
-from shared.geometry import exp_se3, from_xyz_rpy, transform
-from shared.messages import BodyPose, ColorImage, DepthImage, Odometry, Scan, TerrainMap, Tick
-from shared.profiles import load_profile
-from shared.scenario import MapOptions, load_scenario
-from shared.service import AnyTopic, Inbox, Stages, Worker
+from sextant.deploy import cli
+from sextant.deploy.progress import Silent
+from sextant.deploy.replay import sequence as replay
+from sextant.deploy.replay.error import ReplayError
+from sextant.deploy.replay.sequence import HandHeld, Player
+from sextant.deploy.replay.walk import in_words, map_difference, problem_of, replay_recording
+from sextant.deploy.runs.attendance import about
+from sextant.services.console.recording.writer import Recorder
+from sextant.services.mapper.config import Settings
+from sextant.services.mapper.service import Mapper
+from sextant.services.perception import tum
+from sextant.shared import codec, topics
+from sextant.shared.camera import DepthSensor, Intrinsics
+from sextant.shared.geometry import exp_se3, from_xyz_rpy, transform
+from sextant.shared.messages import BodyPose, ColorImage, DepthImage, Odometry, Scan, TerrainMap, Tick
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import MapOptions, load_scenario
+from sextant.shared.service import AnyTopic, Inbox, Stages, Worker
 
 S = 1_000_000_000
 INTRINSICS = Intrinsics(8, 6, 7.0, 7.0, 3.5, 2.5)

@@ -14,22 +14,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from deploy import cli
-from deploy.launch.launcher import free_port
-from deploy.ros2 import cdr
-from deploy.ros2.bridge import MAX_TWIST_BYTES, PICTURES, PUBLISHED, SUBSCRIBED, TWIST, TWIST_STAMPED, Bridge, read_twist
-from deploy.ros2.definitions import DEFINITIONS
-from deploy.ros2.interface import type_hash
-from deploy.ros2.lead import Lead, Walk
-from deploy.ros2.names import Node, dds_name, gid
-from shared import codec, topics
-from shared.codec import Timing
-from shared.geometry import from_xyz_rpy
-from shared.live import run_live
-from shared.messages import BodyPose, Message, Mode, ModeCommand, Odometry, Preview, TerrainMap, Tick, VelocityCommand
-from shared.profiles import load_profile
-from shared.service import AnyTopic, Inbox
-from shared.transport import Endpoints, ForeignLink, Router, ZenohLink
+from sextant.deploy import cli
+from sextant.deploy.launch.launcher import free_port
+from sextant.deploy.ros2 import cdr
+from sextant.deploy.ros2.bridge import (
+    MAX_TWIST_BYTES,
+    PICTURES,
+    PUBLISHED,
+    SUBSCRIBED,
+    TWIST,
+    TWIST_STAMPED,
+    Bridge,
+    read_twist,
+)
+from sextant.deploy.ros2.definitions import DEFINITIONS
+from sextant.deploy.ros2.interface import type_hash
+from sextant.deploy.ros2.lead import Lead, Walk
+from sextant.deploy.ros2.names import Node, dds_name, gid
+from sextant.shared import codec, topics
+from sextant.shared.codec import Timing
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.live import run_live
+from sextant.shared.messages import BodyPose, Message, Mode, ModeCommand, Odometry, Preview, TerrainMap, Tick, VelocityCommand
+from sextant.shared.profiles import load_profile
+from sextant.shared.service import AnyTopic, Inbox
+from sextant.shared.transport import Endpoints, ForeignLink, Router, ZenohLink
 from tests.support.commands import eventually
 from tests.support.states import actuator_state
 
@@ -358,7 +367,7 @@ def test_a_ros_node_finds_the_robot_reads_it_and_leads_it_over_zenoh(router: str
 def test_the_command_says_what_it_offers_and_ends_at_ctrl_c(
     router: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from deploy.interrupts import Interrupts
+    from sextant.deploy.interrupts import Interrupts
 
     looks = iter([False, False, True])
     monkeypatch.setattr(Interrupts, "asked", lambda _: next(looks, True))

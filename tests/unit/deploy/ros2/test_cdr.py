@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from deploy.ros2 import cdr
-from deploy.ros2.cdr import CdrError
-from deploy.ros2.definitions import DEFINITIONS
-from deploy.ros2.interface import fields
+from sextant.deploy.ros2 import cdr
+from sextant.deploy.ros2.cdr import CdrError
+from sextant.deploy.ros2.definitions import DEFINITIONS
+from sextant.deploy.ros2.interface import fields
 
 PEER = get_typestore(Stores.ROS2_JAZZY)
 for grid_map_type in ("grid_map_msgs/msg/GridMapInfo", "grid_map_msgs/msg/GridMap"):

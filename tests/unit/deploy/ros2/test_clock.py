@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.ros2.clock import TimeOfDay
+from sextant.deploy.ros2.clock import TimeOfDay
 
 MS, S = 1_000_000, 1_000_000_000
 OFFSET = 1_700_000_000 * S

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from deploy.ros2 import cdr, converted
-from shared.geometry import exp_se3, from_xyz_rpy, rotation_from_quaternion
-from shared.messages import UNKNOWN, BodyPose, Odometry, TerrainMap
-from shared.profiles import load_profile
+from sextant.deploy.ros2 import cdr, converted
+from sextant.shared.geometry import exp_se3, from_xyz_rpy, rotation_from_quaternion
+from sextant.shared.messages import UNKNOWN, BodyPose, Odometry, TerrainMap
+from sextant.shared.profiles import load_profile
 from tests.support.states import actuator_state
 
 S = 1_000_000_000

@@ -3,9 +3,9 @@
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from deploy.ros2 import interface
-from deploy.ros2.definitions import DEFINITIONS
-from deploy.ros2.interface import fields, type_hash
+from sextant.deploy.ros2 import interface
+from sextant.deploy.ros2.definitions import DEFINITIONS
+from sextant.deploy.ros2.interface import fields, type_hash
 
 # As rosidl generates them: from published packages of Jazzy and Kilted, and from those that refer to these types, which carry
 # their hashes as expected ones. That of String is also in the design of rmw_zenoh.

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.ros2.lead import DEAD_MAN_NS, Lead, Walk
-from shared.messages import ActuatorState, Message, Mode, ModeCommand, VelocityCommand
-from shared.profiles import load_profile
+from sextant.deploy.ros2.lead import DEAD_MAN_NS, Lead, Walk
+from sextant.shared.messages import ActuatorState, Message, Mode, ModeCommand, VelocityCommand
+from sextant.shared.profiles import load_profile
 from tests.support.states import actuator_state
 
 MS = 1_000_000

@@ -7,8 +7,8 @@ import zenoh.ext
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.ros2.interface import type_hash
-from deploy.ros2.names import Node, attachment, dds_name, gid
+from sextant.deploy.ros2.interface import type_hash
+from sextant.deploy.ros2.names import Node, attachment, dds_name, gid
 
 STRING = "std_msgs/msg/String"
 HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"

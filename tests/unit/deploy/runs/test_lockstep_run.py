@@ -10,17 +10,17 @@ from pathlib import Path
 
 import pytest
 
-from deploy.judging.report import without_timing
-from deploy.progress import Silent
-from deploy.runs.attendance import Attendance, clear
-from deploy.runs.lockstep_run import CRASH, assemble, run_lockstep
-from deploy.trials.batch import run_trials
-from services.console.recording.reader import Recording
-from shared import topics
-from shared.files import WriteError
-from shared.profiles import load_profile
-from shared.scenario import Fault, Goal, Plane, Scenario
-from shared.service import AnyTopic
+from sextant.deploy.judging.report import without_timing
+from sextant.deploy.progress import Silent
+from sextant.deploy.runs.attendance import Attendance, clear
+from sextant.deploy.runs.lockstep_run import CRASH, assemble, run_lockstep
+from sextant.deploy.trials.batch import run_trials
+from sextant.services.console.recording.reader import Recording
+from sextant.shared import topics
+from sextant.shared.files import WriteError
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Fault, Goal, Plane, Scenario
+from sextant.shared.service import AnyTopic
 
 ROOT = Path(__file__).parents[4]
 S = 1_000_000_000
@@ -109,7 +109,7 @@ def crash(*_: object) -> None:
 
 
 def test_a_service_that_fails_ends_its_run_with_that_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.planner.service.Planner.step", crash)
+    monkeypatch.setattr("sextant.services.planner.service.Planner.step", crash)
     report = run_lockstep(FLAT, 3, tmp_path)
     assert not report.success
     assert re.fullmatch(r"planner failed: IndexError: index 5 is out of bounds \(test_lockstep_run\.py:\d+\)", report.reason)
@@ -118,7 +118,7 @@ def test_a_service_that_fails_ends_its_run_with_that_reason(tmp_path: Path, monk
 
 
 def test_a_batch_goes_on_past_a_run_in_which_a_service_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.mapper.service.Mapper.step", crash)
+    monkeypatch.setattr("sextant.services.mapper.service.Mapper.step", crash)
     trials = run_trials(FLAT, (1000, 1001), 1, tmp_path)
     assert (trials.success.n, trials.success.successes) == (2, 0)
     assert list(trials.failures) == ["mapper failed: IndexError: index # is out of bounds (test_lockstep_run.py:#)"]
@@ -131,7 +131,7 @@ def refused(name):
     real = getattr(time, name)
     def read(*args):
         caller = sys._getframe(1).f_globals.get("__name__", "")
-        if caller.partition(".")[0] in ("shared", "services", "deploy"):
+        if caller.partition(".")[0] == "sextant":
             raise AssertionError(f"{caller} reads time.{name} in lockstep")
         return real(*args)
     return read
@@ -168,7 +168,7 @@ class Told(Silent):
 
 
 def test_a_disk_that_is_full_ends_the_recording_and_the_walk_is_judged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.console.recording.writer.RESERVE_BYTES", 1 << 60)
+    monkeypatch.setattr("sextant.services.console.recording.writer.RESERVE_BYTES", 1 << 60)
     told = Told()
 
     def tap(topic: AnyTopic, frame: bytes, at_ns: int) -> None:

@@ -3,14 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.runs.operator import Operator
-from shared import codec, topics
-from shared.geometry import from_xyz_rpy, rotation_z, yaw_of
-from shared.messages import BodyPose, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
-from shared.messages import Goal as GoalMessage
-from shared.profiles import load_profile
-from shared.scenario import Goal, Plane, Scenario
-from shared.service import Inbox
+from sextant.deploy.runs.operator import Operator
+from sextant.shared import codec, topics
+from sextant.shared.geometry import from_xyz_rpy, rotation_z, yaw_of
+from sextant.shared.messages import BodyPose, Mode, ModeCommand, PlannerStatus, Tick, VelocityCommand
+from sextant.shared.messages import Goal as GoalMessage
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Goal, Plane, Scenario
+from sextant.shared.service import Inbox
 from tests.support.states import actuator_state
 
 PROFILE = load_profile("phantomx_mk2")

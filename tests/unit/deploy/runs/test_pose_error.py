@@ -7,16 +7,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy import process_table
-from deploy.erring_perception import Settings, make
-from deploy.runs.pose_error import MODELS, Correlation, Erring, PoseError, PoseErrorModel, autocorrelation, fitted, moved_by
-from shared import topics
-from shared.geometry import apply, exp_so3, from_xyz_rpy, inverse, log_so3
-from shared.messages import BodyPose, Message, Scan
-from shared.profiles import load_profile
-from shared.scenario import Goal, Plane, Scenario
-from shared.service import AnyTopic, Inbox, Stages
-from shared.transport import Endpoints
+from sextant.deploy import process_table
+from sextant.deploy.erring_perception import Settings, make
+from sextant.deploy.runs.pose_error import (
+    MODELS,
+    Correlation,
+    Erring,
+    PoseError,
+    PoseErrorModel,
+    autocorrelation,
+    fitted,
+    moved_by,
+)
+from sextant.shared import topics
+from sextant.shared.geometry import apply, exp_so3, from_xyz_rpy, inverse, log_so3
+from sextant.shared.messages import BodyPose, Message, Scan
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Goal, Plane, Scenario
+from sextant.shared.service import AnyTopic, Inbox, Stages
+from sextant.shared.transport import Endpoints
 from tests.support.recordings import recording
 
 MODEL = PoseErrorModel((0.01, 0.02, 0.005), (0.004, 0.006, 0.008), Correlation(0.7, 2.0, 0.1), Correlation(0.4, 1.0, 0.05))
@@ -147,7 +156,7 @@ def test_points_that_leave_the_millimetres_are_left_out() -> None:
 def test_live_runs_start_another_process_for_it() -> None:
     plain = Scenario("plain", (Plane(),), Goal(1.0))
     erring = replace(plain, pose_error="orb_slam")
-    for scenario, module in ((plain, "services.perception"), (erring, "deploy.erring_perception")):
+    for scenario, module in ((plain, "sextant.services.perception"), (erring, "sextant.deploy.erring_perception")):
         chosen = process_table.choices(scenario, "plain", 7)
         row = [p for p in process_table.TABLE if p.name == "perception"]
         (command,) = process_table.commands(row, chosen, Endpoints(("tcp/127.0.0.1:1",), False, "x"))

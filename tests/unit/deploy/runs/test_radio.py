@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.runs.radio import Radio
-from shared import topics
-from shared.scenario import Link
+from sextant.deploy.runs.radio import Radio
+from sextant.shared import topics
+from sextant.shared.scenario import Link
 
 MS = 1_000_000
 

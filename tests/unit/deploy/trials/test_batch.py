@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from deploy.judging import report as reports
-from deploy.judging.report import CourseMap, HeightError, PoseError, Report, Spread
-from deploy.provenance import Made
-from deploy.trials import batch
-from shared.scenario import Goal, HeightMap, Plane, Scenario
+from sextant.deploy.judging import report as reports
+from sextant.deploy.judging.report import CourseMap, HeightError, PoseError, Report, Spread
+from sextant.deploy.provenance import Made
+from sextant.deploy.trials import batch
+from sextant.shared.scenario import Goal, HeightMap, Plane, Scenario
 
 SCENARIO = Scenario("made up", (Plane(),), Goal(2.5))
 
@@ -194,7 +194,7 @@ def test_processes_run_one_thread_each(tmp_path, monkeypatch):
         textwrap.dedent(
             """
             import os
-            from deploy.judging.report import Report
+            from sextant.deploy.judging.report import Report
 
             def run(scenario, seed):
                 threads = int(os.environ["OMP_NUM_THREADS"])

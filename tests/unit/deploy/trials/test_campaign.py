@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from deploy.judging.report import HeightError, Report, Slip, Spread, Torque, as_table
-from deploy.trials import batch, campaign, campaign_table, kept
-from shared.scenario import load_scenario
+from sextant.deploy.judging.report import HeightError, Report, Slip, Spread, Torque, as_table
+from sextant.deploy.trials import batch, campaign, campaign_table, kept
+from sextant.shared.scenario import load_scenario
 
 
 def _report(scenario, seed):

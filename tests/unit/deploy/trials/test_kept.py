@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.judging import report as reports
-from deploy.judging.report import (
+from sextant.deploy.judging import report as reports
+from sextant.deploy.judging.report import (
     CourseMap,
     FootholdEdge,
     HeightError,
@@ -22,8 +22,8 @@ from deploy.judging.report import (
     Spread,
     Torque,
 )
-from deploy.trials import kept
-from deploy.trials.kept import Run
+from sextant.deploy.trials import kept
+from sextant.deploy.trials.kept import Run
 
 REPORT = Report(
     "steps",

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deploy.judging.report import ARRIVED, FootholdEdge, Passage, Report, Section, as_table
-from deploy.trials import batch, campaign_table, kept, passage_table
-from deploy.trials.kept import Run
-from deploy.trials.passage_table import THESIS
-from shared.scenario import load_scenario
+from sextant.deploy.judging.report import ARRIVED, FootholdEdge, Passage, Report, Section, as_table
+from sextant.deploy.trials import batch, campaign_table, kept, passage_table
+from sextant.deploy.trials.kept import Run
+from sextant.deploy.trials.passage_table import THESIS
+from sextant.shared.scenario import load_scenario
 
 
 def section(seed, number, state="partial"):

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from services.perception import tum
-from services.perception.cameras.camera import CameraError, RecordingOverError
-from services.perception.cameras.folder import FolderCamera
+from sextant.services.perception import tum
+from sextant.services.perception.cameras.camera import CameraError, RecordingOverError
+from sextant.services.perception.cameras.folder import FolderCamera
 
 STAMPS = [5_000_000_000 + 33_000_000 * k for k in range(4)]
 

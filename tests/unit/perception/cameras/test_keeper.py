@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from services.perception.cameras.camera import CameraError, Frame, RecordingOverError
-from services.perception.cameras.keeper import LAST_RETRY_S, Keeper
-from services.perception.cameras.watch import Watch
+from sextant.services.perception.cameras.camera import CameraError, Frame, RecordingOverError
+from sextant.services.perception.cameras.keeper import LAST_RETRY_S, Keeper
+from sextant.services.perception.cameras.watch import Watch
 
 
 class Script:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.perception.cameras import openni
-from services.perception.cameras.camera import CameraError
-from services.perception.cameras.openni import OpenNI
+from sextant.services.perception.cameras import openni
+from sextant.services.perception.cameras.camera import CameraError
+from sextant.services.perception.cameras.openni import OpenNI
 
 REGISTRATION = "depth to color"
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.perception.cameras import realsense
-from services.perception.cameras.camera import CameraError
-from services.perception.cameras.realsense import RealSense
+from sextant.services.perception.cameras import realsense
+from sextant.services.perception.cameras.camera import CameraError
+from sextant.services.perception.cameras.realsense import RealSense
 
 INFO = {"name": "Intel RealSense D435I", "serial_number": "0123", "usb_type_descriptor": "3.2"}
 

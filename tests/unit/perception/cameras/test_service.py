@@ -5,12 +5,12 @@ import threading
 import numpy as np
 import pytest
 
-from services.perception.cameras.camera import CameraError, Frame
-from services.perception.cameras.config import Settings
-from services.perception.cameras.service import CameraService, find, open_camera
-from shared import topics
-from shared.messages import CameraState, ColorImage, DepthImage, Message, Tick
-from shared.service import Inbox
+from sextant.services.perception.cameras.camera import CameraError, Frame
+from sextant.services.perception.cameras.config import Settings
+from sextant.services.perception.cameras.service import CameraService, find, open_camera
+from sextant.shared import topics
+from sextant.shared.messages import CameraState, ColorImage, DepthImage, Message, Tick
+from sextant.shared.service import Inbox
 
 
 class Device:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from services.perception.cameras.watch import Watch, is_noise, measured_share
+from sextant.services.perception.cameras.watch import Watch, is_noise, measured_share
 
 PERIOD = 33_000_000
 
@@ -78,7 +78,7 @@ def test_another_size_is_named_with_what_was_expected(kit) -> None:  # type: ign
 
 @given(arrays(np.uint16, st.tuples(st.integers(1, 40), st.integers(1, 40))))
 def test_whatever_the_pixels_it_comes_to_a_judgement(depth) -> None:  # type: ignore[no-untyped-def]
-    from shared.camera import DepthSensor
+    from sextant.shared.camera import DepthSensor
 
     assert 0.0 <= measured_share(depth, DepthSensor()) <= 1.0
     is_noise(depth)

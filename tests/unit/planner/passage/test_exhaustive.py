@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deploy.bench.passage_fields import (
+from sextant.deploy.bench.passage_fields import (
     BEYOND,
     GAP,
     NEAR,
@@ -15,11 +15,11 @@ from deploy.bench.passage_fields import (
     stance_at,
     thesis_blocks,
 )
-from services.planner.passage.exhaustive import has_way, passable
-from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Crossing, Roadmap, Stance
-from services.planner.passage.settings import PassageSettings
-from shared.profiles import load_profile
+from sextant.services.planner.passage.exhaustive import has_way, passable
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.roadmap import Crossing, Roadmap, Stance
+from sextant.services.planner.passage.settings import PassageSettings
+from sextant.shared.profiles import load_profile
 
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = 0.105

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from deploy.bench.passage_fields import field_of, stance_at
-from services.planner.passage import search
-from services.planner.passage.field import Field
-from services.planner.passage.reasons import NOBODY, WORDS, Why, fault_in_words, in_words
-from shared.messages import UNKNOWN
-from shared.profiles import load_profile
-from shared.robot import LEGS
+from sextant.deploy.bench.passage_fields import field_of, stance_at
+from sextant.services.planner.passage import search
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.reasons import NOBODY, WORDS, Why, fault_in_words, in_words
+from sextant.shared.messages import UNKNOWN
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import LEGS
 
 STANCE = stance_at(load_profile("phantomx_mk2"), 0.44, 0.11)
 STROKES = np.full(6, 0.20)

@@ -8,18 +8,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deploy.bench.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
-from deploy.judging.passage_checker import violations
-from services.planner.passage import search
-from services.planner.passage.field import Field
-from services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance
-from services.planner.passage.search import nearest_seen
-from services.planner.passage.sections import bare
-from services.planner.passage.settings import PassageSettings
-from shared.geometry import from_xyz_rpy
-from shared.messages import UNKNOWN
-from shared.profiles import load_profile
-from shared.robot import LEGS
+from sextant.deploy.bench.passage_fields import BEYOND, NEAR, START, Block, field_of, heights, stance_at, thesis_blocks
+from sextant.deploy.judging.passage_checker import violations
+from sextant.services.planner.passage import search
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.roadmap import Crossing, NoWay, Roadmap, Stance
+from sextant.services.planner.passage.search import nearest_seen
+from sextant.services.planner.passage.sections import bare
+from sextant.services.planner.passage.settings import PassageSettings
+from sextant.shared.geometry import from_xyz_rpy
+from sextant.shared.messages import UNKNOWN
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import LEGS
 
 PROFILE = load_profile("phantomx_mk2")
 HEIGHT = 0.11

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.bench.passage_fields import FAR, GAP, NEAR, field_of, heights, thesis_blocks
-from services.planner.passage.field import Field
-from services.planner.passage.sections import goal_behind, without
-from shared.messages import UNKNOWN
+from sextant.deploy.bench.passage_fields import FAR, GAP, NEAR, field_of, heights, thesis_blocks
+from sextant.services.planner.passage.field import Field
+from sextant.services.planner.passage.sections import goal_behind, without
+from sextant.shared.messages import UNKNOWN
 
 PILLARS = field_of(heights(thesis_blocks(1, GAP, 0.16, 0.17, 0.035, 0.27), GAP))
 BEHIND = NEAR + GAP + 0.40  # [m] where the whole robot stands behind it

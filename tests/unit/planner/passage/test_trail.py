@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.planner.passage.roadmap import PassageStep, Stance
-from services.planner.passage.trail import Trail
-from shared.geometry import Array
+from sextant.services.planner.passage.roadmap import PassageStep, Stance
+from sextant.services.planner.passage.trail import Trail
+from sextant.shared.geometry import Array
 
 
 def way(seed: int, n: int) -> tuple[Stance, tuple[PassageStep, ...], list[tuple[Array, Array]]]:

@@ -1,0 +1,1 @@
+"""Six-legged walking where only some places carry a foot."""
