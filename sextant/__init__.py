@@ -1,1 +1,53 @@
-"""Six-legged walking where only some places carry a foot."""
+"""Six-legged walking where only some places carry a foot: the public names.
+
+    >>> import sextant
+    >>> sextant.load_profile("phantomx_mk2").name
+    'phantomx_mk2'
+
+Each name is imported when it is first used, so that a program needs only the packages of what it uses.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sextant.client import Client as Client
+    from sextant.client import ClientError as ClientError
+    from sextant.client import Status as Status
+    from sextant.deploy.runs.lockstep_run import run_lockstep as run_lockstep
+    from sextant.services.mapper.elevation import ElevationGrid as ElevationGrid
+    from sextant.services.mapper.layers import FootholdLayers as FootholdLayers
+    from sextant.services.perception.registration import Registration as Registration
+    from sextant.services.planner.passage.roadmap import Roadmap as Roadmap
+    from sextant.shared.kinematics import leg_forward as leg_forward
+    from sextant.shared.kinematics import leg_inverse as leg_inverse
+    from sextant.shared.profiles import load_profile as load_profile
+    from sextant.shared.robot import RobotProfile as RobotProfile
+    from sextant.shared.scenario import load_scenario as load_scenario
+
+_HOMES = {
+    "Client": "sextant.client",
+    "ClientError": "sextant.client",
+    "Status": "sextant.client",
+    "run_lockstep": "sextant.deploy.runs.lockstep_run",
+    "ElevationGrid": "sextant.services.mapper.elevation",
+    "FootholdLayers": "sextant.services.mapper.layers",
+    "Registration": "sextant.services.perception.registration",
+    "Roadmap": "sextant.services.planner.passage.roadmap",
+    "leg_forward": "sextant.shared.kinematics",
+    "leg_inverse": "sextant.shared.kinematics",
+    "load_profile": "sextant.shared.profiles",
+    "RobotProfile": "sextant.shared.robot",
+    "load_scenario": "sextant.shared.scenario",
+}
+__all__ = tuple(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted((*globals(), *_HOMES))

@@ -23,9 +23,7 @@ ROOT = Path(cli.__file__).resolve().parents[1]
 
 
 def test_help_starts_fast_because_nothing_heavy_is_imported() -> None:
-    code = (
-        "import sys; sys.argv[1:] = ['--help']; from sextant.deploy import cli\ntry:\n    cli.main()\nfinally:\n    print(*sys.modules)"
-    )
+    code = "import sys\nfrom sextant.deploy import cli\ntry:\n    cli.main(['--help'])\nfinally:\n    print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False)
     loaded = set(done.stdout.split())
     assert "sextant.deploy.cli" in loaded, done.stderr

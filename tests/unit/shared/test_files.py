@@ -84,7 +84,8 @@ def limited(code: str, path: Path) -> subprocess.CompletedProcess[str]:
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
 
-    begin = "import pathlib, sys; sys.dont_write_bytecode = True; from sextant.shared import files; path = pathlib.Path(sys.argv[1])\n"
+    begin = "import pathlib, sys; sys.dont_write_bytecode = True; path = pathlib.Path(sys.argv[1])\n"
+    begin += "from sextant.shared import files\n"
     return subprocess.run(
         [sys.executable, "-c", begin + code, str(path)], preexec_fn=limit, capture_output=True, text=True, check=False
     )

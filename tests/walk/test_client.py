@@ -1,0 +1,76 @@
+"""A program leads the robot through the public face; here its commands reach a robot in lockstep."""
+
+import numpy as np
+import pytest
+
+import sextant
+from sextant.client import Client, Commander, Status
+from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
+from sextant.shared.messages import Goal, Mode, VelocityCommand
+from sextant.shared.scenario import load_scenario
+
+FLAT = load_scenario("flat")
+S = 1_000_000_000
+
+
+class Led:
+    """A robot in lockstep and what commands it."""
+
+    def __init__(self) -> None:
+        self.commander = Commander("tester")
+        profile = sextant.load_profile(FLAT.robot)
+        around = {"operator": lambda _: self.commander}
+        self.run: LockstepRun = assemble(FLAT, 1000, profile, around=around, stop_port="test client")
+
+    @property
+    def status(self) -> Status:
+        assert self.commander.status is not None
+        return self.commander.status
+
+    def until(self, mode: Mode, within_s: float) -> None:
+        end = self.run.now_ns() + round(within_s * S)
+        while self.commander.status is None or self.status.actuator.mode is not mode:
+            assert self.run.now_ns() < end, self.commander.status
+            self.run.run(self.run.now_ns() + S // 20)
+
+    def place(self) -> np.ndarray:
+        assert self.status.pose is not None
+        return np.array(self.status.pose.T_world_body[:2, 3])
+
+
+def test_it_stands_walks_goes_to_a_place_and_stops() -> None:
+    led = Led()
+    led.run.run(2 * S)
+    led.commander.give("stand")
+    led.until(Mode.STAND, 2.0)
+    led.until(Mode.HOLD, 20.0)
+    assert led.status.actuator.lease == "tester"
+    led.run.run(led.run.now_ns() + 2 * S)
+    led.commander.move(VelocityCommand(0, np.array([0.08, 0.0]), 0.0, 0.11, 0.04))
+    led.commander.give("walk")
+    begin = led.place()
+    led.until(Mode.WALK, 5.0)
+    led.run.run(led.run.now_ns() + 5 * S)
+    assert led.place()[0] - begin[0] > 0.15
+    goal = led.place() + np.array([0.3, 0.0])
+    led.commander.move(Goal(0, goal[None], 0.03, 0.1, 0.11, 0.04))
+    end = led.run.now_ns() + 30 * S
+    while led.status.planner is None or led.status.planner.state != "arrived":
+        assert led.run.now_ns() < end, led.status.planner
+        led.run.run(led.run.now_ns() + S // 20)
+    assert np.linalg.norm(led.place() - goal) < 0.05
+    led.commander.give("stop")
+    led.until(Mode.HOLD, 5.0)
+
+
+def test_nothing_answers_at_a_wrong_endpoint() -> None:
+    with pytest.raises(ValueError, match="nowhere"):
+        Client("nowhere")
+
+
+def test_the_public_names_are_there_and_light() -> None:
+    for name in sextant.__all__:
+        assert getattr(sextant, name) is not None
+    assert set(sextant.__all__) <= set(dir(sextant))
+    with pytest.raises(AttributeError, match="no attribute 'Sextant'"):
+        _ = sextant.Sextant
