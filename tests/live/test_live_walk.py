@@ -12,8 +12,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+import sextant
 from sextant import deploy
 from sextant.deploy.judging.report import check
 from sextant.deploy.launch.compose import KEYS, NOTIFY_SOCKET, RECORDINGS, WARM_UP
@@ -22,7 +25,7 @@ from sextant.deploy.process_table import BUS_PORT
 from sextant.deploy.process_table import Command as LaunchedCommand
 from sextant.services.console.recording.reader import Recording
 from sextant.shared import topics
-from sextant.shared.messages import Health
+from sextant.shared.messages import Health, Mode
 from sextant.shared.transport import Endpoints
 from tests.support.commands import PATIENCE_S, ROOT, Command, Ear, environment, eventually, skip_where_taken, write_course
 from tests.support.composed import commands_of
@@ -190,6 +193,29 @@ def walk_by_the_client_of_the_docs(endpoint: str) -> None:
     assert ear.places[-1][0] - ear.places[0][0] > 0.1, "it has gone forward"
 
 
+def walk_by_the_public_client(endpoint: str) -> None:
+    """A program stands the robot up, walks it, sends it to a place, and is told what the robot refuses."""
+
+    def place() -> NDArray[np.float64]:
+        pose = robot.status.pose
+        return np.full(2, np.nan) if pose is None else np.array(pose.T_world_body[:2, 3])
+
+    with sextant.Client(endpoint, name="program", take=True) as robot:
+        with pytest.raises(sextant.ClientError, match="order `stand` first"):
+            robot.walk(0.05)
+        robot.stand()
+        eventually(lambda: np.isfinite(place()).all(), "a pose")
+        begin = place()
+        robot.walk(0.08)
+        eventually(lambda: np.linalg.norm(place() - begin) > 0.1, "a walk")
+        robot.stop()
+        goal = place() + 2.0 * (place() - begin)
+        robot.goto(*goal, tolerance_m=0.05)
+        assert np.linalg.norm(place() - goal) < 0.1
+        robot.sit()
+        assert robot.state.mode is Mode.READY
+
+
 def ordered(order: str, status: int, folder: Path, *meet: str) -> str:
     """What `sextant order` says that ends as it must; given again where a servo of a busy machine has answered late."""
     told: list[str] = []
@@ -225,6 +251,7 @@ def test_services_that_are_up_walk_for_whoever_joins_them(tmp_path: Path) -> Non
         ):
             assert words in ordered(order, status, tmp_path, "--connect", endpoint, *meet)
         walk_by_the_client_of_the_docs(endpoint)
+        walk_by_the_public_client(endpoint)
         up.interrupt()
         assert up.status() == 130
         up.gone()
