@@ -61,8 +61,8 @@ _SAID_IN_WORDS = {  # errors of modules that only some commands need
     "sextant.deploy.launch.units": "UnitError",
     "sextant.deploy.trials.batch": "ChangedError",
     "sextant.deploy.replay.error": "ReplayError",
-    "sextant.services.actuator.line": "BusGone",
-    "sextant.services.actuator.gentle": "ServoSilentError",
+    "sextant.services.actuator.servo_bus.serial_port": "BusGone",
+    "sextant.services.actuator.commissioning.limited_motion": "ServoSilentError",
 }
 _OF_THE_MACHINE = (
     "TransportError",

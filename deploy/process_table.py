@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared.scenario import MapOptions, Scenario
 from sextant.shared.transport import Endpoints
 
@@ -136,7 +136,7 @@ TABLE: tuple[Process, ...] = (
         watchdog_s=1.5,
         memory_mb=256,
     ),
-    Process("stop", "sextant.services.actuator.stop", "robot", 3, _servo_port, watchdog_s=1.5, memory_mb=256),
+    Process("stop", "sextant.services.actuator.estop", "robot", 3, _servo_port, watchdog_s=1.5, memory_mb=256),
     Process("camera", "sextant.services.perception.cameras", "device", 3, _camera),
     Process("perception", "sextant.services.perception", "robot", 3, _perception, nice=2, memory_mb=1024),
     Process("mapper", "sextant.services.mapper", "either", 3, _mapper, nice=5, memory_mb=1024),

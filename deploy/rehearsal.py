@@ -103,7 +103,7 @@ def bench_actuator(robot: str) -> Iterator[Callable[[], None]]:
     """The cycle of a real actuator on an emulated servo bus, the robot on a stand and told to stand up."""
     from sextant.services.actuator.config import Settings
     from sextant.services.actuator.service import Actuator
-    from sextant.services.actuator.servos import Outlet
+    from sextant.services.actuator.servo_bus.servos import Outlet
     from sextant.services.simulator.tcp_port import TcpBusServer
     from sextant.services.simulator.workbench import Workbench
     from sextant.shared import codec, topics

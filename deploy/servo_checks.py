@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sextant.deploy.checks import Check, Level
-from sextant.services.actuator import usb_adapter
-from sextant.services.actuator.commissioning import hampered
+from sextant.services.actuator.commissioning.set_ids import hampered
+from sextant.services.actuator.servo_bus import usb_adapter
 from sextant.shared.config import ConfigError
 
 if TYPE_CHECKING:
-    from sextant.services.actuator.bus import Port
-    from sextant.services.actuator.roll_call import Seen
+    from sextant.services.actuator.commissioning.bus_scan import Seen
+    from sextant.services.actuator.servo_bus.dynamixel_bus import Port
     from sextant.shared.robot import RobotProfile
 
 _PATIENCE_NS = 50_000_000  # [ns] a servo that answers late is there
@@ -75,8 +75,8 @@ def out_of_reach(port: str) -> Check | None:
 
 def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
     """Whether all of the robot's servos are there, and how they are."""
-    from sextant.services.actuator.bus import BusGone, open_port
-    from sextant.services.actuator.roll_call import problems
+    from sextant.services.actuator.commissioning.bus_scan import problems
+    from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, open_port
     from sextant.shared import dynamixel as dxl
 
     name, names, model = f"servo port {port}", profile.servo_names, dxl.MODEL_NAMED[profile.servo.model]
@@ -112,8 +112,8 @@ def servos(port: str, profile: "RobotProfile") -> Iterator[Check]:
 
 def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, Seen], bool]":
     """Who of the robot's servos is there, and whether the adapter echoes; the port is closed in the end."""
-    from sextant.services.actuator.bus import ServoBus
-    from sextant.services.actuator.roll_call import Voice, call
+    from sextant.services.actuator.commissioning.bus_scan import Voice, call
+    from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 
     bus = ServoBus(port, list(names), time.monotonic_ns, names=names, reply_timeout_ns=_PATIENCE_NS)
     try:
@@ -128,7 +128,7 @@ def _called(port: "Port", names: dict[int, str]) -> "tuple[dict[int, Seen], bool
 
 def well(seen: "list[Seen]", profile: "RobotProfile") -> Iterator[Check]:
     """Voltage and temperature of servos that are in order, and what they report of themselves."""
-    from sextant.services.actuator.roll_call import WARM, error_of, named
+    from sextant.services.actuator.commissioning.bus_scan import WARM, error_of, named
     from sextant.shared import dynamixel as dxl
 
     if not seen:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sextant.services.actuator.swing import Swing
+from sextant.services.actuator.locomotion.swing_trajectory import Swing
 from sextant.services.planner.leg_clearance import LEVEL, clearance_to_sink, swing_shape
 from sextant.services.planner.passage import search
 from sextant.shared.geometry import Array

@@ -13,9 +13,9 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.actuator.bus import Lost, ServoBus, ServoReading
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.plausible import Doubt
+from sextant.services.actuator.servo_bus.dynamixel_bus import Lost, ServoBus, ServoReading
+from sextant.services.actuator.servo_bus.reading_validation import Doubt
 from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
 from sextant.services.simulator.bus_faults import BusFaults
 from sextant.services.simulator.servos import ServoBank

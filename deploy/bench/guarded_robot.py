@@ -10,7 +10,7 @@ from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.launch.tapped_robot import Places
 from sextant.deploy.network.authority import Authority
 from sextant.deploy.network.gate import Gate
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared import codec, topics
 from sextant.shared.access import ROLES, Keys
 from sextant.shared.messages import ActuatorState, Mode, ModeCommand

@@ -14,7 +14,7 @@ from sextant.deploy.faults.wire import Recorder
 from sextant.deploy.launch import tapped_robot
 from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.launch.tapped_robot import Page, Places
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared import codec, topics
 from sextant.shared import dynamixel as dxl
 from sextant.shared.kinematics import body_forward

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sextant.deploy.bench.timing import Spread, installed, machine, machine_in_words
-from sextant.services.actuator.bus import REPLY_TIMEOUT_NS, ServoBus, open_port
+from sextant.services.actuator.servo_bus.dynamixel_bus import REPLY_TIMEOUT_NS, ServoBus, open_port
 from sextant.shared import dynamixel as dxl
 from sextant.shared.profiles import load_profile
 

@@ -16,7 +16,7 @@ import numpy as np
 from sextant.deploy.bench.timing import machine
 from sextant.deploy.launch.launcher import Launcher, host_router
 from sextant.deploy.process_table import TABLE, Choices, commands
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.simulator.tcp_port import TcpBusServer
 from sextant.services.simulator.wire import Reply
 from sextant.services.simulator.workbench import Workbench

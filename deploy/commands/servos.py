@@ -19,9 +19,9 @@ from sextant.deploy.commands.common import FAILED, INTERRUPTED, SUCCESS, InputEr
 from sextant.deploy.interrupts import Interrupts
 
 if TYPE_CHECKING:
-    from sextant.services.actuator.bridge import Bridge
-    from sextant.services.actuator.bus import ServoBus
-    from sextant.services.actuator.commissioning import Found, Line
+    from sextant.services.actuator.commissioning.set_ids import Found, Line
+    from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+    from sextant.services.actuator.servo_bus.mcu_bridge import Bridge
     from sextant.shared.robot import RobotProfile
 
 PATIENCE_NS = 25_000_000  # [ns] for an answer: outlasts the latency timer of an adapter that nobody has set
@@ -68,22 +68,22 @@ class Terminal:
 
 def scan(arguments: argparse.Namespace) -> int:
     """`sextant servos scan`: who is on the bus, and what is wrong with whom."""
-    from sextant.services.actuator import commissioning
+    from sextant.services.actuator.commissioning import set_ids
 
     profile = _profile(arguments.robot)
     with _line(arguments, profile) as line:
         rates = " and ".join(map(str, line.rates))
         tell = complain if arguments.json else say
         tell(f"asking {len(arguments.ids)} ids at {rates} baud; those that nobody has take a while")
-        found = commissioning.scan(line, arguments.ids)
-    wrong = commissioning.verdict(found, profile, arguments.ids, each=arguments.json)
+        found = set_ids.scan(line, arguments.ids)
+    wrong = set_ids.verdict(found, profile, arguments.ids, each=arguments.json)
     if arguments.json:
         problems = [problem._asdict() for problem in wrong]
         say(json.dumps({"servos": [_row(one, profile) for one in found], "problems": problems}, indent=1))
         return FAILED if wrong else SUCCESS
     if found:
-        say(commissioning.in_words(found, profile))
-    if holding := commissioning.holding(found, profile):
+        say(set_ids.in_words(found, profile))
+    if holding := set_ids.holding(found, profile):
         say(f"{holding}; `sextant servos off` lets go")
     for advice, alike in groupby(wrong, key=lambda problem: problem.advice):
         for problem in alike:
@@ -101,8 +101,8 @@ def off(arguments: argparse.Namespace) -> int:
 
     It is latched first: an actuator that has the port, or looks for it, lets go, and one that begins later does, too.
     """
-    from sextant.services.actuator.bus import BusGone, BusSetupError
-    from sextant.services.actuator.let_go import let_go
+    from sextant.services.actuator.commissioning.torque_off import let_go
+    from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, BusSetupError
 
     profile = _profile(arguments.robot)
     unlatched = _latch_off(arguments.port)
@@ -132,7 +132,7 @@ def off(arguments: argparse.Namespace) -> int:
 
 def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool) -> None:
     """Tell who does not say that its torque is off, and how many do."""
-    from sextant.services.actuator.roll_call import named
+    from sextant.services.actuator.commissioning.bus_scan import named
 
     count, off = len(profile.servo_names), len(profile.servo_names) - len(left)
     alike = set(left.values())
@@ -147,7 +147,7 @@ def _say_who_holds(left: dict[int, str], profile: "RobotProfile", bridged: bool)
 
 def _latch_off(port: str) -> str:
     """Latch torque off for whoever has a port; why that could not be, in words, or nothing."""
-    from sextant.services.actuator.latch import Latch
+    from sextant.services.actuator.safety.torque_off_latch import Latch
     from sextant.shared.clock import now_ns
 
     try:
@@ -159,16 +159,16 @@ def _latch_off(port: str) -> str:
 
 def set_id(arguments: argparse.Namespace) -> int:
     """`sextant servos set-id`: each servo is given the id of its joint."""
-    from sextant.services.actuator import commissioning
+    from sextant.services.actuator.commissioning import set_ids
 
     profile = _profile(arguments.robot)
     with _line(arguments, profile) as line:
-        return SUCCESS if commissioning.set_ids(line, profile, Terminal()) else FAILED
+        return SUCCESS if set_ids.set_ids(line, profile, Terminal()) else FAILED
 
 
 def calibrate(arguments: argparse.Namespace) -> int:
     """`sextant servos calibrate`: where each horn sits, into the robot's own TOML."""
-    from sextant.services.actuator import calibration, calibration_file
+    from sextant.services.actuator.commissioning import calibration, calibration_file
     from sextant.shared.robot import LEGS
 
     path, base, profile = _own_file(arguments.robot, arguments.out)
@@ -196,7 +196,7 @@ def calibrate(arguments: argparse.Namespace) -> int:
 
 def test(arguments: argparse.Namespace) -> int:
     """`sextant servos test`: each joint moves a little, alone and gently."""
-    from sextant.services.actuator.exercise import exercise
+    from sextant.services.actuator.commissioning.joint_test import exercise
     from sextant.shared.robot import LEGS
 
     profile = _profile(arguments.robot)
@@ -261,8 +261,8 @@ def _ended_once() -> AbstractContextManager[object]:
 @contextmanager
 def _line(arguments: argparse.Namespace, profile: "RobotProfile") -> "Iterator[Line]":
     """The servo port, closed in the end, also where a signal ends the command."""
-    from sextant.services.actuator.bus import BAUD_RATE
-    from sextant.services.actuator.commissioning import USUAL_RATES, Line
+    from sextant.services.actuator.commissioning.set_ids import USUAL_RATES, Line
+    from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE
 
     rates = (BAUD_RATE,) if "://" in arguments.port else USUAL_RATES
     with _ended_once(), closing(Line(lambda rate: _bus(arguments, profile, rate), rates)) as line:
@@ -275,7 +275,7 @@ def _bus(arguments: argparse.Namespace, profile: "RobotProfile", rate: int | Non
     Raises:
         BusGone: The port cannot be opened.
     """
-    from sextant.services.actuator.bus import BAUD_RATE, ServoBus, open_port
+    from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus, open_port
     from sextant.shared import dynamixel as dxl
 
     patience, names = _NETWORK_PATIENCE_NS if "://" in arguments.port else PATIENCE_NS, profile.servo_names
@@ -296,8 +296,8 @@ def _bridge(arguments: argparse.Namespace, profile: "RobotProfile") -> "Bridge":
     Raises:
         BusGone: The port cannot be opened.
     """
-    from sextant.services.actuator.bridge import READ_NS, Bridge
-    from sextant.services.actuator.bus import open_port
+    from sextant.services.actuator.servo_bus.dynamixel_bus import open_port
+    from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 
     port = open_port(arguments.port, timeout_ns=READ_NS)
     return Bridge(port, list(profile.servo_names), time.monotonic_ns, names=profile.servo_names)
@@ -328,7 +328,7 @@ def _own_file(robot: str, out: str | None) -> "tuple[Path, str, RobotProfile]":
 
 
 def _row(one: "Found", profile: "RobotProfile") -> dict[str, object]:
-    from sextant.services.actuator.roll_call import Voice
+    from sextant.services.actuator.commissioning.bus_scan import Voice
     from sextant.shared import dynamixel as dxl
 
     seen = one.seen

@@ -23,7 +23,7 @@ from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.launch.tapped_robot import Page, Places
 from sextant.deploy.network.gate import Gate
 from sextant.deploy.process_table import ENVIRONMENT, Command
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.console.recording.reader import files_of, newest_ns
 from sextant.shared import codec, topics
 from sextant.shared import dynamixel as dxl

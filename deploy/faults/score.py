@@ -12,7 +12,7 @@ from sextant.deploy.faults.timeline import STALE_S, Timeline, Truth, Word
 from sextant.deploy.faults.wire import Goals
 from sextant.deploy.judging.scorer import FALL_TILT_DEG
 from sextant.deploy.judging.walk_metrics import Flags, debounced, stability_margin
-from sextant.services.actuator.health import LATE
+from sextant.services.actuator.safety.health_monitor import LATE
 from sextant.shared import dynamixel as dxl
 from sextant.shared.geometry import Array
 from sextant.shared.messages import Mode

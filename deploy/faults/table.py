@@ -10,7 +10,7 @@ from sextant.deploy.faults.batch import Injection
 from sextant.deploy.faults.cases import BY_NAME, Case
 from sextant.deploy.faults.score import Outcome
 from sextant.deploy.trials.statistics import wilson
-from sextant.services.actuator.health import LATE_CYCLES
+from sextant.services.actuator.safety.health_monitor import LATE_CYCLES
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from sextant.deploy.faults.timeline import Timeline
 from sextant.deploy.faults.watched import LEAST_WATCH_S, REPEAT_S, SCENARIO, Seen, Watched
 from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
 from sextant.deploy.workers import in_copy
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.simulator.service import Simulator
 from sextant.shared import dynamixel as dxl
 from sextant.shared import topics

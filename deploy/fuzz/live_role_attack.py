@@ -20,7 +20,7 @@ from sextant.deploy.launch.launcher import Launcher, free_port
 from sextant.deploy.launch.tapped_robot import Page, Places
 from sextant.deploy.network.authority import Authority
 from sextant.deploy.network.gate import Gate
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.shared import codec, topics
 from sextant.shared.access import Keys
 from sextant.shared.live import run_live

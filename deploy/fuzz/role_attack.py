@@ -18,7 +18,7 @@ from sextant.deploy.faults.watched import SCENARIO
 from sextant.deploy.faults.wire import Recorder
 from sextant.deploy.fuzz.worst import worst
 from sextant.deploy.runs.lockstep_run import LockstepRun, assemble
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.console.recording.foxglove.translation import Foxglove
 from sextant.services.simulator.service import Simulator
 from sextant.shared import codec, topics

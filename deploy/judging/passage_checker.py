@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.actuator.swing import Swing
+from sextant.services.actuator.locomotion.swing_trajectory import Swing
 from sextant.services.planner.passage.field import Field
 from sextant.services.planner.passage.roadmap import PassageStep, Stance
 from sextant.shared.geometry import Array, apply

@@ -18,7 +18,7 @@ from sextant.deploy.process_table import (
     router_command,
     rows,
 )
-from sextant.services.actuator.latch import SHARED
+from sextant.services.actuator.safety.torque_off_latch import SHARED
 from sextant.shared.access import AUTHORITY, CERTIFICATE, KEY, ROLE
 from sextant.shared.config import ConfigError
 from sextant.shared.scenario import load_scenario

@@ -17,12 +17,12 @@ from sextant.deploy.runs.attendance import RECORDING, Attendance, about, clear
 from sextant.deploy.runs.pose_error import MODELS, Erring
 from sextant.deploy.runs.radio import Radio
 from sextant.services.actuator.config import Settings as ActuatorSettings
-from sextant.services.actuator.latch import Latch
-from sextant.services.actuator.permit import Permit
+from sextant.services.actuator.estop.config import Settings as StopSettings
+from sextant.services.actuator.estop.service import Stop
+from sextant.services.actuator.safety.torque_off_latch import Latch
+from sextant.services.actuator.safety.walk_authorization import Permit
 from sextant.services.actuator.service import Actuator
-from sextant.services.actuator.servos import read_timeout_ns
-from sextant.services.actuator.stop.config import Settings as StopSettings
-from sextant.services.actuator.stop.service import Stop
+from sextant.services.actuator.servo_bus.servos import read_timeout_ns
 from sextant.services.console.recording.foxglove.translation import Foxglove
 from sextant.services.console.recording.writer import Recorder
 from sextant.services.mapper.config import Settings as MapperSettings

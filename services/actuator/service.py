@@ -8,25 +8,25 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.actuator.bus import Port
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.contact import ContactEstimate
-from sextant.services.actuator.feeler import FEMUR, Feeler, Felt, FemurReading
-from sextant.services.actuator.goal_limits import GENTLE, LOWERED, GoalLimits
-from sextant.services.actuator.guard import Act, Guard, Legs
-from sextant.services.actuator.health import GAP_S, Health, Verdict
-from sextant.services.actuator.hung_legs import HungLegs
-from sextant.services.actuator.joints import Joints
-from sextant.services.actuator.latch import Latch
-from sextant.services.actuator.load import lag_feed_forward, sag_feed_forward
-from sextant.services.actuator.odometry import LegOdometry
-from sextant.services.actuator.off_order import OffOrder
-from sextant.services.actuator.orders import in_turn
-from sextant.services.actuator.permit import Permit
-from sextant.services.actuator.plan_check import reaches
-from sextant.services.actuator.plumb import Plumb
-from sextant.services.actuator.stand_up import LieDown, StandUp
-from sextant.services.actuator.walker import Targets, Walker
+from sextant.services.actuator.estimation.contact import ContactEstimate
+from sextant.services.actuator.estimation.gravity_alignment import Plumb
+from sextant.services.actuator.estimation.leg_odometry import LegOdometry
+from sextant.services.actuator.estimation.touchdown_detector import FEMUR, Feeler, Felt, FemurReading
+from sextant.services.actuator.locomotion.feedforward import lag_feed_forward, sag_feed_forward
+from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED, GoalLimits
+from sextant.services.actuator.locomotion.leg_recovery import HungLegs
+from sextant.services.actuator.locomotion.stand_sit import LieDown, StandUp
+from sextant.services.actuator.locomotion.step_executor import Targets, Walker
+from sextant.services.actuator.safety.command_ordering import in_turn
+from sextant.services.actuator.safety.guard import Act, Guard, Legs
+from sextant.services.actuator.safety.health_monitor import GAP_S, Health, Verdict
+from sextant.services.actuator.safety.plan_validation import reaches
+from sextant.services.actuator.safety.torque_off_latch import Latch
+from sextant.services.actuator.safety.torque_off_state import OffOrder
+from sextant.services.actuator.safety.walk_authorization import Permit
+from sextant.services.actuator.servo_bus.dynamixel_bus import Port
+from sextant.services.actuator.servo_bus.joints import Joints
 from sextant.shared import topics
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.kinematics import body_forward, body_inverse, nearest_reachable

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.latch import Latch
-from sextant.services.actuator.permit import Permit
+from sextant.services.actuator.safety.torque_off_latch import Latch
+from sextant.services.actuator.safety.walk_authorization import Permit
 from sextant.services.actuator.service import Actuator
 from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
 from sextant.services.simulator.servos import ServoBank

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sextant.services.actuator.bus import ServoBus
+from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.simulator.bus import MemoryPort
 from sextant.services.simulator.workbench import Workbench
 from sextant.shared import dynamixel as dxl

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from sextant.services.actuator.guard import Act, Guard, Legs
-from sextant.services.actuator.health import Verdict
+from sextant.services.actuator.safety.guard import Act, Guard, Legs
+from sextant.services.actuator.safety.health_monitor import Verdict
 from sextant.shared.geometry import apply, from_xyz_rpy
 from sextant.shared.messages import Mode, ModeCommand, StepPlan
 from sextant.shared.profiles import load_profile

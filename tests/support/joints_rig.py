@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.joints import Joints
+from sextant.services.actuator.servo_bus.joints import Joints
 from sextant.services.simulator.board import Board
 from sextant.services.simulator.bus import MemoryPort, ServoBusEmulator
 from sextant.services.simulator.bus_faults import BusFaults

@@ -1,4 +1,4 @@
-"""How many small changes of a module its tests notice: `python -m tests.support.mutate services/actuator/guard.py`.
+"""How many small changes of a module its tests notice: `python -m tests.support.mutate services/actuator/safety/guard.py`.
 
 Of guard.py the tests are test_guard_*.py, then test_guard.py; they must know the module by its classes. Comparisons, Boolean
 words, numbers, words, members of enumerations, arithmetic, branches, statements and returns are changed one at a time in the

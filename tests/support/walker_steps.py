@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sextant.services.actuator import plan_check
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.walker import Targets, Walker
+from sextant.services.actuator.locomotion.step_executor import Targets, Walker
+from sextant.services.actuator.safety import plan_validation
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.messages import StepPlan
 from sextant.shared.profiles import load_profile
@@ -54,7 +54,7 @@ def new_walker() -> Walker:
 
 
 def reaches(feet: Array) -> bool:
-    return plan_check.reaches(PROFILE, feet)
+    return plan_validation.reaches(PROFILE, feet)
 
 
 def cycle(walker: Walker, dt: float = DT) -> Targets:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from sextant.deploy import cli
-from sextant.services.actuator.bridge import READ_NS, Bridge
-from sextant.services.actuator.bus import BusSetupError, open_port
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError, open_port
+from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS, Bridge
 from sextant.services.simulator.board import Board
 from sextant.services.simulator.bus import BusTiming, ServoBusEmulator
 from sextant.services.simulator.service import Simulator

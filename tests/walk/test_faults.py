@@ -5,7 +5,7 @@ import pytest
 
 from sextant.deploy.judging.walk_metrics import stability_margin
 from sextant.deploy.runs.lockstep_run import LockstepRun
-from sextant.services.actuator.bus import ServoBus
+from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
 from sextant.services.simulator.bus import MemoryPort
 from sextant.services.simulator.service import Simulator
 from sextant.shared import dynamixel as dxl

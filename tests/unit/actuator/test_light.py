@@ -58,7 +58,7 @@ def test_the_role_installs_in_150_megabytes() -> None:
     assert sum(sizes.values()) <= MOST_MB, sizes
 
 
-@pytest.mark.parametrize("process", ["sextant.services.actuator", "sextant.services.actuator.stop"])
+@pytest.mark.parametrize("process", ["sextant.services.actuator", "sextant.services.actuator.estop"])
 def test_its_processes_import_nothing_heavy(process: str) -> None:
     """All that is imported by the time that `process.main` is called."""
     look = (

@@ -2,9 +2,9 @@
 
 import pytest
 
-from sextant.services.actuator import servos, usb_adapter
-from sextant.services.actuator.bus import BusGone
 from sextant.services.actuator.config import Settings
+from sextant.services.actuator.servo_bus import servos, usb_adapter
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone
 
 
 class Adapter:

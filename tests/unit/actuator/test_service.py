@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.goal_limits import GENTLE
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE
+from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.simulator.bus import ServoBusEmulator
 from sextant.services.simulator.servos import ServoBank
 from sextant.shared import dynamixel as dxl

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sextant.services.actuator.goal_limits import GENTLE, LOWERED
-from sextant.services.actuator.load import lag_feed_forward
+from sextant.services.actuator.locomotion.feedforward import lag_feed_forward
+from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
 from sextant.shared import dynamixel as dxl
 from sextant.shared.geometry import Array, apply, from_xyz_rpy
 from sextant.shared.kinematics import body_forward

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sextant.services.actuator.config import Settings
-from sextant.services.actuator.walker import Walker
+from sextant.services.actuator.locomotion.step_executor import Walker
 from sextant.shared import dynamixel as dxl
 from sextant.shared.geometry import Array, apply, from_xyz_rpy, rotation_from_rpy
 from sextant.shared.kinematics import body_forward

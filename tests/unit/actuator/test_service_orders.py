@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sextant.services.actuator.latch import Latch
-from sextant.services.actuator.orders import WalkOrder
-from sextant.services.actuator.permit import Permit
+from sextant.services.actuator.safety.command_ordering import WalkOrder
+from sextant.services.actuator.safety.torque_off_latch import Latch
+from sextant.services.actuator.safety.walk_authorization import Permit
 from sextant.shared import dynamixel as dxl
 from sextant.shared.messages import Mode, ModeCommand, StopOrder
 from tests.support.actuator_rig import STILL, Rig

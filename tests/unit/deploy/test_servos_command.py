@@ -17,9 +17,9 @@ import pytest
 
 from sextant.deploy import cli
 from sextant.deploy.launch.launcher import free_port
-from sextant.services.actuator import latch as latch_files
-from sextant.services.actuator.bus import open_port
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.safety import torque_off_latch as latch_files
+from sextant.services.actuator.safety.torque_off_latch import Latch
+from sextant.services.actuator.servo_bus.dynamixel_bus import open_port
 from sextant.services.simulator.board import Board
 from sextant.services.simulator.tcp_port import TcpBusServer
 from sextant.services.simulator.wire import Reply

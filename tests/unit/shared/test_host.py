@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from sextant.services.actuator.line import REPLY_TIMEOUT_NS
+from sextant.services.actuator.servo_bus.serial_port import REPLY_TIMEOUT_NS
 from sextant.shared.host import allow_many_files, go_first, spare_collector, switch_often
 
 

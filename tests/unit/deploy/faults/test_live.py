@@ -14,7 +14,7 @@ from sextant.deploy.faults.cases import BY_NAME, CASES, LIVE_CASES, Away, Case, 
 from sextant.deploy.faults.live import LiveWalk
 from sextant.deploy.launch.tapped_robot import Places
 from sextant.deploy.process_table import Command
-from sextant.services.actuator.latch import Latch
+from sextant.services.actuator.safety.torque_off_latch import Latch
 from sextant.services.console.recording.writer import Recorder
 from sextant.shared import codec, topics
 from sextant.shared import dynamixel as dxl

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from sextant.deploy.faults.planner import PLANS_PER_STEP, Meddler, fuzzed
-from sextant.services.actuator.plan_check import PlanCheck
+from sextant.services.actuator.safety.plan_validation import PlanCheck
 from sextant.shared import codec
 from sextant.shared.messages import Message, PlannerStatus, StepPlan
 from tests.support.timelines import PROFILE

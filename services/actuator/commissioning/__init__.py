@@ -1,0 +1,1 @@
+"""Set up a robot's servos: bus scan, ids, calibration, joint test and torque off."""

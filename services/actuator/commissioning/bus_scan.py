@@ -1,0 +1,333 @@
+"""Who is on the bus: what each servo says of itself, and what is wrong, by leg and joint. Nothing is moved.
+
+Two servos with one id speak at the same time. Where their return delays differ two answers come to one ping; where they are
+alike the answers fall on top of each other, and reads of what differs between the two come broken.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from typing import NamedTuple, Protocol, TypeVar
+
+from sextant.services.actuator.servo_bus import usb_adapter
+from sextant.services.actuator.servo_bus.serial_port import BusGone
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Register, ServoError, ServoModel
+
+FACTORY_ID = dxl.ID.default
+ANSWER_ALL = 2  # status return level
+_ATTEMPTS = 3  # per question: a host that is busy, or a spike on the wire, loses one now and then
+_STRANGE_BYTES = 16  # that come unasked: less is noise on an open line
+_FEW = 3  # servos that are named one by one
+_MODEL_NAMES = {model.number: model.name for model in dxl.MODELS}
+_ECHOED_MODEL = int.from_bytes((dxl.MODEL_NUMBER.address, dxl.MODEL_NUMBER.size), "little")  # a request read as answer
+_EEPROM = range(dxl.MODEL_NUMBER.address, dxl.SHUTDOWN.address + 1)
+_RAM = range(dxl.TORQUE_ENABLE.address, dxl.LOCK.address + 1)
+
+T = TypeVar("T")
+
+
+class NotAServoBusError(BusGone):
+    """Another device sends on the port."""
+
+    def __init__(self, heard: bytes):
+        """Show the bytes that came unasked, and the ports that this machine has."""
+        text = "".join(letter if letter.isprintable() else "." for letter in heard.decode("ascii", "replace"))
+        others = ", ".join(usb_adapter.devices()) or "none"
+        super().__init__(f"no servo bus: another device sends {text!r} without being asked; serial ports here: {others}")
+
+
+class Chorus(NamedTuple):
+    """What came back on one ping."""
+
+    answers: int  # intact ones
+    garbage: bool  # bytes that are none
+
+    @property
+    def silent(self) -> bool:
+        """Nothing came."""
+        return not self.answers and not self.garbage
+
+
+class Problem(NamedTuple):
+    """What is wrong with a servo, and what to do."""
+
+    words: str
+    advice: str
+
+
+class Setting(NamedTuple):
+    """A register of the EEPROM that hampers a servo, or does not protect it."""
+
+    register: Register
+    value: int  # that it had better hold
+    words: str  # what is wrong with the one that it holds
+
+
+class Bus(Protocol):
+    """The part of `ServoBus` that is used here."""
+
+    @property
+    def garbled(self) -> int:
+        """Bytes and packets so far that were none."""
+
+    def ping(self, servo_id: int) -> ServoError | None:
+        """Error bits of a servo, None when it does not answer."""
+
+    def chorus(self, servo_id: int) -> Chorus:
+        """All that comes back on one ping."""
+
+    def unasked(self) -> bytes:
+        """The first bytes that come within a second in which nothing is asked."""
+
+    def read(self, servo_id: int, register: Register) -> int | None:
+        """Value of a register."""
+
+    def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
+        """Bytes of a control table."""
+
+    def write(self, servo_id: int, register: Register, value: int) -> bool:
+        """Write a register."""
+
+    def tell(self, servo_id: int, register: Register, value: int) -> None:
+        """Write a register without awaiting an answer."""
+
+
+class Voice(StrEnum):
+    """How an id answers."""
+
+    CLEAR = "answers"
+    DOUBLED = "is answered for more than once, or in garbage: two servos have this id, or a cable is bad"
+    MUTE = "answers a ping but no read"
+    FADING = "answers now and then: a cable is loose, or this computer is too busy to listen"
+    ECHO = "answers with the request itself; this adapter echoes: turn the echo setting on"
+
+
+SET_ID = "`sextant servos set-id` with it alone on the bus"
+_PROTECTION = int(ServoError.OVERLOAD | ServoError.OVERHEATING)
+_BY_VOICE = {
+    Voice.DOUBLED: f"unplug one of the two, and give the other its own id: {SET_ID}",
+    Voice.FADING: "see to its plugs, and end other programs",
+    Voice.MUTE: f"its status return level is 0: {SET_ID}",
+    Voice.ECHO: "--echo here, and --set actuator.echo=true for the actuator",
+}
+WARM = 10.0  # [deg C] below its limit a servo is too warm to begin with
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What there was to see of one id."""
+
+    servo_id: int
+    voice: Voice
+    table: bytes = b""  # (48,) control table from address 0 up to Lock; empty unless the voice is clear
+    error: ServoError = ServoError.NONE
+
+    def __getitem__(self, register: Register) -> int:
+        """Value of a register of a clear voice."""
+        return int.from_bytes(self.table[register.address : register.address + register.size], "little")
+
+    @property
+    def model(self) -> str:
+        """Name of its model, or its number."""
+        number = self[dxl.MODEL_NUMBER]
+        return _MODEL_NAMES.get(number, f"model {number}")
+
+    @property
+    def voltage(self) -> float:
+        """Present voltage [V]."""
+        return self[dxl.PRESENT_VOLTAGE] * dxl.VOLT_UNIT
+
+    @property
+    def temperature(self) -> float:
+        """Present temperature [deg C]."""
+        return float(self[dxl.PRESENT_TEMPERATURE])
+
+    @property
+    def is_wheel(self) -> bool:
+        """Whether one that has a clear voice is in wheel mode."""
+        return not self[dxl.CW_ANGLE_LIMIT] and not self[dxl.CCW_ANGLE_LIMIT]
+
+
+def look(bus: Bus, servo_id: int, *, listen: bool = True) -> Seen | None:
+    """See what there is of one id, None for nobody.
+
+    Args:
+        bus: The bus.
+        servo_id: Whom to ask.
+        listen: Wait for a second answer to a ping, for the whole time that a servo may take.
+    """
+    error = retry(lambda: bus.ping(servo_id))
+    crowd = (listen or error is None) and _crowded(bus, servo_id)
+    if error is None and not crowd:
+        return None
+    model = retry(lambda: bus.read(servo_id, dxl.MODEL_NUMBER))
+    if model == _ECHOED_MODEL:
+        return Seen(servo_id, Voice.ECHO)
+    if crowd or error is None:
+        _refuse_another_device(bus)
+        return Seen(servo_id, Voice.DOUBLED)
+    if model is None:
+        return Seen(servo_id, Voice.MUTE)
+    garbled = bus.garbled
+    eeprom, ram = (retry(partial(bus.read_bytes, servo_id, block.start, len(block))) for block in (_EEPROM, _RAM))
+    if eeprom is None or ram is None:  # two of one model say that in one voice, and what they measure in two
+        return Seen(servo_id, Voice.DOUBLED if bus.garbled > garbled else Voice.FADING)
+    return Seen(servo_id, Voice.CLEAR, eeprom + bytes(_RAM.start - _EEPROM.stop) + ram, error)
+
+
+def _crowded(bus: Bus, servo_id: int) -> bool:
+    """Whether, time and again, more than one answers a ping, or nobody in clear words: once may be an answer that is late."""
+    heard = (bus.chorus(servo_id) for _ in range(_ATTEMPTS))
+    return all(chorus.answers != 1 and not chorus.silent for chorus in heard)
+
+
+def _refuse_another_device(bus: Bus) -> None:
+    """Raise NotAServoBusError where bytes come that nobody has asked for."""
+    heard = bus.unasked()
+    if len(heard) >= _STRANGE_BYTES:
+        raise NotAServoBusError(heard)
+
+
+def call(bus: Bus, names: Mapping[int, str]) -> dict[int, Seen]:
+    """All of a robot's servos that are there; where one is missing it is looked for, at the factory's id and behind others'."""
+    seen = {i: found for i in names if (found := look(bus, i, listen=False))}
+    if len(seen) < len(names) and seen:
+        whom = {FACTORY_ID, *seen}
+        seen |= {i: found for i in sorted(whom) if (found := look(bus, i))}
+    return seen
+
+
+def problems(names: Mapping[int, str], seen: Mapping[int, Seen], model: ServoModel) -> dict[int, Problem]:
+    """What is wrong with each servo of a robot, and whose place a stranger may have left, by id.
+
+    Args:
+        names: Id -> leg and joint, as "left rear femur"; empty words where there is no name.
+        seen: Whom `look` has found.
+        model: The type that all are to be.
+    """
+    missing = [i for i in names if i not in seen]
+    found = {i: problem for i in names if (problem := _wrong(seen.get(i), model))}
+    for i in sorted(seen.keys() - names.keys()):
+        found[i] = Problem("is none of the robot's", SET_ID)
+    first = seen.get(FACTORY_ID)
+    if first and missing and (FACTORY_ID not in names or first.voice is Voice.DOUBLED):
+        words, advice = found[FACTORY_ID]
+        found[FACTORY_ID] = Problem(f"{words}; {left_by_reset(missing, names)}", advice)
+    return {i: Problem(f"{named(i, names)} {words}", advice) for i, (words, advice) in found.items()}
+
+
+def left_by_reset(missing: Iterable[int], names: Mapping[int, str]) -> str:
+    """Who may have become the factory's id by a reset, in words."""
+    who = [named(i, names) for i in missing]
+    words = " or ".join(who) if len(who) <= _FEW else f"any of the {len(who)} that are missing"
+    return f"{FACTORY_ID} is what a reset leaves: it may be {words}"
+
+
+def named(servo_id: int, names: Mapping[int, str]) -> str:
+    """A servo in words: "servo 9 (left rear femur)"."""
+    name = names.get(servo_id, "")
+    return f"servo {servo_id} ({name})" if name else f"servo {servo_id}"
+
+
+def _wrong(seen: Seen | None, model: ServoModel) -> Problem | None:
+    """What is wrong with one servo."""
+    if seen is None:
+        return Problem("does not answer", "see to its cable and power: those behind it in the chain are silent with it")
+    if seen.voice is not Voice.CLEAR:
+        return Problem(seen.voice.value, _BY_VOICE[seen.voice])
+    if seen[dxl.MODEL_NUMBER] != model.number:
+        found = _MODEL_NAMES.get(seen[dxl.MODEL_NUMBER], "unknown")
+        words = f"is model {seen[dxl.MODEL_NUMBER]} ({found}), expected {model.number} ({model.name})"
+        return Problem(words, "put the right one in its place, or name the robot that has it")
+    if seen.is_wheel:
+        return Problem("is in wheel mode (both angle limits are 0)", f"{SET_ID}: it makes it a joint again")
+    return None
+
+
+def amiss(seen: Seen, model: ServoModel, reach: tuple[int, int]) -> list[Setting]:
+    """Which limits and protections of a servo are not what its data sheet and its joint want. A robot can do with them.
+
+    Args:
+        seen: A clear voice.
+        model: Its type.
+        reach: Lowest and highest position register that its joint needs.
+    """
+    low, high = seen[dxl.CW_ANGLE_LIMIT], seen[dxl.CCW_ANGLE_LIMIT]
+    hot, usual = seen[dxl.TEMPERATURE_LIMIT], model.default(dxl.TEMPERATURE_LIMIT)
+    torque, most = seen[dxl.MAX_TORQUE], model.default(dxl.MAX_TORQUE)
+    unguarded = _PROTECTION & ~seen[dxl.SHUTDOWN]
+    narrow = f"turns from tick {low} to {high} only, {reach[0]} to {reach[1]} needed"
+    bare = f"does not shut down for {dxl.error_words(unguarded)}"
+    settings = (
+        (low > reach[0], Setting(dxl.CW_ANGLE_LIMIT, model.default(dxl.CW_ANGLE_LIMIT), narrow)),
+        (high < reach[1], Setting(dxl.CCW_ANGLE_LIMIT, model.default(dxl.CCW_ANGLE_LIMIT), narrow)),
+        (hot != usual, Setting(dxl.TEMPERATURE_LIMIT, usual, f"shuts down at {hot} deg C, {usual} expected")),
+        (torque < most, Setting(dxl.MAX_TORQUE, most, f"gives {torque / 10:.0f} % of its torque at most")),
+        (unguarded, Setting(dxl.SHUTDOWN, seen[dxl.SHUTDOWN] | _PROTECTION, bare)),
+    )
+    return [setting for wrong, setting in settings if wrong]
+
+
+def ailing(seen: Seen, low: float) -> str:
+    """Describe what a servo reports of its voltage, heat and load that is out of order; empty where all is well.
+
+    Args:
+        seen: The servo.
+        low: [V] least voltage, by the profile's battery.
+    """
+    limit, error = seen[dxl.TEMPERATURE_LIMIT], error_of(seen)
+    return "; ".join(
+        words
+        for words, wrong in (
+            (f"reports {error}; switch its power off and on again", error),
+            (f"has {seen.voltage:.1f} V, at least {low:.1f} V expected: charge the battery", seen.voltage < low),
+            (f"is {seen.temperature:.0f} deg C warm, its limit is {limit}: let it cool", seen.temperature > limit - WARM),
+        )
+        if wrong
+    )
+
+
+def error_of(seen: Seen) -> str:
+    """What a servo has shut itself down for, complains of, or was left with, in words."""
+    weak = seen[dxl.TORQUE_LIMIT] < seen[dxl.MAX_TORQUE]
+    left = f"a torque limit of {seen[dxl.TORQUE_LIMIT] / 10:.0f} %" if weak else ""
+    return ", ".join(filter(None, (dxl.error_words(seen.error), left)))
+
+
+def prepare(bus: Bus, seen: Seen, lock: bool) -> str:
+    """Make a servo answer everything at once, and lock its EEPROM; what it does not take, or nothing.
+
+    EEPROM is written only where it differs.
+    """
+    wanted = ((dxl.STATUS_RETURN_LEVEL, ANSWER_ALL), (dxl.RETURN_DELAY, 0), *(((dxl.LOCK, 1),) if lock else ()))
+    for register, value in wanted:
+        if seen[register] != value and not ensure(bus, seen.servo_id, register, value):
+            return f"does not take {register.name} {value}; its EEPROM may be locked until its power is cycled"
+    return ""
+
+
+def wake(bus: Bus, servo_id: int) -> Seen | None:
+    """Have a servo that answers pings only, by its status return level, speak; that write is not answered either."""
+    bus.tell(servo_id, dxl.STATUS_RETURN_LEVEL, ANSWER_ALL)
+    return look(bus, servo_id, listen=False)
+
+
+def ensure(bus: Bus, servo_id: int, register: Register, value: int) -> bool:
+    """Write a register unless it has the value; whether it has it in the end."""
+    for _ in range(_ATTEMPTS):
+        if bus.read(servo_id, register) == value:
+            return True
+        bus.write(servo_id, register, value)
+    return bus.read(servo_id, register) == value
+
+
+def retry(question: Callable[[], T | None]) -> T | None:
+    """Ask until there is an answer, three times at most."""
+    return next((answer for answer in _answers(question) if answer is not None), None)
+
+
+def _answers(question: Callable[[], T | None]) -> Iterable[T | None]:
+    for _ in range(_ATTEMPTS):
+        yield question()

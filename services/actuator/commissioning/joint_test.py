@@ -1,0 +1,161 @@
+"""Each joint moved by a few degrees and back, alone, slowly and with little torque: whether it does as told, and is well."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sextant.services.actuator.commissioning.bus_scan import Voice, ailing, look, retry
+from sextant.services.actuator.commissioning.limited_motion import TORQUE_LIMIT, gently, get, hold, put, ready, silent
+from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.commissioning.torque_off import limp_if_broken_off
+from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.shared import dynamixel as dxl
+from sextant.shared.robot import JOINTS, LEGS, RobotProfile
+
+STEP_DEG = 6.0
+_STEP_TICKS = round(np.radians(STEP_DEG) / dxl.TICK_RAD)
+_WAY_NS, _PATIENCE_NS = 600_000_000, 2_000_000_000  # [ns] for a way of a third of a second, and at most
+_OPEN_DEG = 3.0  # that compliance and a leg's weight may leave open
+_STRAINED = 0.9  # of the torque limit
+_STATE = range(dxl.PRESENT_POSITION.address, dxl.MOVING.address + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """What became of one joint's move."""
+
+    name: str  # leg and joint
+    way: str  # which way it was told to move, in words
+    asked_deg: float
+    moved_deg: float
+    back_deg: float  # what was left open on the way back
+    load: float  # greatest, as a share of the stall torque
+    voltage: float  # [V]
+    temperature: float  # [deg C]
+    problem: str  # in words, or nothing
+
+    def __str__(self) -> str:
+        """In a line."""
+        measured = f"load {100 * self.load:3.0f} %  {self.voltage:4.1f} V  {self.temperature:3.0f} deg C"
+        line = f"{self.name:<19} {self.way:<8} {self.moved_deg:+5.1f} of {self.asked_deg:+5.1f} deg  {measured}"
+        return f"{line}  -> {self.problem}" if self.problem else line
+
+
+def exercise(
+    bus: ServoBus,
+    profile: RobotProfile,
+    operator: Operator,
+    clock: Callable[[], int],
+    *,
+    legs: Sequence[str] = LEGS,
+    hold_after: bool | None = False,
+) -> list[Moved] | None:
+    """Move the joints of legs one at a time, and back, once the operator has agreed; None where nothing was to be moved.
+
+    Args:
+        bus: The robot's servos.
+        profile: The robot.
+        operator: Told each joint before it moves, and what became of it.
+        clock: Monotonic time [ns], as the bus has it.
+        legs: Which.
+        hold_after: Whether the torque is turned on at the end, the legs holding where they are; None asks.
+
+    Raises:
+        ServoSilentError: A servo stopped answering; torque is off as far as the bus goes.
+        BusGone: The port is gone.
+    """
+    if not ready(bus, profile, operator):
+        return None
+    if not operator.agree(
+        f"Each joint of {len(legs)} legs will move by {STEP_DEG:g} deg and back, one at a time, slowly, with "
+        f"{TORQUE_LIMIT / 10:.0f} % of its torque. Is the robot on a stand, its legs free?"
+    ):
+        operator.say("nothing is moved, torque is off")
+        return None
+    moved = []
+    with limp_if_broken_off(bus, operator):
+        for leg in legs:
+            for joint in range(len(JOINTS)):
+                moved.append(move(bus, profile, clock, LEGS.index(leg), joint))
+                operator.say(str(moved[-1]))
+        _leave(bus, operator, hold_after)
+    return moved
+
+
+def move(bus: ServoBus, profile: RobotProfile, clock: Callable[[], int], leg: int, joint: int) -> Moved:
+    """Move one limp joint and back; it is limp again."""
+    servo_id = int(profile.servo_ids[leg, joint])
+    with gently(bus, [servo_id]):
+        start = get(bus, servo_id, dxl.PRESENT_POSITION)
+        sign, up = _way(profile, leg, joint, start)
+        hold(bus, [servo_id])
+        there, load = _go(bus, servo_id, min(max(start + sign * up * _STEP_TICKS, 0), dxl.TICK_MAX), clock)
+        back, load_back = _go(bus, servo_id, start, clock)
+    seen = look(bus, servo_id, listen=False)
+    if seen is None or seen.voice is not Voice.CLEAR:
+        raise silent(bus, servo_id, "it was looked at after its move")
+    least_v = profile.battery.warn_voltage
+    asked, moved, left = sign * np.degrees(np.array([up * sign * _STEP_TICKS, there - start, back - start]) * dxl.TICK_RAD)
+    return Moved(
+        name=profile.servo_names[servo_id],
+        way=_words(profile, leg, joint, up),
+        asked_deg=float(asked),
+        moved_deg=float(moved),
+        back_deg=float(left),
+        load=max(load, load_back),
+        voltage=seen.voltage,
+        temperature=seen.temperature,
+        problem=_problem(float(asked), float(moved), float(left), max(load, load_back)) or ailing(seen, least_v),
+    )
+
+
+def _go(bus: ServoBus, servo_id: int, goal: int, clock: Callable[[], int]) -> tuple[int, float]:
+    """Send a servo to a goal; position register where it came to rest, and the greatest load on the way."""
+    put(bus, servo_id, dxl.GOAL_POSITION, goal)
+    began, load = clock(), 0.0
+    while True:
+        state = retry(lambda: bus.read_bytes(servo_id, _STATE.start, len(_STATE)))
+        if state is None:
+            raise silent(bus, servo_id, "it moved")
+        position, _, load_register, *_ = dxl.PRESENT_STATE.unpack_from(state)
+        load = max(load, abs(dxl.load_from_register(load_register)))
+        took = clock() - began
+        if took > _PATIENCE_NS or (took > _WAY_NS and not state[-1]):
+            return position, load
+
+
+def _problem(asked: float, moved: float, left: float, load: float) -> str:
+    """What is wrong with a move [deg], in words, or nothing."""
+    if abs(asked - moved) > _OPEN_DEG:
+        return "did not get there: something blocks it, or the horn slips"
+    if abs(left) > _OPEN_DEG:
+        return "did not come back: something blocks it, or the horn slips"
+    if load > _STRAINED * TORQUE_LIMIT / 1000:
+        return "strains: see that the leg is free and its screws are not too tight"
+    return ""
+
+
+def _way(profile: RobotProfile, leg: int, joint: int, start: int) -> tuple[int, int]:
+    """The servo's sign, and which way of the joint is free: up and outwards where its limit leaves room, else back."""
+    sign = int(profile.servo_signs[leg, joint])
+    servo = np.tile(dxl.angle_from_ticks(start), (len(LEGS), len(JOINTS)))
+    q = profile.joint_angles(servo)[leg, joint]
+    return sign, 1 if q + np.radians(STEP_DEG) <= profile.joint_limits[leg, joint, 1] else -1
+
+
+def _words(profile: RobotProfile, leg: int, joint: int, up: int) -> str:
+    """Which way a foot goes, seen by whoever stands beside the robot."""
+    if JOINTS[joint] != "coxa":
+        return "up" if up > 0 else "down"
+    ahead = -np.sin(np.radians(profile.legs[leg].neutral_yaw_deg)) * up  # the coxa turns about the body's z axis
+    return "forward" if ahead > 0 else "backward"
+
+
+def _leave(bus: ServoBus, operator: Operator, hold_after: bool | None) -> None:
+    """Leave the torque as the operator wants it, and say so."""
+    if hold_after is None:
+        hold_after = operator.agree("Shall the torque be on, the legs holding where they are? No leaves it off.")
+    if hold_after:
+        hold(bus, bus.servo_ids)
+    operator.say("torque is on: the legs hold where they are" if hold_after else "torque is off")

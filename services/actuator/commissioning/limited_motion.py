@@ -1,0 +1,120 @@
+"""Moving servos gently: torque limited, slow, and off at the end, whatever happens; registers are then as they were."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from sextant.services.actuator.commissioning.bus_scan import Seen, ailing, call, named, problems, retry
+from sextant.services.actuator.commissioning.set_ids import Operator
+from sextant.services.actuator.servo_bus.dynamixel_bus import ServoBus
+from sextant.services.actuator.servo_bus.servos import Servos
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Register
+from sextant.shared.geometry import Array
+from sextant.shared.robot import RobotProfile
+
+TORQUE_LIMIT = 300  # [0.1 % of the stall torque] lifts a leg in the air, and a finger stops it
+MOVING_SPEED = dxl.moving_speed_from(np.radians(20.0))
+_READS = 5  # of a position, for its median
+_STILL_TICKS = 3  # a position that changes more than this in so many reads is not at rest
+
+
+class ServoSilentError(RuntimeError):
+    """A servo that was there stopped answering, or refused."""
+
+
+def ready(bus: ServoBus, profile: RobotProfile, operator: Operator) -> bool:
+    """Whether every servo is there, well and without torque, so that legs may be moved; the operator is told why not."""
+    seen = call(bus, profile.servo_names)
+    wrong = problems(profile.servo_names, seen, dxl.MODEL_NAMED[profile.servo.model])
+    low = profile.battery.warn_voltage
+    told = [f"{words}: {advice}" for words, advice in wrong.values()]
+    told += [f"{named(i, bus.names)} {words}" for i, one in seen.items() if i not in wrong and (words := ailing(one, low))]
+    if told:
+        operator.say("the servos are not ready, nothing is moved:\n  " + "\n  ".join(told))
+        return False
+    return _released([one for one in seen.values() if one[dxl.TORQUE_ENABLE]], bus, operator)
+
+
+def _released(holding: Sequence[Seen], bus: ServoBus, operator: Operator) -> bool:
+    """Whether no servo holds any more; their torque is taken off only where the operator says so."""
+    if not holding:
+        return True
+    question = (
+        f"The torque of {len(holding)} servos is on. Is the robot on a stand, and may it go off? It sinks where it stands."
+    )
+    if not operator.agree(question):
+        operator.say("nothing is changed: end what drives the robot, put it on a stand, and begin again")
+        return False
+    for one in holding:
+        put(bus, one.servo_id, dxl.TORQUE_ENABLE, 0)
+    return True
+
+
+@contextmanager
+def gently(bus: ServoBus, servo_ids: Sequence[int]) -> Iterator[None]:
+    """Limit torque and speed of limp servos within; at the end their torque is off and their registers are as before."""
+    before = {(i, r): get(bus, i, r) for i in servo_ids for r in (dxl.MOVING_SPEED, dxl.TORQUE_LIMIT)}
+    again = {(i, dxl.TORQUE_ENABLE): 0 for i in servo_ids} | before
+    try:
+        for i in servo_ids:
+            put(bus, i, dxl.TORQUE_LIMIT, TORQUE_LIMIT)
+            put(bus, i, dxl.MOVING_SPEED, MOVING_SPEED)
+        yield
+    finally:
+        try:
+            _restore(bus, again)
+        except KeyboardInterrupt:  # in the midst of it, and a command raises it but once
+            _restore(bus, again)
+            raise
+
+
+def _restore(bus: ServoBus, registers: Mapping[tuple[int, Register], int]) -> None:
+    """Take the torque of all servos off at once, whoever answers, and have registers as they were."""
+    bus.set_torque(False)
+    left = [i for (i, register), value in registers.items() if not took(bus, i, register, value)]
+    if left:
+        raise silent(bus, left[0], "its torque and registers were to be as before; switch its power off and on again")
+
+
+def hold(bus: ServoBus, servo_ids: Sequence[int]) -> None:
+    """Turn the torque of servos on where they are: the goal first, for not every firmware holds where it is."""
+    for i in servo_ids:
+        put(bus, i, dxl.GOAL_POSITION, get(bus, i, dxl.PRESENT_POSITION))
+        put(bus, i, dxl.TORQUE_ENABLE, 1)
+
+
+def resting(bus: ServoBus, servo_ids: Sequence[int]) -> Array | None:
+    """Servo angles (n,) [rad] of servos at rest, None while one moves."""
+    ticks = np.array([[get(bus, i, dxl.PRESENT_POSITION) for i in servo_ids] for _ in range(_READS)])
+    if (np.ptp(ticks, axis=0) > _STILL_TICKS).any():
+        return None
+    return np.array([dxl.angle_from_ticks(t) for t in np.median(ticks, axis=0)])
+
+
+def get(bus: ServoBus, servo_id: int, register: Register) -> int:
+    """Value of a register; raises ServoSilentError where there is no answer."""
+    value = retry(lambda: bus.read(servo_id, register))
+    if value is None:
+        raise silent(bus, servo_id, f"its {register.name} was read")
+    return value
+
+
+def put(bus: ServoBus, servo_id: int, register: Register, value: int) -> None:
+    """Write a register until the servo says that it took it; raises ServoSilentError where it does not."""
+    if not took(bus, servo_id, register, value):
+        raise silent(bus, servo_id, f"its {register.name} was set to {value}")
+
+
+def took(bus: Servos, servo_id: int, register: Register, value: int) -> bool:
+    """Write a register, three times at most; whether the servo says that it took it."""
+    return retry(lambda: bus.write(servo_id, register, value) or None) is not None
+
+
+def silent(bus: ServoBus, servo_id: int, when: str) -> ServoSilentError:
+    """The error of a servo that stopped answering."""
+    name = named(servo_id, bus.names)
+    return ServoSilentError(
+        f"{name} did not answer, or refused, when {when}; see to cable and power, then `sextant servos scan`"
+    )

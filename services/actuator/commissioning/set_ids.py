@@ -1,0 +1,378 @@
+"""From a box of servos to a robot's: who is on the bus, and each servo given the id of its joint, one at a time.
+
+Terminal and port are somebody else's: an `Operator` is asked, a `Line` opened. Nothing is moved and no torque turned on.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from sextant.services.actuator.commissioning.bus_scan import (
+    ANSWER_ALL,
+    FACTORY_ID,
+    SET_ID,
+    Problem,
+    Seen,
+    Voice,
+    ailing,
+    amiss,
+    ensure,
+    left_by_reset,
+    look,
+    named,
+    problems,
+    wake,
+)
+from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus
+from sextant.shared import dynamixel as dxl
+from sextant.shared.robot import RobotProfile
+
+ALL_IDS = range(dxl.MAX_ID + 1)
+USUAL_RATES = (BAUD_RATE, dxl.baud_rate(dxl.RX_64.default(dxl.BAUD_RATE)))
+_SETTINGS = {dxl.STATUS_RETURN_LEVEL: ANSWER_ALL, dxl.RETURN_DELAY: 0}  # in this order: new servos are told by the delay
+_LEAVE = "q"
+_NOBODY = "see to their power and to the cable at the adapter, or try --echo; through a bridge nobody hears, see docs/bridge.md"
+_UNLESS_MEANT = f"{SET_ID}, its leg and joint typed, sets what is safe; leave it where it is meant"
+
+
+class Operator(Protocol):
+    """Who builds the robot."""
+
+    @property
+    def absent(self) -> bool:
+        """Whether nobody is there: every question has its plain answer, and nothing changes by being asked again."""
+        ...
+
+    def say(self, text: str) -> None:
+        """Tell something."""
+
+    def ask(self, question: str) -> str:
+        """An answer in words, empty for plain Enter."""
+
+    def agree(self, question: str) -> bool:
+        """Whether the answer is yes."""
+
+
+class Line:
+    """A servo port that is opened at one baud rate after another."""
+
+    def __init__(self, open_bus: Callable[[int], ServoBus], rates: Sequence[int] = USUAL_RATES) -> None:
+        """Nothing is opened yet.
+
+        Args:
+            open_bus: Opens the port at a rate [1/s].
+            rates: What may be tried, the robot's own first; a network port knows no rates, so only one.
+        """
+        self.rates = tuple(rates)
+        self._open_bus = open_bus
+        self._rate = 0
+        self._bus: ServoBus | None = None
+
+    def at(self, rate: int) -> ServoBus:
+        """The bus at a rate [1/s]."""
+        if self._bus is None or rate != self._rate:
+            self.close()
+            self._rate, self._bus = rate, self._open_bus(rate)
+        return self._bus
+
+    def close(self) -> None:
+        """Close the port."""
+        if self._bus is not None:
+            self._bus.close()
+            self._bus = None
+
+
+class Found(NamedTuple):
+    """A servo, and at which baud rate [1/s] it talks."""
+
+    rate: int
+    seen: Seen
+
+
+# ---------------------------------------------------------------------------------------------------------------- scan
+
+
+def scan(line: Line, ids: Iterable[int] = ALL_IDS, known: Collection[int] | None = None) -> list[Found]:
+    """Everybody who answers to one of the ids at one of the line's rates. An id that nobody has costs a timeout a rate.
+
+    Args:
+        line: Where to look.
+        ids: Whom to ask.
+        known: Whom to ask three times before they count as silent; None is all of the robot's.
+    """
+    asked = list(ids)
+    found = []
+    for rate in line.rates:
+        bus = line.at(rate)
+        for i in asked:
+            heard = bus.chorus(i)
+            if not heard.silent or i in (bus.names if known is None else known):
+                seen = look(bus, i, listen=heard != (1, False))
+                found += [] if seen is None else [Found(rate, seen)]
+    return found
+
+
+def in_words(found: Sequence[Found], profile: RobotProfile) -> str:
+    """A table of the servos, one a line."""
+    lines = [f"{'id':>3}  {'baud':>7}  {'model':<8} {'firmware':>8}  {'voltage':>7}  {'temperature':>11}  joint"]
+    for rate, seen in found:
+        name = profile.servo_names.get(seen.servo_id, "")
+        if seen.voice is not Voice.CLEAR:
+            lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.voice.value}")
+            continue
+        measured = f"{seen.voltage:>5.1f} V  {seen.temperature:>5.0f} deg C"
+        lines.append(f"{seen.servo_id:>3}  {rate:>7}  {seen.model:<8} {seen[dxl.FIRMWARE]:>8}  {measured}  {name}".rstrip())
+    return "\n".join(lines)
+
+
+def holding(found: Sequence[Found], profile: RobotProfile) -> str:
+    """Whose torque is on, in words, or nothing."""
+    pulling = [one.seen.servo_id for one in found if one.seen.voice is Voice.CLEAR and one.seen[dxl.TORQUE_ENABLE]]
+    if not pulling:
+        return ""
+    others = f", and of {len(pulling) - 1} more" if len(pulling) > 1 else ""
+    return f"torque is on, of {named(pulling[0], profile.servo_names)}{others}"
+
+
+def verdict(
+    found: Sequence[Found], profile: RobotProfile, asked: Collection[int] = ALL_IDS, *, each: bool = True
+) -> list[Problem]:
+    """What keeps these from being the robot's servos, and what to do.
+
+    Args:
+        found: Who answered.
+        profile: The robot.
+        asked: Who could: nobody else is missing.
+        each: Name everyone who is missing, also where all are; else that is one problem.
+    """
+    names = {i: name for i, name in profile.servo_names.items() if i in asked}
+    heard = {seen.servo_id: seen for rate, seen in found if rate == BAUD_RATE}
+    wrong = problems(names, heard, dxl.MODEL_NAMED[profile.servo.model])
+    missing, nobody = [i for i in names if i not in heard], []
+    if not each and len(missing) == len(names) > 1:
+        missing, nobody = [], [Problem(f"none of {len(names)} servos answers", _NOBODY)]
+        wrong = {i: problem for i, problem in wrong.items() if i not in names}
+    for rate, seen in found:
+        if rate != BAUD_RATE:
+            reset = f"; {left_by_reset(missing, names)}" if seen.servo_id == FACTORY_ID and missing else ""
+            words = f"servo {seen.servo_id} talks at {rate} baud, {BAUD_RATE} expected{reset}"
+            wrong[-seen.servo_id - 1] = Problem(words, "`sextant servos set-id` sets its rate")
+    for i, seen in heard.items():
+        if seen.voice is Voice.CLEAR and i not in wrong and (words := ailing(seen, profile.battery.warn_voltage)):
+            wrong[i] = Problem(f"{named(i, names)} {words}", "see to it before anything moves")
+    return [*nobody, *wrong.values(), *hampered((seen for i, seen in heard.items() if i in names), profile)]
+
+
+def hampered(seen: Iterable[Seen], profile: RobotProfile) -> list[Problem]:
+    """Which servos have limits or protections that are not as they should be. It is advice: the actuator does with them."""
+    model, reach, found = dxl.MODEL_NAMED[profile.servo.model], _reach(profile), []
+    for one in seen:
+        if one.voice is Voice.CLEAR and one[dxl.MODEL_NUMBER] == model.number and not one.is_wheel:
+            words = "; ".join(dict.fromkeys(setting.words for setting in amiss(one, model, reach[one.servo_id])))
+            found += [Problem(f"{named(one.servo_id, profile.servo_names)} {words}", _UNLESS_MEANT)] if words else []
+    return found
+
+
+def _reach(profile: RobotProfile) -> dict[int, tuple[int, int]]:
+    """Lowest and highest position register that the joint of each servo needs, by id."""
+    ends = np.sort([profile.servo_angles(profile.joint_limits[..., end]) for end in (0, 1)], axis=0)
+    ticks = np.clip(np.vectorize(dxl.ticks_from_angle)(ends), 0, dxl.TICK_MAX)
+    return {int(i): (int(low), int(high)) for i, low, high in zip(profile.servo_ids.flat, *map(np.ravel, ticks), strict=True)}
+
+
+# -------------------------------------------------------------------------------------------------------------- set-id
+
+
+def set_ids(line: Line, profile: RobotProfile, operator: Operator) -> bool:
+    """Give every servo of a robot the id of its joint; whether all have one in the end.
+
+    Servos are plugged in one after the other, each alone or behind those that are done. It can be left at any question, and
+    gone on with: servos that have their ids are found, and those that were cut off while they were set. The joint with the
+    factory's id, if there is one, comes last, since new servos have that id too.
+    """
+    done: set[int] = set()  # in this sitting, plugged in or not
+    found = _completed(line, _likely(line, profile), profile, operator)
+    while True:
+        done |= {one.seen.servo_id for one in found if _is_set(one, profile)}
+        missing = sorted((i for i in profile.servo_names if i not in done), key=lambda i: i == FACTORY_ID)
+        if not missing:
+            operator.say(f"all {len(done)} servos have their ids; `sextant servos scan` shows them")
+            return True
+        operator.say(f"{len(done)} of {len(profile.servo_names)} servos have their ids")
+        words = _ask_joint(missing[0], profile, operator)
+        if words == _LEAVE:
+            operator.say("left; `sextant servos set-id` goes on with what is missing")
+            return False
+        target = _by_name(profile)[words] if words else missing[0]
+        before = {one.seen.servo_id for one in found}
+        found = _likely(line, profile, done | {target})
+        new = _new_one(line, before, found, profile, operator, named_by_hand=bool(words))
+        if new is None or not _may_change(new, target, before, found, profile, operator):
+            continue
+        if given := _give(line, new, target, profile, operator):
+            done = (done - {new.seen.servo_id}) | {target}
+            found = [*(one for one in found if one is not new), given]
+
+
+def _likely(line: Line, profile: RobotProfile, done: Collection[int] = ()) -> list[Found]:
+    """Who is at the ids that new servos and the robot's have."""
+    return scan(line, sorted({FACTORY_ID, *profile.servo_names}), known={FACTORY_ID, *done})
+
+
+def _collide(found: Sequence[Found], operator: Operator) -> bool:
+    """Whether two servos have one id, which the operator is told."""
+    doubled = [one.seen.servo_id for one in found if one.seen.voice is Voice.DOUBLED]
+    for servo_id in doubled:
+        operator.say(
+            f"two servos or more answer as {servo_id}: neither can be set. Unplug all but one of them; plug the others in "
+            f"later, one at a time, and the joint with id {FACTORY_ID} last."
+        )
+    return bool(doubled)
+
+
+def _has_place(one: Found, profile: RobotProfile) -> bool:
+    """Whether a servo is of the robot's kind and has the id of a joint, set up or not."""
+    seen = one.seen
+    if seen.voice is not Voice.CLEAR or seen[dxl.MODEL_NUMBER] != dxl.MODEL_NAMED[profile.servo.model].number:
+        return False
+    return seen.servo_id in profile.servo_names
+
+
+def _is_set(one: Found, profile: RobotProfile) -> bool:
+    """Whether a servo has all that makes it that of a joint: one with the id alone was cut off, or comes from elsewhere."""
+    seen = one.seen
+    if one.rate != BAUD_RATE or not _has_place(one, profile) or seen.is_wheel:
+        return False
+    wanted = _SETTINGS | {dxl.BAUD_RATE: dxl.BAUD_RATE.default}
+    return all(seen[register] == value for register, value in wanted.items())
+
+
+def _completed(line: Line, found: list[Found], profile: RobotProfile, operator: Operator) -> list[Found]:
+    """All who were found, those that have the id of a joint and not all that goes with it set up, if the operator agrees."""
+    ids = [one.seen.servo_id for one in found]
+    alone = [one for one in found if one.seen.servo_id != FACTORY_ID and ids.count(one.seen.servo_id) == 1]
+    half = [one for one in alone if _has_place(one, profile) and not _is_set(one, profile)]
+    if not half:
+        return found
+    who = ", ".join(named(one.seen.servo_id, profile.servo_names) for one in half)
+    if not operator.agree(f"Of {who} the id is set, and not all that goes with it. Shall that be set, too?"):
+        return found
+    given = {one.seen.servo_id: _give(line, one, one.seen.servo_id, profile, operator) for one in half}
+    return [given.get(one.seen.servo_id) or one for one in found]
+
+
+def _ask_joint(proposed: int, profile: RobotProfile, operator: Operator) -> str:
+    """For which joint the next servo is, by its name; empty for the proposed one."""
+    known, name = _by_name(profile), profile.servo_names[proposed]
+    while True:
+        answer = operator.ask(
+            f"Plug in the servo of the {name}, to be id {proposed}, and press Enter; "
+            f"or type another leg and joint, or {_LEAVE} to leave: "
+        )
+        words = " ".join(answer.lower().split())
+        if words in ("", _LEAVE) or words in known:
+            return words
+        operator.say(f"leg and joint as in {name!r} expected, found {words!r}; one of {', '.join(known)}")
+
+
+def _by_name(profile: RobotProfile) -> dict[str, int]:
+    return {name: servo_id for servo_id, name in profile.servo_names.items()}
+
+
+def _new_one(
+    line: Line,
+    before: Collection[int],
+    found: Sequence[Found],
+    profile: RobotProfile,
+    operator: Operator,
+    *,
+    named_by_hand: bool,
+) -> Found | None:
+    """The one servo that has no joint yet, or was not there before; None, and the operator told, when there is none, or more.
+
+    Args:
+        line: Where to look further.
+        before: Ids that answered when the operator was asked to plug it in.
+        found: Who answers now, at the ids that new servos and the robot's have.
+        profile: The robot.
+        operator: Whom to tell.
+        named_by_hand: Whether the operator has typed a joint: one that is alone on the bus is meant then.
+    """
+    if _collide(found, operator):
+        return None
+    new = [one for one in found if not _is_set(one, profile)]
+    appeared = [] if new else [one for one in found if one.seen.servo_id not in before]
+    if len(appeared) > 1:
+        who = ", ".join(named(one.seen.servo_id, profile.servo_names) for one in appeared)
+        operator.say(f"{who} appeared, and are taken for that, since all is set; plug in one at a time")
+        return None
+    new += appeared
+    if not new and named_by_hand and len(found) == 1:
+        return found[0]
+    if not new:
+        operator.say("looking for it at all ids ...")
+        known = {FACTORY_ID, *profile.servo_names}
+        new = scan(line, (i for i in ALL_IDS if i not in known))
+    if len(new) == 1:
+        return new[0]
+    if new:
+        ids = ", ".join(str(one.seen.servo_id) for one in new)
+        operator.say(f"one new servo expected, found {len(new)} (ids {ids}); leave one of them plugged in")
+    else:
+        operator.say("no new servo answers; see to its cable, and to its power: its LED blinks once when that comes")
+    return None
+
+
+def _may_change(
+    new: Found, target: int, before: Collection[int], found: Sequence[Found], profile: RobotProfile, operator: Operator
+) -> bool:
+    """Whether a servo may become that of a joint: never beside another of it, and with another joint's id only by a yes."""
+    old, names = new.seen.servo_id, profile.servo_names
+    if any(one.seen.servo_id == target for one in found if one is not new):
+        operator.say(f"{named(target, names)} is plugged in already: unplug it first, or name another joint")
+        return False
+    if old == target or old not in names or (old == FACTORY_ID and not _is_set(new, profile)):
+        return True
+    if old in before and _is_set(new, profile):
+        question = f"{named(old, names)} is the only one that answers, and is set already. Make it the {names[target]}?"
+    else:
+        question = f"servo {old} ({names[old]} by its id) appeared; make it the {names[target]}?"
+    if operator.agree(question):
+        return True
+    operator.say("it is left as it is; plug the new one in")
+    return False
+
+
+def _give(line: Line, one: Found, target: int, profile: RobotProfile, operator: Operator) -> Found | None:
+    """Make a servo the one of a joint, and read back whether it is; None, and the operator told, where it is not.
+
+    Cut off anywhere it is as it was, or is found by its new id and completed: what tells a new servo is changed last.
+    """
+    bus, old = line.at(one.rate), one.seen.servo_id
+    seen = (wake(bus, old) if one.seen.voice is Voice.MUTE else None) or one.seen
+    wanted = dxl.MODEL_NAMED[profile.servo.model]
+    if seen.voice is not Voice.CLEAR or seen[dxl.MODEL_NUMBER] != wanted.number:
+        what = f"it is an {seen.model}" if seen.voice is Voice.CLEAR else f"it {seen.voice.value}"
+        instead = "plug another one in" if seen.voice is Voice.CLEAR else "try again"
+        operator.say(f"a servo {wanted.name} expected, but {what}: left as it is; {instead}")
+        return None
+    if seen[dxl.LOCK]:
+        operator.say(f"servo {old} is locked, as the actuator leaves it: switch its power off and on and try again")
+        return None
+    safe = [(setting.register, setting.value) for setting in amiss(seen, wanted, _reach(profile)[target])]
+    refused = [register.name for register, value in safe if not ensure(bus, old, register, value)]
+    if not refused:
+        if old != target:
+            bus.tell(old, dxl.ID, target)  # the answer may have the old id or the new one
+        refused = [register.name for register, value in _SETTINGS.items() if not ensure(bus, target, register, value)]
+    if not refused and seen[dxl.BAUD_RATE] != dxl.BAUD_RATE.default:  # last, for then it is heard no more
+        bus.tell(target, dxl.BAUD_RATE, dxl.BAUD_RATE.default)
+    back = look(line.at(BAUD_RATE), target)
+    given = None if back is None else Found(BAUD_RATE, back)
+    if refused or given is None or not _is_set(given, profile):
+        what = f"it did not take {', '.join(refused)}" if refused else "it does not answer as that"
+        operator.say(f"setting {named(target, profile.servo_names)}: {what}; switch its power off and on and try again")
+        return None
+    operator.say(f"{named(target, profile.servo_names)} is set, and read back: {given.seen.model}, {given.seen.voltage:.1f} V")
+    return given

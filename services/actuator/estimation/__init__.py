@@ -1,0 +1,1 @@
+"""Estimate what the legs and the inertial sensor measure: contact, touchdown, odometry and attitude."""

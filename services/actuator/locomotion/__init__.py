@@ -1,0 +1,1 @@
+"""Turn plans into joint goals: step execution, swing and body trajectories, standing up and sitting down."""

@@ -1,0 +1,1 @@
+"""Decide what may move the legs: commands, leases, plan validation, health limits and the torque-off latch."""

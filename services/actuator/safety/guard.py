@@ -1,0 +1,477 @@
+"""The last gate: who may move the legs, which plans they walk, and when they must stand. Pure: time and findings come in.
+
+    OFF ── ready ──► READY ── stand ──► STAND ──► HOLD ◄──► WALK        FAULT: as HOLD, while something is broken
+     ▲ off, always     ▲───────────────── SIT ◄── sit, from anywhere but OFF
+
+Torque is turned on by an operator's order alone. Off is latched: it takes a new order to leave it. One holder of the lease at
+a time may move the legs; anybody may stop them, or let them go. What is broken stops the walk for as long as it is; what
+cannot be borne has the robot lie down and let go.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.actuator.safety.command_ordering import ORDER_AGE_NS, WalkOrder, is_no_time, is_of_now
+from sextant.services.actuator.safety.health_monitor import Verdict
+from sextant.services.actuator.safety.plan_validation import PlanCheck
+from sextant.shared.geometry import Array
+from sextant.shared.messages import Mode, ModeCommand, StepPlan, StopOrder
+from sextant.shared.robot import RobotProfile
+
+DEADLINE_NS = 180_000_000  # [ns] that a walk goes on without a new plan
+LEASE_NS = 3_000_000_000  # [ns] that a lease lasts without an order, be it one that is repeated
+AWAY_NS = 30_000_000_000  # [ns] after which a leader who was not heard is followed only by a new order to walk
+_HOLDERS = 16  # whose orders are remembered; more of them are not obeyed but to stop
+_STOPS = ("off", "stop")  # orders that anybody may give
+
+
+class Act(StrEnum):
+    """What the actuator is to do at once."""
+
+    LET_GO = "torque off"
+    GRIP = "torque on, where the joints are"
+    RISE = "stand up"
+    LIE_DOWN = "lower the body to the ground"
+    SET_DOWN = "bring feet that are in the air to the ground, and stand"
+    FREEZE = "stay as it is"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Legs:
+    """How far the walk is."""
+
+    step: int  # the running one, or the last
+    resting: bool  # no step is running
+    planned: bool  # a step of a plan is running, and none of the actuator's own
+    swing: NDArray[np.bool_]  # (6,) that the running step swings
+    clearance: Array  # (6,) [m] with which its feet were lifted; infinite while they can still be lifted higher
+    body: Array  # (4, 4) {odom} when a plan sets in: for the next step, at the end of this one
+    feet: Array  # (6, 3) [m] {odom} likewise
+    body_now: Array  # (4, 4) {odom} where it should be now
+    feet_now: Array  # (6, 3) [m] {odom} likewise
+    air_s: Array  # (6,) [s] for which feet of the running step are still in the air, infinite for those that are not
+    trouble: str  # what happened to the last step, in words, or nothing
+    waits: str  # why no plan may be walked yet, in words, or nothing
+
+
+class Guard:
+    """Decides about modes, orders and plans."""
+
+    def __init__(
+        self,
+        profile: RobotProfile,
+        plan_age_s: float,
+        epoch: int,
+        torque: bool,
+        handover_s: float = 0.0,
+        off_ns: int = -1,
+        walk: WalkOrder | None = None,
+    ):
+        """Begin as the servos stand: torque that is on stays on, torque that is off stays off.
+
+        Args:
+            profile: The robot.
+            plan_age_s: [s] older plans are refused.
+            epoch: [ns] of {odom}, which begins now.
+            torque: Whether the servos pull.
+            handover_s: [s] of a step in which the feet of its legs are not in the air.
+            off_ns: [ns] when torque was ordered off, if nobody has taken that back.
+            walk: The order that was in force when the process before this one ended.
+        """
+        self.mode = Mode.HOLD if torque else Mode.OFF
+        self.reason = "torque was on at the start" if torque else "torque is off; order `stand` to begin"
+        self.refused = ""  # why the newest plan was, in words
+        self.refused_ns = -1  # [ns] stamp of the newest plan that was refused for what it asks of the legs
+        self.objection = ""  # why the newest order was not obeyed, in words
+        self._check = PlanCheck(profile, plan_age_s, epoch, handover_s)
+        self._sequences: dict[str, int] = {}  # newest order of each holder
+        self._stops: dict[str, int] = {}  # newest of those who stop without leading
+        self._holder, self._heard_ns, self._begun_ns = "", 0, epoch
+        self.off_ns = off_ns  # when torque went off last by an order, or by itself: no order of before turns it on
+        self.given_ns = -1  # when the newest order was given that was of its time and of who may give it
+        self._woke_ns = -1  # when the computer did last
+        self._may_walk = False
+        self._permit = walk  # the order to walk that is in force, be it that nobody has heard it yet since this began
+        self._accepted_ns = 0  # when the newest plan was
+        self._late = False  # whether this walk has gone on for too long without one
+        self._halted = False  # whether this walk was ordered to stop
+        self._seat = ""  # why the robot is to lie down as soon as it can, in words, or nothing
+        self._lets_go = False  # whether it then lets go, and lies down whatever is broken
+        self.tipped = ""  # that the body leaned too far to go on, in words, until it is ordered to walk or stand
+        self._midway = False  # whether a fault has stopped it while it rose or lay down
+        self._verdict = Verdict()
+
+    @property
+    def epoch(self) -> int:
+        """Of {odom}; plans of another one are refused."""
+        return self._check.epoch
+
+    def lease(self, now_ns: int) -> str:
+        """Who may move the legs, or nothing."""
+        return self._holder if now_ns - self._heard_ns <= LEASE_NS else ""
+
+    def walk_order(self, now_ns: int) -> WalkOrder | None:
+        """The order to walk by which one that begins after this one may walk on; none once it has ended for any reason."""
+        heard_ns = self._heard_ns if self._may_walk else self._begun_ns
+        return self._permit if now_ns - heard_ns <= AWAY_NS else None
+
+    def begin_anew(self, epoch: int) -> None:
+        """A new {odom} has begun."""
+        self._check.epoch = epoch
+
+    # ---------------------------------------------------------------------------------------------------------- orders
+
+    def hear(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
+        """Obey an order, or say in `objection` why not; one that is repeated only keeps the lease.
+
+        A stop is obeyed whoever orders it; one that takes over gives the lease to who has ordered it, and nothing moves. An
+        order must be of now, by its stamp: one that was recorded and is put again neither moves the legs nor keeps a lease,
+        also where this process has begun anew and remembers nobody's orders. A stop that is not of now is obeyed where nobody
+        knows a newer order of its holder; one of now where nobody knows a newer stop of its holder. A stop whose numbers are no
+        times, or older than what is known, counts for nothing else. An order that was given a while ago, by its sequence, and
+        is heard for the first time, as after the link was cut, counts for nothing but that a robot that stands walks on.
+        Of before this process began no order to walk does that but the one that was in force when its predecessor ended.
+        """
+        if order.sequence == self._sequences.get(order.holder):
+            self._hear_again(order, now_ns)
+            return ()
+        odd, stops = self._odd(order, now_ns), order.mode in _STOPS
+        if odd and stops:
+            return self._hear_odd_stop(order, now_ns)
+        if odd:
+            self.objection = odd
+            return ()
+        stranger = order.holder not in self._sequences and not self._has_room(now_ns)
+        if not stranger:
+            self._sequences[order.holder] = order.sequence
+        refused = "" if stops else self._late_order(order, now_ns)
+        if not refused and (order.take or not stops):
+            refused = self._claim(order, now_ns, stranger)
+        self.objection = "" if stops else refused
+        if self.objection:
+            return ()
+        if order.holder == self._holder:
+            self._heard_ns = now_ns
+        if order.mode == "off":
+            self.off_ns = max(self.off_ns, min(max(order.sequence, self.given_ns + 1), now_ns))  # whatever clock it came by
+        if stops:
+            self._is_new(order)
+        self.given_ns = order.sequence
+        return self._obey(order.mode)
+
+    def hear_stop(self, order: StopOrder, now_ns: int) -> tuple[Act, ...]:
+        """Obey whoever orders to stop or to let go; it takes no lease, and nobody who does is remembered for longer for it."""
+        if not self._is_new(order):
+            return ()
+        if order.mode == "off":
+            self.off_ns = max(self.off_ns, now_ns)
+        return self._obey(order.mode)
+
+    def _is_new(self, stop: ModeCommand | StopOrder) -> bool:
+        """Whether a stop is another than its holder's last; it is remembered, and who was silent for longest forgotten."""
+        known = self._stops.pop(stop.holder, None)
+        self._stops[stop.holder] = stop.sequence
+        if len(self._stops) > _HOLDERS:
+            del self._stops[next(iter(self._stops))]
+        return stop.sequence != known
+
+    def _odd(self, order: ModeCommand, now_ns: int) -> str:
+        """Why an order is no new one of now, by its times, in words, or nothing."""
+        if not is_of_now(order, now_ns):
+            return _untimely(order, now_ns)
+        if order.sequence < self._sequences.get(order.holder, order.sequence):
+            return _older(order)
+        if is_no_time(order, now_ns):
+            return f"`{order.mode}` of {order.holder} refused: its sequence, when it was given [ns], is ahead of now"
+        return ""
+
+    def _hear_odd_stop(self, order: ModeCommand, now_ns: int) -> tuple[Act, ...]:
+        """Obey a stop by whose times nothing else can go, unless it is known, or somebody may have put it again."""
+        older = order.sequence < self._sequences.get(order.holder, order.sequence)
+        if older and (not is_of_now(order, now_ns) or order.sequence <= self._stops.get(order.holder, -1)):
+            self.objection = _older(order)
+            return ()
+        return self.hear_stop(StopOrder(order.stamp_ns, order.mode, order.sequence, order.holder), now_ns)  # type: ignore[arg-type]
+
+    def _has_room(self, now_ns: int) -> bool:
+        """Whether one more holder can be remembered, be it in place of one whose order is too old to move anything."""
+        if len(self._sequences) < _HOLDERS:
+            return True
+        oldest = min((holder for holder in self._sequences if holder != self._holder), key=self._sequences.__getitem__)
+        if now_ns - self._sequences[oldest] <= AWAY_NS:
+            return False
+        del self._sequences[oldest]
+        return True
+
+    def _hear_again(self, order: ModeCommand, now_ns: int) -> None:
+        """An order is repeated: the leader's keeps the lease, and after long silence gives it back, but not the walk."""
+        if not is_of_now(order, now_ns):
+            if order.mode not in _STOPS:
+                self.objection = _untimely(order, now_ns)
+            return
+        if order.holder != self._holder:
+            return
+        silent_ns = now_ns - self._heard_ns
+        if self._may_walk and silent_ns > AWAY_NS:
+            self._end_walk_order()
+            self.objection = (
+                f"`walk` of {self._holder} refused: nothing was heard of it for {silent_ns * 1e-9:.0f} s; order it anew"
+            )
+        self._heard_ns = now_ns
+
+    def _late_order(self, order: ModeCommand, now_ns: int) -> str:
+        """Why an order to move that is heard for the first time is too old to be obeyed, in words, or nothing."""
+        age_ns = now_ns - order.sequence
+        gone = f"`{order.mode}` of {order.holder} refused: by its sequence, the time [ns] of the robot's clock, it was given"
+        if self.mode is Mode.OFF and order.sequence < self.off_ns:
+            return f"{gone} before torque was ordered off; order it anew"
+        if order.mode == "walk" and order.sequence < self._begun_ns:
+            resumes = self.walk_order(now_ns) == WalkOrder(order.holder, order.sequence)
+            return "" if resumes else f"{gone} before this actuator began, and was not in force then; order it anew"
+        if order.sequence <= self._woke_ns:
+            return f"{gone} before the computer slept; order it anew"
+        lasting = AWAY_NS if order.mode == "walk" else ORDER_AGE_NS
+        return f"{gone} {age_ns * 1e-9:.1f} s ago; order it anew" if age_ns > lasting else ""
+
+    def _claim(self, order: ModeCommand, now_ns: int, stranger: bool) -> str:
+        """Give the lease to who orders; why it is refused, in words, or nothing."""
+        holder, refused = self.lease(now_ns), f"`{order.mode}` of {order.holder} refused"
+        if stranger:
+            return f"{refused}: {_HOLDERS} others have given orders within {AWAY_NS * 1e-9:.0f} s"
+        if holder and holder != order.holder and not order.take:
+            return f"{refused}: {holder} holds the lease; take it over, or wait for its end"
+        if order.holder != self._holder:
+            self._end_walk_order()
+        self._holder, self._heard_ns = order.holder, now_ns
+        return ""
+
+    def _obey(self, mode: str) -> tuple[Act, ...]:
+        """Do what is ordered."""
+        match mode:
+            case "off":
+                return self._let_go("ordered off")
+            case "stop":
+                return self._stop()
+            case "ready":
+                return self._ready()
+            case "stand":
+                return self._stand()
+            case "walk":
+                return self._walk()
+        return self._sit()
+
+    def _let_go(self, reason: str) -> tuple[Act, ...]:
+        self._enter(Mode.OFF, reason)
+        self._end_walk_order()
+        self.tipped, self._seat, self._lets_go, self._midway = "", "", False, False
+        return (Act.LET_GO,)
+
+    def _stop(self) -> tuple[Act, ...]:
+        self._end_walk_order()
+        if not self._verdict.sit:
+            self._seat, self._lets_go = "", False
+        if self.mode is Mode.WALK:
+            self._halted = True
+            return (Act.SET_DOWN,)
+        if self.mode in (Mode.STAND, Mode.SIT):
+            self._enter(Mode.READY, "stopped on its way; order `stand` or `sit`")
+            return (Act.FREEZE,)
+        return ()
+
+    def _ready(self) -> tuple[Act, ...]:
+        if self.mode not in (Mode.OFF, Mode.READY, Mode.FAULT):
+            return self._stop()
+        why = self._verdict.broken or self._verdict.sit
+        if why and self.mode is Mode.OFF:
+            self.objection = f"torque stays off: {why}"
+            return ()
+        self._enter(Mode.READY, "torque is on; order `stand` to rise")
+        self._end_walk_order()
+        self._seat, self._lets_go, self._midway = "", False, False
+        return (Act.GRIP,)
+
+    def _stand(self) -> tuple[Act, ...]:
+        if self.mode is Mode.WALK:
+            return self._stop()
+        why = self._verdict.broken or self._verdict.sit
+        if why or self.mode is Mode.FAULT:
+            self.objection = f"`stand` refused: {why or 'feet are being set down'}"
+            return ()
+        grip = (Act.GRIP,) if self.mode is Mode.OFF else ()
+        self._enter(Mode.STAND, "standing up")
+        self._end_walk_order()
+        self.tipped, self._seat, self._lets_go = "", "", False
+        return (*grip, Act.RISE)
+
+    def _walk(self) -> tuple[Act, ...]:
+        if self.mode not in (Mode.HOLD, Mode.STAND, Mode.WALK):
+            why = self.reason if self.mode is Mode.FAULT else f"the mode is {self.mode}, order `stand` first"
+            self.objection = f"`walk` refused: {why}"
+        elif self._verdict.sit:
+            self.objection = f"`walk` refused: {self._verdict.sit}"
+        else:
+            self._may_walk, self._permit = True, WalkOrder(self._holder, self.given_ns)
+            self.tipped, self._seat, self._lets_go = "", "", False
+        return ()
+
+    def _sit(self) -> tuple[Act, ...]:
+        if self.mode is Mode.OFF:
+            self.objection = "`sit` refused: torque is off"
+        elif self.mode is not Mode.SIT:
+            self._end_walk_order()
+            self._seat = self._seat or "ordered to sit"
+            self._lets_go |= self.mode is Mode.FAULT  # nobody can answer for how it would lie with torque on
+        return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
+
+    def _end_walk_order(self) -> None:
+        """No order to walk is in force any more, neither here nor after a restart."""
+        self._may_walk, self._permit = False, None
+
+    def _enter(self, mode: Mode, reason: str) -> None:
+        self.mode, self.reason, self._late, self._halted = mode, reason, False, False
+
+    # ----------------------------------------------------------------------------------------------------------- plans
+
+    def consider(self, plan: StepPlan, now_ns: int, legs: Legs) -> bool:
+        """Whether a plan may be walked; if not, `refused` says why."""
+        closed = self._closed(now_ns, legs)
+        self.refused = f"plan of step {plan.step} refused: {closed}" if closed else ""
+        resting = not legs.planned
+        self.refused = self.refused or self._check.untimely(plan, now_ns, legs.step, resting, legs.swing, legs.clearance)
+        if self.refused:
+            return False
+        revises = plan.step == legs.step
+        self.refused = self._check.unwalkable(
+            plan, legs.body_now if revises else legs.body, legs.feet_now if revises else legs.feet, revises, legs.air_s
+        )
+        if self.refused:
+            self.refused_ns = plan.stamp_ns
+            return False
+        self._accepted_ns = now_ns
+        self._enter(Mode.WALK, "walking")
+        return True
+
+    def _closed(self, now_ns: int, legs: Legs) -> str:
+        """Why no plan is taken now, in words, or nothing."""
+        if self.tipped:
+            return f"{self.tipped}; order `walk` anew"
+        if self.mode is Mode.FAULT:
+            return self.reason
+        if self._seat:
+            return self._seat
+        if not self._may_walk and self.mode is Mode.WALK:
+            return "the walk is ordered to stop, and comes to its end"
+        if not self._may_walk or self.mode not in (Mode.HOLD, Mode.WALK):
+            return f"the mode is {self.mode}, not ordered to walk"
+        if not self.lease(now_ns):
+            return f"no order of {self._holder} for {LEASE_NS * 1e-9:.0f} s, nobody leads"
+        if legs.waits:
+            return legs.waits
+        if self._late:
+            return f"no new plan came for {DEADLINE_NS * 1e-9:.2f} s, feet are set down first"
+        return ""
+
+    # ----------------------------------------------------------------------------------------------------- what happens
+
+    def tip(self, words: str) -> tuple[Act, ...]:
+        """The body leans too far to go on; until it is ordered to walk or stand."""
+        self.tipped = words
+        self._end_walk_order()
+        return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
+
+    def woke(self, slept_s: float, now_ns: int) -> tuple[Act, ...]:
+        """The computer has slept [s]: whatever was ordered is over, for clocks stood still and nobody knows what came about."""
+        acts = self._stop()
+        self._holder, self._woke_ns = "", now_ns
+        self.objection = f"what was ordered is over: the computer was asleep for {slept_s:.0f} s; order it anew"
+        return acts
+
+    def risen(self) -> None:
+        """The robot stands."""
+        if self.mode is Mode.STAND:
+            self._enter(Mode.HOLD, "standing")
+
+    def seated(self, now_ns: int) -> tuple[Act, ...]:
+        """The robot lies."""
+        if self.mode is not Mode.SIT:
+            return ()
+        if self._lets_go:
+            self.off_ns = max(self.off_ns, now_ns)
+            return self._let_go(self.reason)
+        self._enter(Mode.READY, "sitting; order `stand` to rise, or `off`")
+        return ()
+
+    def watch(self, now_ns: int, legs: Legs, verdict: Verdict) -> tuple[Act, ...]:
+        """See to what has come about in this cycle."""
+        self._verdict = verdict
+        if self.mode is Mode.OFF:
+            return ()
+        still = self.mode in (Mode.READY, Mode.STAND) or self._midway  # a walk that was broken off stays where it is
+        rests = legs.resting or still
+        acts = (*self._see_to_faults(rests, verdict), *self._see_to_walk(now_ns, legs))
+        if verdict.sit and not self._lets_go:
+            acts = (*acts, *self._give_in(verdict.sit))
+        if self.mode is Mode.READY and not verdict.sit:
+            self._lets_go = False  # it was stopped as it lay down
+        if self._seat and rests:
+            self._enter(Mode.SIT, self._seat)
+            self._seat, self._midway = "", False
+            acts = (*acts, Act.LIE_DOWN)
+        return acts
+
+    def _give_in(self, why: str) -> tuple[Act, ...]:
+        """Lie down for what cannot be borne, and let go."""
+        self._lets_go = True
+        self._end_walk_order()
+        if self.mode is Mode.SIT:
+            self.reason = why
+        else:
+            self._seat = why
+        return (Act.SET_DOWN,) if self.mode is Mode.WALK else ()
+
+    def _see_to_faults(self, rests: bool, verdict: Verdict) -> tuple[Act, ...]:
+        """Stop for what is broken, and go on once it is whole."""
+        sits_anyway = self.mode is Mode.SIT and self._lets_go
+        if verdict.broken and self.mode is not Mode.READY and not sits_anyway:
+            acts = {Mode.WALK: (Act.SET_DOWN,), Mode.STAND: (Act.FREEZE,), Mode.SIT: (Act.FREEZE,)}.get(self.mode, ())
+            self._midway |= Act.FREEZE in acts
+            self._enter(Mode.FAULT, verdict.broken)
+            return acts
+        if self.mode is Mode.FAULT and not verdict.broken and rests:
+            midway, self._midway = self._midway, False
+            if midway:
+                self._enter(Mode.READY, "what was broken is whole again; order `stand` or `sit`")
+            else:
+                self._enter(Mode.HOLD, "what was broken is whole again")
+        return ()
+
+    def _see_to_walk(self, now_ns: int, legs: Legs) -> tuple[Act, ...]:
+        """End the walk where it has ended, and when no plan has come for too long."""
+        if self.mode is not Mode.WALK:
+            return ()
+        late = f"no new plan came for {DEADLINE_NS * 1e-9:.2f} s" if self._late else ""
+        ended = "ordered to stop" if self._halted else late
+        why = self.tipped or "; ".join(words for words in (ended, legs.trouble) if words)
+        if legs.resting:
+            self._enter(Mode.HOLD, why or "the last accepted step is finished and no new plan came")
+            return ()
+        self.reason = why or "walking"
+        if legs.planned and not (self._late or self._halted) and now_ns - self._accepted_ns > DEADLINE_NS:
+            self._late = True
+            return (Act.SET_DOWN,)
+        return ()
+
+
+def _older(order: ModeCommand) -> str:
+    return f"`{order.mode}` of {order.holder} refused: it is older than their newest order"
+
+
+def _untimely(order: ModeCommand, now_ns: int) -> str:
+    """How an order is not one of now, in words."""
+    age_ns = now_ns - order.stamp_ns
+    when = f"{age_ns * 1e-9:.1f} s old" if age_ns > 0 else f"stamped {-age_ns * 1e-9:.1f} s ahead of now"
+    allowed = f"at most {ORDER_AGE_NS * 1e-9:.0f} s allowed; orders are stamped by the robot's clock"
+    return f"`{order.mode}` of {order.holder} refused: it is {when}, {allowed}"

@@ -1,0 +1,470 @@
+"""The servo bus driver: Dynamixel Protocol 1.0 over anything with pyserial's read and write.
+
+No thread and no sleep; time comes from a clock argument. In the loop nothing that the bus does raises but `BusGone`: a packet
+that is lost, broken or refused is counted by reason, as is one that says what cannot be, and its servo's reading grows old.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sextant.services.actuator.commissioning import bus_scan
+from sextant.services.actuator.commissioning.bus_scan import Chorus, Problem, Voice
+from sextant.services.actuator.servo_bus.packet_loss import LossRate
+from sextant.services.actuator.servo_bus.reading_validation import Plausibility, State
+from sextant.services.actuator.servo_bus.serial_port import (
+    BAUD_RATE,
+    LOST,
+    REFUSAL,
+    REPLY_TIMEOUT_NS,
+    BusGone,
+    Line,
+    Lost,
+    Port,
+    gone,
+    open_port,
+)
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import PRESENT_STATE, Packet, Register, ServoError, ServoModel
+
+__all__ = [
+    "BAUD_RATE",
+    "LOST",
+    "REPLY_TIMEOUT_NS",
+    "BusGone",
+    "BusSetupError",
+    "Lost",
+    "Port",
+    "ServoBus",
+    "ServoReading",
+    "gone",
+    "open_port",
+    "reading",
+    "whole",
+]
+
+_PATIENCE = 3  # questions in a row that a servo may leave open before it is asked more rarely: a busy host loses answers
+_AT_ONCE = 3  # ... and after which it still comes first in the next call
+_OVERDUE_NS = 100_000_000  # [ns] without a question from which a servo comes before those that are urgent
+_MAX_BACKOFF = 8  # a silent servo is still asked every this many turns
+_TYPICAL_NS = 1_300_000  # [ns] a read of 8 bytes over USB, until measured
+_LOOKS = 3  # questions to one servo in its turn, where its answers are broken or doubted
+_LOSS_WINDOW_NS = 200_000_000  # [ns]
+_NOISY_NS = 1_000_000_000  # [ns] after a question was lost in which its like may happen
+_LONGEST = 256  # [bytes] that a length may announce
+_SMOOTHING = 8  # transactions over which the typical time is smoothed
+_SEC = 1e9
+
+
+class BusSetupError(ConnectionError):
+    """The bus does not have the servos that the robot needs; the message names each and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServoReading:
+    """What one servo measured."""
+
+    index: int  # in the driver's list of ids
+    servo_id: int
+    stamp_ns: int  # [ns] when it was asked; the servo sampled after that, within the answer time
+    told_ns: int  # [ns] when goals had been sent last before that, or a microcontroller had taken them; long ago without
+    position_ticks: int  # 0..1023
+    position: float  # [rad] servo angle, 0 at tick 512, counterclockwise positive
+    speed: float  # [rad/s] counterclockwise positive
+    load: float  # fraction of the stall torque, counterclockwise positive
+    voltage: float  # [V]
+    temperature: float  # [deg C]
+    error: ServoError
+
+
+def reading(
+    index: int, servo_id: int, stamp_ns: int, told_ns: int, registers: tuple[int, ...], error: ServoError
+) -> ServoReading:
+    """What a servo's five registers from present position on say: position, speed, load, voltage, temperature."""
+    position, speed, load, voltage, temperature = registers
+    return ServoReading(
+        index=index,
+        servo_id=servo_id,
+        stamp_ns=stamp_ns,
+        told_ns=told_ns,
+        position_ticks=position,
+        position=dxl.angle_from_ticks(position),
+        speed=dxl.speed_from_register(speed),
+        load=dxl.load_from_register(load),
+        voltage=voltage * dxl.VOLT_UNIT,
+        temperature=float(temperature),
+        error=error,
+    )
+
+
+def whole(values: ArrayLike, register: Register, count: int) -> NDArray[np.int64]:
+    """Values of a register for each of `count` servos or one for all, checked.
+
+    Raises:
+        ValueError: A value out of range, not a whole number, or of another shape.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind not in "iu" or array.shape not in ((), (count,)):
+        raise ValueError(f"{register.name}: integers of shape ({count},) expected, found {array.dtype} of shape {array.shape}")
+    if array.min() < register.min or array.max() > register.max:
+        raise ValueError(f"{register.name} takes {register.min} to {register.max}, found {array.tolist()}")
+    return array.astype(np.int64, copy=False)
+
+
+class ServoBus:
+    """Asks and commands a fixed list of servos; arrays are in the order of that list."""
+
+    def __init__(
+        self,
+        port: Port,
+        servo_ids: Sequence[int],
+        clock: Callable[[], int],
+        *,
+        model: ServoModel = dxl.AX_12A,
+        names: Mapping[int, str] | None = None,
+        echo: bool = False,
+        reply_timeout_ns: int = REPLY_TIMEOUT_NS,
+        lock: bool = False,
+    ) -> None:
+        """Take over an open port. Nothing is sent before `setup` or another call.
+
+        Args:
+            port: Open port whose read timeout is about `reply_timeout_ns`.
+            servo_ids: Ids 0 to 253, all different.
+            clock: Monotonic time [ns]; of an emulated port, the port's own.
+            model: The servo type that `setup` expects.
+            names: Leg and joint of each id, for what is said of it.
+            echo: The adapter returns every byte sent; exactly those are dropped.
+            reply_timeout_ns: [ns] after which an answer is given up.
+            lock: `setup` locks the EEPROM of the servos, until their power goes: no broken packet changes it then.
+
+        Raises:
+            ValueError: An id out of range or given twice.
+        """
+        if len(set(servo_ids)) != len(servo_ids) or not all(0 <= i <= dxl.MAX_ID for i in servo_ids):
+            raise ValueError(f"servo ids 0 to {dxl.MAX_ID}, each once, expected, found {list(servo_ids)}")
+        n = len(servo_ids)
+        self.servo_ids = tuple(servo_ids)
+        self.names = {i: (names or {}).get(i, "") for i in servo_ids}
+        self.errors: NDArray[np.uint8] = np.zeros(n, dtype=np.uint8)  # (n,) error bits of the last status packets
+        self.between: Callable[[], None] = _nothing  # done before each question outside the loop
+        self._port = port
+        self._clock = clock
+        self._model, self._lock = model, lock
+        self._line = Line(port, clock, echo=echo, reply_timeout_ns=reply_timeout_ns)
+        self._index = {servo_id: i for i, servo_id in enumerate(servo_ids)}
+        self._loss = LossRate(_LOSS_WINDOW_NS)
+        self._plausible = Plausibility(n)
+
+        self._requests = [dxl.read(i, dxl.PRESENT_POSITION.address, PRESENT_STATE.size) for i in servo_ids]
+        self._next = 0
+        self._again: list[int] = []  # to be asked first in the next call
+        self._typical_ns = _TYPICAL_NS
+        self._read_ns = [-1] * n  # stamp of the newest reading
+        self._asked_ns = [0] * n  # when it was asked last
+        self._told_ns = 0  # when goals were sent last
+        self._missed = [0] * n  # questions that it left open in a row
+        self._backoff = [1] * n  # ask every so many turns
+        self._skips = [0] * n  # turns left to skip
+
+        self._goal_rows = np.zeros((n, 5), dtype=np.uint8)  # id, goal position, moving speed: a sync write's rows
+        self._goal_rows[:, 0] = servo_ids
+        size = dxl.GOAL_POSITION.size + dxl.MOVING_SPEED.size
+        self._goal_head = bytes((dxl.GOAL_POSITION.address, size))
+
+    def __len__(self) -> int:
+        """Number of servos."""
+        return len(self.servo_ids)
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Questions without a usable answer and bytes dropped, by reason (`Lost`, `dynamixel.Dropped`, `plausible.Doubt`)."""
+        return self._line.lost + self._line.dropped + self._plausible.refused
+
+    @property
+    def loss(self) -> float:
+        """Share of the loop's questions without a usable answer over the last 200 ms; of the last one where there is none."""
+        return self._loss.share(self._clock())
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong between here and the servos, in words: nothing that their silence does not say."""
+        return ""
+
+    @property
+    def garbled(self) -> int:
+        """Bytes and packets so far that were none."""
+        return self._line.dropped.total()
+
+    @property
+    def missed(self) -> NDArray[np.int64]:
+        """(n,) questions in the loop that each servo has left open in a row."""
+        return np.array(self._missed)
+
+    def close(self) -> None:
+        """Close the port, gone or not; the servos keep their torque and their last goal."""
+        self._port.close()
+
+    # ----------------------------------------------------------------------------------------------- outside the loop
+
+    def ping(self, servo_id: int) -> ServoError | None:
+        """Error bits of a servo, None when it does not answer."""
+        answer = self._ask(dxl.ping(servo_id), servo_id, 0)
+        return None if answer is None else ServoError(answer.code)
+
+    def scan(self, servo_ids: Iterable[int] = range(dxl.MAX_ID + 1)) -> list[int]:
+        """The ids that answer a ping; each absent one costs a timeout."""
+        return [servo_id for servo_id in servo_ids if self.ping(servo_id) is not None]
+
+    def read(self, servo_id: int, register: Register) -> int | None:
+        """Value of one register, None when the servo does not answer."""
+        data = self.read_bytes(servo_id, register.address, register.size)
+        return None if data is None else int.from_bytes(data, "little")
+
+    def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
+        """Bytes of a control table, None when the servo does not answer or refuses."""
+        answer = self._ask(dxl.read(servo_id, address, size), servo_id, size)
+        return None if answer is None else answer.parameters
+
+    def write(self, servo_id: int, register: Register, value: int) -> bool:
+        """Write one register; True when the servo says that it took it (status return level 2).
+
+        Raises:
+            ValueError: The value is outside the register's range.
+        """
+        answer = self._ask(dxl.write(servo_id, register.address, register.encode(value)), servo_id, 0)
+        return answer is not None
+
+    def tell(self, servo_id: int, register: Register, value: int) -> None:
+        """Write one register of a servo that may not answer, or under another id."""
+        request = dxl.write(servo_id, register.address, register.encode(value))
+        self._line.attempt(request, servo_id, 0, self._clock() + self._line.reply_timeout_ns)
+
+    def chorus(self, servo_id: int) -> Chorus:
+        """All that comes back on one ping while an answer may be awaited: of two servos with one id, more than an answer."""
+        packets, garbage = self._line.overhear(dxl.ping(servo_id))
+        return Chorus(sum(packet.servo_id == servo_id for packet in packets), garbage)
+
+    def unasked(self) -> bytes:
+        """The first bytes that come within a second in which nothing is asked; servos send none."""
+        return self._line.unasked()
+
+    def meet(self) -> None:
+        """Nobody stands between here and the servos."""
+
+    def setup(self) -> None:
+        """Check that every servo is there, alone and of the right type, and make it answer everything without delay.
+
+        Registers of the EEPROM are written only where they differ. Torque and limits stay as they are.
+
+        Raises:
+            BusSetupError: Servos are missing, doubled, of another model, in wheel mode or refuse; all are named.
+            BusGone: The port is gone.
+        """
+        seen = bus_scan.call(self, self.names)
+        for i, mute in [(i, found) for i, found in seen.items() if found.voice is Voice.MUTE]:
+            seen[i] = bus_scan.wake(self, i) or mute
+        if not seen:
+            raise BusSetupError(
+                f"none of the {len(self)} servos answers; check their power, the adapter, its echo setting and the baud rate, "
+                f"then try `sextant servos scan`"
+            )
+        wrong = bus_scan.problems(self.names, seen, self._model)
+        for i in self.names.keys() - wrong.keys():
+            if words := bus_scan.prepare(self, seen[i], self._lock):
+                wrong[i] = Problem(f"{bus_scan.named(i, self.names)} {words}", "")
+        if wrong:
+            words = "; ".join(problem.words for problem in wrong.values())
+            raise BusSetupError(
+                f"{len(wrong.keys() & self.names.keys())} of {len(self)} servos are not ready: {words}; "
+                f"`sextant servos scan` says what to do"
+            )
+
+    # --------------------------------------------------------------------------------------------------- in the loop
+
+    def sync_write_goals(self, goal_ticks: ArrayLike, speed_ticks: ArrayLike = 0) -> None:
+        """Send every servo its goal position and moving speed in one packet; nobody answers.
+
+        While questions get lost it is sent twice: nobody tells whether it came, and it is the longest packet of all.
+
+        Args:
+            goal_ticks: (n,) goal positions, 0 to 1023.
+            speed_ticks: (n,) or one moving speed, 0 to 1023 of 0.111 rpm, 0 for uncontrolled.
+
+        Raises:
+            ValueError: A value out of range, not a whole number, or of another shape.
+            BusGone: The port is gone.
+        """
+        goals = whole(goal_ticks, dxl.GOAL_POSITION, len(self))
+        speeds = whole(speed_ticks, dxl.MOVING_SPEED, len(self))
+        rows = self._goal_rows
+        rows[:, 1], rows[:, 2] = goals & 0xFF, goals >> 8
+        rows[:, 3], rows[:, 4] = speeds & 0xFF, speeds >> 8
+        self._plausible.sent(np.broadcast_to(goals, (len(self),)).copy())
+        packet = dxl.encode(dxl.BROADCAST_ID, dxl.Instruction.SYNC_WRITE, self._goal_head + rows.tobytes())
+        self._told_ns = self._clock()
+        self._line.send(packet)
+        if self._loss.within(self._clock(), _NOISY_NS):
+            self._line.send(packet)
+
+    def sync_write(self, register: Register, values: ArrayLike) -> None:
+        """Send every servo its value of one register, (n,) or one for all, in one packet; nobody answers.
+
+        Raises:
+            ValueError: A value out of range, not a whole number, or of another shape.
+            BusGone: The port is gone.
+        """
+        wanted = np.broadcast_to(whole(values, register, len(self)), (len(self),))
+        rows = [(i, register.encode(int(value))) for i, value in zip(self.servo_ids, wanted, strict=True)]
+        self._line.send(dxl.sync_write(register.address, register.size, rows))
+
+    def set_torque(self, enabled: bool) -> None:
+        """Turn the torque of all servos on or off.
+
+        Before turning it on, send the measured positions as goals: not every firmware holds where it is. Off is said to
+        whoever is on the bus, twice: the shortest packet is the likeliest to get through where bytes are lost. Behind a loss
+        zeros come first: a servo that has read a wrong length takes them for the rest of its packet, and listens again.
+        """
+        if enabled:
+            self.sync_write(dxl.TORQUE_ENABLE, 1)
+            return
+        if self._loss.within(self._clock(), _NOISY_NS):
+            self._line.send(bytes(_LONGEST))
+        for _ in range(2):
+            self._line.send(dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, dxl.TORQUE_ENABLE.encode(0)))
+
+    def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
+        """Set Torque Limit, (n,) or one for all, 0 to 1023 of the stall torque.
+
+        This ends the shutdown of a servo that was overloaded or hot: call it only when an operator asks for that.
+        """
+        self.sync_write(dxl.TORQUE_LIMIT, limit_ticks)
+
+    def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
+        """Read the next servos of the rotation, as many as typically fit a time budget.
+
+        A servo that does not answer costs a timeout; after the third in a row it is asked every 2nd, 4th, then 8th turn only.
+        One whose answer is broken, or leaps from where the servo was and was sent, is asked again at once, and if that does not
+        help first of all in the next call.
+
+        Args:
+            budget_ns: [ns] time for this call; 0 reads nothing. One timeout may overrun it.
+            first: Servos by their place in the list that are read in every call, before the rotation goes on with the others;
+                but a servo that has not been asked for 100 ms comes before them: if it is silent, that is to be found out.
+
+        Raises:
+            BusGone: The port is gone.
+        """
+        readings: list[ServoReading] = []
+        start = self._clock()
+        end = start + budget_ns
+        urgent = dict.fromkeys((*first, *self._again))
+        ahead = deque(sorted(urgent, key=lambda i: (i not in first, i not in self._again)))  # who was left over comes first
+        self._again = []
+        for _ in range(len(self) + len(urgent)):
+            if start + min(self._typical_ns, max(budget_ns, 1)) > end:  # one at least
+                break
+            if ahead and start - self._asked_ns[self._next] <= _OVERDUE_NS:
+                i = ahead.popleft()
+            else:
+                i = self._next
+                self._next = (i + 1) % len(self)
+                if i in ahead:
+                    ahead.remove(i)
+                elif i in urgent:  # has been
+                    continue
+            if self._skips[i]:
+                self._skips[i] -= 1
+                continue
+            found = self._look(i, end)
+            if found is not None:
+                readings.append(found)
+            elif self._missed[i] <= _AT_ONCE:
+                self._again.append(i)
+            start = self._clock()
+        self._again += ahead  # whom there was no time for
+        return readings
+
+    def ages(self) -> NDArray[np.float64]:
+        """(n,) [s] since each servo's newest reading was asked for, infinite when there was none."""
+        now = self._clock()
+        return np.array([(now - t) / _SEC if t >= 0 else np.inf for t in self._read_ns])
+
+    # ----------------------------------------------------------------------------------------------- below the words
+
+    def _look(self, index: int, end_ns: int) -> ServoReading | None:
+        """Ask one servo until it says what can be believed; a question begins by `end_ns` and ends a timeout later."""
+        heard = False
+        for _ in range(_LOOKS):
+            start = self._clock()
+            if start > end_ns:
+                break
+            self._asked_ns[index] = start
+            answer = self._line.exchange(self._requests[index], self.servo_ids[index], PRESENT_STATE.size, end_ns)
+            done = self._clock()
+            heard = answer is not None and not self._refuses(answer)
+            found = self._believed(index, start, answer) if heard and answer is not None else None
+            if not heard:
+                self._loss.note(done, True)
+            if found is not None:
+                self._missed[index], self._backoff[index] = 0, 1
+                self._read_ns[index] = start
+                # What took longer is no property of the bus: this process was stopped meanwhile.
+                took = min(done - start, self._line.reply_timeout_ns)
+                self._typical_ns += (took - self._typical_ns) // _SMOOTHING
+                return found
+            if done - start >= self._line.reply_timeout_ns:  # asking on would cost another timeout
+                break
+        if not heard:
+            self._leave_alone(index)
+        return None
+
+    def _is_noisy(self, index: int) -> bool:
+        """Whether answers have been lost or broken lately, or ever before a servo's first reading."""
+        broken = self._read_ns[index] < 0 and self._line.dropped.total() > 0
+        return broken or self._loss.within(self._clock(), _NOISY_NS)
+
+    def _leave_alone(self, index: int) -> None:
+        """Let a servo that has not answered miss turns, the more the longer it is silent."""
+        self._missed[index] += 1
+        if self._missed[index] > _PATIENCE:
+            self._backoff[index] = min(2 * self._backoff[index], _MAX_BACKOFF)
+        self._skips[index] = self._backoff[index] - 1
+
+    def _believed(self, index: int, stamp_ns: int, answer: Packet) -> ServoReading | None:
+        """What a servo says it has measured, None as long as it is not to be believed."""
+        position, speed, load, voltage, temperature = PRESENT_STATE.unpack(answer.parameters)
+        state = State(stamp_ns, position, speed, load, voltage, temperature, answer.code)
+        refused = self._plausible.refused.total()
+        believed = self._plausible.believes(index, state, self._is_noisy(index))
+        for _ in range(self._plausible.refused.total() - refused):  # this one, or the one that it does not bear out
+            self._loss.note(self._clock(), True)
+        if not believed:
+            return None
+        self._loss.note(self._clock(), False)
+        self.errors[index] = answer.code
+        measured, error = PRESENT_STATE.unpack(answer.parameters), ServoError(answer.code)
+        return reading(index, answer.servo_id, stamp_ns, self._told_ns, measured, error)
+
+    def _ask(self, request: bytes, servo_id: int, size: int) -> Packet | None:
+        """Send a request and return the answer, with `size` parameters; None, and counted, when there is no good one."""
+        self.between()
+        answer = self._line.exchange(request, servo_id, size, self._clock() + self._line.reply_timeout_ns)
+        if answer is None:
+            return None
+        index = self._index.get(servo_id)
+        if index is not None:
+            self.errors[index] = answer.code
+        return None if self._refuses(answer) else answer
+
+    def _refuses(self, answer: Packet) -> bool:
+        refused = bool(answer.code & REFUSAL) and not answer.parameters
+        self._line.lost[Lost.REFUSED] += refused
+        return refused
+
+
+def _nothing() -> None:
+    pass

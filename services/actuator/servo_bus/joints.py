@@ -1,0 +1,388 @@
+"""The joints behind the servo bus: what they measure, what they are told, and the bus itself, which may go and come back."""
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
+from sextant.services.actuator.safety.health_monitor import SHUT_DOWN, SILENT, Vitals
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone, BusSetupError, Port, ServoReading
+from sextant.services.actuator.servo_bus.servos import Outlet, Servos, connect
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import ServoError
+from sextant.shared.geometry import Array
+from sextant.shared.robot import RobotProfile
+
+# [ns] that servos may take to answer at the start: a simulation that begins is late, a hub wakes up.
+_PATIENCE_NS = 3_000_000_000
+_ADOPT_WITHIN = np.radians(10.0)  # goals that stand in the servos are kept when the joints are this near to them
+_AGAIN_NS = 200_000_000  # [ns] between two attempts at finding a bus that is gone
+# What tells how a servo stands, and the block of its table that holds it.
+_STANDS = (dxl.MAX_TORQUE, dxl.TORQUE_ENABLE, dxl.GOAL_POSITION, dxl.TORQUE_LIMIT, dxl.PRESENT_POSITION, dxl.PRESENT_LOAD)
+_BLOCK = range(dxl.MAX_TORQUE.address, dxl.PRESENT_LOAD.address + dxl.PRESENT_LOAD.size)
+_TRIES = 3  # questions to one servo of a bus that is back
+_VERIFIED = 3  # doubtful servos in a cycle that are asked whether they still pull
+_DOUBTED_EVERY = 5  # cycles after which one more is doubted: all of them within 1.8 s
+_DEAF_S, _LOST_S = 0.05, 0.1  # [s] without any reading: nobody may hear what is sent; nobody knows how the robot stands
+_WATCHED_NS = 200_000_000  # [ns] of reading before the share of lost answers counts
+_PATIENT_S = 1.0  # [s] for which servos that stay silent are waited for once the others have answered again
+_CAUGHT_UP = np.radians(5.0)  # between a joint and its goal; under load it stays some degrees off, ...
+_STILL = np.radians(10.0)  # [rad/s] ... and it has arrived where it is slower, ...
+_MOVED_NS = 100_000_000  # [ns] ... so long after it was heard again
+
+
+class Joints:
+    """18 joints (6, 3) in the robot's coordinates."""
+
+    def __init__(
+        self,
+        profile: RobotProfile,
+        settings: Settings,
+        opener: Callable[[], Port] | None,
+        clock: Callable[[], int],
+        latched: Callable[[], bool] = lambda: False,
+    ):
+        """Open the bus, and read where the joints are; nothing is moved.
+
+        Args:
+            profile: The robot.
+            settings: Of the actuator.
+            opener: Opens the port, in place of the one that the settings name; an OSError where there is none.
+            clock: [ns] monotonic, what the port's timing goes by.
+            latched: Whether torque is to be off, before anything else; asked all through the start.
+
+        Raises:
+            BusSetupError: Servos are missing or wrong, all named.
+            BusGone: The port cannot be opened.
+            ConnectionError: A servo has stopped answering.
+        """
+        self._profile, self._settings, self._clock = profile, settings, clock
+        self._opener = opener or Outlet(settings).open
+        self._budget_ns = round(settings.read_budget_ms * 1e6)
+        self._latched = latched
+        self._lets_go = latched()  # whether torque is to be off by an order
+        self._bus = self._open()
+        self._set_up()
+        self._tried_ns = clock()
+        self._since_ns = -1  # since when the bus has been read without a gap
+        self.gone = ""  # why there is no bus, in words
+        self._doubted = np.zeros(18, dtype=np.bool_)  # servos that may have missed an order since they last said that they pull
+        self._cycle = 0
+        self._excused = int(
+            settings.bridge
+        )  # questions left open without a doubt: news from behind a bridge may be a cycle old
+        self._behind = np.zeros(18, dtype=np.bool_)  # servos that missed goals: they go slowly until they have caught up
+        self._catch_up: Array = np.full(18, GENTLE)  # [rad/s] of those
+        self._back_ns = np.zeros(18, dtype=np.int64)  # [ns] when those were heard again, 0 before
+        self.out_of_touch = False  # whether all of them have, and are not heard and caught up yet
+        self.q = self.goals = np.zeros((6, 3))  # [rad] by the newest readings; as they stand in the servos
+        self.torque = np.zeros(18, dtype=np.bool_)  # that pull
+        self.strength = np.ones(18)  # share of its torque that each was left with
+        self._most = np.full(18, dxl.TORQUE_LIMIT.max)  # registers of that which each is set up to have
+        self._take_in([self._ask(i) for i in self._bus.servo_ids])
+        self._bus.between = _nothing
+        self.load = np.zeros((6, 3))  # [N m] of the motors, in the direction of growing joint angles
+        self.voltage = np.full(18, np.nan)  # [V]
+        self.temperature = np.full(18, np.nan)  # [deg C]
+
+    def close(self) -> None:
+        """Close the port: the servos keep their torque and their goals."""
+        self._bus.close()
+
+    @property
+    def trouble(self) -> str:
+        """Why the joints do not follow, in words, or nothing."""
+        return self.gone or self._bus.trouble
+
+    @property
+    def deaf(self) -> bool:
+        """Whether goals had better stay as they are, for nobody may hear what is sent."""
+        return bool(self.trouble) or self.out_of_touch or float(self._bus.ages().min()) > _DEAF_S
+
+    @property
+    def vitals(self) -> Vitals:
+        """How the servos fare."""
+        return Vitals(
+            missed=self._bus.missed,
+            newest=float(self._bus.ages().min()),
+            load=self.load.ravel(),
+            voltage=self.voltage,
+            temperature=self.temperature,
+            errors=self._bus.errors,
+            limp=~self.torque,
+            behind=self._behind & (self._back_ns > 0),
+            strength=self.strength,
+            loss=self._bus.loss if self._watched else 0.0,
+            trouble=self.trouble,
+        )
+
+    @property
+    def _watched(self) -> bool:
+        """Whether the bus has been read for so long that the share of what is lost says something."""
+        return not self.gone and self._since_ns >= 0 and self._clock() - self._since_ns >= _WATCHED_NS
+
+    @property
+    def limp(self) -> NDArray[np.bool_]:
+        """(6, 3) joints whose servo does not pull, or has shut down."""
+        return np.asarray(~self.torque | (self._bus.errors & np.uint8(SHUT_DOWN) > 0)).reshape(6, 3)
+
+    @property
+    def unsure(self) -> NDArray[np.bool_]:
+        """(6, 3) joints that are limp, or whose servo has been silent and is not yet where it was sent again."""
+        return np.asarray(self.limp | self._behind.reshape(6, 3))
+
+    # --------------------------------------------------------------------------------------------------- every cycle
+
+    def read(self, urgent: Sequence[int]) -> list[ServoReading]:
+        """Read the next servos of the rotation, after those (0 to 17) that are urgent; where the bus is gone look for it."""
+        if self.gone:
+            self._seek()
+            return []
+        self._since_ns = self._since_ns if self._since_ns >= 0 else self._clock()
+        if self._lets_go:  # nobody answers a broadcast, so it is said until torque is ordered on
+            self._say_let_go()
+        try:
+            readings = self._bus.poll(self._budget_ns, urgent)
+            for reading in readings:
+                self._note(reading)
+                self._see_whether_it_caught_up(reading)
+            self._find_the_limp(readings)
+            self._see_to_touch()
+        except BusGone as error:
+            self._lose(error)
+            return []
+        return readings
+
+    def write(self, q_goal: Array) -> None:
+        """Send goals (6, 3) [rad] to all servos; kept, unsent, where there is no bus.
+
+        Servos that have missed goals are told to go slowly: nobody knows from where they set out when they hear again.
+        """
+        self.goals = q_goal
+        self._leave_behind(self._bus.missed >= SILENT, LOWERED)
+        speeds = np.where(self._behind, [dxl.moving_speed_from(top) for top in self._catch_up.tolist()], 0)
+        self._tell(lambda: self._bus.sync_write_goals(_ticks(self._profile.servo_angles(q_goal).ravel()), speeds))
+
+    def lose_touch(self) -> None:
+        """Begin to find out anew where all joints are: goals that were sent of late may not have been heard, or meant."""
+        self.out_of_touch = True
+        self._doubted[:] = True
+        self._leave_behind(np.ones(18, dtype=np.bool_), GENTLE)
+
+    def let_go(self) -> None:
+        """Turn all torque off; where there is no bus, as soon as there is one, before anything else."""
+        self._lets_go = True
+        self.torque[:] = False
+        self._say_let_go()
+
+    def grip(self) -> None:
+        """Turn torque on where it is off, and up where a servo was left weak, at the places where those joints are.
+
+        An operator's act alone leads here. A joint that hangs beyond its limit comes back to that, slowly.
+        """
+        self._lets_go = False
+        weak = (self.strength < 1.0) & (self._bus.errors & ServoError.OVERHEATING == 0)
+        anew = (~self.torque | weak).reshape(6, 3)
+        within = self._within(self.q)
+        self._leave_behind((anew & (within != self.q)).ravel(), GENTLE)
+        self.write(np.where(anew, within, self.goals))
+        if self._latched():  # ordered off while this process was late
+            self.let_go()
+            return
+        for _ in range(2):  # nobody answers a broadcast
+            self._tell(lambda: self._bus.set_torque(True))
+        self.torque[:] = not self.gone
+        self._doubted[:] = True
+        for index in np.flatnonzero(weak).tolist():
+            self._tell(partial(self._wake, index))
+
+    def revive(self, index: int) -> None:
+        """End the shutdown of a servo (0 to 17) at the place where its joint is, if it says that it has that for its goal.
+
+        A joint that hangs beyond its limit comes back to that, slowly.
+        """
+        leg, joint = divmod(index, 3)
+        goals = self.goals.copy()
+        goals[leg, joint] = self._within(self.q)[leg, joint]
+        self._leave_behind(np.arange(18) == index, GENTLE)
+        self.write(goals)
+        self._tell(lambda: self._wake(index))
+
+    def read_loads(self) -> Array:
+        """Every servo's motor torque (6, 3) [N m] in the direction of growing joint angles; zero where one does not answer."""
+        return self._torques([self._bus.read(i, dxl.PRESENT_LOAD) or 0 for i in self._bus.servo_ids])
+
+    # ------------------------------------------------------------------------------------------------- the bus itself
+
+    def _open(self) -> Servos:
+        bus = connect(self._profile, self._settings, self._opener(), self._clock)
+        bus.between = self._obey
+        return bus
+
+    def _obey(self) -> None:
+        """An order to let go that comes while there are questions to be asked does not wait for their end."""
+        if not self._lets_go and self._latched():
+            self._lets_go = True
+            self._bus.set_torque(False)
+
+    def _set_up(self) -> None:
+        """Set the bus up; servos that are silent at first get some time."""
+        until = self._clock() + _PATIENCE_NS
+        while True:
+            if self._lets_go:
+                self._bus.set_torque(False)
+            try:
+                self._bus.setup()
+            except BusSetupError:
+                if self._clock() >= until:
+                    raise
+            else:
+                return
+
+    def _note(self, reading: ServoReading) -> None:
+        leg, joint = divmod(reading.index, 3)
+        sign = self._profile.servo_signs[leg, joint]
+        self.q[leg, joint] = sign * reading.position - self._profile.horn_offsets[leg, joint]
+        self.load[leg, joint] = sign * reading.load * self._profile.servo.stall_torque
+        self.voltage[reading.index] = reading.voltage
+        self.temperature[reading.index] = reading.temperature
+
+    def _within(self, q: Array) -> Array:
+        """Joint angles (6, 3) [rad] within the joints' limits."""
+        limits = self._profile.joint_limits
+        return np.asarray(np.minimum(np.maximum(q, limits[..., 0]), limits[..., 1]))
+
+    def _leave_behind(self, servos: NDArray[np.bool_], catch_up: float) -> None:
+        self._catch_up[servos & ~self._behind] = catch_up
+        self._catch_up[servos] = np.minimum(self._catch_up[servos], catch_up)
+        self._behind |= servos
+        self._back_ns[servos] = 0
+
+    def _see_to_touch(self) -> None:
+        """Lose touch where nobody answers, and regain it once all have answered and are where they were sent."""
+        if float(self._bus.ages().min()) > _LOST_S:
+            self.lose_touch()
+        elif self.out_of_touch:
+            back = self._back_ns[self._back_ns > 0]
+            waited = len(back) > 0 and self._clock() - int(back.min()) > _PATIENT_S * 1e9
+            self.out_of_touch = bool(self._behind.any()) and not waited
+
+    def _see_whether_it_caught_up(self, reading: ServoReading) -> None:
+        """Let a servo that has missed goals go as fast as it can again, once it is where it was sent."""
+        i = reading.index
+        if not self._behind[i]:
+            return
+        self._back_ns[i] = self._back_ns[i] or reading.stamp_ns
+        arrived = abs(reading.speed) < _STILL and reading.stamp_ns - self._back_ns[i] > _MOVED_NS
+        if arrived or abs(self.q.flat[i] - self.goals.flat[i]) < _CAUGHT_UP:
+            self._behind[i] = False
+
+    def _find_the_limp(self, readings: list[ServoReading]) -> None:
+        """See of doubtful servos whether they pull, a few in a cycle: one that had no power for a moment does not."""
+        answers = [(reading.index, reading.servo_id) for reading in readings]
+        for index, servo_id in [(i, servo_id) for i, servo_id in answers if self._doubted[i] and self.torque[i]][:_VERIFIED]:
+            enabled = self._bus.read(servo_id, dxl.TORQUE_ENABLE)
+            if enabled is not None:
+                self.torque[index], self._doubted[index] = bool(enabled), False
+        self._doubted |= self._bus.missed > self._excused
+        self._cycle += 1
+        if self._cycle % _DOUBTED_EVERY == 0:  # power may be gone for a moment between two questions
+            self._doubted[self._cycle // _DOUBTED_EVERY % 18] = True
+
+    def _wake(self, index: int) -> None:
+        """Give a servo all its torque, if it says that it has its place for its goal."""
+        servo_id, goal = self._bus.servo_ids[index], _ticks(self._profile.servo_angles(self.goals).ravel())[index]
+        placed = self._bus.write(servo_id, dxl.GOAL_POSITION, int(goal))
+        if placed and self._bus.write(servo_id, dxl.TORQUE_LIMIT, int(self._most[index])):
+            self.strength[index] = 1.0
+
+    def _tell(self, say: Callable[[], object]) -> None:
+        if self.gone:
+            return
+        try:
+            say()
+        except BusGone as error:
+            self._lose(error)
+
+    def _say_let_go(self) -> None:
+        self._tell(lambda: self._bus.set_torque(False))
+
+    def _lose(self, error: BusGone) -> None:
+        self.gone, self._tried_ns, self._since_ns, self.out_of_touch = str(error), self._clock(), -1, True
+        self._bus.close()
+
+    def _seek(self) -> None:
+        """Try to get the bus back; the goals that stand in the servos, and whether they pull, are read anew."""
+        if self._clock() - self._tried_ns < _AGAIN_NS and not self._lets_go:
+            return
+        self._tried_ns = self._clock()
+        try:
+            self._bus = self._open()
+            if self._lets_go:
+                self._bus.set_torque(False)
+            self._bus.meet()
+            found = [self._insist(i) for i in self._bus.servo_ids]
+        except OSError as error:
+            self._bus.close()
+            self.gone = f"the servo port is gone: {error}"
+            return
+        self._take_in(found)
+        self._bus.between = _nothing
+        self.gone = ""
+        self._behind[:] = False
+
+    def _take_in(self, tables: list[bytes]) -> None:
+        """Take over how each servo stands; goals are kept where the joints are near them, and else are where those are."""
+        found = [[_value(table, register) for register in _STANDS] for table in tables]
+        most, pulls, goals, limits, ticks, loads = np.array(found).T
+        self.torque = pulls.astype(np.bool_) & (not self._lets_go)  # whoever has missed that order hears it again
+        self._most = most
+        self.strength = np.minimum(limits / np.maximum(most, 1), 1.0)
+        self.q, stand = self._angles(ticks), self._angles(goals)
+        self.load = self._torques(loads.tolist())  # those of before tell of a robot that moved
+        self.goals = np.where(np.abs(stand - self.q) < _ADOPT_WITHIN, stand, self.q)
+
+    def _torques(self, loads: Sequence[int]) -> Array:
+        """Motor torques (6, 3) [N m] by the loads (18,) that servos tell."""
+        shares = np.array([dxl.load_from_register(value) for value in loads]).reshape(6, 3)
+        return np.asarray(self._profile.servo_signs * shares * self._profile.servo.stall_torque)
+
+    def _stand(self, servo_id: int) -> bytes | None:
+        """What a servo says of how it stands, if it answers."""
+        return self._bus.read_bytes(servo_id, _BLOCK.start, len(_BLOCK))
+
+    def _ask(self, servo_id: int) -> bytes:
+        """The same, asked until the servo has answered."""
+        until = self._clock() + _PATIENCE_NS
+        while (table := self._stand(servo_id)) is None:
+            if self._clock() >= until:
+                raise ConnectionError(f"servo {servo_id} stopped answering while it was asked how it stands")
+        return table
+
+    def _insist(self, servo_id: int) -> bytes:
+        """The same, of a bus that is back."""
+        for _ in range(_TRIES):
+            if (table := self._stand(servo_id)) is not None:
+                return table
+        raise ConnectionError(f"it is back, but {self._profile.servo_names[servo_id]} (id {servo_id}) does not answer")
+
+    def _angles(self, ticks: Iterable[int]) -> Array:
+        return self._profile.joint_angles(np.array([dxl.angle_from_ticks(t) for t in ticks]).reshape(6, 3))
+
+
+def _value(table: bytes, register: dxl.Register) -> int:
+    start = register.address - _BLOCK.start
+    return int.from_bytes(table[start : start + register.size], "little")
+
+
+def _ticks(servo: Array) -> NDArray[np.int64]:
+    """Goal registers (18,) of servo angles (18,) [rad]."""
+    ticks = np.rint(dxl.TICK_CENTRE + servo / dxl.TICK_RAD)
+    return np.minimum(np.maximum(ticks, 0.0), dxl.TICK_MAX).astype(np.int64)
+
+
+def _nothing() -> None:
+    pass

@@ -1,0 +1,424 @@
+"""The servos behind a microcontroller that speaks their bus: orders out, states of all servos in; docs/bridge.md has the wire.
+
+No thread and no sleep; time comes from a clock argument. In the loop nothing that comes over the line raises but `BusGone`:
+what is broken, old or out of order is counted by reason, and the servos' readings grow old.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sextant.services.actuator.servo_bus.dynamixel_bus import (
+    LOST,
+    BusSetupError,
+    Port,
+    ServoBus,
+    ServoReading,
+    gone,
+    reading,
+    whole,
+)
+from sextant.shared import bridge
+from sextant.shared import dynamixel as dxl
+from sextant.shared.bridge import Answer, Message, Mode, Receiver, RemoteClock, Result, State, Welcome
+from sextant.shared.dynamixel import PacketParser, Register, ServoError, ServoModel
+
+READ_NS = 1_000_000  # [ns] longest wait of one read of the port
+_LIFETIME_MS = 200  # [ms] of goals
+_CHUNK = 4096  # [bytes] of one read
+_HELLO_NS = 300_000_000  # [ns] that a welcome may take
+_GREET_AGAIN_NS = 100_000_000  # [ns] between two hellos in the loop
+_SILENT_NS = 100_000_000  # [ns] without a state, or without what an order brings about, after which something is wrong
+_ANSWER_NS = 40_000_000  # [ns] that the answer of a servo may take through the bridge
+_NEW_US = 1_000  # [us] by which a reading is newer than the last one, if it is another
+_CYCLE_NS = 20_000_000  # [ns] in which every servo is read
+_OTHER_GOALS_US = 5_000  # [us] after the newest goals from which others are newer ones
+_NEVER_US = -1_000_000_000  # [us] long ago
+_US = 1_000  # [ns]
+
+
+class Bridge:
+    """Asks and commands a fixed list of servos through a microcontroller; arrays are in the order of that list."""
+
+    def __init__(
+        self,
+        port: Port,
+        servo_ids: Sequence[int],
+        clock: Callable[[], int],
+        *,
+        model: ServoModel = dxl.AX_12A,
+        names: Mapping[int, str] | None = None,
+        lock: bool = False,
+    ) -> None:
+        """Take over an open port. Nothing is sent before `setup` or another call.
+
+        Args:
+            port: Open port whose read timeout is about `READ_NS`.
+            servo_ids: At most 24 ids, 0 to 253, all different.
+            clock: Monotonic time [ns]; of an emulated port, the port's own.
+            model: The servo type that `setup` expects.
+            names: Leg and joint of each id, for what is said of it.
+            lock: `setup` locks the EEPROM of the servos, see `ServoBus`.
+
+        Raises:
+            ValueError: Too many ids, one out of range or given twice.
+        """
+        if len(servo_ids) > bridge.MAX_SERVOS:
+            raise ValueError(f"at most {bridge.MAX_SERVOS} servos behind a bridge expected, found {len(servo_ids)}")
+        n = len(servo_ids)
+        self.errors: NDArray[np.uint8] = np.zeros(n, dtype=np.uint8)  # (n,) error bits of the last status packets
+        self.state: State | None = None  # the newest
+        self.restarts = 0  # of the microcontroller, while it was used
+        self._port = port
+        self._clock = clock
+        self._receiver = Receiver(bridge.TO_HOST)
+        questions = _Questions(self)
+        self._registers = ServoBus(questions, servo_ids, clock, model=model, names=names, reply_timeout_ns=0, lock=lock)
+        self.servo_ids = self._registers.servo_ids
+        self._odd: Counter[str] = Counter()  # states that were not taken
+        self._session = 0
+        self._sequence = 0  # of orders
+        self._boot: int | None = None  # of the microcontroller
+        self._remote = RemoteClock()
+        self._state_ns = clock()  # when the newest state came, or the first is waited for since
+        self._greeted_ns = clock()
+        self._welcomed = False
+        self._answer: Answer | None = None  # the newest
+        self._fresh: dict[int, ServoReading] = {}  # by place in the list, not yet asked for
+        self._read_ns = [-1] * n  # stamp of the newest reading
+        self._measured_us = [-_NEW_US - 1] * n  # the same, by the microcontroller's clock
+        self._taken_us = (_NEVER_US, _NEVER_US)  # when, by that, it took the goals before the newest, and the newest
+        self._torque: bool | None = None  # as ordered last
+        self._torque_ns = 0
+        self._goals_since_ns, self._goals_ns = 0, -1  # since when goals are sent without a gap, and when the newest were
+
+    @property
+    def between(self) -> Callable[[], None]:
+        """Done before each question to a servo outside the loop."""
+        return self._registers.between
+
+    @between.setter
+    def between(self, do: Callable[[], None]) -> None:
+        self._registers.between = do
+
+    def __len__(self) -> int:
+        """Number of servos."""
+        return len(self.servo_ids)
+
+    @property
+    def lost(self) -> Counter[str]:
+        """Frames and questions without use, by reason; those of the microcontroller itself are named so."""
+        there = Counter(
+            {
+                "bridge: frame broken or refused": self.state.broken,
+                "bridge: order refused": self.state.refused,
+                "bridge: no answer": self.state.silent,
+                "bridge: garbled packet": self.state.garbled,
+            }
+            if self.state
+            else {}
+        )
+        return self._registers.lost + self._receiver.dropped + self._odd + there
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong between here and the servos, in words, or nothing."""
+        now_ns = self._clock()
+        if now_ns - self._state_ns > _SILENT_NS:
+            return f"the bridge has been silent for {(now_ns - self._state_ns) * 1e-9:.1f} s"
+        if self.state is None:
+            return ""
+        mode, why = self.state.mode, self.state.refusal.words
+        late = now_ns - self._torque_ns > _SILENT_NS
+        if self._torque and late and mode is Mode.OFF:
+            return (
+                f"the bridge keeps torque off; it last refused {why}" if self.state.refused else "the bridge keeps torque off"
+            )
+        if mode in (Mode.ADOPTING, Mode.CATCHING_UP):
+            return f"the bridge is {mode.words}: goals are followed slowly or not yet"
+        if mode is Mode.HOLDING and now_ns - self._goals_ns <= _SILENT_NS < self._goals_ns - self._goals_since_ns:
+            return "the bridge holds: no fresh goals reach it"
+        return ""
+
+    @property
+    def missed(self) -> NDArray[np.int64]:
+        """(n,) cycles in which each servo has told nothing new."""
+        ages = self.ages()
+        return (np.where(np.isfinite(ages), ages, 0.0) * 1e9 // _CYCLE_NS).astype(np.int64)
+
+    @property
+    def loss(self) -> float:
+        """None that is known here: the microcontroller asks again by itself."""
+        return 0.0
+
+    def close(self) -> None:
+        """Close the port, gone or not; the servos keep their torque and their last goal."""
+        self._port.close()
+
+    # ----------------------------------------------------------------------------------------------- outside the loop
+
+    def setup(self) -> None:
+        """Open a session, check that every servo is there and of the right type, and make it answer without delay.
+
+        Torque and limits stay as they are.
+
+        Raises:
+            BusSetupError: Nobody answers, it speaks another version, or servos are missing or wrong; all are named.
+            BusGone: The port is gone.
+        """
+        self.meet()
+        self._registers.setup()
+
+    def meet(self) -> None:
+        """Open a session; the servos and what they are told stay as they are.
+
+        Raises:
+            BusSetupError: Nobody answers, or it speaks another version.
+            BusGone: The port is gone.
+        """
+        self._session = self._clock() // _US % 0xFFFF_FFFF + 1  # another one than the last
+        self._sequence = 0
+        self._welcomed = False
+        self._greet()
+        until = self._clock() + _HELLO_NS
+        while not self._welcomed:
+            self._pump()
+            if self._receiver.other_version is not None:
+                found = self._receiver.other_version
+                raise BusSetupError(
+                    f"the bridge speaks version {found} of the wire, version {bridge.VERSION} expected; "
+                    f"flash it with a firmware of version {bridge.VERSION}, see docs/bridge.md"
+                )
+            if self._clock() >= until:
+                raise BusSetupError(
+                    "no bridge answers on the port; check its power and cable, and that the setting `bridge` is meant: "
+                    "a servo adapter needs it off"
+                )
+
+    def read(self, servo_id: int, register: Register) -> int | None:
+        """Value of one register, None when the servo does not answer."""
+        return self._registers.read(servo_id, register)
+
+    def read_bytes(self, servo_id: int, address: int, size: int) -> bytes | None:
+        """Bytes of a control table, None when the servo does not answer or refuses."""
+        return self._registers.read_bytes(servo_id, address, size)
+
+    def write(self, servo_id: int, register: Register, value: int) -> bool:
+        """Write one register; True when the servo says that it took it. The bridge refuses to turn torque on this way.
+
+        Raises:
+            ValueError: The value is outside the register's range.
+        """
+        return self._registers.write(servo_id, register, value)
+
+    # --------------------------------------------------------------------------------------------------- in the loop
+
+    def sync_write_goals(self, goal_ticks: ArrayLike, speed_ticks: ArrayLike = 0) -> None:
+        """Send every servo its goal position and moving speed; they are fresh for 200 ms.
+
+        Args:
+            goal_ticks: (n,) goal positions, 0 to 1023.
+            speed_ticks: (n,) or one moving speed, 0 to 1023 of 0.111 rpm, 0 for uncontrolled.
+
+        Raises:
+            ValueError: A value out of range, not a whole number, or of another shape.
+            BusGone: The port is gone.
+        """
+        now_ns = self._clock()
+        if self._goals_ns < 0 or now_ns - self._goals_ns > _SILENT_NS:
+            self._goals_since_ns = now_ns
+        self._goals_ns = now_ns
+        goals, speeds = self._whole(goal_ticks, dxl.GOAL_POSITION), self._whole(speed_ticks, dxl.MOVING_SPEED)
+        self._send(bridge.Goals(*self._head(), _LIFETIME_MS, goals, speeds))
+
+    def set_torque(self, enabled: bool) -> None:
+        """Turn the torque of all servos on or off; off is sent again until it is done.
+
+        The bridge turns it on only behind fresh goals that are near to where the servos are.
+        """
+        self._torque, self._torque_ns = enabled, self._clock()
+        self._order_torque()
+
+    def write_torque_limit(self, limit_ticks: ArrayLike) -> None:
+        """Set Torque Limit, (n,) or one for all, 0 to 1023 of the stall torque.
+
+        This ends the shutdown of a servo that was overloaded or hot: call it only when an operator asks for that.
+        """
+        self._send(bridge.Limits(*self._head(), self._whole(limit_ticks, dxl.TORQUE_LIMIT)))
+
+    def poll(self, budget_ns: int, first: Sequence[int] = ()) -> list[ServoReading]:
+        """The newest reading of every servo that has been read since the last call: all of them, ten milliseconds old at most.
+
+        Args:
+            budget_ns: [ns] time for this call; 0 reads nothing.
+            first: Of no use here: all servos are read in every cycle.
+
+        Raises:
+            BusGone: The port is gone.
+        """
+        until = self._clock() + budget_ns
+        while self._clock() < until and self._pump() == _CHUNK:
+            pass
+        self._keep_in_touch()
+        readings = list(self._fresh.values())
+        self._fresh.clear()
+        return readings
+
+    def ages(self) -> NDArray[np.float64]:
+        """(n,) [s] since each servo's newest reading was asked for, infinite when there was none."""
+        now = self._clock()
+        return np.array([(now - t) * 1e-9 if t >= 0 else np.inf for t in self._read_ns])
+
+    def _keep_in_touch(self) -> None:
+        """Greet a bridge that has restarted or is silent, and repeat that torque shall be off until it is."""
+        now_ns = self._clock()
+        lost = not self._welcomed or now_ns - self._state_ns > _SILENT_NS
+        if self._session and lost and now_ns - self._greeted_ns > _GREET_AGAIN_NS:
+            self._greet()
+        if self._torque is False and not (self.state and self.state.mode is Mode.OFF):
+            self._order_torque()
+
+    # ------------------------------------------------------------------------------------------------- below the words
+
+    def ask(self, servo_id: int, instruction: int, parameters: bytes) -> int:
+        """Have an instruction passed on to one servo; the number of the question.
+
+        Raises:
+            BusGone: The port is gone.
+        """
+        self._send(bridge.Ask(*self._head(), servo_id, instruction, parameters))
+        return self._sequence
+
+    def answer(self, question: int) -> Answer | None:
+        """The answer to a question, waited for; None when none comes."""
+        until = self._clock() + _ANSWER_NS
+        while True:
+            if self._answer is not None and self._answer.sequence == question:
+                return self._answer
+            if self._clock() >= until:
+                return None
+            self._pump()
+
+    def _head(self) -> tuple[int, int, int]:
+        """Session, number and time of the next order."""
+        self._sequence += 1
+        return max(self._session, 1), self._sequence, self._clock() // _US
+
+    def _greet(self) -> None:
+        self._greeted_ns = self._clock()
+        self._send(bridge.Hello(bridge.VERSION, self._session, self._clock() // _US, bytes(self.servo_ids)))
+
+    def _order_torque(self) -> None:
+        self._send(bridge.Torque(*self._head(), int(bool(self._torque))))
+
+    def _whole(self, values: ArrayLike, register: Register) -> tuple[int, ...]:
+        found = whole(values, register, len(self))
+        return tuple(np.broadcast_to(found, (len(self),)).tolist())
+
+    def _send(self, message: Message) -> None:
+        try:
+            self._port.write(bridge.encode(message))
+        except LOST as error:
+            raise gone(error) from error
+
+    def _pump(self) -> int:
+        """Take in what has arrived; the number of bytes."""
+        try:
+            data = self._port.read(_CHUNK)
+        except LOST as error:
+            raise gone(error) from error
+        for message in self._receiver.feed(data):
+            match message:
+                case Welcome():
+                    self._meet(message)
+                case State():
+                    self._take(message)
+                case Answer() if message.session == self._session:
+                    self._answer = message
+        return len(data)
+
+    def _meet(self, welcome: Welcome) -> None:
+        """Whoever has been greeted is in session; whoever has not, or has restarted, will be."""
+        if welcome.boot != self._boot:
+            self.restarts += self._boot is not None
+            self._boot, self._remote = welcome.boot, RemoteClock()
+            self.state = None
+            self._measured_us = [-_NEW_US - 1] * len(self)
+            self._taken_us = (_NEVER_US, _NEVER_US)
+        self._welcomed = welcome.session == self._session
+
+    def _take(self, state: State) -> None:
+        """Take a state if it is of this session, newer than the last and of as many servos as there are."""
+        if state.session != self._session or not self._welcomed:
+            self._odd["state of another session"] += 1
+        elif self.state is not None and state.sequence <= self.state.sequence:
+            self._odd["state out of order"] += 1
+        elif len(state.position) != len(self):
+            self._odd["state of other servos"] += 1
+        else:
+            now_ns = self._clock()
+            stamp_ns = now_ns - self._remote.age_ns(state.time_us, now_ns)
+            self.state, self._state_ns = state, stamp_ns
+            self.errors[:] = np.frombuffer(state.error, dtype=np.uint8)
+            self._note_goals(state)
+            for index in range(len(self)):
+                self._note(state, index, stamp_ns)
+
+    def _note_goals(self, state: State) -> None:
+        """Keep when the microcontroller took the newest goals, if they are new ones: to a millisecond, which it rounds down."""
+        if state.goals_age_ms != bridge.NEVER:
+            taken_us = state.time_us - 1000 * state.goals_age_ms - 500
+            if taken_us - self._taken_us[1] > _OTHER_GOALS_US:
+                self._taken_us = (self._taken_us[1], taken_us)
+
+    def _note(self, state: State, index: int, stamp_ns: int) -> None:
+        """Keep the reading of one servo, if it is a new one."""
+        if state.age[index] == bridge.NEVER:
+            return
+        age_us = state.age[index] * bridge.AGE_UNIT_US
+        measured_us = state.time_us - age_us
+        if measured_us - self._measured_us[index] < _NEW_US:
+            return
+        self._measured_us[index] = measured_us
+        self._read_ns[index] = stamp_ns - age_us * _US
+        before_us, newest_us = self._taken_us
+        told_us = newest_us if measured_us >= newest_us else before_us
+        told_ns = self._read_ns[index] - (measured_us - told_us) * _US
+        columns = (state.position, state.speed, state.load, state.voltage, state.temperature)
+        measured = tuple(column[index] for column in columns)
+        self._fresh.pop(index, None)  # the order is that of reading
+        self._fresh[index] = reading(
+            index, self.servo_ids[index], self._read_ns[index], told_ns, measured, ServoError(state.error[index])
+        )
+
+
+class _Questions:
+    """What a `ServoBus` takes for its port: its packets become questions to the bridge, and their answers packets again."""
+
+    def __init__(self, asked: Bridge) -> None:
+        self._bridge = asked
+        self._parser = PacketParser()
+        self._open: tuple[int, int] | None = None  # servo and number of the question that is open
+
+    def write(self, data: bytes, /) -> int:
+        for packet in self._parser.feed(data):
+            self._open = packet.servo_id, self._bridge.ask(packet.servo_id, packet.code, packet.parameters)
+        return len(data)
+
+    def read(self, size: int = 1, /) -> bytes:
+        if self._open is None:
+            return b""
+        servo_id, question = self._open
+        self._open = None
+        answer = self._bridge.answer(question)
+        if answer is None or answer.result is not Result.ANSWERED:
+            return b""
+        return dxl.status(servo_id, answer.error, answer.data)
+
+    def reset_input_buffer(self) -> None:
+        self._open = None
+
+    def close(self) -> None:
+        """The bridge closes the port itself."""

@@ -1,0 +1,302 @@
+"""One line to servos: bytes on a port become questions and their answers, whatever else is heard.
+
+Resynchronised on noise, echoes of single-wire adapters dropped, every loss counted. No thread, no sleep; time is an argument.
+"""
+
+import errno
+import logging
+import os
+import re
+import socket
+import termios
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from enum import StrEnum
+from typing import Any, Protocol
+
+import serial
+from serial.urlhandler import protocol_socket
+
+from sextant.services.actuator.servo_bus import usb_adapter
+from sextant.shared import dynamixel as dxl
+from sextant.shared.clock import now_ns
+from sextant.shared.dynamixel import Packet, PacketParser, ServoError
+from sextant.shared.simulated_time import REACTION_NS, SERVO_BUS, hold
+
+log = logging.getLogger(__name__)
+
+REPLY_TIMEOUT_NS = 6_000_000  # [ns] 5 ms, ten times a servo's factory return delay, and one USB transaction
+BAUD_RATE = 1_000_000
+REFUSAL = int(ServoError.ANGLE_LIMIT | ServoError.RANGE | ServoError.CHECKSUM | ServoError.INSTRUCTION)
+_WRITE_TIMEOUT = 0.5  # [s] a port that takes no bytes for so long is gone
+_MAX_LENGTH = dxl.TABLE_SIZE + 2  # length byte of the longest answer
+_SETTLES_NS = 100_000_000  # [ns] after which no lost answer comes any more: six USB transactions at the slowest
+_UNASKED_NS = 1_100_000_000  # [ns] that another device may be silent for: many send once a second
+_UNASKED_BYTES, _UNASKED_READS = 64, 2000  # that are read of it, at most
+_ALL = 4096  # [bytes] more than comes within a timeout
+_SEC = 1e9
+LOST = (OSError, termios.error)  # SerialException is an OSError; termios.error is not
+_LAST_PORT = 65535
+_EXPECTED = "a serial device such as /dev/ttyUSB0, or socket://HOST:PORT,"
+
+
+class BusGone(ConnectionError):  # noqa: N818  (a state of the bus, handled by the caller)
+    """The port was closed, unplugged or hung up; open a new one and set the bus up again."""
+
+
+class Port(Protocol):
+    """The part of pyserial's `Serial` that the driver uses."""
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send bytes."""
+
+    def read(self, size: int = 1, /) -> bytes:
+        """At most `size` bytes, fewer after the port's timeout."""
+
+    def reset_input_buffer(self) -> None:
+        """Throw away what has arrived."""
+
+    def close(self) -> None:
+        """Close the port."""
+
+
+class _Connection(protocol_socket.Serial):
+    """A port over TCP that closes at once: pyserial's own sleeps for 0.3 s then, for which no control cycle can wait."""
+
+    _socket: socket.socket | None
+
+    def read(self, size: int = 1) -> bytes:
+        """At most `size` bytes, fewer after the timeout, which is of simulated time where that is shared."""
+        until_ns = now_ns() + round((self.timeout or 0.0) * 1e9)
+        data: bytes = super().read(size)
+        while len(data) < size and now_ns() < until_ns:
+            data += super().read(size - len(data))
+        hold(SERVO_BUS, None)
+        return data
+
+    def write(self, data: Any, /) -> int | None:
+        """Send bytes; simulated time waits until the bus has received them."""
+        hold(SERVO_BUS, now_ns() + REACTION_NS)
+        sent: int | None = super().write(data)
+        return sent
+
+    def close(self) -> None:
+        """Close it, whether the other end is still there or not."""
+        connection, self._socket, self.is_open = self._socket, None, False
+        if connection is not None:
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+            connection.close()
+
+
+class Lost(StrEnum):
+    """Why a question got no usable answer; `Dropped` reasons of a parser and a `Doubt` for good are counted beside these."""
+
+    TIMEOUT = "no answer"
+    STRANGER = "answer from another servo"
+    SIZE = "answer of the wrong size"
+    ECHO = "echo differs from what was sent"
+    REFUSED = "refused by the servo"
+
+
+def open_port(url: str, baud_rate: int = BAUD_RATE, timeout_ns: int = REPLY_TIMEOUT_NS) -> Port:
+    """Open a serial device (`/dev/ttyUSB0`) or a network port (`socket://host:port`).
+
+    Args:
+        url: Anything `serial.serial_for_url` takes.
+        baud_rate: [1/s] the servos' baud rate.
+        timeout_ns: [ns] longest wait of one read. It is set once: changing it on an open device costs system calls.
+
+    Raises:
+        BusGone: The port cannot be opened.
+    """
+    address = re.fullmatch(r"(socket|rfc2217)://[^/]+:(\d{1,5})([/?].*)?", url)
+    if url.startswith(("socket://", "rfc2217://")) and (address is None or int(address[2]) > _LAST_PORT):
+        raise BusGone(f"cannot open servo port {url}: {_EXPECTED} expected")
+    alone = None if "://" in url else True  # two programs would read each other's answers
+    network = url.startswith("socket://")
+    kind = _Connection if network else serial.serial_for_url
+    try:
+        port = kind(url, baudrate=baud_rate, timeout=timeout_ns / _SEC, write_timeout=_WRITE_TIMEOUT, exclusive=alone)
+        if network:
+            # pyserial leaves Nagle's algorithm on: a read request behind a sync write would wait 40 ms for the first
+            # packet's acknowledgement. The option belongs to the connection, so a duplicate of the handle can set it.
+            with socket.socket(fileno=os.dup(port.fileno())) as connection:
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    except LOST as error:
+        raise BusGone(f"cannot open servo port {url}: {error}; {_advice(error)}") from error
+    except (ValueError, TypeError) as error:  # as pyserial has it for an address that is none
+        raise BusGone(f"cannot open servo port {url}: {_EXPECTED} expected") from error
+    if slow := usb_adapter.quicken(url, port):
+        log.warning(slow)
+    return port
+
+
+def _advice(error: Exception) -> str:
+    """What to do about a port that cannot be opened."""
+    match getattr(error, "errno", None) or getattr(error.__context__, "errno", None):  # pyserial keeps that of a socket back
+        case errno.EACCES | errno.EPERM:
+            return "this user has no right to it: `sudo usermod -aG dialout $USER`, then log in again"
+        case errno.EAGAIN | errno.EBUSY:
+            return "another program uses it: end that first"
+        case errno.ENOENT:
+            return "is the adapter plugged in? `ls /dev/ttyUSB* /dev/ttyACM*` shows where"
+        case errno.ECONNREFUSED:
+            return "is the simulator, or `sextant servos emulate`, up?"
+    return "is the adapter plugged in and nobody else using it, or the simulator up?"
+
+
+class Line:
+    """Questions and answers over an open port."""
+
+    def __init__(self, port: Port, clock: Callable[[], int], *, echo: bool, reply_timeout_ns: int) -> None:
+        """Take over an open port; see `ServoBus`."""
+        self.lost: Counter[str] = Counter()  # by `Lost`
+        self.reply_timeout_ns = reply_timeout_ns
+        self._port = port
+        self._clock = clock
+        self._echo = echo
+        self._parser = PacketParser(max_length=_MAX_LENGTH)
+        self._stale = False  # bytes of a lost answer may still lie in the port ...
+        self._settled_ns = 0  # ... or come until then
+        self._unheard = bytearray()  # sent, its echo not yet read
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """Bytes and packets that were no answer, by `dynamixel.Dropped`."""
+        return self._parser.dropped
+
+    def send(self, data: bytes) -> None:
+        """Put a packet on the wire.
+
+        Raises:
+            BusGone: The port is gone.
+        """
+        try:
+            # A late answer would be taken for that to the next question; behind an echo it gives itself away.
+            if self._stale or (not self._echo and self._clock() < self._settled_ns):
+                self._port.reset_input_buffer()
+                self._unheard.clear()
+                self._stale = False
+            self._port.write(data)
+        except LOST as error:
+            raise gone(error) from error
+        if self._echo:
+            self._unheard += data
+
+    def exchange(self, request: bytes, servo_id: int, size: int, end_ns: int) -> Packet | None:
+        """As `attempt`; no answer is counted."""
+        answer = self.attempt(request, servo_id, size, end_ns)
+        self.lost[Lost.TIMEOUT] += answer is None
+        return answer
+
+    def attempt(self, request: bytes, servo_id: int, size: int, end_ns: int) -> Packet | None:
+        """Send a request and return what the servo says to it, be it a refusal; None when it says nothing of `size` parameters.
+
+        A read that may take a whole timeout begins by `end_ns`, but for the first.
+
+        Raises:
+            BusGone: The port is gone.
+        """
+        if self._parser.pending:  # of what was heard before
+            self._parser.flush()
+        self.send(request)
+        answer = self._await(servo_id, size, end_ns)
+        if answer is None:
+            self._stale, self._settled_ns = True, self._clock() + _SETTLES_NS
+        return answer
+
+    def overhear(self, request: bytes) -> tuple[list[Packet], bool]:
+        """All that comes back on a request while an answer may be awaited: packets, and whether there was anything else."""
+        parser, packets = PacketParser(max_length=_MAX_LENGTH), []
+        self.send(request)
+        deadline = self._clock() + self.reply_timeout_ns
+        while (data := self._receive(dxl.OVERHEAD)) is not None:
+            packets += parser.feed(data)
+            if self._clock() >= deadline:
+                break
+        self._stale = True
+        packets += parser.flush()
+        return packets, parser.dropped.total() > 0
+
+    def unasked(self) -> bytes:
+        """The first bytes that come within a second in which nothing is asked; servos send none.
+
+        Raises:
+            BusGone: The port is gone.
+        """
+        heard = b""
+        try:
+            self._port.read(_ALL)  # what is left of an answer
+            deadline = self._clock() + _UNASKED_NS
+            for _ in range(_UNASKED_READS):
+                heard += self._port.read(_UNASKED_BYTES - len(heard))
+                if len(heard) >= _UNASKED_BYTES or self._clock() >= deadline:
+                    break
+        except LOST as error:
+            raise gone(error) from error
+        return heard
+
+    def _await(self, servo_id: int, size: int, end_ns: int) -> Packet | None:
+        deadline = min(self._clock() + self.reply_timeout_ns, end_ns + 1)
+        wanted = dxl.OVERHEAD + size
+        own = dxl.HEADER + bytes((servo_id,))
+        while True:
+            data = self._receive(wanted)
+            if data is None:
+                self._drain(end_ns)
+                return None
+            for packet in self._parser.feed(data):
+                if self._is_answer(packet, servo_id, size):
+                    return packet
+            # It has come, broken, and no more will.
+            broken = not self._parser.pending and len(data) == dxl.OVERHEAD + size and data.startswith(own)
+            if broken or self._clock() >= deadline:
+                break
+            # Noise in front has pushed the packet's tail out of what was read.
+            wanted = max(dxl.OVERHEAD + size - self._parser.pending, 1)
+        for packet in self._parser.flush():  # noise may have announced a longer packet than what came
+            if self._is_answer(packet, servo_id, size):
+                return packet
+        return None
+
+    def _drain(self, end_ns: int) -> None:
+        """Let what is on its way come and go, or it would be taken for the next echo; skipped where there is no time."""
+        if self._clock() <= end_ns:
+            try:
+                self._port.read(_ALL)
+            except LOST as error:
+                raise gone(error) from error
+
+    def _receive(self, count: int) -> bytes | None:
+        """Up to `count` bytes from the servos, behind the adapter's echo; None when the echo is not what was sent."""
+        due = len(self._unheard)
+        try:
+            data = self._port.read(count + due)
+        except LOST as error:
+            raise gone(error) from error
+        if not due:
+            return data
+        echo, data = data[:due], data[due:]
+        if echo != self._unheard[: len(echo)]:
+            self.lost[Lost.ECHO] += 1
+            return None
+        del self._unheard[: len(echo)]
+        return data
+
+    def _is_answer(self, packet: Packet, servo_id: int, size: int) -> bool:
+        if packet.servo_id != servo_id:
+            self.lost[Lost.STRANGER] += 1
+            return False
+        if len(packet.parameters) == size or (packet.code & REFUSAL and not packet.parameters):
+            return True
+        self.lost[Lost.SIZE] += 1
+        return False
+
+
+def gone(error: Exception) -> BusGone:
+    """What a failure of the port means."""
+    return BusGone(
+        f"the servo port is gone ({error}); check the adapter's cable, or the simulator, and whether another program uses it"
+    )

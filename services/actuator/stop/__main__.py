@@ -1,7 +1,0 @@
-"""The stop path's process: `python -m sextant.services.actuator.stop --connect tcp/127.0.0.1:7447 --set port=/dev/ttyUSB0`."""
-
-from sextant.services.actuator.stop.config import Settings
-from sextant.services.actuator.stop.service import Stop
-from sextant.shared import process
-
-process.main("stop", Settings, Stop)

@@ -1,0 +1,181 @@
+"""What is wrong on the bus is named by leg and joint: missing, doubled, of another model, reset to the factory's id."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sextant.services.actuator.commissioning import bus_scan
+from sextant.services.actuator.commissioning.bus_scan import NotAServoBusError, Voice, look
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError, ServoBus
+from sextant.services.simulator.bus import Reply
+from sextant.shared import dynamixel as dxl
+from tests.support.desk import Desk
+
+NAMES = Desk().profile.servo_names
+FEMUR = 9  # left rear
+COXA = 1  # left front: it has the id that a factory reset gives
+
+
+def trouble(desk: Desk) -> str:
+    with pytest.raises(BusSetupError) as failure:
+        desk.bus().setup()
+    return str(failure.value)
+
+
+@pytest.mark.parametrize("servo_id", list(NAMES))
+def test_a_missing_servo_is_named_by_leg_and_joint(servo_id: int) -> None:
+    desk = Desk()
+    desk.bench.unplug([desk.row(servo_id)])
+    words = trouble(desk)
+    assert f"1 of 18 servos are not ready: servo {servo_id} ({NAMES[servo_id]}) does not answer" in words
+    assert "reset" not in words
+
+
+def test_a_servo_of_another_model_is_named() -> None:
+    desk = Desk()
+    desk.tables[desk.row(FEMUR), dxl.MODEL_NUMBER.address] = 64
+    assert "servo 9 (left rear femur) is model 64 (RX-64), expected 12 (AX-12A)" in trouble(desk)
+
+
+def test_a_servo_that_was_reset_to_the_id_of_another_is_found_behind_it() -> None:
+    desk = Desk()
+    desk.reset(FEMUR)
+    words = trouble(desk)
+    assert "2 of 18 servos" in words
+    assert "servo 1 (left front coxa) is answered for more than once" in words
+    assert "1 is what a reset leaves: it may be servo 9 (left rear femur)" in words
+    assert (desk.tables[[desk.row(COXA)], dxl.RETURN_DELAY.address] == 0).all()
+    assert sorted(desk.tables[:, dxl.RETURN_DELAY.address])[-1] == 250  # and was not set up in another's place
+
+
+def test_where_many_are_missing_who_was_reset_is_not_listed() -> None:
+    desk = Desk()
+    desk.reset(FEMUR)
+    desk.bench.unplug([desk.row(i) for i in (3, 4, 5)])
+    assert "1 is what a reset leaves: it may be any of the 4 that are missing" in trouble(desk)
+
+
+def test_a_servo_that_was_reset_where_nobody_has_that_id_is_found_there() -> None:
+    desk = Desk()
+    desk.change(COXA, dxl.ID, 19)
+    desk.reset(FEMUR)
+    legs = (replace(desk.profile.legs[0], servo_ids=(19, 3, 5)), *desk.profile.legs[1:])
+    desk.profile = replace(desk.profile, legs=legs)
+    words = trouble(desk)
+    assert "servo 9 (left rear femur) does not answer" in words
+    assert "servo 1 is none of the robot's; 1 is what a reset leaves: it may be servo 9 (left rear femur)" in words
+
+
+@pytest.mark.parametrize("delay", [0, 250], ids=["speaking at once", "one after the other"])
+def test_two_servos_with_one_id_are_found(delay: int) -> None:
+    desk = Desk()
+    desk.change(FEMUR, dxl.RETURN_DELAY, delay)
+    desk.change(FEMUR, dxl.ID, 16)
+    words = trouble(desk)
+    assert "servo 9 (left rear femur) does not answer" in words
+    assert "servo 16 (right middle femur) is answered for more than once" in words
+
+
+def test_nothing_is_written_to_a_servo_that_is_not_right() -> None:
+    desk = Desk()
+    for servo_id in (FEMUR, 16):
+        desk.change(servo_id, dxl.RETURN_DELAY, 100)
+    desk.change(FEMUR, dxl.ID, 16)
+    trouble(desk)
+    assert (desk.tables[desk.bench._with_id(16), dxl.RETURN_DELAY.address] == 100).all()
+
+
+def test_whoever_is_looked_at_says_all_of_itself() -> None:
+    desk = Desk()
+    seen = bus_scan.look(desk.bus(), FEMUR)
+    assert seen is not None
+    assert seen.voice is Voice.CLEAR
+    assert (seen.model, seen[dxl.FIRMWARE], seen[dxl.ID], seen.is_wheel) == ("AX-12A", 24, FEMUR, False)
+    assert seen.voltage == pytest.approx(12.6, abs=0.2)
+    assert seen.temperature == 25.0
+    table = desk.tables[desk.row(FEMUR)]
+    assert (np.frombuffer(seen.table, dtype=np.uint8)[:19] == table[:19]).all()
+    assert (np.frombuffer(seen.table, dtype=np.uint8)[24:] == table[24:48]).all()
+    assert bus_scan.look(desk.bus(), 99) is None
+
+
+def test_a_call_in_order_costs_no_timeouts() -> None:
+    desk = Desk()
+    bus = desk.bus()
+    began = desk.clock()
+    bus.setup()
+    assert desk.clock() - began < 18 * 8_000_000
+    assert not bus.lost
+
+
+def test_an_answer_that_comes_too_late_is_no_second_servo() -> None:
+    """A host that is busy hears one ping's answer on the next."""
+    desk = Desk()
+    bus = desk.bus()
+    receive, late = desk.bench.receive, []
+
+    def one_late(data: bytes, now_ns: int) -> list[Reply]:
+        replies = receive(data, now_ns)
+        if not late:
+            late.extend(reply._replace(due_ns=reply.due_ns + 7_000_000) for reply in replies)
+            return late
+        return replies
+
+    desk.bench.receive = one_late  # type: ignore[method-assign]
+    seen = bus_scan.look(bus, FEMUR)
+    assert late
+    assert seen is not None
+    assert seen.voice is Voice.CLEAR
+
+
+def test_a_servo_with_a_loose_cable_is_not_taken_for_two() -> None:
+    desk = Desk()
+    bus = desk.bus()
+    receive = desk.bench.receive
+
+    def loose(data: bytes, now_ns: int) -> list[Reply]:
+        return [] if data[4:5] == b"\x02" and data[6] > 2 else receive(data, now_ns)  # long answers are lost
+
+    desk.bench.receive = loose  # type: ignore[method-assign]
+    seen = bus_scan.look(bus, FEMUR)
+    assert seen is not None
+    assert seen.voice is Voice.FADING
+
+
+@pytest.mark.parametrize(("number", "name"), [(18, "AX-18A"), (300, "AX-12W")])
+def test_the_other_servos_with_the_same_table_are_known_by_name(number: int, name: str) -> None:
+    desk = Desk()
+    address = dxl.MODEL_NUMBER.address
+    desk.tables[desk.row(FEMUR), address : address + 2] = list(number.to_bytes(2, "little"))
+    assert f"is model {number} ({name}), expected 12 (AX-12A)" in trouble(desk)
+    assert replace(desk.profile.servo, model=name).model == name
+
+
+class _Station:
+    """A port on which another device prints a line again and again, whatever is asked."""
+
+    def __init__(self, line: bytes) -> None:
+        self.line, self.now_ns = line, 0
+
+    def clock(self) -> int:
+        return self.now_ns
+
+    def write(self, data: bytes, /) -> int:
+        return len(data)
+
+    def read(self, size: int = 1, /) -> bytes:
+        self.now_ns += 10_000_000
+        return (self.line * (1 + size // len(self.line)))[:size]
+
+    def reset_input_buffer(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def test_another_device_on_the_port_is_named_by_what_it_sends() -> None:
+    station = _Station(b"Temperature 21.5 C\r\n")
+    bus = ServoBus(station, [1, 2], station.clock)
+    with pytest.raises(NotAServoBusError, match=r"another device sends 'Temperature 21\.5 C\.\.Temp.*; serial ports here: "):
+        look(bus, 1)
+    assert station.now_ns < 5e9, "within seconds"

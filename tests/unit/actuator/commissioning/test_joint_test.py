@@ -1,0 +1,170 @@
+"""Each joint is moved gently, one at a time, after a yes; what does not move, strains or is unwell is named."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from sextant.services.actuator.commissioning.joint_test import STEP_DEG, exercise
+from sextant.services.actuator.commissioning.limited_motion import MOVING_SPEED, TORQUE_LIMIT
+from sextant.shared import dynamixel as dxl
+from sextant.shared.robot import JOINTS, LEGS
+from tests.support.builder import Answer, Builder
+from tests.support.desk import Desk
+
+TICK_DEG = float(np.degrees(dxl.TICK_RAD))
+
+
+class Watched(Desk):
+    """A desk that notes what every servo does while the host talks."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.q: list[np.ndarray] = []
+        self.torque: list[np.ndarray] = []
+        self.limits: list[np.ndarray] = []
+        receive = self.bench.receive
+
+        def noted(data: bytes, now_ns: int) -> list[object]:
+            self.q.append(self.bench._q.copy())
+            self.torque.append(self.tables[:, dxl.TORQUE_ENABLE.address].astype(bool))
+            self.limits.append(self.tables.view("<u2")[:, [17, 16]].copy())
+            return receive(data, now_ns)  # type: ignore[return-value]
+
+        self.bench.receive = noted  # type: ignore[method-assign,assignment]
+
+
+def run(desk: Desk, answers: list[Answer], **options: object):  # type: ignore[no-untyped-def]
+    builder = Builder(answers)
+    return exercise(desk.bus(), desk.profile, builder, desk.clock, **options), builder  # type: ignore[arg-type]
+
+
+def test_every_joint_moves_up_and_back_alone_gently() -> None:
+    desk = Watched()
+    moved, builder = run(desk, [True])
+    assert [one.name for one in moved] == [f"{leg} {joint}" for leg in LEGS for joint in JOINTS]
+    for one in moved:
+        assert one.problem == "", str(one)
+        assert abs(one.asked_deg) == pytest.approx(STEP_DEG, abs=TICK_DEG)
+        assert one.moved_deg == pytest.approx(one.asked_deg, abs=2 * TICK_DEG)
+        assert one.back_deg == pytest.approx(0.0, abs=2 * TICK_DEG)
+        assert one.load <= TORQUE_LIMIT / 1000
+        assert (one.voltage, one.temperature) == (pytest.approx(12.5, abs=0.2), 25.0)
+    torque, limits = np.array(desk.torque), np.array(desk.limits)
+    assert torque.sum(axis=1).max() == 1
+    assert (limits[torque] == [TORQUE_LIMIT, MOVING_SPEED]).all()
+    way = np.degrees(np.ptp(np.array(desk.q), axis=0))
+    assert (np.abs(way - STEP_DEG) < 2.0).all()
+    assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
+    assert "torque is off" in builder.told[-1]
+
+
+def test_ways_are_told_as_they_are_seen() -> None:
+    moved, _ = run(Desk(), [True])
+    ways = {one.name: one.way for one in moved}
+    assert {ways[f"{leg} femur"] for leg in LEGS} == {"up"}
+    coxa = {leg: ways[f"{leg} coxa"] for leg in LEGS}
+    # All turn counterclockwise from above: the left side backward, the right side forward.
+    assert coxa == {leg: "backward" if leg.startswith("left") else "forward" for leg in LEGS}
+
+
+def test_without_a_yes_nothing_moves() -> None:
+    desk = Watched()
+    moved, builder = run(desk, [False])
+    assert moved is None
+    assert not np.array(desk.torque).any()
+    assert (np.array(desk.q) == desk.q[0]).all()
+    assert "nothing is moved" in builder.told[-1]
+
+
+@pytest.mark.parametrize("hold", [True, False])
+def test_the_torque_is_left_as_the_operator_chose(hold: bool) -> None:
+    desk = Desk()
+    _, builder = run(desk, [True, hold], legs=LEGS[:1], hold_after=None)
+    desk.settle()
+    assert desk.tables[:, dxl.TORQUE_ENABLE.address].all() == hold
+    assert builder.told[-1] == ("torque is on: the legs hold where they are" if hold else "torque is off")
+    words = desk.tables.view("<u2")
+    assert (np.abs(words[:, 15].astype(int) - words[:, 18]) <= 1).all() or not hold  # goals are where the joints are
+
+
+def test_a_joint_that_is_blocked_is_named() -> None:
+    desk = Desk()
+    row = desk.row(3)
+    start = desk.bench._q[row]
+    step = desk.bench._servos.step
+
+    def stuck(q: np.ndarray, qd: np.ndarray, torque: np.ndarray, dt: float) -> object:
+        desk.bench._q[row] = start
+        return step(q, qd, torque, dt)
+
+    desk.bench._servos.step = stuck  # type: ignore[method-assign,assignment]
+    moved, _ = run(desk, [True], legs=LEGS[:1])
+    problems = {one.name: one.problem for one in moved}
+    assert "did not get there: something blocks it" in problems["left front femur"]
+    assert problems["left front coxa"] == problems["left front tibia"] == ""
+
+
+def test_interrupted_in_the_middle_of_a_move_the_torque_is_off() -> None:
+    desk = Watched()
+    receive = desk.bench.receive
+
+    def interrupted(data: bytes, now_ns: int) -> list[object]:
+        if desk.torque and desk.torque[-1].any() and len(desk.torque) > 400:
+            desk.torque.clear()
+            raise KeyboardInterrupt
+        return receive(data, now_ns)  # type: ignore[return-value]
+
+    desk.bench.receive = interrupted  # type: ignore[method-assign,assignment]
+    with pytest.raises(KeyboardInterrupt):
+        run(desk, [True])
+    desk.bench.receive = receive  # type: ignore[method-assign]
+    desk.settle()
+    words = desk.tables.view("<u2")
+    assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
+    assert (words[:, 17] == 1023).all()
+    assert (words[:, 16] == 0).all()
+
+
+def broken_off(desk: Desk, when: Callable[[bytes], bool], answers: list[Answer], hold_after: bool) -> Builder:
+    """Ctrl-C falls on the first packet of some kind; what was told."""
+    receive = desk.bench.receive
+
+    def interrupted(data: bytes, now_ns: int) -> list[object]:
+        if when(data):
+            desk.bench.receive = receive  # type: ignore[method-assign]
+            raise KeyboardInterrupt
+        return receive(data, now_ns)  # type: ignore[return-value]
+
+    desk.bench.receive = interrupted  # type: ignore[method-assign,assignment]
+    builder = Builder(answers)
+    with pytest.raises(KeyboardInterrupt):
+        exercise(desk.bus(), desk.profile, builder, desk.clock, legs=LEGS[:1], hold_after=hold_after)
+    desk.settle()
+    return builder
+
+
+@pytest.mark.parametrize(
+    "register", [dxl.TORQUE_ENABLE, dxl.MOVING_SPEED, dxl.TORQUE_LIMIT], ids=lambda register: register.name
+)
+def test_interrupted_while_a_joint_is_let_go_it_is_let_go_all_the_same(register: dxl.Register) -> None:
+    desk = Desk()
+    row, released = desk.row(1), False
+
+    def in_the_midst(data: bytes) -> bool:
+        nonlocal released
+        released |= data == dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\0")
+        return released and data[4:6] == bytes((dxl.Instruction.WRITE, register.address))
+
+    builder = broken_off(desk, in_the_midst, [True], hold_after=False)
+    words = desk.tables.view("<u2")
+    assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
+    assert (words[row, dxl.TORQUE_LIMIT.address // 2], words[row, dxl.MOVING_SPEED.address // 2]) == (1023, 0)
+    assert builder.told[-1] == "torque is off"
+
+
+def test_interrupted_while_the_legs_take_hold_all_are_let_go() -> None:
+    desk = Desk()
+    builder = broken_off(desk, lambda data: desk.tables[:, dxl.TORQUE_ENABLE.address].sum() > 5, [True], hold_after=True)
+    assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
+    assert builder.told[-1] == "torque is off"

@@ -1,0 +1,402 @@
+"""From a box of servos to a robot's bus, at the emulated servos' bytes: who is found, named and set, and what is refused."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from sextant.services.actuator.commissioning import set_ids
+from sextant.services.actuator.commissioning.set_ids import USUAL_RATES, Line
+from sextant.services.actuator.servo_bus.dynamixel_bus import BAUD_RATE, ServoBus
+from sextant.services.simulator.wire import Reply
+from sextant.shared import dynamixel as dxl
+from sextant.shared.profiles import load_profile
+from sextant.shared.robot import RobotProfile
+from tests.support.builder import Answer, Builder
+from tests.support.desk import PHANTOMX, Desk
+
+RX = load_profile("lotriet_rx64")
+SET = (dxl.RETURN_DELAY, 0), (dxl.STATUS_RETURN_LEVEL, 2), (dxl.BAUD_RATE, 1)
+
+
+def line(desk: Desk) -> Line:
+    def at(rate: int) -> ServoBus:
+        names = desk.profile.servo_names
+        return ServoBus(desk.open(rate), list(names), desk.clock, names=names, model=dxl.MODEL_NAMED[desk.profile.servo.model])
+
+    return Line(at)
+
+
+def plug(desk: Desk, count: int = 1, answer: str = "") -> Callable[[], str]:
+    """Plug the next servos in, then press Enter."""
+
+    def act() -> str:
+        desk.bench.plug(desk.bench.boxed[:count])
+        return answer
+
+    return act
+
+
+def ids(desk: Desk) -> list[int]:
+    return desk.tables[:, dxl.ID.address].tolist()
+
+
+def assert_set_up(desk: Desk) -> None:
+    desk.settle()
+    assert sorted(ids(desk)) == sorted(desk.profile.servo_names)
+    for register, value in SET:
+        assert (desk.tables[:, register.address] == value).all(), register.name
+    assert not desk.tables[:, dxl.TORQUE_ENABLE.address].any()
+
+
+# ---------------------------------------------------------------------------------------------------------------- scan
+
+
+def test_a_robot_in_order_is_listed_with_nothing_to_complain_about() -> None:
+    desk = Desk()
+    found = set_ids.scan(line(desk))
+    assert [one.seen.servo_id for one in found] == sorted(PHANTOMX.servo_names)
+    assert {one.rate for one in found} == {BAUD_RATE}
+    assert desk.rates == list(USUAL_RATES)
+    assert set_ids.verdict(found, PHANTOMX) == []
+    table = set_ids.in_words(found, PHANTOMX).splitlines()
+    assert len(table) == 19
+    assert table[9].split() == ["9", "1000000", "AX-12A", "24", "12.5", "V", "25", "deg", "C", "left", "rear", "femur"]
+
+
+def test_a_scan_changes_nothing() -> None:
+    desk = Desk(fresh=True)
+    desk.bench.plug(range(3))
+    before = desk.tables[:, :36].copy()
+    set_ids.scan(line(desk))
+    assert (desk.tables[:, :36] == before).all()
+    assert not desk.bench.counts.instructions[dxl.Instruction.WRITE]
+
+
+def test_what_is_wrong_is_named_by_leg_and_joint_with_what_to_do() -> None:
+    desk = Desk()
+    desk.bench.unplug([desk.row(12)])
+    desk.tables[desk.row(16), dxl.MODEL_NUMBER.address] = 64
+    desk.change(7, dxl.ID, 200)
+    wrong = {problem.words: problem.advice for problem in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX)}
+    assert all(wrong.values())
+    assert set(wrong) == {
+        "servo 12 (right rear tibia) does not answer",
+        "servo 16 (right middle femur) is model 64 (RX-64), expected 12 (AX-12A)",
+        "servo 7 (left rear coxa) does not answer",
+        "servo 200 is none of the robot's",
+    }
+
+
+def test_voltage_heat_and_latched_overload_are_named() -> None:
+    desk = Desk()
+    desk.bench._servos.charge = 0.1
+    desk.bench._servos.temperature[desk.row(6)] = 64.0
+    desk.bench._servos._faults[desk.row(17)] = dxl.ServoError.OVERLOAD
+    words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX)]
+    assert len(words) == 18
+    assert all("V, at least 10.5 V expected: charge the battery" in one for one in words)
+    assert any(one.startswith("servo 6 (right front tibia)") and "64 deg C warm, its limit is 70" in one for one in words)
+    assert any(one.startswith("servo 17 (left middle tibia) reports overload") for one in words)
+
+
+def test_a_reset_rx_64_is_found_at_the_rate_of_the_factory() -> None:
+    desk = Desk(RX)
+    lost = RX.legs[3].servo_ids[1]
+    desk.reset(lost)
+    words = [problem.words for problem in set_ids.verdict(set_ids.scan(line(desk)), RX)]
+    assert f"servo {lost} (right rear femur) does not answer" in words
+    reset = (
+        f"servo 1 talks at 57143 baud, 1000000 expected; 1 is what a reset leaves: it may be servo {lost} (right rear femur)"
+    )
+    assert reset in words
+
+
+# -------------------------------------------------------------------------------------------------------------- set-id
+
+
+@pytest.mark.parametrize("profile", [PHANTOMX, RX], ids=lambda profile: profile.name)
+def test_a_box_of_new_servos_becomes_a_robots(profile: RobotProfile) -> None:
+    desk = Desk(profile, fresh=True)
+    builder = Builder([plug(desk)] * 18)
+    assert set_ids.set_ids(line(desk), desk.profile, builder)
+    assert_set_up(desk)
+    factory = [name for i, name in desk.profile.servo_names.items() if i == 1]
+    assert all(name in builder.asked[-1] for name in factory)  # comes last: new servos have its id
+    assert [i for i in ids(desk) if i != 1] == [i for i in desk.profile.servo_names if i != 1]
+
+
+def test_one_at_a_time_alone_on_the_bus_does_as_well() -> None:
+    desk = Desk(fresh=True)
+
+    def swap() -> str:
+        desk.bench.unplug(list(desk.bench._plugged))
+        fresh = [row for row in range(18) if desk.tables[row, dxl.RETURN_DELAY.address] == 250]
+        desk.bench.plug(fresh[:1])
+        return ""
+
+    assert set_ids.set_ids(line(desk), PHANTOMX, Builder([swap] * 18))
+    assert_set_up(desk)
+
+
+@pytest.mark.parametrize("done", [0, 1, 7, 17])
+def test_it_can_be_left_and_goes_on_with_what_is_missing(done: int) -> None:
+    desk = Desk(fresh=True)
+    left = Builder([*[plug(desk)] * done, "q"])
+    assert not set_ids.set_ids(line(desk), PHANTOMX, left)
+    assert "goes on with what is missing" in left.told[-1]
+    again = Builder([plug(desk)] * (18 - done))
+    assert set_ids.set_ids(line(desk), PHANTOMX, again)
+    assert f"{done} of 18 servos have their ids" in again.told
+    assert_set_up(desk)
+
+
+@pytest.mark.parametrize("after", range(1, 12))
+@pytest.mark.parametrize("profile", [PHANTOMX, RX], ids=lambda profile: profile.name)
+def test_interrupted_between_any_two_packets_nothing_is_lost(profile: RobotProfile, after: int) -> None:
+    """Ctrl-C falls on the nth write of a servo's setting; the next sitting brings all to their ends."""
+    desk = Desk(profile, fresh=True)
+    writes = 0
+    receive = desk.bench.receive
+
+    def interrupted(data: bytes, now_ns: int) -> list[object]:
+        nonlocal writes
+        writes += data[4:5] == bytes([dxl.Instruction.WRITE])
+        if writes == after:
+            writes += 1
+            raise KeyboardInterrupt
+        return receive(data, now_ns)  # type: ignore[return-value]
+
+    desk.bench.receive = interrupted  # type: ignore[method-assign,assignment]
+    with pytest.raises(KeyboardInterrupt):
+        set_ids.set_ids(line(desk), desk.profile, Builder([plug(desk)] * 18))
+    answers: list[Answer] = ["", *[plug(desk)] * 18]
+    set_ids.set_ids(line(desk), desk.profile, builder := Agreeing(answers))
+    assert "all 18 servos have their ids" in builder.told[-1]
+    assert_set_up(desk)
+
+
+class Agreeing(Builder):
+    """Says yes to whatever is to be agreed to."""
+
+    def agree(self, question: str) -> bool:
+        self.asked.append(question)
+        return True
+
+
+def test_two_new_servos_at_once_are_refused_and_left_as_they_are() -> None:
+    desk = Desk(fresh=True)
+
+    def one_out() -> str:
+        desk.bench.unplug([1])
+        return ""
+
+    builder = Builder([plug(desk, 2), one_out, "q"])
+    assert not set_ids.set_ids(line(desk), PHANTOMX, builder)
+    assert "two servos or more answer as 1: neither can be set" in builder.all_told
+    assert sorted(ids(desk)) == [*[1] * 17, 3]
+    assert desk.tables[1, dxl.RETURN_DELAY.address] == 250
+
+
+def test_a_servo_of_another_model_is_refused() -> None:
+    desk = Desk(fresh=True)
+    desk.tables[0, dxl.MODEL_NUMBER.address] = 64
+    builder = Builder([plug(desk), "q"])
+    assert not set_ids.set_ids(line(desk), PHANTOMX, builder)
+    assert "a servo AX-12A expected, but it is an RX-64: left as it is" in builder.all_told
+    assert ids(desk) == [1] * 18
+
+
+def test_a_servo_may_be_named_and_a_used_one_has_any_id() -> None:
+    desk = Desk(fresh=True)
+    desk.tables[0, [dxl.ID.address, dxl.STATUS_RETURN_LEVEL.address]] = 77, 0
+    desk.tables[0, dxl.CCW_ANGLE_LIMIT.address : dxl.CCW_ANGLE_LIMIT.address + 2] = 0  # it was a wheel
+    builder = Builder([plug(desk, answer="left  Rear femur"), "left knee", "q"])
+    set_ids.set_ids(line(desk), PHANTOMX, builder)
+    assert desk.tables[0, dxl.ID.address] == 9
+    assert desk.tables.view("<u2")[0, dxl.CCW_ANGLE_LIMIT.address // 2] == 1023
+    assert "looking for it at all ids" in builder.all_told
+    assert "found 'left knee'; one of left front coxa" in builder.all_told
+
+
+def test_nobody_and_several_are_told_apart() -> None:
+    desk = Desk(fresh=True)
+    desk.tables[:2, dxl.ID.address] = 50, 60
+    set_ids.set_ids(line(desk), PHANTOMX, builder := Builder(["", plug(desk, 2), "q"]))
+    assert "no new servo answers" in builder.all_told
+    assert "one new servo expected, found 2 (ids 50, 60)" in builder.all_told
+    assert set(ids(desk)) == {1, 50, 60}
+
+
+def test_a_locked_servo_is_told() -> None:
+    desk = Desk(fresh=True)
+
+    def plug_locked() -> str:
+        desk.bench.plug([0])
+        desk.tables[0, dxl.LOCK.address] = 1
+        return ""
+
+    set_ids.set_ids(line(desk), PHANTOMX, builder := Builder([plug_locked, "q"]))
+    assert "switch its power off and on and try again" in builder.all_told
+    assert np.all(desk.tables[:, dxl.ID.address] == 1)
+
+
+@pytest.mark.parametrize("agreed", [False, True])
+def test_a_servo_that_is_done_becomes_another_joints_only_with_a_yes(agreed: bool) -> None:
+    """Whoever names the next joint and forgets to plug its servo in has but the last one on the bus."""
+    desk = Desk(fresh=True)
+    femur, tibia = (i for i, name in PHANTOMX.servo_names.items() if name in ("left front femur", "left front tibia"))
+    builder = Builder([plug(desk, answer="left front femur"), "left front tibia", agreed, "q"])
+    assert not set_ids.set_ids(line(desk), desk.profile, builder)
+    desk.settle()
+    assert (tibia in ids(desk), femur in ids(desk)) == (agreed, not agreed)
+    assert "is the only one that answers, and is set already. Make it the left front tibia?" in builder.asked[2]
+    assert "2 of 18" not in builder.all_told
+
+
+def joint(name: str) -> int:
+    return {known: i for i, known in PHANTOMX.servo_names.items()}[name]
+
+
+def used(desk: Desk, row: int, servo_id: int, **registers: int) -> Callable[[], str]:
+    """Plug in a servo that was set up elsewhere, then press Enter."""
+
+    def act() -> str:
+        table = {dxl.ID: servo_id, dxl.RETURN_DELAY: 0}
+        for register, value in (table | {getattr(dxl, name): value for name, value in registers.items()}).items():
+            desk.bench._servos.write(row, register.address, register.encode(value))
+        desk.bench.plug([row])
+        return ""
+
+    return act
+
+
+def test_no_servo_is_given_the_id_of_one_that_is_plugged_in() -> None:
+    desk = Desk(fresh=True)
+    builder = Builder([plug(desk), plug(desk, answer="left front femur"), "q"])
+    set_ids.set_ids(line(desk), PHANTOMX, builder)
+    assert "servo 3 (left front femur) is plugged in already: unplug it first, or name another joint" in builder.told
+    assert sorted(ids(desk)) == [*[1] * 17, 3]
+
+
+@pytest.mark.parametrize("agreed", [False, True])
+@pytest.mark.parametrize("delay", [0, 250], ids=["set up", "not set up"])
+def test_a_used_servo_with_the_id_of_another_joint_is_the_one_that_was_plugged_in(agreed: bool, delay: int) -> None:
+    desk = Desk(fresh=True)
+    builder = Builder([plug(desk), used(desk, 5, 9, RETURN_DELAY=delay), agreed, "q"])
+    set_ids.set_ids(line(desk), PHANTOMX, builder)
+    assert builder.asked[2] == "servo 9 (left rear femur by its id) appeared; make it the left front tibia?"
+    assert desk.tables[5, dxl.ID.address] == (joint("left front tibia") if agreed else 9)
+    assert "no new servo answers" not in builder.all_told
+
+
+def test_a_used_servo_that_has_the_wanted_id_is_set_up() -> None:
+    desk = Desk(fresh=True)
+    builder = Builder([used(desk, 0, 3, RETURN_DELAY=100, STATUS_RETURN_LEVEL=1), used(desk, 1, 5), "q"])
+    set_ids.set_ids(line(desk), PHANTOMX, builder)
+    assert "servo 3 (left front femur) is set, and read back" in builder.all_told
+    assert "servo 5 (left front tibia) is set, and read back" in builder.all_told
+    assert desk.tables[0, [dxl.RETURN_DELAY.address, dxl.STATUS_RETURN_LEVEL.address]].tolist() == [0, 2]
+
+
+def test_servos_that_come_back_together_are_what_their_ids_say() -> None:
+    desk = Desk(fresh=True)
+
+    def both() -> str:
+        return used(desk, 0, 3)() + used(desk, 1, 5)()
+
+    builder = Builder([both, "q"])
+    set_ids.set_ids(line(desk), PHANTOMX, builder)
+    assert "servo 3 (left front femur), servo 5 (left front tibia) appeared, and are taken for that" in builder.all_told
+    assert "2 of 18 servos have their ids" in builder.told
+
+
+@pytest.mark.parametrize("agreed", [False, True])
+def test_one_that_was_cut_off_behind_its_id_is_completed(agreed: bool) -> None:
+    """As where the power went: it has an id and is else a wheel, as slow to answer as from the factory."""
+    desk = Desk(fresh=True)
+    used(desk, 0, 9, RETURN_DELAY=250, CCW_ANGLE_LIMIT=0)()
+    used(desk, 1, 3)()
+    builder = Builder([agreed, "q"])
+    assert not set_ids.set_ids(line(desk), PHANTOMX, builder)
+    assert builder.asked[0].startswith("Of servo 9 (left rear femur) the id is set, and not all that goes with it")
+    assert f"{1 + agreed} of 18 servos have their ids" in builder.told
+    words = desk.tables.view("<u2")
+    assert words[0, dxl.CCW_ANGLE_LIMIT.address // 2] == 1023 * agreed
+    assert desk.tables[0, dxl.RETURN_DELAY.address] == (0 if agreed else 250)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_one_that_is_heard_now_and_then_is_to_be_tried_again(level: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    desk = Desk(fresh=True)
+    receive = desk.bench.receive
+
+    def loose(data: bytes, now_ns: int) -> list[Reply]:
+        reads = data[4:5] == bytes([dxl.Instruction.READ])
+        return [] if reads and (level == 0 or data[6] > 2) else receive(data, now_ns)
+
+    monkeypatch.setattr(desk.bench, "receive", loose)
+    set_ids.set_ids(line(desk), PHANTOMX, builder := Builder([plug(desk), "q"]))
+    assert "left as it is; try again" in builder.all_told
+    assert "plug another" not in builder.all_told
+
+
+# ---------------------------------------------------------------------------------------------------------- protection
+
+HARMFUL = [
+    (dxl.CW_ANGLE_LIMIT, 400, "turns from tick 400 to 1023 only, 157 to 860 needed"),
+    (dxl.CCW_ANGLE_LIMIT, 600, "turns from tick 0 to 600 only"),
+    (dxl.TEMPERATURE_LIMIT, 50, "shuts down at 50 deg C, 70 expected"),
+    (dxl.TEMPERATURE_LIMIT, 99, "shuts down at 99 deg C, 70 expected"),
+    (dxl.MAX_TORQUE, 300, "gives 30 % of its torque at most"),
+    (dxl.SHUTDOWN, 0, "does not shut down for overheating, overload"),
+    (dxl.SHUTDOWN, 0x04, "does not shut down for overload"),
+]
+
+
+@pytest.mark.parametrize(("register", "value", "words"), HARMFUL, ids=lambda value: getattr(value, "name", None))
+def test_limits_and_protections_that_somebody_changed_are_named_and_set_right(
+    register: dxl.Register, value: int, words: str
+) -> None:
+    desk = Desk()
+    desk.change(9, register, value)
+    found = set_ids.scan(line(desk))
+    (problem,) = set_ids.verdict(found, PHANTOMX)
+    assert problem.words.startswith(f"servo 9 (left rear femur) {words}")
+    assert "set-id` with it alone on the bus, its leg and joint typed, sets what is safe" in problem.advice
+    desk.bus().setup()  # an actuator does with it
+
+    others = [row for row in range(18) if row != desk.row(9)]
+    desk.bench.unplug(others)
+    set_ids.set_ids(line(desk), PHANTOMX, Builder(["left rear femur", "q"]))
+    desk.bench._plugged.update(others)
+    desk.bench._find_listeners()
+    assert set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX) == []
+
+
+def test_angle_limits_as_wide_as_the_joint_needs_and_further_bits_are_left() -> None:
+    desk = Desk()
+    for register, value in ((dxl.CW_ANGLE_LIMIT, 100), (dxl.CCW_ANGLE_LIMIT, 900), (dxl.SHUTDOWN, 0x25)):
+        desk.change(9, register, value)
+    assert set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX) == []
+
+
+@pytest.mark.parametrize("profile", [PHANTOMX, RX], ids=lambda profile: profile.name)
+def test_a_data_sheet_is_in_order(profile: RobotProfile) -> None:
+    assert set_ids.verdict(set_ids.scan(line(Desk(profile))), profile) == []
+
+
+def test_who_was_not_asked_is_not_missing() -> None:
+    desk = Desk()
+    desk.bench.unplug([desk.row(9)])
+    asked = range(5, 12)
+    found = set_ids.scan(line(desk), asked)
+    assert [one.words for one in set_ids.verdict(found, PHANTOMX, asked)] == ["servo 9 (left rear femur) does not answer"]
+
+
+def test_where_nobody_answers_that_is_one_problem_beside_strangers() -> None:
+    desk = Desk()
+    desk.change(9, dxl.ID, 200)
+    desk.bench.unplug([row for row in range(18) if row != desk.row(200)])
+    told = [one.words for one in set_ids.verdict(set_ids.scan(line(desk)), PHANTOMX, each=False)]
+    assert told == ["none of 18 servos answers", "servo 200 is none of the robot's"]

@@ -1,0 +1,157 @@
+"""Up by gyro and accelerometer: found from any start, by any way of turning, whatever the gyro is off, and never a heading."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from sextant.services.actuator.estimation.attitude import Attitude, AttitudeEstimator
+from sextant.services.simulator.imu import Imu, ImuNoise
+from sextant.shared.geometry import Array, exp_so3, rotation_from_rpy, rotation_z, yaw_of
+
+DT = 0.02
+G = np.array([0.0, 0.0, 9.81])
+WILD = settings(max_examples=8, deadline=None)
+
+tilts = st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
+headings = st.floats(-3.0, 3.0)
+
+
+def felt(R_world_body: Array) -> Array:
+    return np.asarray(R_world_body.T @ G)
+
+
+def hold(filter_: AttitudeEstimator, R_world_body: Array, for_s: float, gyro: Array | None = None) -> Attitude:
+    rate = np.zeros(3) if gyro is None else gyro
+    found = filter_.update(rate, felt(R_world_body), DT)
+    for _ in range(round(for_s / DT)):
+        found = filter_.update(rate, felt(R_world_body), DT)
+    return found
+
+
+def off(found: Attitude, R_world_body: Array) -> float:
+    """Angle [rad] between up as it is found and as it is."""
+    return float(np.arccos(np.clip(found.up @ R_world_body[2], -1.0, 1.0)))
+
+
+@WILD
+@given(st.tuples(st.floats(-3.0, 3.0), st.floats(-1.4, 1.4)), tilts, headings)
+def test_up_is_found_from_any_start(start: tuple[float, float], tilt: tuple[float, float], yaw: float) -> None:
+    first, then = rotation_from_rpy([*start, 0.0]), rotation_from_rpy([*tilt, yaw])
+    assume(first[2] @ then[2] > -0.99)
+    filter_ = AttitudeEstimator()
+    filter_.update(np.zeros(3), felt(first), DT)
+    found = hold(filter_, then, 40.0)  # the pull has been taken for a bias, for a while
+    assert off(found, then) < 2e-3
+    assert found.doubt < np.radians(1.0)
+
+
+@WILD
+@given(tilts, headings, st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3))
+def test_a_turning_body_is_followed_by_its_gyro(tilt: tuple[float, float], yaw: float, rate: list[float]) -> None:
+    R, filter_ = rotation_from_rpy([*tilt, yaw]), AttitudeEstimator()
+    found = filter_.update(np.zeros(3), felt(R), DT)
+    for _ in range(100):
+        R = R @ exp_so3(DT * np.array(rate))
+        found = filter_.update(np.array(rate), felt(R), DT)
+    assert off(found, R) < 1e-3
+
+
+@WILD
+@given(tilts, st.tuples(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02)))
+def test_what_a_gyro_is_off_is_found(tilt: tuple[float, float], bias: tuple[float, float]) -> None:
+    R, filter_ = rotation_from_rpy([*tilt, 0.3]), AttitudeEstimator()
+    across = np.cross(R[2], [0.0, 0.0, 1.0] if abs(R[2, 2]) < 0.9 else [1.0, 0.0, 0.0])
+    across /= np.linalg.norm(across)
+    wrong = bias[0] * across + bias[1] * np.cross(R[2], across)  # about up nothing tells it
+    found = hold(filter_, R, 90.0, wrong)
+    np.testing.assert_allclose(filter_.bias, wrong, atol=3e-4)
+    assert off(found, R) < 1e-3
+
+
+@WILD
+@given(tilts, headings, headings)
+def test_heading_is_none_of_its_business(tilt: tuple[float, float], yaw: float, turn: float) -> None:
+    """The same tilt under another heading is the same answer, which has no heading."""
+    a, b = AttitudeEstimator(), AttitudeEstimator()
+    R = rotation_from_rpy([*tilt, yaw])
+    one, other = hold(a, R, 0.1), hold(b, rotation_z(turn) @ R, 0.1)
+    np.testing.assert_allclose(one.R_level_body, other.R_level_body, atol=1e-9)
+    assert yaw_of(one.R_level_body) == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(one.R_level_body, rotation_from_rpy([*tilt, 0.0]), atol=1e-9)
+
+
+def test_pushes_are_not_taken_for_gravity() -> None:
+    """Specific force that has not gravity's length does not turn up, and makes it less sure."""
+    filter_ = AttitudeEstimator()
+    calm = hold(filter_, np.eye(3), 20.0)
+    for _ in range(50):
+        pushed = filter_.update(np.zeros(3), G + np.array([4.0, 0.0, 4.0]), DT)
+    assert off(pushed, np.eye(3)) < np.radians(0.1)
+    assert pushed.doubt > calm.doubt
+
+
+@pytest.mark.parametrize("force", [np.zeros(3), G / 9.81, 3.0 * G])
+def test_what_cannot_be_gravity_is_never_sure(force: Array) -> None:
+    """A sensor that sends nothing but zeros, or counts in g, is not believed."""
+    filter_ = AttitudeEstimator()
+    doubts = [filter_.update(np.zeros(3), force, DT).doubt for _ in range(500)]
+    assert min(doubts) > np.radians(5.0)
+
+
+def test_noise_of_the_data_sheet_leaves_half_a_degree() -> None:
+    """As one sigma: what an accelerometer is off is tilt to it."""
+    errors, doubts = [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        sensor, filter_ = Imu(ImuNoise(), rng), AttitudeEstimator()
+        R = rotation_from_rpy([0.1, -0.05, 1.0])
+        for _ in range(750):
+            found = filter_.update(*sensor.update(np.zeros(3), felt(R), DT), DT)
+        errors.append(off(found, R))
+        doubts.append(found.doubt)
+    assert np.sqrt(np.mean(np.square(errors)) / 2) < np.mean(doubts) < np.radians(0.6)
+
+
+def test_time_that_does_not_pass_is_refused() -> None:
+    with pytest.raises(ValueError, match="positive interval"):
+        AttitudeEstimator().update(np.zeros(3), G, 0.0)
+
+
+@WILD
+@given(tilts, st.lists(st.floats(-0.01, 0.01), min_size=3, max_size=3))
+def test_at_rest_a_gyro_tells_its_bias_about_up_too_and_then_counts_heading(
+    tilt: tuple[float, float], bias: list[float]
+) -> None:
+    R, filter_, wrong = rotation_from_rpy([*tilt, 0.0]), AttitudeEstimator(), np.array(bias)
+    for _ in range(500):
+        filter_.update(wrong, felt(R), DT, still=True)
+    np.testing.assert_allclose(filter_.bias, wrong, atol=1e-4)
+    before = filter_.update(wrong, felt(R), DT).turned
+    for _ in range(200):
+        R = rotation_z(0.004) @ R
+        found = filter_.update(wrong + R.T @ [0.0, 0.0, 0.004 / DT], felt(R), DT)
+    assert found.turned - before == pytest.approx(0.8, abs=2e-3)
+
+
+def test_a_first_reading_tells_no_bias() -> None:
+    """Nothing is known of the time before it."""
+    filter_ = AttitudeEstimator()
+    filter_.update(np.full(3, 0.015), G, 1.0, still=True)
+    np.testing.assert_array_equal(filter_.bias, np.zeros(3))
+
+
+def test_heading_and_up_go_by_the_same_bias() -> None:
+    """What is learned in a reading counts for all of it: a body at rest that tells its whole bias has not turned."""
+    filter_ = AttitudeEstimator()
+    filter_.update(np.zeros(3), G, DT)
+    found = filter_.update(np.array([0.0, 0.0, 0.01]), G, 1.0, still=True)
+    assert filter_.bias[2] == pytest.approx(0.01)
+    assert found.turned == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_body_that_turns_is_not_taken_to_stand_still() -> None:
+    filter_ = AttitudeEstimator()
+    for _ in range(200):
+        filter_.update(np.array([0.0, 0.0, 0.1]), G, DT, still=True)
+    assert np.abs(filter_.bias).max() < 1e-9

@@ -1,0 +1,174 @@
+"""Which feet carry, told by the motors' torques alone."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sextant.services.actuator.estimation.contact import ContactEstimate
+from sextant.shared.geometry import Array, apply, from_xyz_rpy
+from sextant.shared.kinematics import body_inverse, joint_torques
+from sextant.shared.profiles import load_profile
+
+Flags = NDArray[np.bool_]
+
+PROFILE = load_profile("phantomx_mk2")
+Q = body_inverse(PROFILE, PROFILE.rest_feet())
+TRIPOD = np.arange(6) % 2 == 0
+DT = 0.02  # [s]
+
+
+def torques(push: Array) -> Array:
+    """Motor torques (6, 3) under vertical forces (6,) [N] of the ground."""
+    return joint_torques(PROFILE, Q, push[:, None] * [0.0, 0.0, 1.0])
+
+
+def settled(estimate: ContactEstimate, push: Array) -> Flags:
+    for _ in range(20):
+        contact = estimate.update(Q, torques(push), DT)
+    return contact
+
+
+def test_it_begins_without_contact() -> None:
+    assert not ContactEstimate(PROFILE).update(Q, np.zeros((6, 3)), DT).any()
+
+
+def test_legs_that_are_pushed_up_carry() -> None:
+    contact = settled(ContactEstimate(PROFILE), np.where(TRIPOD, 8.0, 0.0))
+    np.testing.assert_array_equal(contact, TRIPOD)
+
+
+def test_a_leg_that_hangs_does_not() -> None:
+    assert not settled(ContactEstimate(PROFILE), np.full(6, -3.0)).any()
+
+
+def test_contact_comes_late_and_goes_late() -> None:
+    """Between the two thresholds it stays what it was."""
+    pushes = np.linspace(0.0, 4.0, 41)
+    estimate = ContactEstimate(PROFILE)
+    rising = [bool(settled(estimate, np.full(6, p))[0]) for p in pushes]
+    falling = [bool(settled(estimate, np.full(6, p))[0]) for p in pushes[::-1]][::-1]
+    assert rising == sorted(rising)
+    assert falling == sorted(falling)
+    assert rising[-1]
+    assert not falling[0]
+    assert sum(falling) > sum(rising)
+
+
+def test_one_odd_reading_does_not_lift_a_foot() -> None:
+    estimate = ContactEstimate(PROFILE)
+    settled(estimate, np.full(6, 5.0))
+    assert estimate.update(Q, torques(np.zeros(6)), DT).all()
+
+
+def test_how_fast_it_follows_does_not_depend_on_how_often_it_is_asked() -> None:
+    seldom, often, push = ContactEstimate(PROFILE), ContactEstimate(PROFILE), torques(np.full(6, 1.9))
+    seldom_in = [seldom.update(Q, push, 4 * DT)[0] for _ in range(6)]
+    often_in = [often.update(Q, push, DT)[0] for _ in range(24)]
+    assert seldom_in == often_in[3::4]
+    assert not often_in[0]
+    assert often_in[-1]
+    assert ContactEstimate(PROFILE).update(Q, push, float("inf")).all()
+
+
+def test_each_leg_is_judged_by_its_own_torques() -> None:
+    for leg in range(6):
+        push = np.zeros(6)
+        push[leg] = 6.0
+        np.testing.assert_array_equal(np.flatnonzero(settled(ContactEstimate(PROFILE), push)), [leg])
+
+
+@pytest.mark.parametrize("stretched", [np.zeros((6, 3)), np.full((6, 3), [0.0, 1.5, 0.0])])
+def test_a_stretched_leg_is_no_accident(stretched: Array) -> None:
+    """The Jacobian is singular there; the estimate stays finite, so the flags stay flags."""
+    estimate = ContactEstimate(PROFILE)
+    assert estimate.update(stretched, np.full((6, 3), 1.5), DT).dtype == bool
+    assert not settled(estimate, np.full(6, -5.0)).any()
+
+
+def test_what_it_returned_does_not_change_later() -> None:
+    estimate = ContactEstimate(PROFILE)
+    first = settled(estimate, np.full(6, 6.0))
+    settled(estimate, np.zeros(6))
+    assert first.all()
+
+
+def test_who_pushes_beyond_doubt_pushes_more_than_who_is_in_contact() -> None:
+    estimate = ContactEstimate(PROFILE)
+    assert settled(estimate, np.full(6, 2.0)).all()
+    assert not estimate.firm.any()
+    settled(estimate, np.where(TRIPOD, 4.0, 0.0))
+    np.testing.assert_array_equal(estimate.firm, TRIPOD)
+
+
+SPANNING = [[0, 2, 4], [1, 3, 5], [0, 1, 3, 4], [1, 2, 4, 5], [0, 1, 2, 3, 4], [0, 1, 2, 3, 4, 5]]
+TILT = st.floats(-0.15, 0.15)
+
+
+def by_loads(push: Array) -> ContactEstimate:
+    """An estimate of legs that one look has found under such forces (6,) [N]."""
+    estimate = ContactEstimate(PROFILE)
+    estimate.update(Q, torques(push), np.inf)
+    return estimate
+
+
+@given(st.sampled_from(SPANNING), TILT, TILT, st.lists(st.floats(-10.0, 2.9), min_size=6, max_size=6), st.floats(0.007, 0.08))
+def test_feet_over_the_plane_of_those_that_bear_the_body_are_in_the_air_whatever_friction_feigns(
+    down: list[int], roll: float, pitch: float, feigned: list[float], height: float
+) -> None:
+    stands = np.isin(np.arange(6), down)
+    level = PROFILE.rest_feet() + np.where(stands, 0.0, height)[:, None] * [0.0, 0.0, 1.0]
+    feet = apply(from_xyz_rpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)), level)
+    push = np.where(stands, 25.0 / len(down), feigned)
+    lifted = by_loads(push).lifted(feet)
+    np.testing.assert_array_equal(lifted == 0.0, stands)
+    np.testing.assert_allclose(lifted * np.cos(roll) * np.cos(pitch), np.where(stands, 0.0, height), atol=1e-9)
+
+
+@given(st.floats(0.02, 0.1), st.integers(0, 5))
+def test_a_foot_on_a_block_stands_for_it_pushes(height: float, leg: int) -> None:
+    feet = PROFILE.rest_feet()
+    feet[leg, 2] += height
+    assert not by_loads(np.full(6, 4.0)).lifted(feet).any()
+    push = np.full(6, 5.0)
+    push[leg] = 2.0
+    np.testing.assert_allclose(by_loads(push).lifted(feet), np.where(np.arange(6) == leg, height, 0.0), atol=1e-9)
+
+
+def test_where_no_three_feet_bear_the_body_those_that_carry_stand_or_all() -> None:
+    feet = PROFILE.rest_feet()
+    beside = np.isin(np.arange(6), [1, 2, 3])  # the right side
+    feet[4:, 2] += 0.02
+    np.testing.assert_allclose(by_loads(np.where(beside, 8.0, 0.0)).lifted(feet), [0.0, 0.0, 0.0, 0.0, 0.02, 0.02], atol=1e-9)
+    assert not by_loads(np.where(np.arange(6) < 2, 8.0, 0.0)).lifted(feet).any()
+    assert not by_loads(np.full(6, 5.0)).lifted(np.zeros((6, 3))).any(), "no plane is told from feet in one place"
+
+
+@pytest.mark.parametrize(("out_m", "bears"), [(0.004, True), (0.006, False)])
+def test_three_feet_bear_the_body_if_its_middle_is_hardly_outside_of_them(out_m: float, bears: bool) -> None:
+    """By a share of the weight, of which the foot in front would have to pull 4 or 6 hundredths."""
+    feet = np.array([[0.1 + out_m, 0.0, 0.05], [out_m, 0.1, 0.0], [out_m, -0.1, 0.0], *[[-0.1, 0.0, 0.02]] * 3])
+    lifted = by_loads(np.where(np.arange(6) < 3, 8.0, 0.0)).lifted(feet)
+    plane = (-0.1 - out_m) / 0.1 * 0.05
+    mean = 0.05 / 3
+    np.testing.assert_allclose(lifted, [0.0] * 3 + [0.02 - plane if bears else 0.0 if 0.02 - mean < 0.006 else 0.02 - mean] * 3)
+
+
+@pytest.mark.parametrize(("half_m", "tells"), [(0.018, True), (0.016, False)])
+def test_three_feet_tell_how_their_plane_lies_if_they_are_not_nearly_in_a_row(half_m: float, tells: bool) -> None:
+    """At a triangle of ten square centimetres."""
+    feet = np.array([[0.04, 0.0, 0.03], [-0.02, half_m, 0.0], [-0.02, -half_m, 0.0], *[[-0.1, 0.0, 0.03]] * 3])
+    lifted = by_loads(np.where(np.arange(6) < 3, 8.0, 0.0)).lifted(feet)
+    np.testing.assert_allclose(lifted, [0.0] * 3 + [0.03 - (-0.08 / 0.06 * 0.03) if tells else 0.03 - 0.01] * 3)
+
+
+def test_of_feet_that_bear_alike_those_count_that_stand_widest_around_the_body() -> None:
+    """So that millimetres by which feet stand unevenly add up to little: 0.4 mm in the mean of the narrowest would be 0.5."""
+    random, stands = np.random.default_rng(0), np.arange(6) < 5
+    off = list[float]()
+    for _ in range(300):
+        uneven = np.where(stands, random.uniform(-0.001, 0.001, 6), 0.02)
+        lifted = by_loads(np.where(stands, 2.5, 0.0)).lifted(PROFILE.rest_feet() + uneven[:, None] * [0.0, 0.0, 1.0])
+        off.append(np.abs(lifted - np.where(stands, 0.0, 0.02)).max())
+    assert np.mean(off) < 0.00045

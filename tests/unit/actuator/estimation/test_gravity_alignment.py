@@ -1,0 +1,283 @@
+"""The tilt of {odom} by an inertial sensor: it goes away, about the body, and nothing else moves; nonsense is not heeded."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sextant.services.actuator.estimation.gravity_alignment import Plumb
+from sextant.shared.geometry import Array, exp_so3, from_xyz_rpy, is_rigid, log_so3, rotation_from_rpy, transform, yaw_of
+from sextant.shared.messages import Imu
+from sextant.shared.profiles import load_profile
+
+G = np.array([0.0, 0.0, 9.81])
+MS = 1_000_000
+WILD = settings(max_examples=8, deadline=None)
+
+leans = st.tuples(st.floats(-0.14, 0.14), st.floats(-0.14, 0.14))
+
+
+def told(R_level_body: Array, for_s: float = 15.0) -> tuple[Plumb, int]:
+    """One that has heard a body at rest for a while, and the time [ns]."""
+    plumb, now_ns = Plumb(), 0
+    for now_ns in range(0, round(for_s * 1e9), 20 * MS):
+        plumb.take(Imu(now_ns, np.zeros(3), R_level_body.T @ G), now_ns)
+    return plumb, now_ns
+
+
+def lean(T: Array) -> float:
+    return float(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
+
+
+@WILD
+@given(leans, st.floats(-3.0, 3.0), st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)))
+def test_the_legs_frame_becomes_level_about_the_body(tilt: tuple[float, float], yaw: float, at: tuple[float, float]) -> None:
+    """The body is level, and the legs say that it leans."""
+    plumb, now_ns = told(np.eye(3))
+    T = from_xyz_rpy([*at, 0.1], [*tilt, yaw])
+    place, before = T[:3, 3].copy(), lean(T)
+    for _ in range(2000):
+        turn = plumb.turn(T, now_ns, 0.02)
+        if turn is None:
+            break
+        assert is_rigid(turn)
+        assert abs(log_so3(turn[:3, :3])[2]) < 1e-9, "about a level axis"
+        T = turn @ T
+        assert lean(T) <= before + 1e-9
+        before = lean(T)
+    np.testing.assert_allclose(T[:3, 3], place, atol=1e-9)
+    assert lean(T) < np.radians(0.7)
+    assert abs(np.sin(yaw_of(T) - yaw)) < 0.05
+
+
+def test_what_the_sensor_is_not_sure_of_is_left_to_the_legs() -> None:
+    plumb, now_ns = told(np.eye(3))
+    assert plumb.turn(from_xyz_rpy(np.zeros(3), (np.radians(0.3), 0.0, 0.0)), now_ns, 0.02) is None
+    assert plumb.turn(from_xyz_rpy(np.zeros(3), (np.radians(2.0), 0.0, 0.0)), now_ns, 0.02) is not None
+
+
+def test_without_a_sensor_nothing_is_said() -> None:
+    plumb, leaning = Plumb(), from_xyz_rpy(np.zeros(3), (0.5, 0.0, 0.0))
+    assert plumb.turn(leaning, 0, 0.02) is None
+    assert plumb.tipped(leaning, 0) == ""
+    assert plumb.problem(0) == ""
+
+
+@pytest.mark.parametrize(("off_deg", "said"), [(15.0, False), (25.0, True), (180.0, True)])
+def test_a_body_that_tips_over_is_told(off_deg: float, said: bool) -> None:
+    plumb, now_ns = told(rotation_from_rpy((np.radians(off_deg), 0.0, 0.0)))
+    words = plumb.tipped(np.eye(4), now_ns)
+    assert bool(words) == said
+    assert not said or f"{off_deg:.0f} deg off" in words
+
+
+def test_a_sensor_that_falls_silent_has_no_say() -> None:
+    plumb, now_ns = told(rotation_from_rpy((0.6, 0.0, 0.0)))
+    later_ns = now_ns + 500 * MS
+    assert plumb.attitude(now_ns) is not None
+    assert plumb.attitude(later_ns) is None
+    assert plumb.tipped(np.eye(4), later_ns) == ""
+    assert "no word from the IMU for 0.5 s" in plumb.problem(later_ns)
+
+
+def test_after_a_gap_it_has_to_become_sure_again() -> None:
+    plumb, now_ns = told(np.eye(3))
+    later_ns = now_ns + 500 * MS
+    plumb.take(Imu(later_ns, np.zeros(3), G), later_ns)
+    assert plumb.attitude(later_ns) is None
+    assert "sure to" in plumb.problem(later_ns)
+
+
+def test_a_reading_that_was_overtaken_says_nothing() -> None:
+    plumb, now_ns = told(np.eye(3))
+    before = plumb.attitude(now_ns)
+    assert before is not None
+    plumb.take(Imu(now_ns - 50 * MS, np.ones(3), np.ones(3)), now_ns)
+    after = plumb.attitude(now_ns)
+    assert after is not None
+    np.testing.assert_array_equal(after.up, before.up)
+    assert after.doubt == before.doubt
+
+
+def test_a_sensor_that_counts_in_g_is_not_heeded_and_that_is_said() -> None:
+    plumb, now_ns = Plumb(), 0
+    for now_ns in range(0, 5_000 * MS, 10 * MS):
+        plumb.take(Imu(now_ns, np.zeros(3), np.array([0.0, 0.0, 1.0])), now_ns)
+    assert plumb.turn(from_xyz_rpy(np.zeros(3), (0.1, 0.0, 0.0)), now_ns, 0.02) is None
+    assert "sure to" in plumb.problem(now_ns)
+
+
+COMING = np.array([True, False, True, False, True, False])
+FEET = load_profile("phantomx_mk2").rest_feet()
+
+
+def heaved(R_level_body: Array, T_odom_body: Array) -> NDArray[np.bool_]:
+    """What is said of a body that was as the legs say, and then leans otherwise while feet come down."""
+    plumb, now_ns = told(T_odom_body[:3, :3])
+    nothing = plumb.heaves(T_odom_body, FEET, np.zeros(6, dtype=bool), now_ns)
+    assert not nothing.any()
+    sudden, later_ns = told(R_level_body)
+    plumb._attitude, plumb._heard_ns = sudden.attitude(later_ns), now_ns
+    return plumb.heaves(T_odom_body, FEET, COMING, now_ns)
+
+
+@WILD
+@given(st.sampled_from([0, 2, 4]), st.floats(2.5, 8.0), st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1)))
+def test_the_foot_over_which_the_body_rises_lifts_it(leg: int, angle_deg: float, lean: tuple[float, float]) -> None:
+    """Its own corner goes up, whatever the body's attitude was, and no other foot is blamed."""
+    x, y = FEET[leg, :2] / np.hypot(*FEET[leg, :2])
+    before = rotation_from_rpy([*lean, 0.0])
+    R = before @ exp_so3(np.radians(angle_deg) * np.array([y, -x, 0.0]))
+    np.testing.assert_array_equal(heaved(R, from_xyz_rpy(np.zeros(3), [*lean, 0.0])), np.arange(6) == leg)
+
+
+@pytest.mark.parametrize("angle_deg", [1.0, -5.0])
+def test_a_little_is_nothing_and_nobody_lifts_where_only_standing_feet_are(angle_deg: float) -> None:
+    x, y = (FEET[0] + FEET[5])[:2] / np.hypot(*(FEET[0] + FEET[5])[:2])
+    found = heaved(exp_so3(np.radians(angle_deg) * np.array([y, -x, 0.0])), np.eye(4))
+    assert found.sum() == (angle_deg < -1.0)
+    assert not found[~COMING].any()
+
+
+@pytest.mark.parametrize("slipped", [0.0, 0.05, -0.08])
+def test_heading_that_slipping_feet_have_lost_is_made_up_by_the_gyro(slipped: float) -> None:
+    """The body turns by half a radian, and the legs saw that much less of it."""
+    plumb, now_ns = told(np.eye(3))
+    T, steps = from_xyz_rpy((1.0, 2.0, 0.1), np.zeros(3)), 100
+    for i in range(300):
+        rate = 0.5 / steps if i < steps else 0.0
+        now_ns += 20 * MS
+        plumb.take(Imu(now_ns, np.array([0.0, 0.0, rate / 0.02]), G), now_ns)
+        seen = rate * (1.0 - slipped / 0.5)
+        T = transform(T[:3, :3] @ exp_so3(np.array([0.0, 0.0, seen])), T[:3, 3])
+        turn = plumb.turn(T, now_ns, 0.02, step=1)
+        T = T if turn is None else turn @ T
+    assert yaw_of(T) == pytest.approx(0.5, abs=0.01)
+    np.testing.assert_allclose(T[:3, 3], (1.0, 2.0, 0.1), atol=1e-9)
+
+
+@pytest.mark.parametrize("yaw", [0.15, 1.2])
+def test_legs_that_count_anew_have_not_turned(yaw: float) -> None:
+    plumb, now_ns = told(np.eye(3))
+    plumb.turn(from_xyz_rpy(np.zeros(3), (0.0, 0.0, yaw)), now_ns, 0.02, step=1)
+    plumb.restart()
+    assert plumb.turn(np.eye(4), now_ns, 0.02, step=1) is None
+    assert plumb.turn(np.eye(4), now_ns, 0.02, step=1) is None
+
+
+def spun(plumb: Plumb, now_ns: int, rate: float, step: int | None, cycles: int) -> tuple[list[float], int]:
+    """By how much {odom} turns [rad] in each cycle while a gyro turns at a rate [rad/s] and no leg does, and the time [ns]."""
+    turned = []
+    for _ in range(cycles):
+        now_ns += 20 * MS
+        plumb.take(Imu(now_ns, np.array([0.0, 0.0, rate]), G), now_ns)
+        turn = plumb.turn(np.eye(4), now_ns, 0.02, step)
+        turned.append(0.0 if turn is None else yaw_of(turn))
+    return turned, now_ns
+
+
+@WILD
+@given(st.floats(-4.0, 4.0), st.integers(1, 200))
+def test_legs_that_hang_in_the_air_are_not_thrown_about_by_the_gyro(rate: float, cycles: int) -> None:
+    """None of their turning is seen by it: what is made up is little at a time, and little in all, and none at rest."""
+    plumb, now_ns = told(np.eye(3))
+    at_rest, now_ns = spun(plumb, now_ns, rate, None, cycles)
+    assert not np.any(at_rest)
+    in_step, now_ns = spun(plumb, now_ns, rate, 1, cycles)
+    assert np.abs(in_step).max() <= np.radians(3.0) * 0.02 + 1e-12
+    assert abs(sum(in_step)) <= np.radians(5.0) + 1e-9
+
+
+def test_a_gyro_that_is_far_off_the_legs_is_not_followed_until_the_next_step_and_that_is_said() -> None:
+    plumb, now_ns = told(np.eye(3))
+    _, now_ns = spun(plumb, now_ns, 1.0, 1, 50)
+    assert "heading is what the feet say" in plumb.problem(now_ns)
+    left, now_ns = spun(plumb, now_ns, 0.0, 1, 50)
+    assert not np.any(left)
+    following, now_ns = spun(plumb, now_ns, 0.02, 2, 50)
+    assert np.all(following)
+    assert plumb.problem(now_ns) == ""
+
+
+@WILD
+@given(st.floats(0.25, 0.34), st.floats(-3.0, 3.0))
+def test_levelling_ends_where_legs_cannot_lean_further_and_that_is_said(angle: float, way: float) -> None:
+    """The legs bring the body back to level by their own count, in the air or not, and the sensor does not see it."""
+    plumb, now_ns = told(exp_so3(angle * np.array([np.cos(way), np.sin(way), 0.0])))
+    total = np.eye(3)
+    for _ in range(1000):
+        turn = plumb.turn(np.eye(4), now_ns, 0.02)
+        total = total if turn is None else turn[:3, :3] @ total
+    assert np.radians(11.5) < np.arccos(total[2, 2]) <= np.radians(12.0) + 1e-9
+    assert plumb.turn(np.eye(4), now_ns, 0.02) is None
+    assert "more than the 12 deg" in plumb.problem(now_ns)
+    righted, later_ns = told(np.eye(3))
+    plumb._attitude, leaning = righted.attitude(later_ns), from_xyz_rpy(np.zeros(3), (0.1, 0.0, 0.0))
+    leaning[:3, :3] = total
+    assert plumb.turn(leaning, now_ns, 0.02) is not None, "back is always a way"
+    assert plumb.problem(now_ns) == ""
+
+
+def test_what_is_levelled_meanwhile_lifts_nobody() -> None:
+    """{odom} is wrong by some degrees and turns as feet come down; the body does not move."""
+    plumb, now_ns = told(np.eye(3))
+    T = from_xyz_rpy(np.zeros(3), (0.15, 0.1, 0.0))
+    plumb.heaves(T, FEET, np.zeros(6, dtype=bool), now_ns)
+    for _ in range(300):
+        turn = plumb.turn(T, now_ns, 0.02, step=1)
+        T = T if turn is None else turn @ T
+        assert not plumb.heaves(T, FEET, COMING, now_ns).any()
+    assert lean(T) < np.radians(3.0)
+
+
+def test_only_a_robot_that_has_stood_for_a_while_tells_what_its_gyro_is_off() -> None:
+    plumb, bias = Plumb(), np.array([0.0, 0.0, 0.004])
+    for i in range(600):
+        plumb.take(Imu(i * 20 * MS, bias, G), i * 20 * MS, still=i % 40 != 0)
+    assert plumb._estimator.bias[2] == 0.0
+    for i in range(600, 1000):
+        plumb.take(Imu(i * 20 * MS, bias, G), i * 20 * MS, still=True)
+    assert plumb._estimator.bias[2] == pytest.approx(0.004, abs=1e-4)
+
+
+@pytest.mark.parametrize("gap_ns", [150 * MS, 5_000 * MS, -5_000 * MS])
+def test_after_a_gap_one_reading_is_no_bias(gap_ns: int) -> None:
+    """Whoever stood before may turn now; another clock is a gap as well."""
+    plumb, noisy = Plumb(), np.array([0.015, -0.015, 0.015])
+    for i in range(600):
+        plumb.take(Imu(i * 20 * MS, np.zeros(3), G), i * 20 * MS, still=True)
+    now_ns = 600 * 20 * MS + gap_ns
+    for i in range(40):
+        plumb.take(Imu(now_ns + i * 20 * MS, noisy, G), now_ns + i * 20 * MS, still=True)
+    assert plumb._estimator.bias[2] == 0.0
+    assert np.abs(plumb._estimator.bias).max() < 1e-3
+
+
+@pytest.mark.parametrize(("unit", "believed"), [(1.0, True), (180.0 / np.pi, False)])
+def test_a_gyro_that_counts_in_degrees_is_not_heeded_and_that_is_said(unit: float, believed: bool) -> None:
+    """A body that rocks by two degrees and turns slowly."""
+    plumb, R, trusted, amplitude, beat = Plumb(), np.eye(3), [], np.radians(2.0), 2.0 * np.pi
+    for i in range(1500):
+        now_ns, t = i * 10 * MS, i * 0.01
+        rate = np.array([amplitude * beat * np.cos(beat * t), 0.0, 0.1])
+        R = R @ exp_so3(0.01 * rate) if i else R
+        plumb.take(Imu(now_ns, unit * rate, R.T @ G), now_ns)
+        trusted.append(plumb.attitude(now_ns) is not None)
+        assert believed or i < 800 or "rad/s" in plumb.problem(now_ns)
+    assert all(trusted[800:]) if believed else not any(trusted[800:])
+    assert not believed or plumb.problem(now_ns) == ""
+
+
+@pytest.mark.parametrize("length", [150.0, 1e19, 1.2e154, 1e200, 1e308])
+@pytest.mark.parametrize("of", ["gyro", "force"])
+def test_what_no_sensor_can_have_measured_is_left_out_and_that_is_said(length: float, of: str) -> None:
+    plumb, now_ns = told(np.eye(3))
+    before = plumb.attitude(now_ns)
+    gyro, force = (np.full(3, length), G) if of == "gyro" else (np.zeros(3), np.full(3, 20.0 * min(length, 1e306)))
+    plumb.take(Imu(now_ns + MS, gyro, force), now_ns + MS)
+    assert plumb.attitude(now_ns + MS) is before
+    assert "more than a sensor can measure" in plumb.problem(now_ns + MS)
+    later_ns = now_ns + 1001 * MS
+    plumb.take(Imu(later_ns, np.zeros(3), G), later_ns)
+    assert "more than a sensor can measure" not in plumb.problem(later_ns + MS)

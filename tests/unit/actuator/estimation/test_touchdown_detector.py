@@ -1,0 +1,292 @@
+"""What a femur's load says of the ground: nothing in free motion, a push soon after a foot has met something."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sextant.services.actuator.estimation.touchdown_detector import FEMUR, Feeler, FemurReading
+from sextant.services.actuator.locomotion.feedforward import link_torques
+from sextant.services.simulator.terrain import build_terrain
+from sextant.services.simulator.world import World
+from sextant.shared import dynamixel as dxl
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.kinematics import body_inverse
+from sextant.shared.profiles import load_profile
+from sextant.shared.scenario import Goal, Plane, Scenario
+
+PROFILE = load_profile("phantomx_mk2")
+SERVO = PROFILE.servo
+# Legs as far out as they are in the middle of most swings; nearer to the coxa a femur has less leverage, and feels less.
+OUT = np.column_stack([PROFILE.T_body_coxa[:, :2, 0], np.zeros(6)])
+Q = body_inverse(PROFILE, PROFILE.rest_feet() + (0.144 - PROFILE.foot_radii)[:, None] * OUT)
+LEG = 2
+PERIOD = 20_000_000
+STEPS = 20  # of the joint's own motion per cycle
+
+
+def femur(speed: float, load: float, stamp_ns: int, angle: float = 0.0) -> FemurReading:
+    """A reading in the last quarter of a cycle."""
+    return FemurReading(angle, speed, load, stamp_ns, stamp_ns - PERIOD * 3 // 4)
+
+
+class Swing(NamedTuple):
+    """What was felt on a way of one femur."""
+
+    touches: list[bool]  # cycle by cycle
+    pushes: list[float]  # [N]
+    met: int  # the cycle in which it met the ground, or -1
+
+
+def swing(goals: Array, armature: float = 1.0, ground: float = -np.inf, told: float = 0.3, coarse: bool = False) -> Swing:
+    """Feel the way of goals (n,) [rad] of one femur.
+
+    The servo is what it is in the simulator: a spring to its goal, damped, with dry friction, a leg and an armature behind it.
+    From the middle of the way on there is ground as hard as stone below a femur angle [rad]. Readings are taken when a cycle
+    begins, goals told after a share of it. A coarse servo counts in ticks, and keeps a compliance margin of one.
+    """
+    tick = dxl.TICK_RAD if coarse else 1e-9
+    goals = np.round(goals / tick) * tick
+    feeler = Feeler(PROFILE)
+    inertia = feeler._inertia + (armature - 1.0) * SERVO.armature
+    q, angle, speed, load, met = Q.copy(), float(goals[0]), 0.0, 0.0, -1
+    touches, pushes = list[bool](), list[float]()
+    dt = PERIOD * 1e-9 / STEPS
+    for cycle, goal in enumerate(goals):
+        before = goals[max(cycle - 1, 0)]
+        seen = round(angle / tick) * tick
+        q[LEG, FEMUR] = seen
+        q_goal = q.copy()
+        q_goal[LEG, FEMUR] = before
+        feeler.see(q, q_goal)
+        feeler.read(LEG, FemurReading(seen, speed, load, cycle * PERIOD, round((cycle - 1 + told) * PERIOD)))
+        touches.append(bool(feeler.touches[LEG]))
+        pushes.append(float(feeler.push[LEG]))
+        held = link_torques(PROFILE, q)[LEG, FEMUR]
+        for step in range(STEPS):
+            written = before if step < told * STEPS else goal
+            left = np.sign(written - angle) * max(abs(written - angle) - tick, 0.0)
+            load = float(np.clip(SERVO.stiffness * left, -SERVO.stall_torque, SERVO.stall_torque))
+            sunk = max(ground - angle, 0.0) if cycle > len(goals) / 2 else 0.0
+            if sunk and met < 0:
+                met = cycle
+            torque = load - held + 400.0 * sunk - SERVO.friction * np.tanh(speed / 0.02)
+            speed = (speed + dt * torque / inertia) / (1.0 + dt * (SERVO.damping + 4.0 * (sunk > 0)) / inertia)
+            angle += dt * speed
+    return Swing(touches, pushes, met)
+
+
+def stroke(height: float, cycles: int) -> Array:
+    """Up by a height [rad], down by as much, and rest, as smooth as swings are."""
+    s = np.linspace(0.0, 1.0, cycles)
+    up = height * np.sin(np.pi * s) ** 2
+    return np.asarray(Q[LEG, FEMUR] + np.concatenate([np.zeros(3), up, np.zeros(5)]))
+
+
+@given(st.floats(0.2, 0.8), st.integers(28, 60), st.floats(0.6, 1.6), st.floats(0.1, 0.9))
+@settings(max_examples=60)
+def test_free_motion_is_no_touch_whenever_in_the_cycle_goals_are_told(
+    height: float, cycles: int, armature: float, told: float
+) -> None:
+    assert not any(swing(stroke(height, cycles), armature, told=told).touches)
+
+
+@pytest.mark.parametrize("told", [0.2, 0.85, 0.95])
+def test_ticks_and_the_compliance_margin_are_no_touch(told: float) -> None:
+    for height, cycles in ((0.2, 40), (0.4, 34), (0.6, 34)):
+        assert not any(swing(stroke(height, cycles), told=told, coarse=True).touches)
+
+
+def test_full_torque_is_full_torque_whenever_it_was_asked() -> None:
+    """A femur that is far behind its goal pulls no harder for that, and no less."""
+    pushes = list[float]()
+    for since_ms in (0.5, 3.0, 6.0, 10.0, 18.0):
+        feeler, ahead = Feeler(PROFILE), Q.copy()
+        for cycle in range(3):
+            ahead[LEG, FEMUR] = Q[LEG, FEMUR] - 0.5 - 0.06 * cycle
+            feeler.see(Q, ahead)
+            stamp_ns = cycle * PERIOD
+            angle, full = float(Q[LEG, FEMUR]), -SERVO.stall_torque
+            feeler.read(LEG, FemurReading(angle, -3.5, full, stamp_ns, stamp_ns - round(since_ms * 1e6)))
+        pushes.append(float(feeler.push[LEG]))
+    np.testing.assert_allclose(pushes, pushes[0])
+
+
+def test_what_is_felt_hardly_depends_on_when_in_the_cycle_goals_are_told() -> None:
+    """The load of a femur that turns at 3 rad/s falls by 0.03 N m, a quarter of a newton at the foot, every millisecond."""
+    pushes = np.array([swing(stroke(0.6, 34), told=told).pushes for told in np.linspace(0.1, 0.9, 9)])
+    assert np.ptp(pushes, axis=0).max() < 0.7
+    assert np.abs(pushes).max() < 1.0
+
+
+def test_a_heavier_robot_asks_for_a_push_as_much_greater() -> None:
+    body = replace(PROFILE.body, mass=PROFILE.body.mass + PROFILE.body.total_mass)  # twice as heavy in all
+    for profile, felt in ((PROFILE, True), (replace(PROFILE, body=body), False)):
+        feeler = Feeler(profile)
+        for _ in range(3):
+            feeler.see(Q, Q)  # goals that do not change
+        held = link_torques(profile, Q)[LEG, FEMUR] - 3.0 * feeler._arm[LEG]
+        for cycle in range(3):
+            feeler.read(LEG, femur(0.0, held, cycle * PERIOD))
+        assert feeler.push[LEG] == pytest.approx(3.0)
+        assert feeler.touches[LEG] == felt
+
+
+@pytest.mark.parametrize("since_ms", [0.0, 2.0, 4.0])
+def test_a_servo_that_was_asked_before_it_heard_its_goal_is_known_by_its_pull(since_ms: float) -> None:
+    """It comes down at 3 rad/s, and pulls as hard as that takes: to the goal of before, and 20 ms later in its step."""
+    speed, step = -3.0, -3.0 * PERIOD * 1e-9
+    held = link_torques(PROFILE, Q)[LEG, FEMUR] + SERVO.damping * speed - 2.5 * SERVO.friction
+    goal = Q[LEG, FEMUR] + held / SERVO.stiffness  # of a spring that pulls as hard 8 ms after it was told
+    found = list[float]()
+    for heard in (True, False):
+        feeler = Feeler(PROFILE)
+        for cycle in range(4):
+            told = Q.copy()
+            told[LEG, FEMUR] = goal + cycle * step
+            feeler.see(Q, told)
+            late_ns = round(since_ms * 1e6) + (0 if heard else PERIOD)  # after the goal that it pulls to
+            angle = Q[LEG, FEMUR] + (cycle - (not heard)) * step + speed * (late_ns * 1e-9 - 0.008)
+            pull = SERVO.stiffness * (goal + (cycle - (not heard)) * step - angle)
+            stamp_ns = cycle * PERIOD + round(since_ms * 1e6)
+            feeler.read(LEG, FemurReading(angle, speed, pull, stamp_ns, cycle * PERIOD))
+        found.append(float(feeler.push[LEG]))
+    np.testing.assert_allclose(found, 0.0, atol=0.05)
+
+
+@pytest.mark.parametrize("armature", [0.7, 1.0, 1.4])
+@pytest.mark.parametrize("height", [0.4, 0.6])
+@pytest.mark.parametrize("told", [0.2, 0.3, 0.6])
+def test_ground_on_the_way_down_is_felt_within_three_readings(height: float, armature: float, told: float) -> None:
+    found = swing(stroke(height, 34), armature, ground=Q[LEG, FEMUR] + 0.4 * height, told=told)
+    assert found.met > 0
+    assert found.touches.index(True) - found.met in (1, 2, 3)
+
+
+def test_a_femur_at_full_torque_that_still_turns_fast_has_met_nothing() -> None:
+    """Of full torque something is left over that the model does not have; ground would have stopped the leg."""
+    robot = load_profile("lotriet_rx64")
+    q = body_inverse(robot, robot.rest_feet())
+    for speed, touches in ((-5.75, False), (0.0, True)):  # [rad/s]
+        feeler = Feeler(robot)
+        for k in range(4):
+            feeler.see(q, q)
+            feeler.read(LEG, femur(speed, -robot.servo.stall_torque, k * PERIOD))
+        assert feeler.touches[LEG] == touches
+
+
+def test_a_push_at_rest_is_a_foot_that_bears() -> None:
+    feeler = Feeler(PROFILE)
+    held = link_torques(PROFILE, Q)
+    for newton, bears in ((0.0, False), (1.5, True)):
+        arm = 0.1
+        for cycle in range(3):
+            feeler.see(Q, Q)
+            for leg in range(6):
+                feeler.read(leg, femur(0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD))
+        assert feeler.bears.all() == bears
+        assert not feeler.touches.any()
+        feeler.forget(np.ones(6, dtype=bool))
+        assert not feeler.bears.any()
+
+
+@pytest.mark.parametrize(
+    ("newton", "bears", "touches"), [(2.9, False, False), (3.1, True, False), (4.4, True, False), (4.6, True, True)]
+)
+def test_one_reading_is_enough_if_it_is_hard(newton: float, bears: bool, touches: bool) -> None:
+    feeler, held = Feeler(PROFILE), link_torques(PROFILE, Q)[LEG, FEMUR]
+    for cycle in range(3):
+        feeler.see(Q, Q)
+        push = newton * feeler._heavier * (cycle == 2)
+        feeler.read(LEG, femur(0.0, held - push * feeler._arm[LEG], cycle * PERIOD))
+    assert (feeler.bears[LEG], feeler.touches[LEG]) == (bears, touches)
+    feeler.read(LEG, femur(0.0, held, 6 * PERIOD))
+    assert feeler.push[LEG] == 0.0
+    assert not feeler.bears[LEG], "after a gap what was felt before it counts no more"
+
+
+def test_a_foot_leans_by_one_reading_and_bears_by_two() -> None:
+    feeler, arm = Feeler(PROFILE), 0.1
+    held = link_torques(PROFILE, Q)
+    for cycle, newton in enumerate((0.0, 0.0, 1.5, 1.5, 0.0)):
+        feeler.see(Q, Q)
+        for leg in range(6):
+            feeler.read(leg, femur(0.0, float(held[leg, FEMUR]) - newton * arm, (1 + cycle) * PERIOD))
+        assert feeler.leans.all() == feeler.leans.any() == (newton > 0)
+        assert feeler.bears.all() == feeler.bears.any() == (cycle == 3)
+
+
+def test_a_pull_that_ticks_or_the_margin_explain_does_not_tell_that_a_goal_was_not_heard() -> None:
+    """Its goal went down by a tick and a half; it pulls as to the one of before, by its margin."""
+    pushes = list[float]()
+    for told in (0.0, -1.5 * dxl.TICK_RAD):
+        feeler, goal = Feeler(PROFILE), Q.copy()
+        for cycle in range(3):
+            goal[LEG, FEMUR] = Q[LEG, FEMUR] + told * (cycle - 2)
+            feeler.see(Q, goal)
+            feeler.read(
+                LEG,
+                FemurReading(
+                    float(Q[LEG, FEMUR]), -1.0, -told * SERVO.stiffness, cycle * PERIOD, cycle * PERIOD - PERIOD // 10
+                ),
+            )
+        pushes.append(float(feeler.push[LEG] - told * SERVO.stiffness / feeler._arm[LEG]))
+    assert pushes[1] == pytest.approx(pushes[0], abs=0.1)
+
+
+def test_a_leg_is_silent_whose_servo_has_not_answered_for_a_while() -> None:
+    feeler = Feeler(PROFILE)
+    feeler.see(Q, Q)
+    assert feeler.silent(1_000_000_000).all()
+    feeler.read(LEG, femur(0.0, 0.0, 1_000_000_000))
+    np.testing.assert_array_equal(np.flatnonzero(~feeler.silent(1_250_000_000)), [LEG])
+    assert feeler.silent(1_400_000_000).all()
+
+
+@pytest.mark.parametrize("name", ["phantomx_mk2", "lotriet_rx64"])
+def test_a_leg_s_inertia_is_that_of_the_simulated_one_with_its_knee_bent_square(name: str) -> None:
+    robot = load_profile(name)
+    world = World(robot, build_terrain(Scenario("flat", (Plane(),), Goal(1.0)), np.random.default_rng(0)))
+    world.place(np.tile([0.0, 0.3, -np.pi / 2], (6, 1)), from_xyz_rpy((0.0, 0.0, 1.0), np.zeros(3)))
+    inertia = np.zeros((world.model.nv, world.model.nv))
+    mujoco.mj_fullM(world.model, world.data, inertia)
+    femora = 6 + 3 * np.arange(6) + FEMUR  # after the body's six freedoms
+    np.testing.assert_allclose(inertia[femora, femora], Feeler(robot)._inertia, rtol=0.05)
+
+
+def test_a_leg_is_heard_whose_last_two_readings_are_near_and_of_late() -> None:
+    feeler = Feeler(PROFILE)
+    feeler.see(Q, Q)
+    expected = []
+    for cycle, asked_in_vain in enumerate((False, False, False, True, False, True, True, False, False)):
+        now = cycle * PERIOD + PERIOD * 3 // 4
+        if not asked_in_vain:
+            feeler.read(LEG, femur(0.0, 0.0, now))
+        expected.append(bool(feeler.heard(now + 2_000_000)[LEG]))
+        assert not np.delete(feeler.heard(now), LEG).any()
+    # One that is missed is not yet felt, two are; and after these the first reading has none before it to be compared with.
+    assert expected == [False, True, True, True, True, True, False, False, True]
+
+
+def test_readings_far_apart_say_nothing() -> None:
+    feeler = Feeler(PROFILE)
+    for cycle in range(5):
+        feeler.see(Q, Q)
+        feeler.read(LEG, femur(0.0, -1.5, cycle * 4 * PERIOD))
+        assert feeler.push[LEG] == 0.0
+
+
+def test_noise_of_a_servo_is_no_touch_where_it_has_no_leverage() -> None:
+    """0.14 N m once, which free swings give now and then, would be 5 N on a foot that is 3 cm beside its femur's axis."""
+    feeler = Feeler(PROFILE)
+    near = body_inverse(PROFILE, PROFILE.rest_feet(0.13) + (PROFILE.links.coxa + 0.03 - PROFILE.foot_radii)[:, None] * OUT)
+    held = link_torques(PROFILE, near)
+    for cycle, noise in enumerate((0.0, 0.0, 0.14)):
+        feeler.see(near, near)
+        for leg in range(6):
+            feeler.read(leg, femur(0.0, float(held[leg, FEMUR]) - noise, cycle * PERIOD))
+        assert not feeler.touches.any()

@@ -1,0 +1,196 @@
+"""Ground forces by statics, and the goals that make up for the servos' spring."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sextant.services.actuator.locomotion.feedforward import (
+    GRAVITY,
+    centre_of_mass,
+    foot_forces,
+    lag_feed_forward,
+    link_torques,
+    outward_forces,
+    sag_feed_forward,
+)
+from sextant.shared.geometry import Array, from_xyz_rpy
+from sextant.shared.kinematics import body_forward, body_inverse, joint_torques, leg_points
+from sextant.shared.profiles import load_profile
+
+Flags = NDArray[np.bool_]
+
+PROFILE = load_profile("phantomx_mk2")
+WEIGHT = PROFILE.body.total_mass * GRAVITY
+REST = PROFILE.rest_feet()
+SHARES = st.lists(st.sampled_from([1.0, 0.7, 0.2]), min_size=6, max_size=6)
+TRIPODS = (np.arange(6) % 2 == 0, np.arange(6) % 2 == 1)
+
+
+def somewhere(seed: int) -> tuple[Array, Array]:
+    """Feet (6, 3) [m] near their rest, and a centre of mass (3,) [m] near the body's."""
+    rng = np.random.default_rng(seed)
+    return REST + rng.uniform(-0.02, 0.02, (6, 3)), np.array([*rng.uniform(-0.01, 0.01, 2), 0.0])
+
+
+def balance(feet: Array, forces: Array, centre: Array) -> Array:
+    """Sum of forces [N] and moments about x and y [N m] of vertical forces."""
+    arms = feet[:, :2] - centre[:2]
+    return np.array([forces.sum(), (forces * arms[:, 0]).sum(), (forces * arms[:, 1]).sum()])
+
+
+@given(st.integers(0, 2**32 - 1), SHARES)
+def test_forces_balance_weight_and_moments(seed: int, share: list[float]) -> None:
+    feet, centre = somewhere(seed)
+    forces = foot_forces(feet, np.array(share), WEIGHT, centre)
+    assert (forces >= 0).all()
+    np.testing.assert_allclose(balance(feet, forces, centre), [WEIGHT, 0.0, 0.0], atol=1e-2)
+
+
+@pytest.mark.parametrize("standing", TRIPODS)
+def test_a_tripod_carries_all_and_the_legs_in_the_air_nothing(standing: Flags) -> None:
+    forces = foot_forces(REST, standing.astype(float), WEIGHT, np.zeros(3))
+    np.testing.assert_array_equal(forces[~standing], 0.0)
+    np.testing.assert_allclose(balance(REST, forces, np.zeros(3)), [WEIGHT, 0.0, 0.0], atol=1e-2)
+
+
+@given(st.integers(0, 2**32 - 1), SHARES)
+def test_what_pushes_outwards_moves_nothing(seed: int, share: list[float]) -> None:
+    feet, centre = somewhere(seed)
+    vertical = foot_forces(feet, np.array(share), WEIGHT, centre)
+    forces = outward_forces(feet, vertical, centre)
+    arms = feet[:, :2] - centre[:2]
+    np.testing.assert_allclose(forces.sum(axis=0), 0.0, atol=1e-2)
+    np.testing.assert_allclose(arms[:, 0] @ forces[:, 1] - arms[:, 1] @ forces[:, 0], 0.0, atol=1e-9)
+    assert (np.linalg.norm(forces, axis=1) <= 0.3 * vertical + 1e-12).all()  # well below what friction holds
+
+
+@pytest.mark.parametrize("standing", TRIPODS)
+@pytest.mark.parametrize("name", ["phantomx_mk2", "lotriet_rx64"])
+def test_the_femora_of_a_tripod_that_pushes_outwards_bear_less(name: str, standing: Flags) -> None:
+    profile = load_profile(name)
+    feet = profile.rest_feet()
+    q = body_inverse(profile, feet)
+    centre, forces = centre_of_mass(profile, q), np.zeros((6, 3))
+    forces[:, 2] = foot_forces(feet, standing.astype(float), profile.body.total_mass * GRAVITY, centre)
+    without = np.abs(joint_torques(profile, q, forces))
+    forces[:, :2] = outward_forces(feet, forces[:, 2], centre)
+    pushing = np.abs(joint_torques(profile, q, forces))
+    assert (pushing[standing, 1] < 0.95 * without[standing, 1]).all()
+    assert (pushing.max(axis=1) <= without.max(axis=1)).all()  # nor does another joint take its place
+
+
+def test_a_leg_takes_less_with_a_smaller_share() -> None:
+    share = np.ones(6)
+    forces = []
+    for share[2] in (1.0, 0.6, 0.3, 0.0):
+        forces.append(foot_forces(REST, share, WEIGHT, np.zeros(3))[2])
+    assert (np.diff(forces) < 0).all()
+    assert forces[-1] == 0.0
+
+
+@given(st.lists(st.floats(0, 1), min_size=6, max_size=6), st.integers(0, 2**32 - 1))
+def test_forces_stay_bounded_whatever_the_shares(share: list[float], seed: int) -> None:
+    feet = REST + np.random.default_rng(seed).uniform(-0.1, 0.1, (6, 3))
+    forces = foot_forces(feet, np.array(share), WEIGHT, np.zeros(3))
+    assert np.isfinite(forces).all()
+    assert (forces >= 0).all()
+    assert forces.max() < 1e3 * WEIGHT
+
+
+def test_the_goal_of_a_loaded_femur_lies_below_where_it_is_to_rest() -> None:
+    q = body_inverse(PROFILE, REST)
+    sag = sag_feed_forward(PROFILE, q, REST, np.ones(6), np.eye(3))
+    assert (sag[:, 1] < 0).all()  # down: the ground pushes the foot, and with it the femur, up
+    beyond = body_forward(PROFILE, q + sag)
+    assert (beyond[:, 2] < REST[:, 2]).all()  # so the feet are commanded into the ground
+
+
+def test_without_a_load_the_legs_hold_up_themselves() -> None:
+    """By virtual work: the torque lifts the middles of the links as the joint turns."""
+    rng = np.random.default_rng(2)
+    q = rng.uniform(PROFILE.joint_limits[..., 0], PROFILE.joint_limits[..., 1])
+    torque = PROFILE.servo.stiffness * sag_feed_forward(PROFILE, q, body_forward(PROFILE, q), np.zeros(6), np.eye(3))
+    np.testing.assert_allclose(torque, link_torques(PROFILE, q), atol=1e-6)
+
+    def energy(angles: Array) -> Array:
+        points = leg_points(PROFILE, angles)[..., 2]
+        _, femur, tibia = PROFILE.body.leg_link_masses
+        middles = (points[:, 1:-1] + points[:, 2:]) / 2
+        return np.asarray(GRAVITY * (femur * middles[:, 0] + tibia * middles[:, 1]))
+
+    for joint in range(3):
+        turned = q.copy()
+        turned[:, joint] += 1e-6
+        np.testing.assert_allclose(torque[:, joint], (energy(turned) - energy(q)) / 1e-6, atol=1e-5)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_spring_comes_to_rest_where_it_is_wanted(seed: int) -> None:
+    """At the wanted angles a spring from goal to joint holds exactly the load: stiffness * (goal - q) = -J^T f."""
+    rng = np.random.default_rng(seed)
+    feet = REST + rng.uniform(-0.02, 0.02, (6, 3))
+    q = body_inverse(PROFILE, feet)
+    torque = PROFILE.servo.stiffness * sag_feed_forward(PROFILE, q, feet, np.ones(6), np.eye(3)) - link_torques(PROFILE, q)
+    centre = centre_of_mass(PROFILE, q)
+    vertical = foot_forces(feet, np.ones(6), WEIGHT, centre)
+    forces = np.column_stack([outward_forces(feet, vertical, centre), vertical])
+    for joint in range(3):  # by virtual work, without the Jacobian: the motor's work lifts nothing but what the ground gives
+        turned = q.copy()
+        turned[:, joint] += 1e-6
+        work = (forces * (body_forward(PROFILE, turned) - body_forward(PROFILE, q))).sum(axis=1) / 1e-6
+        np.testing.assert_allclose(torque[:, joint], -work, atol=1e-4)
+
+
+def test_on_a_slope_the_downhill_legs_carry_more() -> None:
+    R_level_body = from_xyz_rpy(np.zeros(3), (0.0, np.radians(10.0), 0.0))[:3, :3]  # nose down: the front feet are downhill
+    flat, tilted = (foot_forces(REST @ R.T, np.ones(6), WEIGHT, np.zeros(3)) for R in (np.eye(3), R_level_body))
+    assert (tilted[:2] > flat[:2]).all()
+    assert (tilted[3:5] < flat[3:5]).all()
+
+
+def test_it_never_asks_for_more_than_full_torque() -> None:
+    feet = REST * [2.0, 2.0, 1.0]
+    sag = sag_feed_forward(PROFILE, np.zeros((6, 3)), feet, np.array([1.0, 0, 1.0, 0, 0, 0]), np.eye(3))
+    assert np.abs(sag).max() <= PROFILE.servo.stall_torque / PROFILE.servo.stiffness + 1e-12
+
+
+@given(st.floats(0.0, 1.0))
+def test_while_standing_up_the_load_is_taken_up_gradually(share: float) -> None:
+    q = body_inverse(PROFILE, REST)
+    none, whole, part = (sag_feed_forward(PROFILE, q, REST, np.full(6, s), np.eye(3)) for s in (0.0, 1.0, share))
+    np.testing.assert_allclose(part - none, share * (whole - none), atol=1e-3)
+
+
+def test_what_holds_the_links_up_is_the_slope_of_their_potential() -> None:
+    """Turning a joint by a little lifts the centre of mass by the work of its torque over the weight."""
+    q = body_inverse(PROFILE, REST + np.random.default_rng(1).uniform(-0.03, 0.03, (6, 3)))
+    small = 1e-6
+    slopes = np.zeros((6, 3))
+    for index in np.ndindex(6, 3):
+        ends = []
+        for sign in (-1.0, 1.0):
+            turned = q.copy()
+            turned[index] += sign * small
+            ends.append(WEIGHT * centre_of_mass(PROFILE, turned)[2])
+        slopes[index] = (ends[1] - ends[0]) / (2 * small)
+    np.testing.assert_allclose(link_torques(PROFILE, q), slopes, atol=1e-7)
+
+
+def test_a_tripod_that_swings_forward_takes_the_centre_of_mass_along() -> None:
+    at_rest = centre_of_mass(PROFILE, body_inverse(PROFILE, REST))
+    np.testing.assert_allclose(at_rest[:2], 0.0, atol=1e-3)  # rear feet stand further out than front ones
+    ahead = REST + np.where(TRIPODS[0][:, None], [0.04, 0.0, 0.02], 0.0)
+    moved = centre_of_mass(PROFILE, body_inverse(PROFILE, ahead)) - at_rest
+    assert 0.002 < moved[0] < 0.02
+
+
+def test_a_servo_draws_the_torque_that_its_speed_costs_from_the_lead_of_its_goal() -> None:
+    rate = np.random.default_rng(0).uniform(-3.0, 3.0, (6, 3))
+    torque = PROFILE.servo.stiffness * lag_feed_forward(PROFILE, rate, 0.0)
+    np.testing.assert_allclose(torque, PROFILE.servo.damping * rate)
+    fastest = lag_feed_forward(PROFILE, np.full((6, 3), 100.0), 0.0)
+    np.testing.assert_allclose(PROFILE.servo.stiffness * fastest, PROFILE.servo.stall_torque)
+    lead = lag_feed_forward(PROFILE, rate, 0.02) - lag_feed_forward(PROFILE, rate, 0.0)
+    np.testing.assert_allclose(lead, 0.01 * rate)

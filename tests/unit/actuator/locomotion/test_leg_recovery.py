@@ -1,0 +1,90 @@
+"""Which legs hang, and when they may be put back."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sextant.services.actuator.locomotion.joint_rate_limits import FETCHED, GENTLE
+from sextant.services.actuator.locomotion.leg_recovery import HungLegs
+
+NONE = np.zeros(6, dtype=np.bool_)
+ONE = np.array([True, False, False])
+FREE = np.zeros((6, 3), dtype=np.bool_)
+SETS = st.sets(st.integers(0, 5)).map(lambda legs: np.isin(np.arange(6), list(legs)))
+
+
+def legs(*which: int) -> NDArray[np.bool_]:
+    return np.isin(np.arange(6), which)
+
+
+def joints(*which: int) -> NDArray[np.bool_]:
+    """A joint of each of these legs."""
+    return legs(*which)[:, None] & [False, True, False]
+
+
+def test_a_leg_that_went_limp_is_put_back_gently_once_it_pulls_again() -> None:
+    hung = HungLegs()
+    assert not hung.update(joints(2), joints(2), NONE).any()
+    assert not hung.dangling.any(), "it stood"
+    assert not hung.update(FREE, joints(2), NONE).any(), "it is not yet where it was sent"
+    np.testing.assert_array_equal(hung.update(FREE, FREE, NONE), legs(2))
+    np.testing.assert_array_equal(hung.hung, legs(2))
+    np.testing.assert_array_equal(hung.waiting, joints(2))
+    assert hung.put_back() == GENTLE
+    assert not hung.hung.any()
+    assert not hung.update(FREE, FREE, legs(2)).any()
+    np.testing.assert_array_equal(hung.waiting, joints(2), "it is on its way")
+    hung.update(FREE, FREE, NONE)
+    assert not hung.waiting.any()
+
+
+def test_a_leg_that_is_silent_hangs_if_it_was_in_the_air_and_is_fetched_faster() -> None:
+    hung = HungLegs()
+    assert not hung.update(FREE, joints(1, 4), legs(0, 2, 4)).any()
+    np.testing.assert_array_equal(hung.hung, legs(4))
+    np.testing.assert_array_equal(hung.dangling, legs(4))
+    hung.update(FREE, joints(1, 4), NONE)
+    np.testing.assert_array_equal(hung.dangling, legs(4))
+    np.testing.assert_array_equal(hung.update(FREE, joints(1), NONE), legs(4))
+    assert hung.put_back() == FETCHED
+
+
+def test_of_two_legs_one_that_is_still_limp_waits() -> None:
+    hung = HungLegs()
+    hung.update(joints(0, 3), joints(0, 3), legs(0, 2, 4))
+    np.testing.assert_array_equal(hung.update(joints(3), joints(3), NONE), legs(0))
+    assert hung.put_back() == GENTLE
+    np.testing.assert_array_equal(hung.hung, legs(3))
+    assert not hung.dangling.any()
+    np.testing.assert_array_equal(hung.update(FREE, FREE, NONE), legs(3))
+    assert hung.put_back() == GENTLE
+
+
+def test_a_leg_that_is_still_limp_neither_waits_to_be_put_back_nor_slows_the_others() -> None:
+    hung = HungLegs()
+    hung.update(joints(3), joints(0, 3), legs(0, 2, 4))
+    np.testing.assert_array_equal(hung.update(joints(3), joints(3), NONE), legs(0))
+    np.testing.assert_array_equal(hung.waiting, joints(0), "of 3 no joint pulls")
+    assert hung.put_back() == FETCHED
+    hung.update(joints(3), joints(3, 5), legs(0, 5))
+    np.testing.assert_array_equal(hung.waiting, joints(0), "5 is hung by now, and not on its way")
+    hung.update(joints(3), joints(3), legs(0, 5))
+    np.testing.assert_array_equal(hung.waiting, joints(0, 5))
+
+
+@given(st.lists(st.tuples(SETS, SETS, SETS, st.booleans()), max_size=20))
+def test_no_leg_comes_back_that_cannot_be_led_and_none_is_forgotten(
+    story: list[tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_], bool]],
+) -> None:
+    hung, owed = HungLegs(), NONE.copy()
+    for limp, silent, flying, may in story:
+        back = hung.update(limp[:, None] & ONE, (limp | silent)[:, None] & ONE, flying)
+        owed |= limp
+        assert not (back & limp).any()
+        assert not (hung.dangling & ~hung.hung).any()
+        assert not (owed & ~hung.hung).any()
+        if may and back.any():
+            hung.put_back()
+            owed &= ~back
+            assert not (hung.hung & back).any()

@@ -1,0 +1,320 @@
+"""The walk by what its feet feel: ground that is early, late, or not there."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sextant.services.actuator.estimation.touchdown_detector import Felt
+from sextant.services.actuator.locomotion.step_executor import Targets, Walker
+from sextant.shared.geometry import apply, from_xyz_rpy
+from sextant.shared.messages import StepPlan
+from tests.support.walker_steps import (
+    ALL,
+    DT,
+    NOTHING,
+    REST,
+    SETTINGS,
+    START,
+    TRIPOD,
+    body_at,
+    cycle,
+    largest_jump,
+    new_walker,
+    plan_to,
+    walk,
+)
+
+
+def stepping(walker: Walker, ground: dict[int, float], plan: StepPlan) -> list[Targets]:
+    """One step of legs that go where they are told, but for those that meet ground at a height [m] {odom}, and feel it."""
+    walker.accept(plan)
+    targets = [cycle(walker)]
+    while not walker.resting:
+        feet, touches = walker.feet_odom, NOTHING.copy()
+        for leg, height in ground.items():
+            touches[leg] = walker.awaiting[leg] and feet[leg, 2] <= height
+            feet[leg, 2] = max(feet[leg, 2], height)
+        targets.append(walker.update(DT, walker.body_ref, Felt(touches, ALL, feet)))
+    return targets
+
+
+def test_legs_that_feel_nothing_walk_as_the_plan_says() -> None:
+    plan = plan_to(1, body_at(0.06))
+    by_plan, _ = walk(new_walker(), [plan])
+    for a, b in zip(by_plan, stepping(new_walker(), {}, plan), strict=False):
+        np.testing.assert_array_equal(a.feet, b.feet)
+        np.testing.assert_array_equal(a.share, b.share)
+
+
+@given(st.floats(0.01, 0.035), st.sampled_from([0, 2, 4]))
+@settings(max_examples=15)
+def test_a_foot_that_meets_ground_early_stays_there_and_takes_up_load(height: float, leg: int) -> None:
+    walker, plan = new_walker(), plan_to(1, body_at(0.06))
+    low = float(plan.touchdown[leg, 2])
+    targets = stepping(walker, {leg: low + height}, plan)
+    others = TRIPOD & (np.arange(6) != leg)
+    np.testing.assert_allclose(walker.feet_odom[others], plan.touchdown[others], atol=1e-9)
+    assert walker.feet_odom[leg, 2] == pytest.approx(low + height, abs=1e-3)
+    assert walker.ground[leg] == pytest.approx(low + height)
+    np.testing.assert_array_equal(targets[-1].share, np.ones(6))
+    loads = [t.share[leg] for t in targets]
+    assert min(loads) == 0.0
+    assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
+    assert np.abs(np.diff(loads)).max() <= max(DT / SETTINGS.unload_s, DT / SETTINGS.load_s) + 1e-9
+
+
+def test_the_foot_that_stopped_is_where_the_stance_at_the_end_says() -> None:
+    walker, plan = new_walker(), plan_to(1, body_at(0.06))
+    walker.accept(plan)
+    low, expected = float(plan.touchdown[2, 2]), None
+    cycle(walker)
+    while not walker.resting:
+        feet = walker.feet_odom
+        touches = (np.arange(6) == 2) & walker.awaiting & (feet[:, 2] < low + 0.025)
+        walker.update(DT, walker.body_ref, Felt(touches, ALL, feet))
+        if touches.any():
+            expected = feet[2]
+        if expected is not None and not walker.resting:
+            np.testing.assert_allclose(walker.stance_at_end[1][2], expected, atol=1e-9)
+    np.testing.assert_allclose(walker.feet_odom[2], expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_at_rest_the_height_of_a_new_foothold_is_measured_and_a_foot_that_goes_on_sinking_is_not_followed_far(
+    known: bool,
+) -> None:
+    walker, plan, leg = new_walker(), plan_to(1, body_at(0.06)), 2
+    stepping(walker, {leg: float(plan.touchdown[leg, 2]) + 0.02}, plan)
+    stands, other = walker.feet_odom[leg, 2], walker.feet_odom[1, 2]
+    sure = ALL & ((np.arange(6) != leg) | known)
+    for sinks, follows in ((0.004, 0.004), (0.2, 0.010)):
+        for _ in range(100):
+            feet = walker.feet_odom
+            feet[leg, 2] = stands - sinks
+            walker.update(DT, walker.body_ref, Felt(NOTHING, ALL, feet, known=sure))
+        assert walker.feet_odom[leg, 2] == pytest.approx(stands - follows * known, abs=5e-4)
+        assert walker.ground[leg] == pytest.approx(stands - follows * known, abs=5e-4)
+    assert walker.feet_odom[1, 2] == pytest.approx(other, abs=1e-6)
+
+
+def test_what_is_felt_on_the_way_up_or_at_the_target_stops_nothing() -> None:
+    plan = plan_to(1, body_at(0.06))
+    walker = new_walker()
+    walker.accept(plan)
+    cycle(walker)
+    while not walker.resting:
+        feet = walker.feet_odom
+        near = feet[:, 2] < plan.touchdown[:, 2] + 0.004
+        rising = np.full(6, walker.phase < 0.4)
+        walker.update(DT, walker.body_ref, Felt(TRIPOD & (near | rising), ALL, feet))
+    np.testing.assert_allclose(walker.feet_odom[TRIPOD], plan.touchdown[TRIPOD], atol=1e-9)
+
+
+def test_legs_are_awaited_while_they_come_down_and_at_no_other_time() -> None:
+    walker = new_walker()
+    assert not walker.awaiting.any()
+    walker.accept(plan_to(1, body_at(0.06)))
+    heights, awaited = [], []
+    while not walker.resting or not heights:
+        cycle(walker)
+        heights.append(walker.feet_odom[0, 2])
+        awaited.append(walker.awaiting.copy())
+    assert not np.array(awaited)[:, ~TRIPOD].any()
+    assert not np.array(awaited)[: int(np.argmax(heights)) - 5].any()
+    landed = int(np.argmin(np.abs(np.array(heights[10:]) - heights[-1]) > 1e-9)) + 10
+    assert np.array(awaited)[int(np.argmax(heights)) + 1 : landed, TRIPOD].all()
+    assert not np.array(awaited)[landed:].any()
+
+
+def over_holes(walker: Walker, holes: dict[int, float], plans: list[StepPlan]) -> tuple[list[Targets], list[list[str]]]:
+    """Steps and half a second of rest of legs that bear where they stand, but for those that miss ground by some metres."""
+    foothold = {leg: float(plans[0].touchdown[leg, 2]) for leg in holes}
+    waiting, targets, said, rest_s = list(plans), [], [], 0.5
+    while waiting or rest_s > 0:
+        if waiting and walker.resting:
+            walker.accept(waiting.pop(0))
+        rest_s -= DT if walker.resting and not waiting else 0.0
+        feet, bears = walker.feet_odom, ~walker.swing
+        touches = walker.searching
+        for leg, depth in holes.items():
+            stands = feet[leg, 2] <= foothold[leg] - depth
+            bears[leg] &= stands or feet[leg, 0] < plans[0].touchdown[leg, 0] - 0.02  # back where it came from
+            touches[leg] &= stands
+        targets.append(walker.update(DT, walker.body_ref, Felt(touches, bears, feet)))
+        said.append([walker.trouble])
+    return targets, said
+
+
+STEPS_2 = [plan_to(1, body_at(0.05)), plan_to(2, body_at(0.10))]
+
+
+def test_feet_that_bear_walk_as_the_plan_says() -> None:
+    plain, proven = new_walker(), new_walker()
+    by_plan, _ = walk(plain, STEPS_2[:1], rest_s=0.1)
+    felt, said = over_holes(proven, {}, STEPS_2[:1])
+    for a, b in zip(by_plan, felt, strict=False):
+        np.testing.assert_array_equal(a.feet, b.feet)
+        np.testing.assert_array_equal(a.share, b.share)
+    assert said[-1] == [""]
+
+
+@given(st.floats(0.004, 0.036), st.sampled_from([0, 2, 4]))
+@settings(max_examples=10)
+def test_a_foot_over_lower_ground_reaches_down_to_it_before_others_lift(depth: float, leg: int) -> None:
+    walker = new_walker()
+    targets, said = over_holes(walker, {leg: depth}, STEPS_2)
+    low = float(STEPS_2[0].touchdown[leg, 2])
+    assert walker.feet_odom[leg, 2] == pytest.approx(low - depth, abs=2e-3)
+    assert any("lower than expected" in words for (words,) in said)
+    assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
+    assert [f for f in walker.drain_findings() if f.leg == leg][-1].carries
+    np.testing.assert_array_equal(targets[-1].share, np.ones(6))
+    assert walker.resting
+    np.testing.assert_allclose(walker.feet_odom[~TRIPOD], apply(START, REST)[~TRIPOD], atol=1e-9)  # nobody has lifted
+
+
+def called_off_after(leg: int, leans: bool, bears_from: int, unheard: int = 0) -> int | None:
+    """Cycles of waiting for a leg that leans, or bears from one of them on, before the next step is called off, if it is.
+
+    In so many of them, from the first on, it is asked in vain.
+    """
+    walker, waiting, waited = new_walker(), list(STEPS_2), 0
+    while not (walker.step == 2 and walker.load_share[~TRIPOD].max() == 0):  # others lift
+        if waiting and walker.resting:
+            walker.accept(waiting.pop(0))
+        waited += bool(walker.step == 2 and walker.awaiting[leg])
+        bears, feels = ~walker.swing, np.zeros(6, dtype=bool)
+        bears[leg], feels[leg] = waited >= bears_from, leans
+        walker.update(DT, walker.body_ref, Felt(~ALL, bears, walker.feet_odom, leans=feels, heard=ALL & (waited > unheard)))
+        if walker.searching.any():
+            return waited
+    return None
+
+
+@pytest.mark.parametrize("leg", [0, 2, 4])
+def test_a_foot_that_leans_on_the_ground_is_waited_for_a_little_longer(leg: int) -> None:
+    """By its last reading it may stand: the next one tells. Of a foot that feels nothing the wait is as short as ever."""
+    short, long = called_off_after(leg, False, 99), called_off_after(leg, True, 99)
+    assert short is not None
+    assert long is not None
+    assert short * DT < 0.12
+    assert short < long < short + 4
+    assert called_off_after(leg, False, short) is None
+    assert called_off_after(leg, False, short + 1) == short
+    assert called_off_after(leg, True, long) is None
+    assert called_off_after(leg, True, long + 1) == long
+
+
+@pytest.mark.parametrize("leans", [False, True])
+def test_a_foot_that_is_asked_in_vain_is_waited_for_as_long_as_it_is_so_but_not_for_ever(leans: bool) -> None:
+    usual = called_off_after(2, leans, 99)
+    assert usual is not None
+    for cycles in (1, 4, 9):  # in the first it does not wait yet
+        assert called_off_after(2, leans, 99, unheard=cycles) == usual + cycles - 1
+    for_ever = called_off_after(2, leans, 99, unheard=99)
+    assert for_ever is not None
+    assert (for_ever - usual) * DT == pytest.approx(0.2)
+
+
+def test_a_foot_that_stood_all_the_while_unfelt_pushes_its_body_by_millimetres_and_no_more() -> None:
+    """Of a foot below its femur's axis the femur feels nothing; all joints together do once the leg hardly moves."""
+    walker, leg = new_walker(), 2
+    low, waiting = float(STEPS_2[0].touchdown[leg, 2]), list(STEPS_2)
+    for _ in range(round(2.0 / DT)):
+        if waiting and walker.resting:
+            walker.accept(waiting.pop(0))
+        bears = ~walker.swing & (np.arange(6) != leg)
+        pushes = walker.feet_odom[:, 2] < low - 0.001
+        walker.update(DT, walker.body_ref, Felt(~ALL, bears, walker.feet_odom, pushes))
+        if walker.trouble.startswith("ground found"):
+            break
+    assert low - 0.008 < walker.feet_odom[leg, 2] < low - 0.004
+    assert not walker.searching.any()
+    assert "ground found" in walker.trouble
+
+
+@given(st.floats(0.5, 0.8), st.sampled_from([0, 2, 4]))
+@settings(max_examples=10)
+def test_a_foot_that_was_stopped_by_nothing_comes_down_before_others_lift(at: float, leg: int) -> None:
+    """A touch felt in the air may be none, for a leg that gathers speed feels alike: the foot has to bear first."""
+    walker, waiting, low = new_walker(), list(STEPS_2), float(STEPS_2[0].touchdown[leg, 2])
+    stopped, said = False, set()
+    for _ in range(round(6.0 / DT)):
+        if waiting and walker.resting:
+            walker.accept(waiting.pop(0))
+        stands = walker.feet_odom[:, 2] < low + 0.001
+        touches = walker.searching & stands
+        if walker.step == 1 and walker.phase > at and not stopped:
+            touches[leg] = stopped = True
+        walker.update(DT, walker.body_ref, Felt(touches, ~walker.swing & stands, walker.feet_odom))
+        said.add(walker.trouble)
+        if walker.step == 2 and walker.swing.any() and walker.feet_odom[~TRIPOD, 2].max() > low + 0.01:
+            break
+    assert walker.step == 2
+    assert walker.feet_odom[leg, 2] == pytest.approx(low, abs=2e-3)
+    assert not any("taken back" in words for words in said), "nothing was wrong with the step"
+
+
+@given(st.sampled_from([0, 2, 4]))
+@settings(max_examples=3)
+def test_without_ground_the_step_is_taken_back(leg: int) -> None:
+    walker = new_walker()
+    stood = walker.feet_odom
+    targets, said = over_holes(walker, {leg: 1.0}, STEPS_2)
+    assert walker.resting
+    np.testing.assert_allclose(walker.feet_odom[:, :2], stood[:, :2], atol=1e-6)
+    np.testing.assert_allclose(walker.body_ref[:2, 3], START[:2, 3], atol=1e-6)
+    assert "no ground under" in said[-1][0]
+    assert "taken back" in said[-1][0]
+    (lost,) = [f for f in walker.drain_findings() if not f.carries]
+    assert lost.leg == leg
+    assert STEPS_2[0].touchdown[leg, 2] - 0.045 < lost.p_odom[2] < STEPS_2[0].touchdown[leg, 2] - 0.03
+    assert largest_jump(targets) < 2.5 * 0.3 * DT / 0.6
+    assert min(t.feet[leg, 2] for t in targets) > REST[leg, 2] - 0.06, "it reaches down no further"
+    np.testing.assert_array_equal(targets[-1].share, np.ones(6))
+
+
+@pytest.mark.parametrize("at", [0.0, 0.2, 0.7])
+def test_when_the_ground_turns_feet_stand_and_land_on_it_and_the_body_goes_where_it_went(at: float) -> None:
+    """Once before the step and once in the middle of it, the waiting step's touchdowns, too."""
+    walker, plans = new_walker(), [plan_to(1, body_at(0.03)), plan_to(2, body_at(0.06), stop=True)]
+    walker.accept(plans[0])
+    while walker.phase < at or walker.resting:
+        cycle(walker)
+    if at > 0.5:
+        walker.accept(plans.pop())
+    turn = from_xyz_rpy((0.0, 0.0, 0.0), (0.03, -0.05, 0.0))
+    body, stance = walker.body_ref, walker.stance_at_end
+    standing = ~walker.swing
+    feet, ground = walker.feet_odom, walker.ground
+    walker.turn(turn)
+    np.testing.assert_allclose(walker.body_ref, body, atol=1e-12)
+    np.testing.assert_allclose(walker.feet_odom, apply(turn, feet), atol=1e-12)
+    np.testing.assert_allclose(walker.stance_at_end[1], apply(turn, stance[1]), atol=1e-12)
+    on_ground = apply(turn, np.column_stack([feet[:, :2], ground]))
+    np.testing.assert_allclose(walker.ground[standing], on_ground[standing, 2], atol=1e-12)
+    targets, _ = walk(walker, [])
+    assert largest_jump(targets) < 0.02
+    last = plan_to(2, body_at(0.06)) if at > 0.5 else plans[0]
+    np.testing.assert_allclose(walker.body_ref[:3, :3], last.body_goal[:3, :3], atol=1e-9)
+    landed = apply(turn, last.touchdown)
+    np.testing.assert_allclose(walker.feet_odom[last.swing], landed[last.swing], atol=2e-3)
+
+
+def test_a_foot_that_heaves_stays_where_it_is_and_has_to_prove_that_it_stands() -> None:
+    walker = new_walker()
+    walker.accept(plan_to(1, body_at(0.03)))
+    while walker.resting or walker.phase < 0.7:
+        walker.update(DT, walker.body_ref, Felt(np.zeros(6, dtype=bool), ALL, walker.feet_odom))
+    at = walker.feet_odom
+    heaves, bears = np.arange(6) == 2, np.arange(6) != 2
+    for _ in range(60):
+        walker.update(DT, walker.body_ref, Felt(np.zeros(6, dtype=bool), bears, at, heaves=heaves))
+    np.testing.assert_allclose(walker.feet_odom[2], at[2], atol=2e-3)
+    assert walker.feet_odom[0, 2] < at[0, 2]
+    walker.accept(plan_to(2, body_at(0.06)))
+    while not walker.searching.any():
+        assert not walker.resting or walker.step == 1
+        walker.update(DT, walker.body_ref, Felt(np.zeros(6, dtype=bool), bears, walker.feet_odom))
+    assert walker.searching.tolist() == heaves.tolist()

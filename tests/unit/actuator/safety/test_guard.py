@@ -1,0 +1,335 @@
+"""The guard under everything at once: a state machine against its laws. One by one they are in test_guard_orders and _plans."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from sextant.services.actuator.safety.command_ordering import ORDER_AGE_NS
+from sextant.services.actuator.safety.guard import AWAY_NS, DEADLINE_NS, LEASE_NS, Act, Guard
+from sextant.services.actuator.safety.health_monitor import Verdict
+from sextant.shared.messages import Mode, ModeCommand, StepPlan
+from tests.support.guarded import AGE_NS, BAD, BROKEN, CYCLE, ORDERS, PROFILE, SPENT, Robot, rested
+
+PLANS = ["next", "renewal", *BAD]
+HOLDERS = ("a", "b", "c")
+
+
+class Everything(RuleBasedStateMachine):
+    """Orders, plans, faults and time in any sequence. What is held against the guard is this small account of its own."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.robot = Robot(torque=False)
+        self.orders: list[ModeCommand] = []
+        self.newest: dict[str, int] = {}
+        self.holder, self.heard = "", -1
+        self.begun, self.off_at = self.robot.now, -1  # [ns]; when torque was ordered off last
+        self.ordered_to_walk = False  # by who leads, and nothing has come between
+        self.last: ModeCommand | None = None  # that was obeyed, by whichever guard; none where something else ended it
+        self.woke = -1  # [ns] when the computer did last
+        self.stamps = [-1]  # of accepted plans
+        self.considered: list[StepPlan] = []
+        self.accepted = -1  # [ns]
+        self.late = self.halted = self.seats = False
+        self.before: tuple[Mode, bool] = (Mode.OFF, False)
+
+    @property
+    def leader(self) -> str:
+        return self.holder if self.heard >= 0 and self.robot.now - self.heard <= LEASE_NS else ""
+
+    # -------------------------------------------------------------------------------------------------------- orders
+
+    @rule(
+        mode=st.sampled_from(ORDERS),
+        holder=st.sampled_from(HOLDERS),
+        take=st.booleans(),
+        off_ns=st.sampled_from([-10 * ORDER_AGE_NS, -ORDER_AGE_NS - 1, ORDER_AGE_NS + 1]),
+        number=st.integers(0, 10**18),
+    )
+    def an_order_that_is_not_of_now(self, mode: str, holder: str, take: bool, off_ns: int, number: int) -> None:
+        """It stops, at most, and nothing that comes later depends on it."""
+        order = ModeCommand(self.robot.now + off_ns, mode, number, holder, take)  # type: ignore[arg-type]
+        was, lease = self.robot.mode, self.leader
+        acts = self.robot.hear(order)
+        assert self.robot.guard.lease(self.robot.now) == lease
+        assert set(acts) <= {Act.LET_GO, Act.SET_DOWN, Act.FREEZE}
+        if mode not in ("off", "stop"):
+            assert (acts, self.robot.mode) == ((), was)
+            assert "at most 2 s allowed" in self.robot.guard.objection
+            return
+        if number > self.newest.get(holder, -1):
+            self.last = None
+        if mode == "off" and (acts or number > self.newest.get(holder, -1)):
+            self.off_at = self.robot.now
+            self.ordered_to_walk = self.seats = False
+        elif self.robot.mode is not was or acts:
+            self.ordered_to_walk = self.seats = False
+            self.halted |= was is Mode.WALK and mode == "stop"
+        elif mode == "stop" and number > self.newest.get(holder, -1):
+            self.ordered_to_walk = self.seats = False
+
+    @rule(mode=st.sampled_from(ORDERS), holder=st.sampled_from(HOLDERS), take=st.booleans(), skip=st.integers(1, 3))
+    def a_new_order(self, mode: str, holder: str, take: bool, skip: int) -> None:
+        number = max(self.newest.get(holder, 0) + skip, self.robot.now)
+        order = ModeCommand(self.robot.now, mode, number, holder, take)  # type: ignore[arg-type]
+        self.orders.append(order)
+        self.give(order)
+
+    @rule(
+        mode=st.sampled_from(ORDERS),
+        holder=st.sampled_from(HOLDERS),
+        take=st.booleans(),
+        age_ns=st.sampled_from([ORDER_AGE_NS, ORDER_AGE_NS + 1, AWAY_NS, AWAY_NS + 1]),
+    )
+    def an_order_that_was_given_a_while_ago(self, mode: str, holder: str, take: bool, age_ns: int) -> None:
+        """And is repeated since, but the link was cut."""
+        given_ns = self.robot.now - age_ns
+        if given_ns > self.newest.get(holder, -1):
+            order = ModeCommand(self.robot.now, mode, given_ns, holder, take)  # type: ignore[arg-type]
+            self.orders.append(order)
+            self.give(order)
+
+    def give(self, order: ModeCommand) -> None:
+        """An order that the guard does not know."""
+        mode, holder, take, given_ns = order.mode, order.holder, order.take, order.sequence
+        self.newest[holder] = given_ns
+        was, leads, last = self.robot.mode, self.leader, self.last
+        may = mode in ("off", "stop") or not leads or leads == holder or take
+        acts = self.robot.hear(order)
+        if not may:
+            assert acts == ()
+            assert self.robot.mode is was
+            assert leads in self.robot.guard.objection
+            return
+        age_ns = self.robot.now - given_ns
+        if "by its sequence" in self.robot.guard.objection and mode not in ("off", "stop"):
+            assert (acts, self.robot.mode) == ((), was)
+            assert age_ns > ORDER_AGE_NS or given_ns < self.off_at or given_ns < self.begun or given_ns <= self.woke
+            return
+        self.obeyed(order, was, acts)
+        if mode in ("ready", "stand", "sit") and age_ns > ORDER_AGE_NS:
+            assert (acts, self.robot.mode) == ((), was)
+            assert self.robot.guard.objection
+        if mode == "walk" and (age_ns > AWAY_NS or given_ns < self.begun) and not self.robot.guard.objection:
+            assert self.robot.now - self.begun <= AWAY_NS
+            assert last is not None, "of before this guard no order but the last is obeyed"
+            assert (last.holder, last.sequence) == (holder, given_ns)
+        assert mode in ("off", "stop") or given_ns > self.woke
+        if was is Mode.OFF and Act.GRIP in acts:
+            assert given_ns >= self.off_at
+        if mode == "off":
+            self.off_at = max(self.off_at, min(given_ns, self.robot.now))
+
+    def obeyed(self, order: ModeCommand, was: Mode, acts: tuple[Act, ...]) -> None:
+        guard, mode = self.robot.guard, order.mode
+        if mode not in ("off", "stop") or order.take:
+            self.ordered_to_walk &= self.holder == order.holder
+            self.holder = order.holder
+        if self.holder == order.holder:
+            self.heard = self.robot.now
+        wrong = self.robot.verdict.broken or self.robot.verdict.sit
+        if mode == "off":
+            assert acts == (Act.LET_GO,)
+            assert guard.mode is Mode.OFF
+        if Act.GRIP in acts:
+            assert mode in ("ready", "stand")
+            assert was in (Mode.OFF, Mode.READY, Mode.FAULT)
+            assert was is not Mode.OFF or not wrong
+        assert (Act.LET_GO in acts) == (mode == "off")
+        assert Act.RISE not in acts or mode == "stand"
+        assert not guard.objection or (acts == () and guard.mode is was), "what is refused does nothing"
+        if was is Mode.OFF and mode not in ("ready", "stand"):
+            assert guard.mode is Mode.OFF
+        if not guard.objection:
+            self.last = order
+            self.ordered_to_walk = mode == "walk"
+            self.seats = mode == "sit" and was is not Mode.OFF
+        if was is Mode.WALK and mode != "walk" and mode != "off":
+            assert acts == (Act.SET_DOWN,)
+            self.halted |= mode != "sit"
+
+    @precondition(lambda self: self.orders)
+    @rule(data=st.data())
+    def an_order_again(self, data: st.DataObject) -> None:
+        order = replace(data.draw(st.sampled_from(self.orders)), stamp_ns=self.robot.now)
+        if order.sequence > self.newest.get(order.holder, -1):
+            self.give(order)  # the guard has begun anew
+            return
+        guard, was, reason = self.robot.guard, self.robot.mode, self.robot.guard.reason
+        assert self.robot.hear(order) == ()
+        assert (guard.mode, guard.reason) == (was, reason)
+        if order.sequence == self.newest[order.holder]:
+            if order.holder == self.holder:
+                self.ordered_to_walk &= self.robot.now - self.heard <= AWAY_NS
+                self.heard = self.robot.now
+        else:
+            assert "older" in guard.objection
+
+    @rule(kept=st.booleans())
+    def it_begins_anew(self, kept: bool) -> None:
+        """Whoever orders goes on repeating it; the robot stands, or lies, as it did, and what was in force may be known."""
+        robot = self.robot
+        walk, self.last = (robot.guard.walk_order(robot.now), self.last) if kept else (None, None)
+        robot.now += CYCLE
+        off_ns = -1 if robot.torque else self.off_at
+        robot.guard = Guard(PROFILE, AGE_NS * 1e-9, robot.now, robot.torque, off_ns=off_ns, walk=walk)
+        rested(robot)
+        robot.still, robot.posing, robot.next = False, "", None
+        robot.step, robot.swing = 0, np.zeros(6, dtype=bool)
+        robot.guard.watch(robot.now, robot.legs, robot.verdict)
+        self.newest, self.holder, self.heard, self.begun, self.woke = {}, "", -1, robot.now, -1
+        self.ordered_to_walk = self.late = self.halted = self.seats = False
+
+    @rule()
+    def the_computer_wakes(self) -> None:
+        robot, was = self.robot, self.robot.mode
+        acts = robot.perform(robot.guard.woke(60.0, robot.now))
+        assert acts == {Mode.WALK: (Act.SET_DOWN,), Mode.STAND: (Act.FREEZE,), Mode.SIT: (Act.FREEZE,)}.get(was, ())
+        assert robot.guard.walk_order(robot.now) is None
+        self.holder, self.heard, self.last, self.woke = "", -1, None, robot.now
+        self.ordered_to_walk, self.halted = False, self.halted or was is Mode.WALK
+        self.seats &= bool(robot.verdict.sit)
+
+    @rule()
+    def nobody_says_anything_for_long(self) -> None:
+        self.time_passes(AWAY_NS, 1, ends=False)
+
+    # --------------------------------------------------------------------------------------------------------- plans
+
+    @rule(kind=st.sampled_from(PLANS))
+    def a_plan(self, kind: str) -> None:
+        robot = self.robot
+        robot.now += 1
+        match kind:
+            case "next":
+                self.consider(robot.plan(), good=True)
+            case "renewal":
+                self.consider(robot.renewal(), good=robot.legs.planned)
+            case _:
+                self.consider(BAD[kind][0](robot), good=False)
+
+    @precondition(lambda self: self.considered)
+    @rule(data=st.data())
+    def a_plan_again(self, data: st.DataObject) -> None:
+        self.consider(data.draw(st.sampled_from(self.considered)), good=False)
+
+    def consider(self, plan: StepPlan, good: bool) -> None:
+        robot = self.robot
+        was, reason = robot.mode, robot.guard.reason
+        taken = robot.consider(plan)
+        if not taken:
+            assert robot.guard.refused
+            assert (robot.mode, robot.guard.reason) == (was, reason)
+            return
+        assert good
+        assert plan.stamp_ns > max(self.stamps)
+        assert abs(robot.now - plan.stamp_ns) <= AGE_NS
+        assert plan.epoch == robot.guard.epoch
+        assert plan.step == robot.step + 1 or (plan.step == robot.step and robot.legs.planned)
+        assert was in (Mode.HOLD, Mode.WALK)
+        assert self.leader, "a living lease"
+        assert self.ordered_to_walk
+        assert not robot.verdict.broken
+        assert not any((robot.guard.tipped, robot.searching, self.late, self.seats))
+        assert (robot.mode, robot.guard.refused) == (Mode.WALK, "")
+        self.stamps.append(plan.stamp_ns)
+        self.considered.append(plan)
+        self.accepted, self.halted = robot.now, False
+
+    # ---------------------------------------------------------------------------------------------------- what happens
+
+    @rule(
+        after=st.sampled_from([1, CYCLE, CYCLE, 2 * CYCLE, DEADLINE_NS, LEASE_NS // 2]),
+        count=st.integers(1, 4),
+        ends=st.booleans(),
+    )
+    def time_passes(self, after: int, count: int, ends: bool) -> None:
+        for k in range(count):
+            self.one_cycle(after, ends and k == count - 1)
+
+    def one_cycle(self, after: int, ends: bool) -> None:
+        robot = self.robot
+        was, walked = robot.mode, robot.mode is Mode.WALK
+        acts = robot.cycle(after, ends)
+        assert Act.GRIP not in acts
+        assert Act.RISE not in acts
+        assert was is not Mode.OFF or (acts == () and robot.mode is Mode.OFF)
+        assert Act.LET_GO not in acts or (was is Mode.SIT and ends), "nothing lets go of a robot that is up, but an order"
+        overdue = robot.legs.planned and robot.now - self.accepted > DEADLINE_NS
+        if walked and overdue and not self.late and not self.halted:
+            assert Act.SET_DOWN in acts
+            self.late = True
+        if walked and robot.verdict.broken:
+            assert Act.SET_DOWN in acts
+            assert robot.mode is Mode.FAULT
+        if robot.verdict.sit:
+            self.ordered_to_walk = False
+        if robot.mode is Mode.HOLD and walked and self.halted and not robot.guard.tipped:
+            assert robot.guard.reason.startswith("ordered to stop")
+        if robot.mode is not Mode.WALK:
+            self.late = self.halted = False
+            self.seats &= robot.mode is Mode.FAULT
+        if robot.verdict.broken:
+            assert robot.mode in (Mode.OFF, Mode.READY, Mode.FAULT, Mode.SIT)
+            assert robot.mode is not Mode.FAULT or robot.guard.reason == robot.verdict.broken
+
+    @rule(verdict=st.sampled_from([Verdict(), Verdict(), BROKEN, SPENT, replace(SPENT, broken="a servo is silent")]))
+    def servos_fare(self, verdict: Verdict) -> None:
+        self.robot.verdict = verdict
+        self.one_cycle(CYCLE, ends=False)
+
+    @precondition(lambda self: self.robot.mode in (Mode.HOLD, Mode.WALK))
+    @rule()
+    def it_tips(self) -> None:
+        was = self.robot.mode
+        assert self.robot.perform(self.robot.guard.tip("it leans")) == ((Act.SET_DOWN,) if was is Mode.WALK else ())
+        self.ordered_to_walk, self.last = False, None
+
+    @precondition(lambda self: self.robot.running)
+    @rule(what=st.sampled_from(["own", "searching"]))
+    def the_walk_has_its_troubles(self, what: str) -> None:
+        """A step is taken back, or a foot finds no ground."""
+        self.robot.own, self.robot.searching = True, what == "searching"
+        self.robot.running = not self.robot.searching
+
+    # ------------------------------------------------------------------------------------------------------ at any time
+
+    @invariant()
+    def torque_is_on_but_when_it_is_off(self) -> None:
+        assert self.robot.torque is (self.robot.mode is not Mode.OFF)
+
+    @invariant()
+    def one_leads(self) -> None:
+        assert self.robot.guard.lease(self.robot.now) == self.leader
+
+    @invariant()
+    def it_says_why(self) -> None:
+        assert self.robot.guard.reason
+
+    def teardown(self) -> None:
+        """Nothing has barred the way: whole again, anybody has it walk in a few orders, and anybody stops all in one."""
+        robot = self.robot
+        robot.verdict = Verdict()
+        rested(robot)
+        assert robot.mode in (Mode.OFF, Mode.READY, Mode.HOLD)
+        robot.order("stand", "d", take=True)
+        robot.cycle(ends=True)
+        assert robot.mode is Mode.HOLD, robot.guard.objection
+        robot.order("walk", "d")
+        assert robot.consider(robot.plan()), robot.guard.refused
+        robot.cycle()
+        assert robot.order("off", "e") == (Act.LET_GO,)
+        assert not robot.torque
+
+
+TestEverything = Everything.TestCase
+TestEverything.settings = settings(
+    max_examples=60,
+    stateful_step_count=40,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+)

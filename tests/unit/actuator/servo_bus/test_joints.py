@@ -1,0 +1,275 @@
+"""The joints behind the emulated bus, byte for byte: taken over, behind with goals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.locomotion.joint_rate_limits import GENTLE, LOWERED
+from sextant.services.actuator.safety.health_monitor import SILENT
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusSetupError
+from sextant.services.actuator.servo_bus.joints import Joints
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Instruction
+from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
+
+# ---------------------------------------------------------------------------------------------------------- a beginning
+
+
+@pytest.mark.parametrize("torque", [True, False])
+def test_a_beginning_moves_nobody_and_turns_nothing_on_or_off(torque: bool) -> None:
+    rig = JointsRig(torque)
+    before = rig.bank.tables[:, dxl.TORQUE_ENABLE.address : dxl.TORQUE_LIMIT.address + 2].copy()
+    rig.start()
+    assert (rig.joints.torque == torque).all()
+    rig.cycle(3)
+    after = rig.bank.tables[:, dxl.TORQUE_ENABLE.address : dxl.TORQUE_LIMIT.address + 2]
+    np.testing.assert_array_equal(after, before)
+    assert not {GOALS, TORQUE} & set(rig.orders())
+
+
+def test_it_knows_of_each_servo_whether_it_pulls() -> None:
+    rig = JointsRig()
+    rig.put(SERVO, dxl.TORQUE_ENABLE, 0)
+    rig.start()
+    assert np.flatnonzero(~rig.joints.torque).tolist() == [SERVO]
+    assert rig.joints.vitals.limp.tolist() == (~rig.joints.torque).tolist()
+
+
+@pytest.mark.parametrize("way", ["at the start", "on its return"])
+def test_goals_that_stand_in_the_servos_are_kept_within_ten_degrees_and_else_they_are_where_the_joints_are(way: str) -> None:
+    off = np.radians(np.linspace(-20.0, 20.0, 18))
+    rig = JointsRig(torque=False, off=off if way == "at the start" else 0.0).start()
+    if way == "on its return":
+        rig.suffer("bus", "gone", 0.5)
+        rig.until(lambda: rig.joints.gone != "")
+        for row, goal in enumerate(STAND + off):
+            rig.put(row, dxl.GOAL_POSITION, dxl.ticks_from_angle(goal))
+        rig.until(lambda: rig.joints.gone == "")
+    expected = PROFILE.joint_angles((STAND + np.where(np.abs(off) < np.radians(10.0), off, 0.0)).reshape(6, 3))
+    np.testing.assert_allclose(rig.joints.goals, expected, atol=TICK)
+    np.testing.assert_allclose(rig.joints.q, rig.measured, atol=TICK)
+
+
+@pytest.mark.parametrize("lock", [True, False])
+def test_a_beginning_locks_what_servos_keep_without_power_if_the_robot_says_so(lock: bool) -> None:
+    rig = JointsRig()
+    rig.joints = Joints(replace(PROFILE, servo=replace(PROFILE.servo, lock_eeprom=lock)), Settings(), rig.opener, rig.clock)
+    rig.cycle(1)
+    assert rig.registers(dxl.LOCK) == [int(lock)] * 18
+    rig.put(SERVO, dxl.TORQUE_LIMIT, 300)
+    said = len(rig.bus.said)
+    rig.start()
+    rig.joints.grip()
+    rig.cycle(1)
+    assert (f"{dxl.LOCK.name} of {IDS[0]}" in rig.orders(said)) == (not lock), "once is enough"
+    assert rig.registers(dxl.TORQUE_LIMIT) == [dxl.TORQUE_LIMIT.max] * 18, "what moves a joint is not locked"
+
+
+@pytest.mark.parametrize("torque", [True, False])
+def test_a_servo_that_was_left_weak_is_known_and_stays_so_until_an_order_takes_it_up_where_it_is(torque: bool) -> None:
+    rig = JointsRig(torque, off=np.radians(5.0))
+    rig.put(SERVO, dxl.TORQUE_LIMIT, 300)
+    rig.start()
+    rig.cycle(5, write=True)
+    np.testing.assert_allclose(rig.joints.vitals.strength, np.where(np.arange(18) == SERVO, 300 / 1023, 1.0))
+    assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 300
+    said, where = len(rig.bus.said), rig.measured[LEG, JOINT]
+    rig.joints.grip()
+    rig.cycle(1)
+    assert rig.orders(said)[-2:] == [f"{dxl.GOAL_POSITION.name} of {IDS[SERVO]}", f"{dxl.TORQUE_LIMIT.name} of {IDS[SERVO]}"]
+    assert rig.registers(dxl.TORQUE_LIMIT) == [dxl.TORQUE_LIMIT.max] * 18
+    assert abs(rig.measured[LEG, JOINT] - where) < TICK
+    assert (rig.joints.vitals.strength == 1.0).all()
+
+
+def test_less_torque_than_the_data_sheets_is_not_weak_where_the_servo_keeps_that_for_its_most() -> None:
+    rig = JointsRig()
+    rig.put(SERVO, dxl.MAX_TORQUE, 800)
+    rig.put(SERVO, dxl.TORQUE_LIMIT, 800)
+    rig.start()
+    assert (rig.joints.strength == 1.0).all()
+
+
+def test_a_servo_that_has_shut_down_for_its_heat_is_not_taken_up() -> None:
+    rig = JointsRig()
+    rig.bank._faults[SERVO] = int(dxl.ServoError.OVERHEATING)
+    rig.put(SERVO, dxl.LED, 0)
+    rig.bank.tables[SERVO, dxl.TORQUE_LIMIT.address :][:2] = 0
+    rig.start()
+    rig.cycle(8)
+    rig.joints.grip()
+    rig.cycle(1)
+    assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 0
+
+
+def test_a_joint_that_hangs_beyond_its_limit_is_taken_up_at_the_limit_and_slowly() -> None:
+    rig = JointsRig().start()
+    rig.cycle(8, write=True)
+    low = PROFILE.joint_limits[LEG, JOINT, 0]
+    rig.joints.q[LEG, JOINT] = low - np.radians(5.0)
+    rig.joints.revive(SERVO)
+    assert rig.joints.goals[LEG, JOINT] == low
+    assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
+
+
+def test_a_joint_beyond_its_limit_gets_the_limit_for_its_goal_when_torque_is_ordered_on_and_goes_there_slowly() -> None:
+    rig = JointsRig(torque=False).start()
+    rig.cycle(8)
+    low = PROFILE.joint_limits[LEG, JOINT, 0]
+    rig.joints.q[LEG, JOINT] = low - np.radians(12.0)
+    rig.joints.grip()
+    assert rig.joints.goals[LEG, JOINT] == low
+    assert rig.said_speeds == [dxl.moving_speed_from(GENTLE) if row == SERVO else 0 for row in range(18)]
+
+
+def test_a_servo_that_was_set_up_weaker_is_woken_with_no_more_than_that() -> None:
+    rig = JointsRig()
+    rig.put(SERVO, dxl.MAX_TORQUE, 700)
+    rig.put(SERVO, dxl.TORQUE_LIMIT, 700)
+    rig.start()
+    rig.cycle(8)
+    rig.joints.revive(SERVO)
+    assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 700
+
+
+def test_nothing_is_known_before_the_first_readings_and_then_all_is() -> None:
+    rig = JointsRig().start()
+    assert np.isnan(rig.joints.voltage).all()
+    assert np.isnan(rig.joints.temperature).all()
+    assert rig.joints.vitals.newest == np.inf
+    rig.cycle(8)
+    assert (rig.joints.voltage > 9.0).all()
+    assert (rig.joints.temperature > 15.0).all()
+    assert rig.joints.vitals.newest < 0.05
+    assert rig.joints.vitals.trouble == ""
+
+
+def test_what_is_lost_counts_once_the_bus_has_been_watched_for_a_while() -> None:
+    rig = JointsRig().start()
+    rig.suffer("packets", "silent", 0.5, share=0.5)
+    losses = []
+    for _ in range(15):
+        rig.cycle(write=True)
+        losses.append(rig.joints.vitals.loss)
+    assert losses[:9] == [0.0] * 9
+    assert min(losses[12:]) > 0.3
+
+
+def test_servos_may_take_a_while_to_answer_at_the_start_and_no_longer() -> None:
+    rig = JointsRig()
+    rig.suffer("bus", "silent", 1.0)
+    rig.start()
+    np.testing.assert_allclose(rig.joints.q, rig.measured, atol=TICK)
+    dead = JointsRig()
+    dead.suffer("bus", "silent", 100.0)
+    with pytest.raises(BusSetupError, match="none of the 18 servos answers"):
+        dead.start()
+
+
+def test_an_order_to_let_go_that_comes_while_servos_are_asked_does_not_wait_for_the_last_of_them() -> None:
+    rig = JointsRig()
+    asked = list[int]()
+
+    def latched() -> bool:
+        asked.append(len(rig.bus.said))
+        return len(asked) > 40
+
+    Joints(PROFILE, Settings(), rig.plug_in, rig.clock, latched)
+    ordered = asked[40]
+    words = [(packet.servo_id, packet.code, packet.parameters) for packet in rig.bus.said[ordered : ordered + 2]]
+    assert words == [(dxl.BROADCAST_ID, Instruction.WRITE, bytes((dxl.TORQUE_ENABLE.address, 0)))] * 2
+    assert len(rig.bus.said) > ordered + 20, "there were more to be asked"
+    rig.bus.advance(rig.clock() + PERIOD)
+    assert rig.registers(dxl.TORQUE_ENABLE) == [0] * 18
+
+
+def test_a_servo_that_falls_silent_while_it_is_taken_over_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = JointsRig()
+
+    def set_up(joints: Joints) -> None:
+        joints._bus.setup()
+        rig.suffer("servo", "silent", 100.0, servo=IDS[SERVO])
+
+    monkeypatch.setattr(Joints, "_set_up", set_up)
+    with pytest.raises(ConnectionError, match=f"servo {IDS[SERVO]} stopped answering while it was asked how it stands"):
+        rig.start()
+
+
+def test_motor_torques_are_those_in_the_direction_of_growing_angles_and_zero_where_nobody_answers() -> None:
+    rig = JointsRig().start()
+    load = np.linspace(-0.5, 0.5, 18).reshape(6, 3)
+    rig.bank.step(rig.q, np.zeros(18), (PROFILE.servo_signs * load).ravel(), 0.02)
+    rig.suffer("servo", "silent", 1.0, servo=IDS[SERVO])
+    load[LEG, JOINT] = 0.0
+    np.testing.assert_allclose(rig.joints.read_loads(), load, atol=0.005)
+
+
+# ------------------------------------------------------------------------------------------------------- missed goals
+
+GENTLY, SLOWLY = (dxl.moving_speed_from(speed) for speed in (GENTLE, LOWERED))
+
+
+def test_a_servo_that_was_silent_goes_slowly_until_it_is_where_it_was_sent_and_nobody_else_does() -> None:
+    rig = JointsRig().start()
+    rig.cycle(8, write=True)
+    rig.suffer("servo", "silent", 1.0, servo=IDS[SERVO])
+    rig.until(lambda: rig.joints.vitals.missed[SERVO] >= SILENT, write=True)
+    moved = rig.joints.goals.copy()
+    moved[LEG, JOINT] += np.radians(20.0)
+    rig.joints.write(moved)
+    rig.until(lambda: rig.joints.vitals.missed[SERVO] == 0, write=True)
+    speeds = np.array(rig.registers(dxl.MOVING_SPEED))
+    np.testing.assert_array_equal(speeds, np.where(np.arange(18) == SERVO, SLOWLY, 0))
+    assert not rig.joints.out_of_touch, "the others were there all the while"
+    rig.until(lambda: not rig.joints.vitals.behind.any(), write=True)
+    rig.cycle(2, write=True)
+    assert rig.registers(dxl.MOVING_SPEED) == [0] * 18
+    assert abs(rig.measured[LEG, JOINT] - moved[LEG, JOINT]) < np.radians(5.0)
+
+
+def test_a_servo_that_missed_goals_goes_as_gently_as_all_where_touch_is_lost_meanwhile() -> None:
+    rig = JointsRig().start()
+    rig.cycle(8, write=True)
+    rig.suffer("servo", "silent", 5.0, servo=IDS[SERVO])
+    rig.until(lambda: rig.joints.vitals.missed[SERVO] >= SILENT, write=True)
+    rig.cycle(write=True)
+    assert rig.said_speeds == [SLOWLY if row == SERVO else 0 for row in range(18)]
+    rig.joints.lose_touch()
+    rig.joints.write(rig.joints.goals)
+    assert rig.said_speeds == [GENTLY] * 18
+
+
+def test_where_nobody_answers_touch_is_lost_and_regained_once_all_have_answered_and_all_go_slowly_meanwhile() -> None:
+    rig = JointsRig().start()
+    rig.cycle(8, write=True)
+    assert not rig.joints.deaf
+    rig.suffer("bus", "silent", 0.5)
+    begin = rig.now_ns
+    rig.until(lambda: rig.joints.deaf, write=True)
+    assert not rig.joints.out_of_touch
+    rig.until(lambda: rig.joints.out_of_touch, write=True)
+    assert rig.now_ns - begin < 0.25e9
+    while rig.now_ns - begin < 0.5e9:
+        assert rig.said_speeds == [GENTLY] * 18
+        rig.cycle(write=True)
+    assert rig.joints.out_of_touch
+    rig.until(lambda: not rig.joints.out_of_touch, write=True)
+    assert not rig.joints.deaf
+    assert not rig.joints.vitals.missed.any()
+    rig.cycle(2, write=True)
+    assert rig.registers(dxl.MOVING_SPEED) == [0] * 18
+
+
+def test_a_servo_that_stays_silent_does_not_keep_the_others_waiting_for_long() -> None:
+    rig = JointsRig().start()
+    rig.cycle(8, write=True)
+    rig.suffer("bus", "silent", 0.5)
+    rig.suffer("servo", "silent", 100.0, servo=IDS[SERVO])
+    rig.until(lambda: rig.joints.out_of_touch, write=True)
+    rig.until(lambda: rig.joints.vitals.newest < 0.05, write=True)
+    begin = rig.now_ns
+    rig.until(lambda: not rig.joints.out_of_touch, write=True)
+    assert rig.now_ns - begin < 2.0e9
+    assert rig.joints.vitals.missed[SERVO] >= SILENT

@@ -1,0 +1,335 @@
+"""Joints that are lost and found, byte for byte: a port that goes and is back, servos that go limp and are woken."""
+
+import numpy as np
+import pytest
+
+from sextant.services.actuator.config import Settings
+from sextant.services.actuator.servo_bus import servos
+from sextant.services.actuator.servo_bus.dynamixel_bus import BusGone
+from sextant.services.actuator.servo_bus.mcu_bridge import READ_NS
+from sextant.services.simulator.board import Board
+from sextant.services.simulator.bus import MemoryPort
+from sextant.services.simulator.wire import Reply
+from sextant.shared import dynamixel as dxl
+from sextant.shared.dynamixel import Instruction, Register
+from tests.support.joints_rig import GOALS, IDS, JOINT, LEG, PERIOD, PROFILE, SERVO, STAND, TICK, TORQUE, JointsRig
+
+# ------------------------------------------------------------------------------------------------------ a port that goes
+
+
+def test_a_port_that_goes_is_said_and_raises_nothing_and_comes_back_as_it_stands() -> None:
+    rig = JointsRig().start()
+    rig.cycle(8)
+    rig.suffer("bus", "gone", 1.0)
+    left, begin = rig.bank.tables.copy(), rig.now_ns
+    rig.until(lambda: rig.joints.gone != "")
+    assert rig.joints.vitals.trouble == rig.joints.gone != ""
+    assert rig.joints.vitals.loss == 0.0
+    rig.joints.write(rig.joints.goals + 0.5)  # to nobody
+    rig.joints.load[:] = 0.7  # [N m] of legs that moved when they were last heard
+    rig.until(lambda: rig.joints.gone == "")
+    assert np.abs(rig.joints.load).max() < 0.1
+    assert 1.0e9 <= rig.now_ns - begin < 1.5e9
+    assert rig.joints.out_of_touch
+    assert rig.joints.torque.all()
+    np.testing.assert_allclose(rig.joints.goals, rig.measured, atol=TICK)
+    for register in (dxl.GOAL_POSITION, dxl.TORQUE_ENABLE, dxl.TORQUE_LIMIT):
+        at = slice(register.address, register.address + register.size)
+        np.testing.assert_array_equal(rig.bank.tables[:, at], left[:, at])
+
+
+@pytest.mark.parametrize("act", ["write", "let go", "grip", "revive"])
+def test_whatever_is_said_to_a_port_that_has_just_gone_is_no_error(act: str) -> None:
+    rig = JointsRig().start()
+    rig.suffer("bus", "gone", 1.0)
+    for _ in range(2):  # the first finds it gone
+        match act:
+            case "write":
+                rig.joints.write(rig.joints.goals)
+            case "let go":
+                rig.joints.let_go()
+            case "grip":
+                rig.joints.grip()
+            case _:
+                rig.joints.revive(SERVO)
+    assert rig.joints.gone
+    assert rig.joints.torque.all() == (act in ("write", "revive"))
+
+
+def test_it_is_looked_for_five_times_a_second() -> None:
+    tried = list[int]()
+
+    def plug_in() -> MemoryPort:
+        tried.append(rig.now_ns)
+        return rig.plug_in()
+
+    rig = JointsRig(opener=plug_in)
+    rig.start()
+    rig.suffer("bus", "gone", 1.5)
+    rig.cycle(90)
+    assert rig.joints.gone == ""
+    assert len(tried) > 5
+    assert (np.diff(tried[1:]) >= 0.2e9).all()
+    assert (np.diff(tried[1:]) <= 0.25e9).all()
+
+
+def test_what_is_ordered_off_while_the_port_is_gone_is_off_first_of_all_on_its_return_and_before_any_goal() -> None:
+    rig = JointsRig().start()
+    rig.cycle(3, write=True)
+    rig.suffer("bus", "gone", 0.5)
+    rig.until(lambda: rig.joints.gone != "", write=True)
+    heard = len(rig.bus.said)
+    rig.joints.let_go()
+    assert not rig.joints.torque.any()
+    assert len(rig.bus.said) == heard
+    rig.until(lambda: rig.joints.gone == "")
+    first = rig.bus.said[heard]
+    assert (first.servo_id, first.code) == (dxl.BROADCAST_ID, Instruction.WRITE)
+    assert first.parameters == bytes((dxl.TORQUE_ENABLE.address, 0)), "off, all of them"
+    assert GOALS not in rig.orders(heard)
+    rig.cycle()
+    assert rig.registers(dxl.TORQUE_ENABLE) == [0] * 18
+    assert not rig.joints.torque.any()
+
+
+def test_torque_off_is_said_until_it_is_ordered_on_since_nobody_answers() -> None:
+    rig = JointsRig().start()
+    rig.suffer("bus", "silent", 0.3)
+    rig.joints.let_go()
+    rig.cycle()
+    assert rig.registers(dxl.TORQUE_ENABLE) == [1] * 18, "nobody has heard"
+    rig.cycle(20)
+    assert rig.registers(dxl.TORQUE_ENABLE) == [0] * 18
+    rig.joints.grip()
+    heard = len(rig.bus.said)
+    rig.cycle(20)
+    assert TORQUE not in rig.orders(heard)
+    assert rig.registers(dxl.TORQUE_ENABLE) == [1] * 18
+
+
+def test_a_port_that_is_back_with_a_servo_missing_is_not_taken_for_the_whole() -> None:
+    rig = JointsRig().start()
+    rig.suffer("bus", "gone", 0.4)
+    rig.suffer("servo", "silent", 2.0, servo=IDS[SERVO])
+    rig.until(lambda: rig.joints.gone != "")
+    begin = rig.now_ns
+    rig.cycle(30)
+    assert rig.joints.gone.endswith(f"it is back, but {PROFILE.servo_names[IDS[SERVO]]} (id {IDS[SERVO]}) does not answer")
+    rig.until(lambda: rig.joints.gone == "")
+    assert rig.now_ns - begin > 1.5e9
+
+
+def test_a_port_that_is_back_is_found_through_lost_answers() -> None:
+    rig = JointsRig().start()
+    rig.suffer("bus", "gone", 0.4)
+    rig.suffer("packets", "silent", 100.0, share=0.1)
+    begin = rig.now_ns
+    rig.until(lambda: rig.joints.gone != "")
+    rig.until(lambda: rig.joints.gone == "")
+    assert rig.now_ns - begin < 3e9
+
+
+def test_a_port_that_is_back_under_another_name_is_found_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    def open_port(url: str, timeout_ns: int) -> MemoryPort:
+        try:
+            return rig.plug_in(int(url.removeprefix("port")))
+        except OSError as error:
+            raise BusGone(str(error)) from error
+
+    monkeypatch.setattr(servos, "open_port", open_port)
+    rig = JointsRig(opener=servos.Outlet(Settings(port="port0, port1")).open)
+    rig.start()
+    for _ in range(2):
+        rig.suffer("bus", "gone", 0.5, renamed=True)
+        rig.until(lambda: rig.joints.gone != "")
+        rig.until(lambda: rig.joints.gone == "" or "expected, found 2" in rig.joints.gone)
+        if rig.joints.gone:
+            return  # there is no third name
+        rig.cycle(8)
+        assert rig.joints.vitals.newest < 0.05
+    raise AssertionError("the second new name was none of those that were given")
+
+
+# -------------------------------------------------------------------------------------------------------- limp servos
+
+
+@pytest.mark.parametrize("cable", [True, False])
+def test_a_servo_that_comes_back_limp_is_said_so_and_one_that_was_silent_only_pulls(cable: bool) -> None:
+    rig = JointsRig().start()
+    rig.cycle(8)
+    rig.suffer("servo", "silent", 1.0, servo=IDS[SERVO], cable=cable)
+    rig.cycle(40)
+    assert np.flatnonzero(rig.joints.vitals.missed >= 4).tolist() == [SERVO]
+    assert rig.joints.torque.all(), "nobody knows"
+    rig.cycle(60)
+    assert np.flatnonzero(rig.joints.vitals.missed).tolist() == []
+    assert np.flatnonzero(rig.joints.vitals.limp).tolist() == [SERVO] * cable
+
+
+def test_it_is_asked_again_where_that_answer_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = JointsRig().start()
+    rig.cycle(8)
+    rig.suffer("servo", "silent", 1.0, servo=IDS[SERVO], cable=True)
+    rig.cycle(40)
+    read, lost = rig.joints._bus.read, list[int]()
+
+    def lossy(servo_id: int, register: Register) -> int | None:
+        if register is dxl.TORQUE_ENABLE and servo_id == IDS[SERVO] and len(lost) < 3:
+            lost.append(servo_id)
+            return None
+        return read(servo_id, register)
+
+    monkeypatch.setattr(rig.joints._bus, "read", lossy)
+    rig.until(lambda: bool(rig.joints.vitals.limp.any()))
+    assert lost == [IDS[SERVO]] * 3
+
+
+def test_torque_comes_on_where_limp_joints_are_and_others_keep_their_goals() -> None:
+    rig = JointsRig().start()
+    rig.cycle(8)
+    rig.suffer("servo", "silent", 0.5, servo=IDS[SERVO], cable=True)
+    rig.until(lambda: bool(rig.joints.vitals.limp.any()))
+    rig.q[SERVO] += 0.3  # it has sunk
+    rig.cycle(8)
+    before, heard = rig.joints.goals.copy(), len(rig.bus.said)
+    rig.joints.grip()
+    assert rig.joints.torque.all()
+    words = rig.orders(heard)
+    assert set(words) == {GOALS, TORQUE}
+    assert words.index(TORQUE) == words.count(GOALS), "goals come first"
+    rig.cycle(8)
+    assert rig.registers(dxl.TORQUE_ENABLE) == [1] * 18
+    here = rig.measured
+    before[LEG, JOINT] = here[LEG, JOINT]
+    np.testing.assert_allclose(rig.joints.goals, before, atol=TICK)
+    assert here[LEG, JOINT] == pytest.approx(PROFILE.joint_angles(rig.q.reshape(6, 3))[LEG, JOINT])
+    assert abs(rig.q[SERVO] - STAND[SERVO] - 0.3) < 2 * TICK, "it stays where it is"
+
+
+def overloaded() -> JointsRig:
+    """One servo has shut down and hangs 0.3 rad below where it was told to be."""
+    rig = JointsRig().start()
+    rig.cycle(8)
+    rig.put(SERVO, dxl.TORQUE_LIMIT, 0)
+    rig.bank._faults[SERVO] = int(dxl.ServoError.OVERLOAD)
+    rig.q[SERVO] += 0.3
+    rig.cycle(16)
+    assert rig.joints.vitals.errors[SERVO] & dxl.ServoError.OVERLOAD
+    return rig
+
+
+def test_a_servo_is_woken_where_it_is_and_knows_that_before_it_pulls() -> None:
+    rig = overloaded()
+    goals, heard = rig.joints.goals.copy(), len(rig.bus.said)
+    rig.joints.revive(SERVO)
+    words = rig.orders(heard)
+    assert words[-1] == f"{dxl.TORQUE_LIMIT.name} of {IDS[SERVO]}"
+    assert words.index(GOALS) < len(words) - 1
+    assert TORQUE not in words
+    rig.cycle(16)
+    assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 1023
+    assert abs(rig.q[SERVO] - STAND[SERVO] - 0.3) < 2 * TICK
+    assert not rig.joints.vitals.errors.any()
+    others = np.ones((6, 3), dtype=bool)
+    others[LEG, JOINT] = False
+    np.testing.assert_array_equal(rig.joints.goals[others], goals[others])
+
+
+def test_a_servo_that_does_not_say_that_it_has_its_goal_is_not_woken() -> None:
+    rig = overloaded()
+    rig.suffer("packets", "silent", 0.1, share=1.0)
+    heard = len(rig.bus.said)
+    rig.joints.revive(SERVO)
+    assert f"{dxl.TORQUE_LIMIT.name} of {IDS[SERVO]}" not in rig.orders(heard)
+    rig.cycle(16)
+    assert rig.registers(dxl.TORQUE_LIMIT)[SERVO] == 0
+
+
+def test_closing_leaves_all_as_it_is() -> None:
+    rig = JointsRig().start()
+    rig.cycle()
+    before = rig.bank.tables.copy()
+    rig.joints.close()
+    rig.bus.advance(rig.clock() + PERIOD)
+    np.testing.assert_array_equal(rig.bank.tables, before)
+    with pytest.raises(OSError, match="closed"):
+        rig.port.write(b"x")  # type: ignore[union-attr]
+
+
+def test_a_port_behind_which_a_bridge_stands_comes_back_too() -> None:
+    rig = JointsRig()
+    board = Board(rig.bus)
+
+    def plug_in() -> MemoryPort:
+        rig.port = MemoryPort(board, lambda: rig.now_ns, READ_NS * 1e-9, start_ns=rig.clock())
+        return rig.port
+
+    rig.opener, rig.device = plug_in, board
+    rig.start(Settings(bridge=True))
+    rig.cycle(20, write=True)
+    rig.suffer("bus", "gone", 0.5)
+    rig.until(lambda: rig.joints.gone != "", write=True)
+    lost_ns = rig.now_ns
+    rig.until(lambda: rig.joints.trouble == "" and not rig.joints.out_of_touch, write=True)
+    assert rig.now_ns - lost_ns < 2.0e9
+    assert rig.joints.torque.all()
+    rig.cycle(20, write=True)
+    assert rig.joints.trouble == ""
+
+
+# ---------------------------------------------------------------------------------------------- servos that do not pull
+
+
+@pytest.mark.parametrize("servo", [None, SERVO])
+def test_servos_that_did_not_hear_that_they_shall_pull_are_known_to_be_limp(servo: int | None) -> None:
+    rig = JointsRig(torque=False).start()
+    rig.cycle(8)
+    target = {"servo": IDS[servo]} if servo is not None else {}
+    rig.suffer("bus" if servo is None else "servo", "silent", 0.03, **target)
+    rig.joints.grip()
+    rig.cycle(60, write=True)
+    truly = np.array(rig.registers(dxl.TORQUE_ENABLE)) > 0
+    np.testing.assert_array_equal(rig.joints.torque, truly)
+    assert truly.sum() == (0 if servo is None else 17)
+    rig.joints.grip()
+    rig.cycle(60, write=True)
+    assert rig.joints.torque.all()
+    assert all(rig.registers(dxl.TORQUE_ENABLE))
+
+
+@pytest.mark.parametrize("gap_s", [0.04, 0.06, 0.08, 0.10, 0.12, 0.2])
+def test_a_servo_that_was_without_power_between_two_questions_is_known_to_be_limp(gap_s: float) -> None:
+    rig = JointsRig().start()
+    rig.cycle(20, write=True)
+    rig.suffer("servo", "silent", gap_s, servo=IDS[SERVO], cable=True)
+    rig.cycle(120, write=True)
+    assert rig.registers(dxl.TORQUE_ENABLE)[SERVO] == 0
+    assert np.flatnonzero(~rig.joints.torque).tolist() == [SERVO]
+
+
+def test_servos_that_missed_the_order_to_let_go_while_the_port_was_gone_are_held_for_limp_and_gripped_where_they_are() -> None:
+    rig = JointsRig().start()
+    rig.cycle(5, write=True)
+    rig.suffer("bus", "gone", 0.5)
+    rig.until(lambda: rig.joints.gone != "")
+    rig.joints.let_go()
+    hears, deaf_for = rig.bus.receive, [2]
+
+    def spoil(data: bytes, now_ns: int) -> list[Reply]:
+        """The first two packets that turn torque off are lost."""
+        if deaf_for[0] and data == dxl.write(dxl.BROADCAST_ID, dxl.TORQUE_ENABLE.address, b"\x00"):
+            deaf_for[0] -= 1
+            return []
+        return hears(data, now_ns)
+
+    rig.bus.receive = spoil  # type: ignore[method-assign]
+    rig.until(lambda: rig.joints.gone == "")
+    assert not deaf_for[0]
+    rig.cycle(5)
+    assert not any(rig.registers(dxl.TORQUE_ENABLE))
+    assert not rig.joints.torque.any()
+    rig.q = STAND + 0.7  # the legs hang
+    rig.cycle(30)
+    rig.joints.grip()
+    rig.cycle()
+    np.testing.assert_allclose(np.array(rig.registers(dxl.GOAL_POSITION)), rig.registers(dxl.PRESENT_POSITION), atol=1.0)

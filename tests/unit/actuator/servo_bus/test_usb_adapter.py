@@ -1,0 +1,68 @@
+"""The latency timer is set by whichever way is open, and where none is the command is told."""
+
+from pathlib import Path
+
+import pytest
+
+from sextant.services.actuator.servo_bus import usb_adapter
+
+
+class Port:
+    """A pyserial port whose driver heeds the low latency flag, or refuses it."""
+
+    def __init__(self, timer: Path, error: Exception | None = None) -> None:
+        self.timer, self.error = timer, error
+
+    def set_low_latency_mode(self, wanted: bool) -> None:
+        if self.error:
+            raise self.error
+        self.timer.write_text("1\n" if wanted else "16\n")
+
+
+@pytest.fixture
+def timer(tmp_path: Path) -> Path:
+    file = tmp_path / "sys" / "ttyUSB0" / "latency_timer"
+    file.parent.mkdir(parents=True)
+    file.write_text("16\n")
+    return file
+
+
+@pytest.fixture
+def link(tmp_path: Path) -> str:
+    """As /dev/serial/by-id has them."""
+    device, link = tmp_path / "ttyUSB0", tmp_path / "usb-FTDI_USB_Serial-if00-port0"
+    device.touch()
+    link.symlink_to(device)
+    return str(link)
+
+
+def test_the_driver_takes_the_flag_from_anybody(timer: Path, link: str) -> None:
+    assert usb_adapter.latency_ms(link, timer.parents[1]) == 16
+    assert usb_adapter.quicken(link, Port(timer), timer.parents[1]) == ""
+    assert timer.read_text() == "1\n"
+
+
+@pytest.mark.parametrize("error", [OSError("no ioctl"), ValueError("Failed to update ASYNC_LOW_LATENCY flag")])
+def test_root_may_write_the_file(error: Exception, timer: Path, link: str) -> None:
+    assert usb_adapter.quicken(link, Port(timer, error), timer.parents[1]) == ""
+    assert timer.read_text() == "1\n"
+
+
+def test_who_may_neither_is_told_the_command_and_the_rule(timer: Path, link: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> int:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "write_text", refuse)
+    words = usb_adapter.quicken(link, Port(timer, OSError("refused")), timer.parents[1])
+    assert "is 16 ms, 1 expected" in words
+    assert f"`echo 1 | sudo tee {timer}`" in words
+    assert 'DRIVER=="ftdi_sio", ATTR{latency_timer}="1"' in words
+    assert timer.read_text() == "16\n"
+
+
+def test_a_quick_one_and_a_port_without_are_left_alone(timer: Path, link: str) -> None:
+    timer.write_text("1\n")
+    touched = Port(timer, AssertionError("not to be touched"))
+    assert usb_adapter.quicken(link, touched, timer.parents[1]) == ""
+    assert usb_adapter.quicken("socket://127.0.0.1:5000", touched, timer.parents[1]) == ""
+    assert usb_adapter.latency_ms("/dev/ttyACM0", timer.parents[1]) is None
